@@ -1,0 +1,71 @@
+# Two commands do everything: `make run` and `make test`. They need Python 3.11 or 3.12 and nothing else.
+
+SHELL := /bin/sh
+VENV := .venv
+BIN := $(VENV)/bin
+TWIN := $(BIN)/khep-twin
+PLAYPEN := obstacles
+
+.PHONY: help run test check format bench lock build clean
+
+help: ## show this list
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
+
+run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated seconds
+	@mkdir -p out
+	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --picture out/run.png
+
+test: $(VENV)/dev.stamp ## the whole test suite
+	@$(BIN)/python -m pytest -n auto
+
+check: $(VENV)/dev.stamp ## style and types
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/pyright
+
+format: $(VENV)/dev.stamp ## put the code into its layout
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
+	@$(BIN)/python -m benchmarks
+
+lock: $(VENV)/dev.stamp ## resolve the dependencies anew
+	@$(BIN)/python -m pip install -q uv
+	@$(BIN)/uv pip compile pyproject.toml --group build --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
+	@$(BIN)/uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
+
+build: $(VENV)/dev.stamp ## wheel and source archive, in dist/
+	@$(BIN)/python -m hatchling build
+
+clean: ## remove the environment and everything made
+	@rm -rf $(VENV) out build dist .pytest_cache .ruff_cache
+
+# The environment: exactly the locked versions, checked by hash. Finding Python comes first, so that a
+# missing tool gives one line and not a trace.
+define MAKE_VENV
+for python in python3.12 python3.11 python3 python; do \
+  if $$python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null; then \
+    $$python -c 'import venv, ensurepip' 2>/dev/null || { \
+      echo "khep_twin: $$python has no venv module; on Debian or Ubuntu: apt install $$($$python -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')" >&2; exit 1; }; \
+    echo "khep_twin: making the environment in $(VENV) with $$($$python --version)"; \
+    $$python -m venv --clear $(VENV) && exit 0 || exit 1; \
+  fi; \
+done; \
+echo "khep_twin: needs Python 3.11 or 3.12, found $$(python3 --version 2>/dev/null || echo none)" >&2; exit 1
+endef
+
+$(VENV)/made.stamp:
+	@$(MAKE_VENV)
+	@touch $@
+
+$(VENV)/run.stamp: $(VENV)/made.stamp requirements.lock pyproject.toml
+	@echo "khep_twin: installing what it needs (about a minute, once)"
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/dev.stamp: $(VENV)/run.stamp requirements-dev.lock
+	@echo "khep_twin: installing the tools of the test suite (once)"
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	@touch $@

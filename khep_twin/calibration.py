@@ -1,0 +1,70 @@
+"""Calibrations: the infrared sensors of one named robot, as numbers in a TOML file.
+
+Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and says where it comes from. The
+files in assets/calibration are used by bare name, others by path. What the numbers do stands in `sensors`.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from khep_twin import toml_files
+from khep_twin.errors import CalibrationError
+from khep_twin.toml_files import Name, Table
+from khep_twin.units import N_SENSORS
+
+_Gain = Annotated[float, Field(gt=0, le=1e8)]
+_Counts = Annotated[float, Field(ge=0, le=4095)]
+_Exponent = Annotated[float, Field(ge=0, le=20)]
+_Offset = Annotated[float, Field(ge=0, le=50)]
+_Heading = Annotated[float, Field(ge=-360, le=360)]
+_Eight = Field(min_length=N_SENSORS, max_length=N_SENSORS, description="a list of eight numbers, one per sensor")
+
+
+class ProximityCalibration(Table):
+    """Reflected light; per-sensor values in the order of N."""
+
+    gain_counts_mm2: Annotated[tuple[_Gain, ...], _Eight]
+    threshold_counts: Annotated[tuple[_Counts, ...], _Eight]
+    offset_mm: _Offset
+    lobe_exponent: _Exponent
+    incidence_exponent: _Exponent
+    noise_counts: _Counts
+    idle_counts: _Counts
+
+
+class AmbientCalibration(Table):
+    """Light of lamps."""
+
+    dark_counts: _Counts
+    floor_counts: Annotated[int, Field(ge=0, le=4095)]
+    ceiling_counts: Annotated[int, Field(ge=0, le=4095)]
+    gain_counts_mm2_per_w: _Gain
+    offset_mm: _Offset
+    noise_counts: _Counts
+
+
+class Calibration(Table):
+    """One robot's sensors; headings [deg] counter-clockwise from straight ahead, in the order of N."""
+
+    version: Literal[1]
+    name: Name
+    source: str
+    heading_deg: Annotated[tuple[_Heading, ...], _Eight]
+    proximity: ProximityCalibration
+    ambient: AmbientCalibration
+
+
+def names() -> list[str]:
+    """The calibrations that ship with the package."""
+    return toml_files.names("calibration")
+
+
+def read(name: str) -> tuple[Calibration, str]:
+    """A calibration by bare name or path, and the text of its file.
+
+    Raises:
+        CalibrationError: there is none, or the file cannot be used; one line per problem.
+    """
+    text, source = toml_files.read("calibration", name, CalibrationError)
+    return toml_files.validate(Calibration, text, source, CalibrationError), text

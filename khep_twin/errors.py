@@ -1,0 +1,62 @@
+"""What can go wrong, one class per kind of trouble.
+
+    KhepTwinError
+    ├── PlaypenError      a playpen file that cannot be used
+    ├── CalibrationError  a calibration file that cannot be used
+    ├── ProtocolError     an answer on the serial line that is not what the command asks for
+    ├── PortError         a port that cannot be opened, or that went away
+    │   └── PortTimeout   a port that stayed silent
+    ├── ControllerError   a control program that cannot be found or started
+    ├── LogError          a log that cannot be written or read
+    └── DivergedError     a simulation that left the bounds of physics
+
+Each message names the place, the value found there and what would be right. Mistakes of the calling
+program (a wrong type, a negative time) stay `TypeError` and `ValueError`.
+"""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class KhepTwinError(Exception):
+    """Root of every error that khep_twin raises for its users."""
+
+
+class PlaypenError(KhepTwinError):
+    """A playpen file that cannot be used; one line per problem."""
+
+
+class CalibrationError(KhepTwinError):
+    """A calibration file that cannot be used."""
+
+
+class ProtocolError(KhepTwinError):
+    """An answer on the serial line that is not what the command asks for."""
+
+
+class PortError(KhepTwinError):
+    """A port that cannot be opened, or that went away."""
+
+
+class PortTimeout(PortError):
+    """A port that stayed silent for longer than its timeout."""
+
+
+class ControllerError(KhepTwinError):
+    """A control program that cannot be found or started."""
+
+
+class LogError(KhepTwinError):
+    """A log that cannot be written or read."""
+
+
+class DivergedError(KhepTwinError):
+    """A simulation that left the bounds of physics."""
+
+
+def choices(given: object, valid: Iterable[object]) -> str:
+    """What could have been meant by `given`, as the tail of a message: the nearest choice, then all."""
+    names = [str(name) for name in valid]
+    near = get_close_matches(str(given), names, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return f"{hint}(choices: {', '.join(names) or 'none'})"

@@ -1,0 +1,229 @@
+"""The firmware: what each command of the serial protocol does to the board's registers.
+
+Bytes in, bytes out: no clock, file or thread. The control loop itself is `kernel`; whoever owns the time
+calls it. What the manual leaves open is decided so that a host survives it:
+
+    - numbers out of range are cut to the range: speed +-127, duty +-255, target +-(2^23 - 2), gains 0 to
+      32767, trapezoid speed 0 to 127 and acceleration 1 to 65535, counters to 32 bits by wrapping;
+    - an LED, converter channel or bus address that does not exist is a protocol error;
+    - nothing sits on the extension bus, so it reads as 255, and on a turret's place, so a message to one
+      is answered `z,Turret order not supported`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from khep_twin import kernel
+from khep_twin.kernel import LEFT, RIGHT, Board, Mode, Wheel
+from khep_twin.protocol import (
+    COMMAND_NOT_FOUND,
+    END,
+    PROTOCOL_ERROR,
+    Command,
+    LineReader,
+    Malformed,
+    Request,
+    TurretMessage,
+    parse,
+    refusal,
+    reply,
+)
+from khep_twin.units import DUTY_LIMIT, N_SENSORS
+
+SPEED_LIMIT_PULSES = 127
+"""Fastest speed of command D [pulses/10 ms] (manual, appendix A)."""
+
+TARGET_LIMIT_PULSES = 2**23 - 2
+"""Farthest target of command C [pulses] (manual, appendix A)."""
+
+GAIN_LIMIT = 32767
+"""Largest controller gain (assumed: a 16-bit word)."""
+
+ACCELERATION_LIMIT = 65535
+"""Largest acceleration of command J [pulses/256 per (10 ms)^2] (assumed: a 16-bit word)."""
+
+BAUD_BY_MODE: Mapping[int, int] = {1: 9600, 2: 19200, 3: 38400}
+"""Line speed of the running modes that speak the protocol (manual, appendix E)."""
+
+N_ADC_CHANNELS = 6
+"""Channels of command I: 0 to 2 internal, 3 to 5 free (manual, appendix A)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rom:
+    """What differs between versions of the firmware.
+
+    Attributes:
+        bios: version of the BIOS, the first field of the reply to B.
+        protocol: version of the serial protocol, the second.
+        banner: lines shown after a reset.
+        mode_codes: how command K names each motor mode.
+    """
+
+    bios: str
+    protocol: str
+    banner: tuple[str, ...]
+    mode_codes: Mapping[Mode, int]
+
+
+ROMS: Mapping[str, Rom] = {
+    # Banner and versions as in K-Team's FAQ; its line breaks are a guess.
+    "5.02": Rom(
+        bios="5.02",
+        protocol="5.01",
+        banner=(
+            "ROM of minirobot KHEPERA, Edoardo Franzi",
+            "K-Team S.A.",
+            "October 22, 1998 Rev. 5.01",
+            "Serial Communication Protocol",
+        ),
+        mode_codes={Mode.SPEED: 0, Mode.POSITION: 1, Mode.PWM: 2},
+    ),
+    # The mode codes are those of the toolbox's reference to the manual 4.06; the rest is assumed.
+    "4.06": Rom(
+        bios="4.06",
+        protocol="4.06",
+        banner=("ROM of minirobot KHEPERA, Edoardo Franzi", "Rev. 4.06", "Serial Communication Protocol"),
+        mode_codes={Mode.SPEED: 1, Mode.POSITION: 0, Mode.PWM: 2},
+    ),
+}
+
+
+class Firmware:
+    """The command interpreter of one robot.
+
+    Attributes:
+        registers: the board's state, shared with `kernel` (N_REGISTERS,).
+        rom: the version that it speaks.
+    """
+
+    def __init__(self, rom: Rom) -> None:
+        self.rom = rom
+        self.registers = np.zeros(kernel.N_REGISTERS, np.int64)
+        self._lines = LineReader()
+        kernel.reset(self.registers)
+
+    def receive(self, data: bytes) -> bytes:
+        """Takes bytes from the line; returns the replies to the commands that they complete."""
+        return b"".join(self._answer(parse(line)) for line in self._lines.feed(data))
+
+    def reset(self) -> bytes:
+        """Puts everything to its reset state, as at power-up; returns the banner."""
+        kernel.reset(self.registers)
+        self._lines.clear()
+        return b"".join(line.encode("ascii") + END for line in self.rom.banner)
+
+    def forget_line(self) -> None:
+        """Drops a line begun and not ended, as when the host goes away in the middle of one."""
+        self._lines.clear()
+
+    def _answer(self, request: Request) -> bytes:
+        match request:
+            case Malformed():
+                return request.reply
+            case Command():
+                return _HANDLERS[request.letter](self, *request.arguments)
+            case TurretMessage():
+                return refusal("Turret order not supported")
+            case _ if request.word == b"restart" and not request.arguments:
+                return self.reset()
+            case _:
+                return COMMAND_NOT_FOUND
+
+    def _both(self, register: Wheel) -> tuple[int, int]:
+        """A register of the left and of the right wheel."""
+        return int(self.registers[LEFT + register]), int(self.registers[RIGHT + register])
+
+    def _set_gains(self, first: Board, gains: tuple[int, ...]) -> None:
+        for offset, gain in enumerate(gains):
+            self.registers[first + offset] = min(max(gain, 0), GAIN_LIMIT)
+
+    def _a_configure_speed_pid(self, kp: int, ki: int, kd: int) -> bytes:
+        self._set_gains(Board.SPEED_KP, (kp, ki, kd))
+        return reply("A")
+
+    def _b_versions(self) -> bytes:
+        return reply("B", self.rom.bios, self.rom.protocol)
+
+    def _c_go_to_position(self, left: int, right: int) -> bytes:
+        kernel.set_target(self.registers, LEFT, kernel.clip(left, TARGET_LIMIT_PULSES))
+        kernel.set_target(self.registers, RIGHT, kernel.clip(right, TARGET_LIMIT_PULSES))
+        return reply("C")
+
+    def _d_set_speed(self, left: int, right: int) -> bytes:
+        kernel.set_speed(self.registers, LEFT, kernel.clip(left, SPEED_LIMIT_PULSES))
+        kernel.set_speed(self.registers, RIGHT, kernel.clip(right, SPEED_LIMIT_PULSES))
+        return reply("D")
+
+    def _e_read_speed(self) -> bytes:
+        return reply("E", *self._both(Wheel.SPEED))
+
+    def _f_configure_position_pid(self, kp: int, ki: int, kd: int) -> bytes:
+        self._set_gains(Board.POSITION_KP, (kp, ki, kd))
+        return reply("F")
+
+    def _g_set_position(self, left: int, right: int) -> bytes:
+        kernel.set_position(self.registers, LEFT, kernel.wrap(left))
+        kernel.set_position(self.registers, RIGHT, kernel.wrap(right))
+        return reply("G")
+
+    def _h_read_position(self) -> bytes:
+        return reply("H", *self._both(Wheel.POSITION))
+
+    def _i_read_converter(self, channel: int) -> bytes:
+        # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to the others.
+        last = (int(self.registers[Board.SCAN]) - 1) % N_SENSORS
+        values = {1: self.registers[Board.PROXIMITY + last], 2: self.registers[Board.AMBIENT + last]}
+        if not 0 <= channel < N_ADC_CHANNELS:
+            return PROTOCOL_ERROR
+        return reply("I", int(values.get(channel, 0)))
+
+    def _j_configure_profile(
+        self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
+    ) -> bytes:
+        profiles = ((LEFT, left_speed, left_acceleration), (RIGHT, right_speed, right_acceleration))
+        for wheel, speed, acceleration in profiles:
+            self.registers[wheel + Wheel.MAX_SPEED] = min(max(speed, 0), SPEED_LIMIT_PULSES)
+            self.registers[wheel + Wheel.ACCELERATION] = min(max(acceleration, 1), ACCELERATION_LIMIT)
+        return reply("J")
+
+    def _k_read_status(self) -> bytes:
+        status: list[int] = []
+        for wheel in (LEFT, RIGHT):
+            mode = Mode(int(self.registers[wheel + Wheel.MODE]))
+            on_target = int(self.registers[wheel + Wheel.ON_TARGET])
+            status += [on_target, self.rom.mode_codes[mode], int(self.registers[wheel + Wheel.ERROR])]
+        return reply("K", *status)
+
+    def _l_set_led(self, led: int, action: int) -> bytes:
+        if led not in (0, 1) or action not in (0, 1, 2):
+            return PROTOCOL_ERROR
+        register = Board.LED_0 + led
+        self.registers[register] = 1 - self.registers[register] if action == 2 else action
+        return reply("L")
+
+    def _n_read_proximity(self) -> bytes:
+        return reply("N", *self.registers[Board.PROXIMITY : Board.PROXIMITY + N_SENSORS].tolist())
+
+    def _o_read_ambient(self) -> bytes:
+        return reply("O", *self.registers[Board.AMBIENT : Board.AMBIENT + N_SENSORS].tolist())
+
+    def _p_set_duty(self, left: int, right: int) -> bytes:
+        kernel.set_duty(self.registers, LEFT, kernel.clip(left, DUTY_LIMIT))
+        kernel.set_duty(self.registers, RIGHT, kernel.clip(right, DUTY_LIMIT))
+        return reply("P")
+
+    def _r_read_bus(self, address: int) -> bytes:
+        return reply("R", 255) if 0 <= address < 64 else PROTOCOL_ERROR
+
+    def _w_write_bus(self, data: int, address: int) -> bytes:
+        return reply("W") if 0 <= data < 256 and 0 <= address < 64 else PROTOCOL_ERROR
+
+
+_HANDLERS: Mapping[str, Callable[..., bytes]] = {
+    name[1].upper(): handler
+    for name, handler in vars(Firmware).items()
+    if len(name) > 3 and name[0] == name[2] == "_" and name[1].islower()
+}

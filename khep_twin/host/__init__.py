@@ -1,0 +1,3 @@
+"""Programs that talk to a Khepera, real or simulated. Loads no simulator."""
+
+from khep_twin.host.khepera import Khepera as Khepera

@@ -1,0 +1,255 @@
+"""The board's arithmetic: encoders, motor controllers, speed profile and sensor scan.
+
+Everything the processor knows of the fast world lies in one int64 array, so that a copy is a snapshot and a
+stack of arrays is a batch. All arithmetic is on integers, as on the robot; the functions keep to what a
+compiler for numerical Python accepts: no objects, no floats, no exceptions, saturation written out.
+
+The controllers run every 10 ms (manual, 3.1.3):
+
+    duty = (Kp error + Ki sum(error) + Kd (error - last error)) / SCALE, clipped to +-255
+
+in speed mode on `setpoint - speed`, in position mode on `profile - position`, where the profile is the
+trapezoid of the J command: accelerate, cruise, brake over v^2 / (2 a). The manual gives the form and the
+reset values of the gains but not their scale, which is assumed so that they settle well.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.units import DUTY_LIMIT, N_SENSORS
+
+Registers = NDArray[np.int64]
+"""State of one board: (N_REGISTERS,)."""
+
+SPEED_GAIN_SCALE = 1024
+"""What the speed controller's gains are divided by (assumed)."""
+
+POSITION_GAIN_SCALE = 512
+"""What the position controller's gains are divided by (assumed)."""
+
+FRACTION = 256
+"""Parts of a pulse in which the profile counts: J's acceleration is in pulses/256 (manual, appendix A)."""
+
+TARGET_TOLERANCE_PULSES = 2
+"""A target counts as reached within this error (assumed)."""
+
+
+class Mode(IntEnum):
+    """What drives a motor."""
+
+    SPEED = 0
+    POSITION = 1
+    PWM = 2
+
+
+class Wheel(IntEnum):
+    """Registers of one wheel; the left wheel's lie at 0, the right one's at `RIGHT`."""
+
+    ENCODER = 0  # pulses since power-up, as last read [pulses]
+    POSITION = 1  # the counter of G and H, wraps at 32 bits [pulses]
+    SPEED = 2  # pulses in the last tick [pulses/10 ms]
+    MODE = 3
+    SPEED_SETPOINT = 4  # [pulses/10 ms]
+    TARGET = 5  # [pulses]
+    PROFILE_POSITION = 6  # where the trapezoid is [pulses/256]
+    PROFILE_SPEED = 7  # [pulses/256 per 10 ms]
+    MAX_SPEED = 8  # of the trapezoid [pulses/10 ms]
+    ACCELERATION = 9  # of the trapezoid [pulses/256 per (10 ms)^2]
+    ERROR = 10  # the controller's input [pulses or pulses/10 ms]
+    ERROR_SUM = 11
+    ON_TARGET = 12  # 1 when the target is reached
+    DUTY = 13  # of the motor's pulse-width modulation, -255 to 255
+
+
+LEFT = 0
+RIGHT = len(Wheel)
+
+
+class Board(IntEnum):
+    """Registers of the board as a whole, behind those of its wheels."""
+
+    SPEED_KP = 2 * RIGHT
+    SPEED_KI = 2 * RIGHT + 1
+    SPEED_KD = 2 * RIGHT + 2
+    POSITION_KP = 2 * RIGHT + 3
+    POSITION_KI = 2 * RIGHT + 4
+    POSITION_KD = 2 * RIGHT + 5
+    LED_0 = 2 * RIGHT + 6
+    LED_1 = 2 * RIGHT + 7
+    SCAN = 2 * RIGHT + 8  # the sensor that is converted next
+    PROXIMITY = 2 * RIGHT + 9  # eight counts, in the order of N
+    AMBIENT = 2 * RIGHT + 9 + N_SENSORS  # eight counts, in the order of O
+
+
+N_REGISTERS = Board.AMBIENT + N_SENSORS
+
+RESET_VALUES: dict[int, int] = {
+    Board.SPEED_KP: 3800,
+    Board.SPEED_KI: 800,
+    Board.SPEED_KD: 100,
+    Board.POSITION_KP: 3000,
+    Board.POSITION_KI: 20,
+    Board.POSITION_KD: 4000,
+    LEFT + Wheel.MAX_SPEED: 20,
+    LEFT + Wheel.ACCELERATION: 64,
+    LEFT + Wheel.ON_TARGET: 1,
+    RIGHT + Wheel.MAX_SPEED: 20,
+    RIGHT + Wheel.ACCELERATION: 64,
+    RIGHT + Wheel.ON_TARGET: 1,
+}
+"""Of all registers that are not 0 after a reset (manual, appendix A)."""
+
+
+def reset(registers: Registers) -> None:
+    """Puts every register to its reset value; the encoders keep turning where they are."""
+    left_encoder = registers[_LEFT_ENCODER]
+    right_encoder = registers[_RIGHT_ENCODER]
+    registers[:] = 0
+    for register, value in RESET_VALUES.items():
+        registers[register] = value
+    registers[_LEFT_ENCODER] = left_encoder
+    registers[_RIGHT_ENCODER] = right_encoder
+
+
+def tick(registers: Registers, left_pulses: int, right_pulses: int) -> None:
+    """One control period of 10 ms: reads both encoders and sets both duties.
+
+    Args:
+        registers: the board's state, changed in place.
+        left_pulses: what the left encoder has counted since power-up [pulses].
+        right_pulses: likewise the right one.
+    """
+    _control(registers, LEFT, left_pulses)
+    _control(registers, RIGHT, right_pulses)
+
+
+def convert(registers: Registers, proximity: int, ambient: int) -> None:
+    """Stores one sensor's two conversions [counts] and passes on to the next sensor of the scan."""
+    channel = registers[_SCAN]
+    registers[_PROXIMITY + channel] = proximity
+    registers[_AMBIENT + channel] = ambient
+    registers[_SCAN] = (channel + 1) % _CHANNELS
+
+
+def set_speed(registers: Registers, wheel: int, speed: int) -> None:
+    """Drives a wheel at a speed [pulses/10 ms], with no limit to its acceleration."""
+    if registers[wheel + _MODE] != _SPEED_MODE:
+        registers[wheel + _ERROR_SUM] = 0
+    registers[wheel + _MODE] = _SPEED_MODE
+    registers[wheel + _SPEED_SETPOINT] = speed
+    registers[wheel + _ON_TARGET] = 0
+
+
+def set_duty(registers: Registers, wheel: int, duty: int) -> None:
+    """Drives a motor with a fixed duty of -255 to 255, uncontrolled."""
+    registers[wheel + _MODE] = _PWM_MODE
+    registers[wheel + _DUTY] = duty
+    registers[wheel + _ERROR] = 0
+    registers[wheel + _ON_TARGET] = 0
+
+
+def set_target(registers: Registers, wheel: int, target: int) -> None:
+    """Sends a wheel to a position [pulses] along the trapezoid, from whatever it is doing now."""
+    if registers[wheel + _MODE] != _POSITION_MODE:
+        registers[wheel + _PROFILE_POSITION] = registers[wheel + _POSITION] * FRACTION
+        registers[wheel + _PROFILE_SPEED] = registers[wheel + _SPEED] * FRACTION
+        registers[wheel + _ERROR] = 0
+        registers[wheel + _ERROR_SUM] = 0
+    registers[wheel + _MODE] = _POSITION_MODE
+    registers[wheel + _TARGET] = target
+    registers[wheel + _ON_TARGET] = 0
+
+
+def set_position(registers: Registers, wheel: int, position: int) -> None:
+    """Renumbers a wheel's place as `position` [pulses]; a move under way goes on to the same place."""
+    shift = position - registers[wheel + _POSITION]
+    registers[wheel + _POSITION] = position
+    registers[wheel + _TARGET] += shift
+    registers[wheel + _PROFILE_POSITION] += shift * FRACTION
+
+
+def divide(numerator: int, denominator: int) -> int:
+    """Whole-number division that cuts towards zero, as C does."""
+    quotient = abs(numerator) // abs(denominator)
+    return quotient if (numerator < 0) == (denominator < 0) else -quotient
+
+
+def clip(value: int, limit: int) -> int:
+    """`value` held within -limit to limit."""
+    return min(max(value, -limit), limit)
+
+
+def wrap(value: int) -> int:
+    """`value` as a signed 32-bit number."""
+    return (value + 2**31) % 2**32 - 2**31
+
+
+# Plain numbers, because an enum costs a look-up each time it is an index.
+_ENCODER, _POSITION, _SPEED, _MODE, _SPEED_SETPOINT, _TARGET = 0, 1, 2, 3, 4, 5
+_PROFILE_POSITION, _PROFILE_SPEED, _MAX_SPEED, _ACCELERATION = 6, 7, 8, 9
+_ERROR, _ERROR_SUM, _ON_TARGET, _DUTY = 10, 11, 12, 13
+_LEFT_ENCODER, _RIGHT_ENCODER = LEFT + _ENCODER, RIGHT + _ENCODER
+_SPEED_MODE, _POSITION_MODE, _PWM_MODE = 0, 1, 2
+_SPEED_GAINS, _POSITION_GAINS = int(Board.SPEED_KP), int(Board.POSITION_KP)
+_SCAN, _PROXIMITY, _AMBIENT, _CHANNELS = int(Board.SCAN), int(Board.PROXIMITY), int(Board.AMBIENT), N_SENSORS
+
+
+def _control(registers: Registers, wheel: int, pulses: int) -> None:
+    """One wheel's control period."""
+    speed = pulses - int(registers[wheel + _ENCODER])
+    position = wrap(int(registers[wheel + _POSITION]) + speed)
+    registers[wheel + _ENCODER] = pulses
+    registers[wheel + _POSITION] = position
+    registers[wheel + _SPEED] = speed
+    mode = registers[wheel + _MODE]
+    if mode == _SPEED_MODE:
+        error = int(registers[wheel + _SPEED_SETPOINT]) - speed
+        _regulate(registers, wheel, _SPEED_GAINS, SPEED_GAIN_SCALE, error)
+    elif mode == _POSITION_MODE:
+        _advance_profile(registers, wheel)
+        error = wrap(divide(int(registers[wheel + _PROFILE_POSITION]), FRACTION) - position)
+        _regulate(registers, wheel, _POSITION_GAINS, POSITION_GAIN_SCALE, error)
+        arrived = registers[wheel + _PROFILE_POSITION] == registers[wheel + _TARGET] * FRACTION
+        if arrived and abs(error) <= TARGET_TOLERANCE_PULSES:
+            registers[wheel + _ON_TARGET] = 1
+
+
+def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: int) -> None:
+    """The PID law; the sum grows only as far as it can act on the duty."""
+    kp, ki, kd = int(registers[gains]), int(registers[gains + 1]), int(registers[gains + 2])
+    error_sum = clip(int(registers[wheel + _ERROR_SUM]) + error, divide(DUTY_LIMIT * scale, max(ki, 1)))
+    drive = kp * error + ki * error_sum + kd * (error - int(registers[wheel + _ERROR]))
+    registers[wheel + _ERROR] = error
+    registers[wheel + _ERROR_SUM] = error_sum
+    registers[wheel + _DUTY] = clip(divide(drive, scale), DUTY_LIMIT)
+
+
+def _advance_profile(registers: Registers, wheel: int) -> None:
+    """Moves the trapezoid on by one tick, towards the target.
+
+    Brakes as soon as the way left is no more than v^2 / (2 a), then with a = v^2 / (2 way left), so that
+    the profile ends on the target whatever the rounding.
+    """
+    position = int(registers[wheel + _PROFILE_POSITION])
+    speed = int(registers[wheel + _PROFILE_SPEED])
+    acceleration = max(int(registers[wheel + _ACCELERATION]), 1)
+    way = int(registers[wheel + _TARGET]) * FRACTION - position
+    direction = 1 if way >= 0 else -1
+    way *= direction
+    speed *= direction
+    cruise = int(registers[wheel + _MAX_SPEED]) * FRACTION
+    if speed > 0 and speed * speed >= 2 * acceleration * way:
+        speed = max(speed - max(divide(speed * speed, 2 * max(way, 1)), 1), 1)
+    elif speed < cruise:
+        speed = min(speed + acceleration, cruise)
+    else:
+        speed = max(speed - acceleration, cruise)
+    if speed >= way:
+        position += direction * way
+        speed = 0
+    else:
+        position += direction * speed
+    registers[wheel + _PROFILE_POSITION] = position
+    registers[wheel + _PROFILE_SPEED] = direction * speed

@@ -1,0 +1,1 @@
+"""The workbench: controllers and experiments on any port."""

@@ -1,0 +1,1 @@
+"""Logs: every run as one self-contained MCAP file that rerun and Foxglove open by themselves."""

@@ -1,0 +1,262 @@
+"""What a log's channels carry, as ROS 2 messages in CDR, which rerun and Foxglove read without code of ours.
+
+    /robot_description          std_msgs/String             the playpen and its robots as URDF, once
+    /tf                         tf2_msgs/TFMessage          where every body is
+    /khepera0/proximity         std_msgs/Float64MultiArray  eight counts, in the order of N
+    /khepera0/ambient           std_msgs/Float64MultiArray  eight counts, in the order of O
+    /khepera0/speed             std_msgs/Float64MultiArray  left, right; setpoint left, right [pulses/10 ms]
+    /khepera0/duty              std_msgs/Float64MultiArray  left, right, -255 to 255
+    /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
+    /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
+    /events                     rcl_interfaces/Log          notes
+
+CDR here is little-endian: a header of four bytes, then each value at a multiple of its size, counted from the
+header's end; strings and sequences are preceded by their length. Messages that are written often have a fixed
+size and are filled into a ready-made frame.
+"""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from khep_twin.clock import NS_PER_S
+
+_HEADER = b"\x00\x01\x00\x00"
+_RULE = "=" * 80
+_TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
+_ARRAY = """std_msgs/MultiArrayLayout layout
+{type}[] data
+{rule}
+MSG: std_msgs/MultiArrayLayout
+std_msgs/MultiArrayDimension[] dim
+uint32 data_offset
+{rule}
+MSG: std_msgs/MultiArrayDimension
+string label
+uint32 size
+uint32 stride"""
+
+SCHEMAS = {
+    "std_msgs/msg/String": "string data",
+    "std_msgs/msg/Float64MultiArray": _ARRAY.format(type="float64", rule=_RULE),
+    "std_msgs/msg/Int64MultiArray": _ARRAY.format(type="int64", rule=_RULE),
+    "tf2_msgs/msg/TFMessage": f"""geometry_msgs/TransformStamped[] transforms
+{_RULE}
+MSG: geometry_msgs/TransformStamped
+std_msgs/Header header
+string child_frame_id
+geometry_msgs/Transform transform
+{_RULE}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_RULE}
+{_TIME}
+{_RULE}
+MSG: geometry_msgs/Transform
+geometry_msgs/Vector3 translation
+geometry_msgs/Quaternion rotation
+{_RULE}
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+{_RULE}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w""",
+    "rcl_interfaces/msg/Log": f"""byte DEBUG=10
+byte INFO=20
+byte WARN=30
+byte ERROR=40
+byte FATAL=50
+builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+{_RULE}
+{_TIME}""",
+}
+"""Text of each message type, as `ros2msg` schemas have it."""
+
+
+class Level(IntEnum):
+    """How grave a line of a log is."""
+
+    DEBUG = 10
+    INFO = 20
+    WARN = 30
+    ERROR = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of a transcript or of the events."""
+
+    time_ns: int
+    level: int
+    name: str
+    text: str
+
+
+class Encoder:
+    """Writes values one after the other, each where CDR wants it."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+
+    def put(self, kind: str, value: float) -> "Encoder":
+        """A number, `kind` as in `struct`."""
+        self.align(struct.calcsize(kind))
+        self._data += struct.pack("<" + kind, value)
+        return self
+
+    def text(self, value: str) -> "Encoder":
+        """A string."""
+        data = value.encode("utf-8") + b"\0"
+        self.put("I", len(data))
+        self._data += data
+        return self
+
+    def time(self, time_ns: int) -> "Encoder":
+        """A time since the start of the run."""
+        return self.put("i", time_ns // NS_PER_S).put("I", time_ns % NS_PER_S)
+
+    def align(self, size: int) -> int:
+        """Goes on to a multiple of `size`; returns the place in the finished message."""
+        self._data += bytes(-len(self._data) % size)
+        return len(_HEADER) + len(self._data)
+
+    def message(self) -> bytes:
+        """The finished message."""
+        return _HEADER + bytes(self._data)
+
+
+class ArrayFrame:
+    """Messages of one std_msgs/Float64MultiArray or Int64MultiArray channel, always of the same length.
+
+    Args:
+        length: of the array.
+        kind: "d" for float64, "q" for int64.
+        label: what the array holds.
+    """
+
+    def __init__(self, length: int, kind: str, label: str) -> None:
+        frame = Encoder().put("I", 1).text(label).put("I", length).put("I", length).put("I", 0).put("I", length)
+        frame.align(8)
+        self._head = frame.message()
+        self._values = struct.Struct(f"<{length}{kind}")
+
+    def message(self, values: Sequence[float]) -> bytes:
+        """The message with these values (length,)."""
+        return self._head + self._values.pack(*values)
+
+
+class TransformFrame:
+    """Messages of /tf for always the same bodies, in the world's frame.
+
+    Args:
+        names: of the bodies' frames.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        frame = Encoder().put("I", len(names))
+        self._places: list[tuple[int, int]] = []
+        for name in names:
+            stamp = frame.align(4)
+            frame.time(0).text("world").text(name)
+            pose = frame.align(8)
+            for value in (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0):
+                frame.put("d", value)
+            self._places.append((stamp, pose))
+        self._frame = bytearray(frame.message())
+        self._stamp = struct.Struct("<iI")
+        self._pose = struct.Struct("<7d")
+
+    def message(
+        self, time_ns: int, positions: Sequence[Sequence[float]], quaternions: Sequence[Sequence[float]]
+    ) -> bytes:
+        """The message with these poses: x, y, z [m] (n, 3) and quaternions w, x, y, z (n, 4)."""
+        frame, seconds, nanoseconds = self._frame, time_ns // NS_PER_S, time_ns % NS_PER_S
+        for (stamp, pose), position, (w, x, y, z) in zip(self._places, positions, quaternions, strict=True):
+            self._stamp.pack_into(frame, stamp, seconds, nanoseconds)
+            self._pose.pack_into(frame, pose, *position, x, y, z, w)
+        return bytes(frame)
+
+
+def text_message(text: str) -> bytes:
+    """A std_msgs/String."""
+    return Encoder().text(text).message()
+
+
+def line_message(line: Line) -> bytes:
+    """An rcl_interfaces/Log."""
+    encoder = Encoder().time(line.time_ns).put("B", line.level).text(line.name).text(line.text)
+    return encoder.text("").text("").put("I", 0).message()
+
+
+class Decoder:
+    """Reads values one after the other, as `Encoder` writes them."""
+
+    def __init__(self, message: bytes) -> None:
+        self._data = message[len(_HEADER) :]
+        self._place = 0
+
+    def get(self, kind: str, count: int = 1) -> tuple[float, ...]:
+        """Numbers in a row, `kind` as in `struct`."""
+        size = struct.calcsize(kind)
+        self._place += -self._place % size
+        values = struct.unpack_from(f"<{count}{kind}", self._data, self._place)
+        self._place += count * size
+        return values
+
+    def number(self) -> int:
+        """One uint32."""
+        return int(self.get("I")[0])
+
+    def text(self) -> str:
+        """A string."""
+        length = self.number()
+        data = self._data[self._place : self._place + length - 1]
+        self._place += length
+        return data.decode("utf-8")
+
+    def time(self) -> int:
+        """A time [ns]."""
+        return int(self.get("i")[0]) * NS_PER_S + self.number()
+
+
+def read_array(message: bytes, kind: str) -> tuple[float, ...]:
+    """The values of a Float64MultiArray ("d") or Int64MultiArray ("q")."""
+    decoder = Decoder(message)
+    for _ in range(decoder.number()):
+        decoder.text()
+        decoder.get("I", 2)
+    decoder.number()
+    return decoder.get(kind, decoder.number())
+
+
+def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
+    """The poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w."""
+    decoder = Decoder(message)
+    poses: dict[str, tuple[float, ...]] = {}
+    for _ in range(decoder.number()):
+        decoder.time()
+        decoder.text()
+        name = decoder.text()
+        poses[name] = decoder.get("d", 7)
+    return poses
+
+
+def read_line(message: bytes) -> Line:
+    """A line of the transcript or of the events."""
+    decoder = Decoder(message)
+    time_ns = decoder.time()
+    (level,) = decoder.get("B")
+    return Line(time_ns, int(level), decoder.text(), decoder.text())

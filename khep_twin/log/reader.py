@@ -1,0 +1,122 @@
+"""Reading a log back: what was recorded as arrays, without ROS, rerun or the simulator."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+
+from khep_twin.errors import LogError
+from khep_twin.log.channels import Line, read_array, read_line, read_transforms
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What was recorded of one robot.
+
+    Attributes:
+        times_ns: of the samples (n,) [ns].
+        pose: x, y [m] and heading [rad] (n, 3).
+        proximity: counts in the order of N (n, 8).
+        ambient: counts in the order of O (n, 8).
+        speed: left, right, setpoint left, setpoint right (n, 4) [pulses/10 ms].
+        duty: left, right (n, 2) [-255 to 255].
+        registers: the board's whole state (n, n_registers).
+        serial: the transcript, in order of time.
+    """
+
+    times_ns: NDArray[np.int64]
+    pose: NDArray[np.float64]
+    proximity: NDArray[np.int64]
+    ambient: NDArray[np.int64]
+    speed: NDArray[np.int64]
+    duty: NDArray[np.int64]
+    registers: NDArray[np.int64]
+    serial: list[Line]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A whole log.
+
+    Attributes:
+        metadata: seed, versions, settings.
+        attachments: playpen.toml, scene.xml, configuration.json, calibration/*.toml.
+        robots: the tracks, by name.
+        events: notes, in order of time.
+    """
+
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, str]
+    robots: Mapping[str, Track]
+    events: list[Line]
+
+
+def read(path: Path) -> Run:
+    """A log as arrays.
+
+    Raises:
+        LogError: there is none, or it is not whole.
+    """
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            metadata = {key: text for record in reader.iter_metadata() for key, text in record.metadata.items()}
+            attachments = {each.name: each.data.decode("utf-8") for each in reader.iter_attachments()}
+            columns = _Columns()
+            for _, channel, message in reader.iter_messages():
+                columns.add(channel.topic, message.log_time, message.data)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+    except (McapError, EOFError, ValueError) as error:
+        raise LogError(f"{path}: no whole log: {error or type(error).__name__}; right is a finished .mcap file") from error
+    names = [name for name in metadata.get("robots", "").split(",") if name]
+    return Run(metadata, attachments, {name: columns.track(name) for name in names}, columns.lines["/events"])
+
+
+class _Lines(dict[str, list[Line]]):
+    def __missing__(self, topic: str) -> list[Line]:
+        return self.setdefault(topic, [])
+
+
+@dataclass
+class _Columns:
+    """Messages sorted by topic, as they are read."""
+
+    times_ns: list[int] = field(default_factory=list[int])
+    poses: dict[str, list[tuple[float, ...]]] = field(default_factory=dict[str, list[tuple[float, ...]]])
+    arrays: dict[str, list[tuple[float, ...]]] = field(default_factory=dict[str, list[tuple[float, ...]]])
+    lines: _Lines = field(default_factory=_Lines)
+
+    def add(self, topic: str, time_ns: int, message: bytes) -> None:
+        kind = topic.rpartition("/")[2]
+        if topic == "/tf":
+            self.times_ns.append(time_ns)
+            for name, pose in read_transforms(message).items():
+                self.poses.setdefault(name, []).append(pose)
+        elif kind in ("serial", "events"):
+            self.lines[topic].append(read_line(message))
+        elif kind in ("proximity", "ambient", "speed", "duty", "registers"):
+            self.arrays.setdefault(topic, []).append(read_array(message, "q" if kind == "registers" else "d"))
+
+    def track(self, name: str) -> Track:
+        poses = np.array(self.poses.get(f"{name}/base", []), np.float64).reshape(-1, 7)
+        x, y, z, w = poses[:, 3:].T
+        heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return Track(
+            np.array(self.times_ns, np.int64),
+            np.column_stack([poses[:, :2], heading]),
+            self._integers(name, "proximity", 8),
+            self._integers(name, "ambient", 8),
+            self._integers(name, "speed", 4),
+            self._integers(name, "duty", 2),
+            self._integers(name, "registers", -1),
+            self.lines[f"/{name}/serial"],
+        )
+
+    def _integers(self, name: str, kind: str, width: int) -> NDArray[np.int64]:
+        rows = self.arrays.get(f"/{name}/{kind}", [])
+        return np.array(rows, np.int64).reshape(len(rows), width if rows or width > 0 else 0)

@@ -1,0 +1,217 @@
+"""From a playpen to a scene: Playpen -> MjSpec -> MJCF that opens in MuJoCo without us.
+
+Names in the scene: "floor"; "wall_left", "wall_right", "wall_bottom", "wall_top"; "block0", "cylinder0",
+"lamp0" … in the file's order; the robots as bodies "khepera0/base" … with everything of theirs behind the
+same prefix. What the sensors need travels inside the MJCF: a geom's `user` value is its infrared reflectance,
+a lamp is a site whose `user` value is its power [W].
+
+Contacts are explicit pairs where a robot is concerned (tyres and supports with the floor, shell with what
+stands on it), which is faster and keeps the ball-shaped tyres from touching walls; movable objects collide
+with everything by MuJoCo's own filter.
+"""
+
+import math
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+
+from khep_twin import calibration, units
+from khep_twin.playpen import Block, Cylinder, Playpen, Robot
+
+ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
+
+TYRE_FRICTION = 0.9
+"""Of rubber tyres on the floor (0.9 to 1.2: simulators)."""
+
+SHELL_FRICTION = 0.3
+"""Of the plastic body on walls and objects (assumed)."""
+
+_SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
+"""Stiffest contact that is steady at this step: time constant 2.5 steps, critically damped (measured)."""
+
+_SOLIMP = [0.95, 0.99, 0.0005, 0.5, 2]
+"""Harder than MuJoCo's default, so that the robot's weight presses its tyres in by some micrometres only."""
+
+_FLOOR_COLOUR = [0.93, 0.92, 0.88, 1]
+_LAMP_COLOUR = [1.0, 0.85, 0.3, 1]
+
+
+def to_mjcf(playpen: Playpen) -> str:
+    """The playpen as MJCF text."""
+    return to_spec(playpen).to_xml()
+
+
+def to_spec(playpen: Playpen) -> mujoco.MjSpec:
+    """The playpen as a MuJoCo specification, ready to compile.
+
+    Raises:
+        CalibrationError: a robot's calibration cannot be found or used.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = playpen.name
+    spec.nuser_geom = 1
+    spec.nuser_site = 1
+    _set_options(spec, any(item.movable for item in (*playpen.blocks, *playpen.cylinders)))
+    obstacles = _add_arena(spec, playpen)
+    for index, block in enumerate(playpen.blocks):
+        obstacles.append(_add_block(spec, playpen, f"block{index}", block))
+    for index, cylinder in enumerate(playpen.cylinders):
+        obstacles.append(_add_cylinder(spec, playpen, f"cylinder{index}", cylinder))
+    for index, lamp in enumerate(playpen.lamps):
+        position = [units.metres(lamp.x_mm), units.metres(lamp.y_mm), units.metres(lamp.z_mm)]
+        spec.worldbody.add_site(
+            name=f"lamp{index}", pos=position, size=[0.010, 0, 0], rgba=_LAMP_COLOUR, userdata=[lamp.power_w]
+        )
+    shells: list[str] = []
+    for index, robot in enumerate(playpen.robots):
+        prefix = f"khepera{index}/"
+        _add_robot(spec, prefix, robot)
+        shell = prefix + "shell"
+        for obstacle in [*obstacles, *shells]:
+            _add_contact(spec, shell, obstacle, SHELL_FRICTION)
+        shells.append(shell)
+    return spec
+
+
+def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
+    spec.option.timestep = units.STEP_NS * 1e-9
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # A diverged simulation must stop the run, not begin anew in silence.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    if movable:
+        spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+    else:
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    # What a viewer needs to show a scene of half a metre.
+    spec.visual.map.znear = 0.005
+    spec.visual.global_.offwidth = 1280
+    spec.visual.global_.offheight = 960
+
+
+def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
+    """Floor, light and four walls around the arena; returns the walls' names."""
+    arena = playpen.arena
+    width, depth = units.metres(arena.width_mm), units.metres(arena.height_mm)
+    thickness, height = units.metres(arena.wall_thickness_mm), units.metres(arena.wall_height_mm)
+    spec.worldbody.add_light(
+        pos=[width / 2, depth / 2, 1.5], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    )
+    margin = 0.05 + thickness
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=[width / 2, depth / 2, 0],
+        size=[width / 2 + margin, depth / 2 + margin, 0.01],
+        rgba=_FLOOR_COLOUR,
+        contype=0,
+        conaffinity=1,
+        solref=_SOLREF,
+        solimp=_SOLIMP,
+        userdata=[playpen.surface("white").reflectance],
+    )
+    # The walls stand outside the arena's inner edge; left and right ones fill the corners.
+    walls = {
+        "wall_left": ([-thickness / 2, depth / 2], [thickness / 2, depth / 2 + thickness]),
+        "wall_right": ([width + thickness / 2, depth / 2], [thickness / 2, depth / 2 + thickness]),
+        "wall_bottom": ([width / 2, -thickness / 2], [width / 2, thickness / 2]),
+        "wall_top": ([width / 2, depth + thickness / 2], [width / 2, thickness / 2]),
+    }
+    for name, (centre, half_size) in walls.items():
+        geom = spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[*centre, height / 2],
+            size=[*half_size, height / 2],
+        )
+        _paint(geom, playpen, arena.surface, movable=False)
+    return list(walls)
+
+
+def _add_block(spec: mujoco.MjSpec, playpen: Playpen, name: str, block: Block) -> str:
+    height = units.metres(block.height_mm)
+    geom = _stand(spec, name, block, height).add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[units.metres(block.length_mm) / 2, units.metres(block.width_mm) / 2, height / 2],
+    )
+    _place(geom, block, height, units.radians(block.angle_deg))
+    _paint(geom, playpen, block.surface, block.movable)
+    return name
+
+
+def _add_cylinder(spec: mujoco.MjSpec, playpen: Playpen, name: str, cylinder: Cylinder) -> str:
+    height = units.metres(cylinder.height_mm)
+    geom = _stand(spec, name, cylinder, height).add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[units.metres(cylinder.radius_mm), height / 2, 0],
+    )
+    _place(geom, cylinder, height, 0.0)
+    _paint(geom, playpen, cylinder.surface, cylinder.movable)
+    return name
+
+
+def _stand(spec: mujoco.MjSpec, name: str, item: Block | Cylinder, height: float) -> mujoco.MjsBody:
+    """The body that an object's geom belongs to: one of its own where it can move."""
+    if not item.movable:
+        return spec.worldbody
+    angle = units.radians(item.angle_deg) if isinstance(item, Block) else 0.0
+    body = spec.worldbody.add_body(
+        name=name,
+        pos=[units.metres(item.x_mm), units.metres(item.y_mm), height / 2],
+        quat=[math.cos(angle / 2), 0, 0, math.sin(angle / 2)],
+    )
+    body.add_freejoint()
+    return body
+
+
+def _place(geom: mujoco.MjsGeom, item: Block | Cylinder, height: float, angle: float) -> None:
+    if item.movable:
+        geom.mass = units.kilograms(item.mass_g)
+    else:
+        geom.pos = [units.metres(item.x_mm), units.metres(item.y_mm), height / 2]
+        geom.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
+
+
+def _paint(geom: mujoco.MjsGeom, playpen: Playpen, surface_name: str, movable: bool) -> None:
+    surface = playpen.surface(surface_name)
+    geom.rgba = [*(part / 255 for part in surface.rgb), 1]
+    geom.userdata = [surface.reflectance]
+    geom.contype = 1 if movable else 0
+    geom.conaffinity = 1
+    geom.solref = _SOLREF
+    geom.solimp = _SOLIMP
+
+
+def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> None:
+    child = mujoco.MjSpec.from_file(str(ROBOT_FILE))
+    for key in list(child.keys):
+        child.delete(key)  # the scene's own start pose stands for it
+    headings_deg = calibration.read(robot.calibration)[0].heading_deg
+    for sensor, heading_deg in zip(units.Sensor, headings_deg, strict=True):
+        heading = units.radians(heading_deg)
+        camera = child.camera(sensor.name.lower())
+        camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
+    heading = units.radians(robot.heading_deg)
+    frame = spec.worldbody.add_frame(
+        pos=[units.metres(robot.x_mm), units.metres(robot.y_mm), 0],
+        quat=[math.cos(heading / 2), 0, 0, math.sin(heading / 2)],
+    )
+    spec.attach(child, prefix=prefix, frame=frame)
+    for tyre in ("left_tyre", "right_tyre"):
+        _add_contact(spec, prefix + tyre, "floor", TYRE_FRICTION)
+    for support in ("front_support", "back_support"):
+        # Polished balls: without friction, which also keeps odometry clean.
+        _add_contact(spec, prefix + support, "floor", 0.0)
+
+
+def _add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> None:
+    spec.add_pair(
+        geomname1=geom,
+        geomname2=other,
+        condim=3 if friction else 1,
+        friction=[friction, friction, 0.005, 0.0001, 0.0001],
+        solref=_SOLREF,
+        solimp=_SOLIMP,
+    )

@@ -1,0 +1,227 @@
+"""khep://PLAYPEN: a twin in the host's own process, opened like any port of pyserial, in lock-step.
+
+    khep://default?seed=1&robot=0&noise=off&rom=5.02&mode=1&log=run.mcap
+
+Time passes only while the host waits: in a read until its bytes have arrived or its timeout is over, in a
+flush until all is sent, in `sleep`. A poll that finds nothing (`in_waiting`, a read with timeout 0) costs one
+byte time, so that polling loops get somewhere. No thread, no wall clock: the same seed and the same bytes
+give the same run.
+"""
+
+# pyserial is not typed.
+# pyright: reportUnknownMemberType=false, reportAttributeAccessIssue=false
+
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from serial import PortNotOpenError, SerialException
+from serial.serialutil import SerialBase
+
+from khep_twin.clock import to_ns
+from khep_twin.errors import KhepTwinError, PortError, choices
+from khep_twin.firmware import BAUD_BY_MODE
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+
+_LINE_FEED = 10
+_CARRIAGE_RETURN = 13
+
+
+class TwinPortError(PortError, SerialException):
+    """A khep:// port that cannot be opened, in pyserial's own terms."""
+
+
+class Serial(SerialBase):
+    """A twin as a port of pyserial.
+
+    Attributes:
+        twin: the world behind the port, its robot and its log, for those who want the truth.
+    """
+
+    twin: Twin
+
+    def open(self) -> None:
+        """Opens the twin that the URL describes.
+
+        Raises:
+            TwinPortError: the URL, the playpen or the log cannot be used.
+        """
+        if self._port is None:
+            raise TwinPortError("a port needs a URL before it can be opened, such as khep://default")
+        if self.is_open:
+            raise TwinPortError(f"{self._port} is open already")
+        try:
+            self.twin = open_twin(*parse_url(str(self._port)))
+        except KhepTwinError as error:
+            raise TwinPortError(str(error)) from error
+        self._uart = self.twin.robot.uart
+        self._poll_ns = self._uart.rx.byte_ns or 1_000_000
+        self.is_open = True
+        self._reconfigure_port()
+
+    def close(self) -> None:
+        """Ends the twin and completes its log."""
+        if self.is_open:
+            self.is_open = False
+            self.twin.close()
+
+    def sleep(self, duration: float) -> None:
+        """Lets simulated time pass [s]."""
+        self._check_open()
+        self.twin.advance_to(self.time_ns + to_ns(duration))
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time since the port was opened [ns]."""
+        return self.twin.world.time_ns
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes have arrived; a look at an empty line costs one byte time."""
+        self._check_open()
+        if not self._uart.tx.arrived(self.time_ns):
+            self.twin.advance_to(self.time_ns + self._poll_ns)
+        return self._uart.tx.arrived(self.time_ns)
+
+    @property
+    def out_waiting(self) -> int:
+        """How many bytes have been written and not yet reached the robot."""
+        self._check_open()
+        return len(self._uart.rx)
+
+    def read(self, size: int = 1) -> bytes:
+        """Reads up to `size` bytes, waiting for them in simulated time up to the timeout."""
+        return self._read(lambda: self._uart.tx.arrival(size), size)
+
+    def read_until(self, expected: bytes = b"\n", size: int | None = None) -> bytes:
+        """Reads up to and with `expected`, or `size` bytes, or until the timeout."""
+        if len(expected) != 1 or size is not None:
+            return super().read_until(expected, size)
+        return self._read(lambda: self._uart.tx.arrival_of(expected[0]), None)
+
+    def readline(self, size: int | None = -1, /) -> bytes:
+        """Reads a line with its line feed, or until the timeout."""
+        return self.read_until(size=None if size is None or size < 0 else size)
+
+    def write(self, data: Any, /) -> int:
+        """Puts bytes on the line; waits, as a real port does, only while the line's queue is full."""
+        self._check_open()
+        rest = bytes(data)
+        while rest:
+            room = self._uart.room
+            if not room:
+                self.twin.advance_to(self._uart.rx.next_ns or self.time_ns)
+                continue
+            self.twin.robot.send(rest[:room])
+            rest = rest[room:]
+        return len(data)
+
+    def flush(self) -> None:
+        """Waits until everything written has reached the robot."""
+        self._check_open()
+        while (last_ns := self._uart.rx.arrival(len(self._uart.rx))) is not None:
+            self.twin.advance_to(last_ns)
+
+    def reset_input_buffer(self) -> None:
+        """Forgets what has arrived and was not read."""
+        self._check_open()
+        self._uart.tx.read(self.time_ns)
+
+    def reset_output_buffer(self) -> None:
+        """Takes back what has not reached the robot yet."""
+        self._check_open()
+        self._uart.rx.clear()
+
+    def _read(self, wanted: Callable[[], int | None], limit: int | None) -> bytes:
+        """Waits until `wanted` says that a byte under way has arrived, then takes all up to that byte."""
+        self._check_open()
+        start_ns = self.time_ns
+        deadline_ns = None if self._timeout is None else start_ns + to_ns(self._timeout)
+        while (goal_ns := wanted()) is None:
+            # Nothing comes but in answer to a line that has reached the robot.
+            next_ns = self._uart.rx.arrival_of(_LINE_FEED, _CARRIAGE_RETURN)
+            if next_ns is None or (deadline_ns is not None and next_ns > deadline_ns):
+                break
+            self.twin.advance_to(next_ns)
+        if goal_ns is None and deadline_ns is None:
+            raise TwinPortError(
+                f"{self._port}: waiting for ever: no timeout is set and no answer is under way "
+                "(every command ends with a line feed or carriage return)"
+            )
+        if goal_ns is None or (deadline_ns is not None and goal_ns > deadline_ns):
+            goal_ns = deadline_ns if self._timeout else start_ns + self._poll_ns
+        assert goal_ns is not None
+        self.twin.advance_to(max(goal_ns, self.time_ns))
+        return self._uart.tx.read(goal_ns, limit)
+
+    def _check_open(self) -> None:
+        if not self.is_open:
+            raise PortNotOpenError()
+
+    def _reconfigure_port(self) -> None:
+        """Speed, parity and flow control are as the robot has them, whatever the host asks for."""
+
+    def _update_rts_state(self) -> None:
+        """The robot's line has no such wire."""
+
+    def _update_dtr_state(self) -> None:
+        """The robot's line has no such wire."""
+
+    def _update_break_state(self) -> None:
+        """The robot takes no notice."""
+
+    @property
+    def cts(self) -> bool:
+        """Always ready: the line has no flow control."""
+        return True
+
+    @property
+    def dsr(self) -> bool:
+        """Always ready."""
+        return True
+
+    @property
+    def ri(self) -> bool:
+        """Never rings."""
+        return False
+
+    @property
+    def cd(self) -> bool:
+        """Always connected."""
+        return True
+
+
+def parse_url(url: str) -> tuple[str, TwinOptions]:
+    """The playpen and the options that a khep:// URL names.
+
+    Raises:
+        TwinPortError: the URL has another scheme, no playpen, or an option that is unknown or has a wrong value.
+    """
+    parts = urlsplit(url)
+    if parts.scheme != "khep":
+        raise TwinPortError(f"{url}: the URL of a twin starts with khep://, such as khep://default")
+    playpen = unquote(parts.netloc + parts.path)
+    if not playpen:
+        raise TwinPortError(f"{url}: no playpen named; right is a name or a path, such as khep://default")
+    values: dict[str, Any] = {}
+    for key, value in parse_qsl(parts.query, keep_blank_values=True):
+        if key not in _OPTIONS:
+            raise TwinPortError(f"{url}: unknown option {key!r}; {choices(key, _OPTIONS)}")
+        if key in values:
+            raise TwinPortError(f"{url}: option {key!r} is given twice")
+        convert, wish = _OPTIONS[key]
+        try:
+            values[key] = convert(value)
+        except (KeyError, ValueError):
+            raise TwinPortError(f"{url}: {key} = {value!r}: right is {wish}") from None
+    return playpen, TwinOptions(**values)
+
+
+_OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
+    "seed": (int, "a whole number from 0 to 2**63-1"),
+    "robot": (int, "the number of a robot in the playpen, counted from 0"),
+    "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
+    "rom": (str, "a version of the firmware, such as 5.02"),
+    "mode": (int, f"a running mode that speaks the protocol ({', '.join(map(str, BAUD_BY_MODE))})"),
+    "log": (str, "the name of the log to write"),
+}

@@ -1,0 +1,103 @@
+"""A twin ready to talk to: a world, the robot on the line and the log, put together from options.
+
+Every way in (khep://, serve) and the command line describe a twin by the same options, so that the same
+words give the same run.
+"""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from khep_twin import playpen as playpens
+from khep_twin.errors import PortError, choices
+from khep_twin.firmware import BAUD_BY_MODE, ROMS
+from khep_twin.log.recorder import Recorder
+from khep_twin.playpen import Playpen
+from khep_twin.randomness import SEED_LIMIT
+from khep_twin.world import Robot, World
+
+
+@dataclass(frozen=True, slots=True)
+class TwinOptions:
+    """How a playpen is brought to life; what is None stays as the playpen has it.
+
+    Attributes:
+        seed: of every chance.
+        robot: which of the playpen's robots is on the line.
+        noise: whether sensors are noisy.
+        rom: version of the robot's firmware.
+        mode: its running mode, which sets the line's speed.
+        unpaced: lets bytes cross the line in no time.
+        log: file to record the run in.
+    """
+
+    seed: int = 0
+    robot: int = 0
+    noise: bool = True
+    rom: str | None = None
+    mode: int | None = None
+    unpaced: bool = False
+    log: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuses values that no playpen allows."""
+        if not 0 <= self.seed < SEED_LIMIT:
+            raise PortError(f"seed = {self.seed}: right is a whole number from 0 to 2**63-1")
+        if self.rom is not None and self.rom not in ROMS:
+            raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
+        if self.mode is not None and self.mode not in BAUD_BY_MODE:
+            raise PortError(f"mode = {self.mode}: does not speak the protocol; {choices(self.mode, BAUD_BY_MODE)}")
+
+
+class Twin:
+    """A world with one robot on the line.
+
+    Attributes:
+        world: all of it.
+        robot: the one on the line.
+        recorder: its log, None without.
+    """
+
+    def __init__(self, world: World, robot: Robot, recorder: Recorder | None) -> None:
+        self.world = world
+        self.robot = robot
+        self.recorder = recorder
+
+    def advance_to(self, time_ns: int) -> None:
+        """Lets time pass until `time_ns`."""
+        self.world.advance_to(time_ns)
+
+    def close(self) -> None:
+        """Completes the log."""
+        if self.recorder is not None:
+            self.recorder.close()
+
+
+def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
+    """Brings a playpen to life.
+
+    Raises:
+        PlaypenError: the playpen cannot be used.
+        CalibrationError: a robot's calibration cannot be used.
+        PortError: the playpen has no such robot.
+        LogError: the log cannot be written.
+    """
+    chosen = playpen if isinstance(playpen, Playpen) else playpens.load(playpen)
+    if not 0 <= options.robot < len(chosen.robots):
+        raise PortError(
+            f"robot = {options.robot}: playpen {chosen.name!r} has {len(chosen.robots)} "
+            f"{choices(options.robot, range(len(chosen.robots)))}"
+        )
+    changes = {key: value for key in ("rom", "mode") if (value := getattr(options, key)) is not None}
+    robots = tuple(
+        robot.model_copy(update=changes) if index == options.robot else robot
+        for index, robot in enumerate(chosen.robots)
+    )
+    chosen = chosen.model_copy(update={"robots": robots})
+    world = World(chosen, seed=options.seed, noise=options.noise, unpaced=options.unpaced)
+    recorder = None
+    if options.log is not None:
+        # The log's own name is no part of the run: the same run gives the same bytes under any name.
+        settings = {key: value for key, value in asdict(options).items() if key != "log"}
+        recorder = Recorder(Path(options.log), world, settings)
+        world.add_tap(recorder)
+    return Twin(world, world.robots[options.robot], recorder)

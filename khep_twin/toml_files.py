@@ -1,0 +1,217 @@
+"""Reading the TOML files that people write: playpens and calibrations, strictly.
+
+A file is checked against a pydantic model, and every problem becomes one line that names the file, the table,
+the key, the value found and what would be right:
+
+    arena.toml: block 2: heigth_mm = 50: unknown key; did you mean 'height_mm'? (choices: ...)
+"""
+
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+
+import tomlkit
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+
+from khep_twin.errors import KhepTwinError, choices
+
+SIZE_LIMIT = 2**20
+"""Largest file that is read [bytes]."""
+
+NAME_WISH = "1 to 64 letters, digits, '_' or '-'"
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+
+Model = TypeVar("Model", bound="Table")
+
+# One key of thousands of parts takes tomllib seconds and ends in a RecursionError.
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){32}""")
+
+
+class Table(BaseModel):
+    """A table of a file: nothing but the keys it has, nothing converted, nothing infinite, never changed."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=False
+    )
+
+
+def folder(kind: str) -> Path:
+    """Where the shipped files of a kind lie: "playpens" or "calibration"."""
+    return Path(str(files("khep_twin"))) / "assets" / kind
+
+
+def names(kind: str) -> list[str]:
+    """The bare names of the shipped files of a kind."""
+    return sorted(path.stem for path in folder(kind).glob("*.toml"))
+
+
+def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, str]:
+    """The text of a file given by bare name or path, and what to call it in messages.
+
+    Raises:
+        error: there is no such file, or it cannot be text of a sensible size.
+    """
+    path = folder(kind) / f"{name}.toml" if str(name) in names(kind) else Path(name)
+    source = str(name)
+    try:
+        with path.open("rb") as file:
+            data = file.read(SIZE_LIMIT + 1)
+    except FileNotFoundError:
+        wish = f"right is the path of a file or a shipped name; {choices(name, names(kind))}"
+        raise error(f"{source}: no such file; {wish}") from None
+    except (OSError, ValueError) as trouble:
+        reason = trouble.strerror if isinstance(trouble, OSError) else trouble
+        raise error(f"{source}: cannot be read: {reason}") from None
+    if len(data) > SIZE_LIMIT:
+        raise error(f"{source}: larger than {SIZE_LIMIT} bytes, the most that is read")
+    try:
+        return data.decode("utf-8"), source
+    except UnicodeDecodeError as trouble:
+        raise error(f"{source}: byte {trouble.start} is no UTF-8 text") from None
+
+
+def validate(model: type[Model], text: str, source: str, error: type[KhepTwinError]) -> Model:
+    """The text of a file as `model`.
+
+    Raises:
+        error: the text is no TOML, or not what the model asks for; one line per problem.
+    """
+    if _DEEP_KEY.search(text):
+        raise error(f"{source}: a key has more than 32 parts")
+    try:
+        data = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, ValueError) as trouble:
+        raise error(f"{source}: not TOML: {trouble}") from None
+    except RecursionError:
+        raise error(f"{source}: not TOML that can be read: nested too deeply") from None
+    try:
+        return model.model_validate(_frozen(data))
+    except ValidationError as trouble:
+        raise error("\n".join(f"{source}: {line}" for line in _lines(model, trouble))) from None
+
+
+def dump(table: Table) -> str:
+    """A table as the text of a file, every key written out; reading it back gives the same table."""
+    return tomlkit.dumps(table.model_dump(by_alias=True, exclude_none=True, mode="json"))
+
+
+def show(value: object) -> str:
+    """A value as it stands in a message: short, and as TOML writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = f'"{value}"' if isinstance(value, str) else str(value)
+    text = text.encode("unicode_escape").decode("ascii")
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _frozen(value: Any) -> Any:
+    """TOML's arrays as tuples, which strict models ask for."""
+    if isinstance(value, dict):
+        return {key: _frozen(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType]
+    if isinstance(value, list):
+        return tuple(_frozen(item) for item in value)  # pyright: ignore[reportUnknownVariableType]
+    return value
+
+
+def _lines(model: type[BaseModel], trouble: ValidationError) -> Iterator[str]:
+    for problem in trouble.errors(include_url=False):
+        location = problem["loc"]
+        if problem["type"] == "value_error" and not location:
+            # A model's own checks of the whole name their places themselves.
+            yield from str(problem.get("ctx", {})["error"]).splitlines()
+        else:
+            place, key = _place(location)
+            yield f"{place}{_reason(model, location, key, problem)}"
+
+
+def _place(location: Sequence[str | int]) -> tuple[str, str]:
+    """Table and key of a location, e.g. ("block 2: ", "height_mm")."""
+    words: list[str] = []
+    for part in location:
+        if isinstance(part, int) and words:
+            words[-1] += f" {part + 1}"
+        elif part != "[key]":
+            words.append(str(part))
+    *tables, key = words
+    return " ".join(tables) + (": " if tables else ""), key
+
+
+def _reason(model: type[BaseModel], location: Sequence[str | int], key: str, problem: Any) -> str:
+    kind: str = problem["type"]
+    field, keys = _field(model, location)
+    if kind == "missing":
+        return f"{key} is missing; right is {_wish(field)}"
+    if location[-1] == "[key]":
+        return f"{show(key)} is no name; right is {NAME_WISH}"
+    given = key if isinstance(problem["input"], dict | tuple) else f"{key} = {show(problem['input'])}"
+    if kind == "extra_forbidden":
+        return f"{given}: unknown key; {choices(key, keys)}"
+    if kind == "literal_error" and field is not None:
+        return f"{given}: unknown; {choices(problem['input'], _literals(field.annotation))}"
+    return f"{given}: right is {_wish(field)}"
+
+
+def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[str]]:
+    """The field at a location, and the keys of the table that it belongs to."""
+    table: type[BaseModel] | None = model
+    field: FieldInfo | None = None
+    keys: list[str] = []
+    for part in location:
+        if isinstance(part, int) or table is None:
+            continue
+        fields = {(each.alias or name): each for name, each in table.model_fields.items()}
+        keys = list(fields)
+        field = fields.get(part)
+        table = _table_of(field.annotation) if field is not None else table
+    return field, keys
+
+
+def _table_of(annotation: Any) -> type[BaseModel] | None:
+    """The table within an annotation such as tuple[Block, ...] or dict[str, Surface]."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((table for part in get_args(annotation) if (table := _table_of(part)) is not None), None)
+
+
+def _literals(annotation: Any) -> list[object]:
+    if get_origin(annotation) is Literal:
+        return list(get_args(annotation))
+    return [literal for part in get_args(annotation) for literal in _literals(part)]
+
+
+def _wish(field: FieldInfo | None) -> str:
+    """What a field takes, in words."""
+    if field is None:
+        return "a key of this table"
+    if field.description:
+        return field.description
+    annotation = field.annotation
+    if literals := _literals(annotation):
+        return " or ".join(show(literal) for literal in literals)
+    if annotation in (int, float):
+        word = "a whole number" if annotation is int else "a number"
+        return f"{word} {_range(field)}".rstrip()
+    if annotation is bool:
+        return "true or false"
+    if annotation is str:
+        return NAME_WISH if any(hasattr(rule, "pattern") for rule in field.metadata) else "text"
+    if get_origin(annotation) is tuple:
+        return f"[[{field.alias}]], in two brackets each" if _table_of(annotation) else "a list of values"
+    return "a table"
+
+
+def _range(field: FieldInfo) -> str:
+    """A number's limits, e.g. "from 0 to 2", "above 0 up to 1000"."""
+    limits = {key: getattr(rule, key) for rule in field.metadata for key in ("ge", "gt", "le", "lt") if hasattr(rule, key)}
+    words: list[str] = []
+    if "gt" in limits:
+        words.append(f"above {limits['gt']:g}")
+    if "ge" in limits:
+        words.append(f"from {limits['ge']:g}")
+    if "le" in limits:
+        words.append(f"{'to' if 'ge' in limits else 'up to'} {limits['le']:g}")
+    return " ".join(words)

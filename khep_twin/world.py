@@ -1,0 +1,277 @@
+"""The world: one scene, its robots, and the one clock that both obey.
+
+Time is an integer in nanoseconds. Physics advances in whole steps of 2.5 ms, the bytes on the serial lines
+fall between them. `World.advance_to` is the only way in which time passes.
+"""
+
+import math
+from functools import partial
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import calibration, kernel, units
+from khep_twin.errors import DivergedError
+from khep_twin.firmware import BAUD_BY_MODE, ROMS, Firmware
+from khep_twin.kernel import LEFT, RIGHT, Board, Wheel
+from khep_twin.playpen import Playpen
+from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.randomness import stream
+from khep_twin.sensors import InfraredScan
+from khep_twin.uart import Uart
+
+SAMPLE_NS = units.SCAN_NS
+"""How often taps are shown the world [ns]."""
+
+_STEPS_PER_TICK = units.TICK_NS // units.STEP_NS
+_STEPS_PER_SAMPLE = SAMPLE_NS // units.STEP_NS
+_FASTEST = 10.0
+"""What nothing in a playpen exceeds [m/s, rad/s of a body]; beyond it the simulation has diverged."""
+
+
+class Tap(Protocol):
+    """Something that watches a world, such as a recorder."""
+
+    def sample(self, world: "World") -> None:
+        """Is shown the world every SAMPLE_NS, at its start too."""
+        ...
+
+    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Hears the bytes that crossed a robot's line, the last of them at `time_ns`."""
+        ...
+
+    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+        """Is told of something worth a note."""
+        ...
+
+
+class World:
+    """A playpen brought to life.
+
+    The robots are switched on one scan before time 0, so that every register holds a conversion.
+
+    Args:
+        playpen: the scene.
+        seed: of every chance in the run.
+        noise: whether sensors are noisy.
+        unpaced: lets bytes cross the lines in no time.
+
+    Attributes:
+        time_ns: how far time has come [ns].
+        model: the compiled scene.
+        data: its state.
+        robots: in the playpen's order.
+        taps: who watches.
+    """
+
+    def __init__(self, playpen: Playpen, *, seed: int = 0, noise: bool = True, unpaced: bool = False) -> None:
+        self.playpen = playpen
+        self.spec = to_spec(playpen)
+        self.model = self.spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.robots = tuple(
+            Robot(self, index, seed if noise else None, unpaced) for index in range(len(playpen.robots))
+        )
+        self.taps: list[Tap] = []
+        self.time_ns = 0
+        self._steps = 0
+        self._warnings: NDArray[np.int32] = self.data.warning.number
+        self._limit = 1.0 + max(units.metres(playpen.arena.width_mm), units.metres(playpen.arena.height_mm))
+        self._switch_on()
+
+    def add_tap(self, tap: Tap) -> None:
+        """Lets `tap` watch from now on; it is shown the world at once."""
+        self.taps.append(tap)
+        tap.sample(self)
+
+    def advance_to(self, time_ns: int) -> None:
+        """Lets time pass until `time_ns` [ns].
+
+        Each step of 2.5 ms runs in this order:
+
+            1. bytes that arrive before its end are taken by the firmware, which answers from the registers
+               of the last step
+            2. physics, with the motor voltages of the last control tick
+            3. one sensor of each robot is converted, as of the pose at the step's start
+            4. after every fourth step the control tick: encoders, speed, controllers, duty, voltage
+            5. after every eighth the taps are shown the world
+
+        Raises:
+            ValueError: `time_ns` lies in the past.
+            DivergedError: the physics left its bounds.
+        """
+        if time_ns < self.time_ns:
+            raise ValueError(f"time cannot go back from {self.time_ns} to {time_ns} ns")
+        while (end_ns := (self._steps + 1) * units.STEP_NS) <= time_ns:
+            self._exchange(end_ns)
+            self.time_ns = end_ns
+            self._step()
+        self._exchange(time_ns)
+        self.time_ns = time_ns
+
+    def tell(self, robot: int | None, text: str) -> None:
+        """Passes a note on to the taps."""
+        for tap in self.taps:
+            tap.event(self.time_ns, robot, text)
+
+    def _switch_on(self) -> None:
+        # The rangefinders' first turn comes in the second step.
+        mujoco.mj_step(self.model, self.data)
+        for channel in range(units.N_SENSORS):
+            mujoco.mj_step(self.model, self.data)
+            for robot in self.robots:
+                robot.convert(channel)
+        for robot in self.robots:
+            robot.zero_encoders()
+        self._check()
+
+    def _exchange(self, time_ns: int) -> None:
+        for robot in self.robots:
+            if (next_ns := robot.uart.rx.next_ns) is not None and next_ns <= time_ns:
+                robot.exchange(time_ns)
+
+    def _step(self) -> None:
+        channel = self._steps % units.N_SENSORS
+        mujoco.mj_step(self.model, self.data)
+        self._steps += 1
+        for robot in self.robots:
+            robot.convert(channel)
+        if self._steps % _STEPS_PER_TICK == 0:
+            for robot in self.robots:
+                robot.tick()
+        if self._steps % _STEPS_PER_SAMPLE == 0:
+            self._check()
+            for tap in self.taps:
+                tap.sample(self)
+
+    def _check(self) -> None:
+        """Refuses to go on with a state that is no physics any more."""
+        if self._warnings.any():
+            kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
+            raise DivergedError(f"the simulation failed at {self.time_ns / 1e9:.4f} s: MuJoCo warns of {kind}")
+        positions, speeds = self.data.xpos, self.data.cvel
+        if not (np.abs(positions).max() < self._limit and np.abs(speeds).max() < 100 * _FASTEST):
+            raise DivergedError(
+                f"the simulation failed at {self.time_ns / 1e9:.4f} s: something is {np.abs(positions).max():g} m "
+                f"off at {np.abs(speeds).max():g} m/s or rad/s"
+            )
+
+
+class Robot:
+    """One robot of a world: its board, its line and its place in the physics.
+
+    Attributes:
+        name: e.g. "khepera0".
+        firmware: its command interpreter.
+        uart: its serial line.
+        registers: the board's state (N_REGISTERS,).
+    """
+
+    def __init__(self, world: World, index: int, noise_seed: int | None, unpaced: bool) -> None:
+        model, data = world.model, world.data
+        entry = world.playpen.robots[index]
+        self.name = f"khepera{index}"
+        self.firmware = Firmware(ROMS[entry.rom])
+        self.registers = self.firmware.registers
+        self.uart = Uart(0 if unpaced else BAUD_BY_MODE[entry.mode])
+        self._world = world
+        self._index = index
+        self._left_angle, self._right_angle = (
+            int(model.joint(f"{self.name}/{side}_axle").qposadr[0]) for side in ("left", "right")
+        )
+        self._left_motor, self._right_motor = (
+            model.actuator(f"{self.name}/{side}_motor").id for side in ("left", "right")
+        )
+        self._qpos: NDArray[np.float64] = data.qpos
+        self._ctrl: NDArray[np.float64] = data.ctrl
+        self.base = model.body(f"{self.name}/base").id
+        noise = None if noise_seed is None else partial(stream, noise_seed, "robot", index)
+        self._scan = InfraredScan(
+            model, data, f"{self.name}/", calibration.read(entry.calibration)[0], noise
+        )
+
+    @property
+    def proximity(self) -> NDArray[np.int64]:
+        """Last conversions in the order of N (8,) [counts]."""
+        return self.registers[Board.PROXIMITY : Board.PROXIMITY + units.N_SENSORS]
+
+    @property
+    def ambient(self) -> NDArray[np.int64]:
+        """Last conversions in the order of O (8,) [counts]."""
+        return self.registers[Board.AMBIENT : Board.AMBIENT + units.N_SENSORS]
+
+    @property
+    def wheel_speeds(self) -> NDArray[np.int64]:
+        """Left and right, as last measured (2,) [pulses/10 ms]."""
+        return self.registers[_SPEEDS]
+
+    @property
+    def wheel_setpoints(self) -> NDArray[np.int64]:
+        """Left and right speed setpoint (2,) [pulses/10 ms]."""
+        return self.registers[_SETPOINTS]
+
+    @property
+    def duties(self) -> NDArray[np.int64]:
+        """Left and right motor (2,) [-255 to 255]."""
+        return self.registers[_DUTIES]
+
+    @property
+    def leds(self) -> NDArray[np.int64]:
+        """Lateral and frontal (2,) [0 or 1]."""
+        return self.registers[Board.LED_0 : Board.LED_1 + 1]
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """True x, y [m] and heading [rad] in the playpen."""
+        x, y = self._world.data.xpos[self.base, :2].tolist()
+        frame = self._world.data.xmat[self.base]
+        return x, y, math.atan2(frame[3], frame[0])
+
+    def send(self, data: bytes) -> None:
+        """Puts bytes of the host on the line, now."""
+        self.uart.rx.put(data, self._world.time_ns)
+
+    def exchange(self, time_ns: int) -> None:
+        """Lets the firmware take what arrives by `time_ns` and puts its answers on the line."""
+        rx, tx = self.uart.rx, self.uart.tx
+        heard = bytearray()
+        arrival_ns = time_ns
+        while rx.next_ns is not None and rx.next_ns <= time_ns:
+            arrival_ns, byte = rx.take()
+            heard.append(byte)
+            answer = self.firmware.receive(bytes((byte,)))
+            if answer:
+                self._tap(arrival_ns, True, heard)
+                heard.clear()
+                self._tap(tx.put(answer, arrival_ns), False, answer)
+        if heard:
+            self._tap(arrival_ns, True, heard)
+
+    def convert(self, channel: int) -> None:
+        """Converts one sensor of the scan."""
+        kernel.convert(self.registers, *self._scan.convert(channel))
+
+    def tick(self) -> None:
+        """One control period: from encoders to motor voltages."""
+        qpos, ctrl, registers = self._qpos, self._ctrl, self.registers
+        left = units.wheel_pulses(qpos[self._left_angle])
+        right = units.wheel_pulses(qpos[self._right_angle])
+        kernel.tick(registers, left, right)
+        ctrl[self._left_motor] = units.duty_voltage(int(registers[LEFT + Wheel.DUTY]))
+        ctrl[self._right_motor] = units.duty_voltage(int(registers[RIGHT + Wheel.DUTY]))
+
+    def zero_encoders(self) -> None:
+        """Makes the encoders start from where the wheels stand."""
+        self.registers[LEFT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._left_angle])
+        self.registers[RIGHT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._right_angle])
+
+    def _tap(self, time_ns: int, to_robot: bool, data: bytes | bytearray) -> None:
+        for tap in self._world.taps:
+            tap.wire(time_ns, self._index, to_robot, bytes(data))
+
+
+_SPEEDS = [LEFT + Wheel.SPEED, RIGHT + Wheel.SPEED]
+_SETPOINTS = [LEFT + Wheel.SPEED_SETPOINT, RIGHT + Wheel.SPEED_SETPOINT]
+_DUTIES = [LEFT + Wheel.DUTY, RIGHT + Wheel.DUTY]

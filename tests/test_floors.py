@@ -1,0 +1,70 @@
+"""Which file may import which: the floors of the design, as a table."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "khep_twin"
+
+FLOORS = [
+    ["errors", "units", "randomness", "clock"],
+    ["toml_files", "protocol", "playpen", "calibration", "kernel", "uart"],
+    ["firmware", "playpen_to_mjcf", "sensors", "drawing"],
+    ["world"],
+    ["ports", "host", "log"],
+    ["lab"],
+    ["cli"],
+    ["__main__"],
+]
+"""From the ground up; a file imports from floors below its own."""
+
+WITHIN_A_FLOOR = {
+    ("randomness", "errors"),
+    ("playpen", "toml_files"),
+    ("calibration", "toml_files"),
+    ("ports", "log"),
+}
+"""(importer, imported) pairs of one floor that are allowed all the same."""
+
+SIMULATORS = {"mujoco", "dm_control", "rerun", "matplotlib", "numpy", "mcap"}
+"""What `khep_twin.host` must do without, to run on a laptop beside the robot."""
+
+
+def modules() -> list[Path]:
+    return sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.stem != "__init__")
+
+
+def part_of(path: Path) -> str:
+    """The file's or folder's name as the table has it."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports_of(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            names.update({node.module} if node.module != "khep_twin" else {f"khep_twin.{a.name}" for a in node.names})
+    return names
+
+
+def floor_of(part: str) -> int:
+    return next(level for level, floor in enumerate(FLOORS) if part in floor)
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_file_imports_only_from_floors_below(path: Path) -> None:
+    own = part_of(path)
+    for name in imports_of(path):
+        package, _, rest = name.partition(".")
+        part = rest.split(".")[0]
+        if package != "khep_twin" or part in ("", "__version__", own):
+            continue
+        assert floor_of(part) < floor_of(own) or (own, part) in WITHIN_A_FLOOR, f"{path.name} imports {name}"
+
+
+@pytest.mark.parametrize("path", sorted((PACKAGE / "host").glob("*.py")), ids=lambda path: path.name)
+def test_the_host_imports_no_simulator(path: Path) -> None:
+    assert not {name.split(".")[0] for name in imports_of(path)} & SIMULATORS
