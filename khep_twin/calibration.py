@@ -18,7 +18,9 @@ _Counts = Annotated[float, Field(ge=0, le=4095)]
 _Exponent = Annotated[float, Field(ge=0, le=20)]
 _Offset = Annotated[float, Field(ge=0, le=50)]
 _Heading = Annotated[float, Field(ge=-360, le=360)]
-_Eight = Field(min_length=N_SENSORS, max_length=N_SENSORS, description="a list of eight numbers, one per sensor")
+_Eight = Field(
+    min_length=N_SENSORS, max_length=N_SENSORS, description="a list of eight numbers, one per sensor"
+)
 
 
 class ProximityCalibration(Table):

@@ -3,17 +3,22 @@
 What a command needs is imported inside it, so that `khep-twin --help` comes at once.
 """
 
-import os
+import math
 import sys
-import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from khep_twin import __version__
 from khep_twin.errors import KhepTwinError
+from khep_twin.files import write_whole
+
+if TYPE_CHECKING:
+    from khep_twin.ports.twin import Twin
 
 app = typer.Typer(
     name="khep-twin",
@@ -22,7 +27,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-playpen_app = typer.Typer(help="Check, compile and draw playpens.", no_args_is_help=True, rich_markup_mode=None)
+playpen_app = typer.Typer(
+    help="Check, compile and draw playpens.", no_args_is_help=True, rich_markup_mode=None
+)
 app.add_typer(playpen_app, name="playpen")
 
 
@@ -34,11 +41,13 @@ class Switch(StrEnum):
 
 
 PlaypenName = Annotated[str, typer.Argument(help="Name of a shipped playpen, or path of a playpen file.")]
-Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.", min=0)]
+Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]
 Noise = Annotated[Switch, typer.Option(help="Noisy sensors, as on the robot.")]
-RobotIndex = Annotated[int, typer.Option(help="Which of the playpen's robots, counted from 0.", min=0)]
+RobotIndex = Annotated[int, typer.Option(help="Which of the playpen's robots, counted from 0.")]
 Mode = Annotated[int | None, typer.Option(help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud.")]
-RomVersion = Annotated[str | None, typer.Option(help="Version of the firmware, e.g. 5.02.")]
+RomVersion = Annotated[str | None, typer.Option(help="Version of the firmware, such as 5.02.")]
+Log = Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")]
 
 
 def main() -> None:
@@ -60,7 +69,8 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def common(
     version: Annotated[
-        bool, typer.Option("--version", help="Show the version and end.", callback=_show_version, is_eager=True)
+        bool,
+        typer.Option("--version", help="Show the version and end.", callback=_show_version, is_eager=True),
     ] = False,
 ) -> None:
     """A physics-based digital twin of the Khepera miniature robot."""
@@ -75,46 +85,56 @@ def run(
     port: Annotated[
         str | None, typer.Option(help="Port of a robot or a served twin; without, a twin in this process.")
     ] = None,
-    seconds: Annotated[float | None, typer.Option(help="End after this time [s].", min=0.001)] = None,
-    cycles: Annotated[int | None, typer.Option(help="End after so many cycles.", min=1)] = None,
+    seconds: Annotated[float | None, typer.Option(help="End after this time [s]; 60 by default.")] = None,
+    cycles: Annotated[int | None, typer.Option(help="End after so many cycles.")] = None,
     seed: Seed = 0,
     noise: Noise = Switch.ON,
     robot: RobotIndex = 0,
     mode: Mode = None,
     rom: RomVersion = None,
-    log: Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")] = None,
+    log: Log = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw playpen and driven path in this PNG or SVG file; needs --log.")
     ] = None,
 ) -> None:
-    """Runs a controller on a twin or a robot, 60 s if nothing else is said."""
+    """Runs a controller on a twin or a robot."""
     from khep_twin.host import Khepera
     from khep_twin.lab import experiment
+    from khep_twin.ports.protocol_khep import Serial
+    from khep_twin.ports.twin import TwinOptions, open_twin
 
     if port is not None and log is not None:
-        raise _usage("--log records a twin in this process; for a served one use `khep-twin serve --log`")
+        raise _usage("--log records a twin in this process; of a served one, `khep-twin serve --log` does")
     if picture is not None and log is None:
-        raise _usage("--picture draws the path from the log; give --log FILE.mcap too")
+        raise _usage("--picture draws the path from the log; right is to give --log FILE.mcap too")
+    if (seconds is not None and not seconds > 0) or (cycles is not None and cycles < 1):
+        raise _usage("--seconds and --cycles are above 0")
     function = experiment.find_controller(controller)
     if seconds is None and cycles is None:
         seconds = 60.0
     if port is None:
-        robot_port = _open_twin(playpen, seed, noise, robot, mode, rom, log)
-        _announce(robot_port.twin)
+        options = TwinOptions(
+            seed, robot, noise is Switch.ON, rom, mode, log=None if log is None else str(log)
+        )
+        twin = open_twin(playpen, options)
+        _tell_kept(twin)
+        port_or_twin = Serial.of(twin, timeout=1.0)
     else:
-        robot_port = port
-    with Khepera(robot_port) as khepera, _progress() as progress:
+        port_or_twin = port
+    with Khepera(port_or_twin) as khepera, _progress() as progress:
         try:
             outcome = experiment.run(function, khepera, cycles=cycles, seconds=seconds, progress=progress)
         except KeyboardInterrupt:
-            typer.echo("khep-twin: stopped; the log is complete up to here", err=True)
-            raise typer.Exit(130) from None
+            outcome = None
+    if outcome is None:
+        typer.echo("khep-twin: stopped by the keyboard; the log is complete up to there", err=True)
+        raise typer.Exit(130)
     typer.echo(f"{outcome.cycles} cycles in {outcome.duration:.1f} s")
+    if log is not None and picture is not None:
+        _draw_log(log, picture)
+        typer.echo(f"picture  {picture}")
     if log is not None:
         typer.echo(f"log      {log}      look at it: khep-twin view {log}")
-        if picture is not None:
-            _draw_log(log, picture)
-            typer.echo(f"picture  {picture}")
 
 
 @app.command()
@@ -122,17 +142,17 @@ def serve(
     playpen: PlaypenName = "default",
     link: Annotated[Path | None, typer.Option(help="Make this link to the pseudo-terminal.")] = None,
     speed: Annotated[str, typer.Option(help="Simulated per real second: a number, or max.")] = "1",
-    unpaced: Annotated[bool, typer.Option(help="Let bytes cross the line in no time.")] = False,
+    unpaced: Annotated[bool, typer.Option("--unpaced", help="Let bytes cross the line in no time.")] = False,
     seed: Seed = 0,
     noise: Noise = Switch.ON,
     robot: RobotIndex = 0,
     mode: Mode = None,
     rom: RomVersion = None,
-    log: Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")] = None,
+    log: Log = None,
 ) -> None:
     """Serves a twin behind a pseudo-terminal, in real time, until it is stopped.
 
-    The first line on standard output is the path that a host opens, and nothing else.
+    The only line on standard output is the path that a host opens.
     """
     from khep_twin.ports.pty import PtyPort
     from khep_twin.ports.serve import serve as serve_twin
@@ -140,19 +160,12 @@ def serve(
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     factor = _speed(speed)
-    options = TwinOptions(seed, robot, noise is Switch.ON, rom, mode, unpaced, None if log is None else str(log))
-    twin = open_twin(playpen, options)
-    with stopping() as stop:
-        try:
-            pty = PtyPort(link)
-            try:
-                _announce(twin)
-                typer.echo(pty.path)
-                pacer = serve_twin(twin, pty, factor, stop=stop)
-            finally:
-                pty.close()
-        finally:
-            twin.close()
+    log_name = None if log is None else str(log)
+    options = TwinOptions(seed, robot, noise is Switch.ON, rom, mode, unpaced, log_name)
+    with stopping() as stop, open_twin(playpen, options) as twin, PtyPort(link) as pty:
+        _tell_kept(twin)
+        typer.echo(pty.path)
+        pacer = serve_twin(twin, pty, factor, stop=stop)
     typer.echo(f"{twin.world.time_ns / 1e9:.1f} s served", err=True)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
@@ -179,16 +192,15 @@ def check(playpen: PlaypenName) -> None:
     from khep_twin import playpen as playpens
 
     found = playpens.load(playpen)
-    counts = [(found.blocks, "blocks"), (found.cylinders, "cylinders"), (found.lamps, "lamps"), (found.robots, "robots")]
-    typer.echo(f"{found.name}: " + ", ".join(f"{len(items)} {name}" for items, name in counts) + ": no problem")
+    typer.echo(
+        f"{found.name}: {len(found.blocks)} blocks, {len(found.cylinders)} cylinders, "
+        f"{len(found.lamps)} lamps, {len(found.robots)} robots: no problem"
+    )
 
 
 @playpen_app.command("compile")
-def compile_playpen(
-    playpen: PlaypenName,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; else standard output.")] = None,
-) -> None:
-    """Writes a playpen as MJCF, which opens in MuJoCo without khep_twin."""
+def compile_playpen(playpen: PlaypenName, output: Output = None) -> None:
+    """Writes a playpen as MJCF, which opens in MuJoCo without khep_twin; to standard output by default."""
     from khep_twin import playpen as playpens
     from khep_twin.playpen_to_mjcf import to_mjcf
 
@@ -196,33 +208,68 @@ def compile_playpen(
     if output is None:
         typer.echo(mjcf, nl=False)
     else:
-        _write(output, mjcf.encode())
+        write_whole(output, mjcf.encode("utf-8"))
 
 
 @playpen_app.command()
-def draw(
-    playpen: PlaypenName,
-    output: Annotated[Path, typer.Option("--output", "-o", help="File to write, PNG or SVG.")],
-) -> None:
-    """Draws a playpen to scale."""
+def draw(playpen: PlaypenName, output: Output = None) -> None:
+    """Draws a playpen to scale, as PNG or SVG; to NAME.png by default."""
     from khep_twin import drawing
     from khep_twin import playpen as playpens
 
-    drawing.save(drawing.draw(playpens.load(playpen)), output)
+    found = playpens.load(playpen)
+    target = output or Path(f"{found.name}.png")
+    drawing.save(drawing.draw(found), target)
+    typer.echo(f"picture  {target}")
 
 
-def _open_twin(
-    playpen: str, seed: int, noise: Switch, robot: int, mode: int | None, rom: str | None, log: Path | None
-) -> "TwinPort":
-    """A twin in this process, as a port of pyserial."""
-    from khep_twin.ports.protocol_khep import Serial
-    from khep_twin.ports.twin import TwinOptions
+def _draw_log(log: Path, picture: Path) -> None:
+    """The playpen and the driven paths of a log."""
+    from khep_twin import drawing
+    from khep_twin import playpen as playpens
+    from khep_twin.log.reader import read
 
-    log_name = None if log is None else str(log)
-    options = TwinOptions(
-        seed=seed, robot=robot, noise=noise is Switch.ON, rom=rom, mode=mode, log=log_name
-    )
-    return Serial.of(playpen, options, timeout=1.0)
+    run = read(log)
+    tracks = [
+        drawing.Track(name, track.times_ns / 1e9, track.pose[:, :2] * 1000)
+        for name, track in run.robots.items()
+    ]
+    found = playpens.parse(run.attachments["playpen.toml"], f"{log}: playpen.toml")
+    drawing.save(drawing.draw(found, tracks), picture)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[float], None] | None]:
+    """A bar on the terminal, for runs of more than a second; nothing where nobody looks."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    with typer.progressbar(length=1000, label="running", file=sys.stderr) as bar:
+
+        def show(part: float) -> None:
+            bar.update(int(part * 1000) - bar.pos)
+
+        yield show
+
+
+def _speed(text: str) -> float:
+    if text == "max":
+        return math.inf
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not 0 < speed < math.inf:
+        raise _usage(f"--speed {text}: right is a number above 0, or max")
+    return speed
+
+
+def _tell_kept(twin: "Twin") -> None:
+    """Says that an unfinished log of an earlier run was found and where it is now."""
+    if twin.recorder is not None and twin.recorder.kept is not None:
+        typer.echo(
+            f"khep-twin: an unfinished log of an earlier run is kept as {twin.recorder.kept}", err=True
+        )
 
 
 def _usage(text: str) -> typer.Exit:

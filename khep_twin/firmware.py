@@ -95,15 +95,17 @@ class Firmware:
     """The command interpreter of one robot.
 
     Attributes:
-        registers: the board's state, shared with `kernel` (N_REGISTERS,).
+        registers: the board's state (N_REGISTERS,).
+        cells: the same memory, as `kernel` likes to index it.
         rom: the version that it speaks.
     """
 
     def __init__(self, rom: Rom) -> None:
         self.rom = rom
         self.registers = np.zeros(kernel.N_REGISTERS, np.int64)
+        self.cells = memoryview(self.registers)
         self._lines = LineReader()
-        kernel.reset(self.registers)
+        kernel.reset(self.cells)
 
     def receive(self, data: bytes) -> bytes:
         """Takes bytes from the line; returns the replies to the commands that they complete."""
@@ -111,7 +113,7 @@ class Firmware:
 
     def reset(self) -> bytes:
         """Puts everything to its reset state, as at power-up; returns the banner."""
-        kernel.reset(self.registers)
+        kernel.reset(self.cells)
         self._lines.clear()
         return b"".join(line.encode("ascii") + END for line in self.rom.banner)
 
@@ -134,11 +136,11 @@ class Firmware:
 
     def _both(self, register: Wheel) -> tuple[int, int]:
         """A register of the left and of the right wheel."""
-        return int(self.registers[LEFT + register]), int(self.registers[RIGHT + register])
+        return self.cells[LEFT + register], self.cells[RIGHT + register]
 
     def _set_gains(self, first: Board, gains: tuple[int, ...]) -> None:
         for offset, gain in enumerate(gains):
-            self.registers[first + offset] = min(max(gain, 0), GAIN_LIMIT)
+            self.cells[first + offset] = min(max(gain, 0), GAIN_LIMIT)
 
     def _a_configure_speed_pid(self, kp: int, ki: int, kd: int) -> bytes:
         self._set_gains(Board.SPEED_KP, (kp, ki, kd))
@@ -148,13 +150,13 @@ class Firmware:
         return reply("B", self.rom.bios, self.rom.protocol)
 
     def _c_go_to_position(self, left: int, right: int) -> bytes:
-        kernel.set_target(self.registers, LEFT, kernel.clip(left, TARGET_LIMIT_PULSES))
-        kernel.set_target(self.registers, RIGHT, kernel.clip(right, TARGET_LIMIT_PULSES))
+        kernel.set_target(self.cells, LEFT, kernel.clip(left, TARGET_LIMIT_PULSES))
+        kernel.set_target(self.cells, RIGHT, kernel.clip(right, TARGET_LIMIT_PULSES))
         return reply("C")
 
     def _d_set_speed(self, left: int, right: int) -> bytes:
-        kernel.set_speed(self.registers, LEFT, kernel.clip(left, SPEED_LIMIT_PULSES))
-        kernel.set_speed(self.registers, RIGHT, kernel.clip(right, SPEED_LIMIT_PULSES))
+        kernel.set_speed(self.cells, LEFT, kernel.clip(left, SPEED_LIMIT_PULSES))
+        kernel.set_speed(self.cells, RIGHT, kernel.clip(right, SPEED_LIMIT_PULSES))
         return reply("D")
 
     def _e_read_speed(self) -> bytes:
@@ -165,8 +167,8 @@ class Firmware:
         return reply("F")
 
     def _g_set_position(self, left: int, right: int) -> bytes:
-        kernel.set_position(self.registers, LEFT, kernel.wrap(left))
-        kernel.set_position(self.registers, RIGHT, kernel.wrap(right))
+        kernel.set_position(self.cells, LEFT, kernel.wrap(left))
+        kernel.set_position(self.cells, RIGHT, kernel.wrap(right))
         return reply("G")
 
     def _h_read_position(self) -> bytes:
@@ -174,45 +176,45 @@ class Firmware:
 
     def _i_read_converter(self, channel: int) -> bytes:
         # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to the others.
-        last = (int(self.registers[Board.SCAN]) - 1) % N_SENSORS
-        values = {1: self.registers[Board.PROXIMITY + last], 2: self.registers[Board.AMBIENT + last]}
+        last = (self.cells[Board.SCAN] - 1) % N_SENSORS
+        values = {1: self.cells[Board.PROXIMITY + last], 2: self.cells[Board.AMBIENT + last]}
         if not 0 <= channel < N_ADC_CHANNELS:
             return PROTOCOL_ERROR
-        return reply("I", int(values.get(channel, 0)))
+        return reply("I", values.get(channel, 0))
 
     def _j_configure_profile(
         self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
     ) -> bytes:
         profiles = ((LEFT, left_speed, left_acceleration), (RIGHT, right_speed, right_acceleration))
         for wheel, speed, acceleration in profiles:
-            self.registers[wheel + Wheel.MAX_SPEED] = min(max(speed, 0), SPEED_LIMIT_PULSES)
-            self.registers[wheel + Wheel.ACCELERATION] = min(max(acceleration, 1), ACCELERATION_LIMIT)
+            self.cells[wheel + Wheel.MAX_SPEED] = min(max(speed, 0), SPEED_LIMIT_PULSES)
+            self.cells[wheel + Wheel.ACCELERATION] = min(max(acceleration, 1), ACCELERATION_LIMIT)
         return reply("J")
 
     def _k_read_status(self) -> bytes:
         status: list[int] = []
         for wheel in (LEFT, RIGHT):
-            mode = Mode(int(self.registers[wheel + Wheel.MODE]))
-            on_target = int(self.registers[wheel + Wheel.ON_TARGET])
-            status += [on_target, self.rom.mode_codes[mode], int(self.registers[wheel + Wheel.ERROR])]
+            mode = Mode(self.cells[wheel + Wheel.MODE])
+            on_target = self.cells[wheel + Wheel.ON_TARGET]
+            status += [on_target, self.rom.mode_codes[mode], self.cells[wheel + Wheel.ERROR]]
         return reply("K", *status)
 
     def _l_set_led(self, led: int, action: int) -> bytes:
         if led not in (0, 1) or action not in (0, 1, 2):
             return PROTOCOL_ERROR
         register = Board.LED_0 + led
-        self.registers[register] = 1 - self.registers[register] if action == 2 else action
+        self.cells[register] = 1 - self.cells[register] if action == 2 else action
         return reply("L")
 
     def _n_read_proximity(self) -> bytes:
-        return reply("N", *self.registers[Board.PROXIMITY : Board.PROXIMITY + N_SENSORS].tolist())
+        return reply("N", *(self.cells[register] for register in kernel.PROXIMITY))
 
     def _o_read_ambient(self) -> bytes:
-        return reply("O", *self.registers[Board.AMBIENT : Board.AMBIENT + N_SENSORS].tolist())
+        return reply("O", *(self.cells[register] for register in kernel.AMBIENT))
 
     def _p_set_duty(self, left: int, right: int) -> bytes:
-        kernel.set_duty(self.registers, LEFT, kernel.clip(left, DUTY_LIMIT))
-        kernel.set_duty(self.registers, RIGHT, kernel.clip(right, DUTY_LIMIT))
+        kernel.set_duty(self.cells, LEFT, kernel.clip(left, DUTY_LIMIT))
+        kernel.set_duty(self.cells, RIGHT, kernel.clip(right, DUTY_LIMIT))
         return reply("P")
 
     def _r_read_bus(self, address: int) -> bytes:

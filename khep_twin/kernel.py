@@ -14,14 +14,18 @@ reset values of the gains but not their scale, which is assumed so that they set
 """
 
 from enum import IntEnum
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Protocol
 
 from khep_twin.units import DUTY_LIMIT, N_SENSORS
 
-Registers = NDArray[np.int64]
-"""State of one board: (N_REGISTERS,)."""
+
+class Registers(Protocol):
+    """State of one board (N_REGISTERS,): an int64 array, or a memoryview of one, which is faster to index."""
+
+    def __getitem__(self, register: int, /) -> int: ...
+
+    def __setitem__(self, register: int, value: int, /) -> None: ...
+
 
 SPEED_GAIN_SCALE = 1024
 """What the speed controller's gains are divided by (assumed)."""
@@ -85,6 +89,13 @@ class Board(IntEnum):
 
 N_REGISTERS = Board.AMBIENT + N_SENSORS
 
+# Registers that are read together, left before right and sensors in the order of N.
+SPEEDS = [LEFT + Wheel.SPEED, RIGHT + Wheel.SPEED]
+SETPOINTS = [LEFT + Wheel.SPEED_SETPOINT, RIGHT + Wheel.SPEED_SETPOINT]
+DUTIES = [LEFT + Wheel.DUTY, RIGHT + Wheel.DUTY]
+PROXIMITY = [Board.PROXIMITY + sensor for sensor in range(N_SENSORS)]
+AMBIENT = [Board.AMBIENT + sensor for sensor in range(N_SENSORS)]
+
 RESET_VALUES: dict[int, int] = {
     Board.SPEED_KP: 3800,
     Board.SPEED_KI: 800,
@@ -104,13 +115,9 @@ RESET_VALUES: dict[int, int] = {
 
 def reset(registers: Registers) -> None:
     """Puts every register to its reset value; the encoders keep turning where they are."""
-    left_encoder = registers[_LEFT_ENCODER]
-    right_encoder = registers[_RIGHT_ENCODER]
-    registers[:] = 0
-    for register, value in RESET_VALUES.items():
-        registers[register] = value
-    registers[_LEFT_ENCODER] = left_encoder
-    registers[_RIGHT_ENCODER] = right_encoder
+    for register in range(N_REGISTERS):
+        if register not in (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER):
+            registers[register] = RESET_VALUES.get(register, 0)
 
 
 def tick(registers: Registers, left_pulses: int, right_pulses: int) -> None:
@@ -190,7 +197,6 @@ def wrap(value: int) -> int:
 _ENCODER, _POSITION, _SPEED, _MODE, _SPEED_SETPOINT, _TARGET = 0, 1, 2, 3, 4, 5
 _PROFILE_POSITION, _PROFILE_SPEED, _MAX_SPEED, _ACCELERATION = 6, 7, 8, 9
 _ERROR, _ERROR_SUM, _ON_TARGET, _DUTY = 10, 11, 12, 13
-_LEFT_ENCODER, _RIGHT_ENCODER = LEFT + _ENCODER, RIGHT + _ENCODER
 _SPEED_MODE, _POSITION_MODE, _PWM_MODE = 0, 1, 2
 _SPEED_GAINS, _POSITION_GAINS = int(Board.SPEED_KP), int(Board.POSITION_KP)
 _SCAN, _PROXIMITY, _AMBIENT, _CHANNELS = int(Board.SCAN), int(Board.PROXIMITY), int(Board.AMBIENT), N_SENSORS
@@ -198,18 +204,18 @@ _SCAN, _PROXIMITY, _AMBIENT, _CHANNELS = int(Board.SCAN), int(Board.PROXIMITY), 
 
 def _control(registers: Registers, wheel: int, pulses: int) -> None:
     """One wheel's control period."""
-    speed = pulses - int(registers[wheel + _ENCODER])
-    position = wrap(int(registers[wheel + _POSITION]) + speed)
+    speed = pulses - registers[wheel + _ENCODER]
+    position = wrap(registers[wheel + _POSITION] + speed)
     registers[wheel + _ENCODER] = pulses
     registers[wheel + _POSITION] = position
     registers[wheel + _SPEED] = speed
     mode = registers[wheel + _MODE]
     if mode == _SPEED_MODE:
-        error = int(registers[wheel + _SPEED_SETPOINT]) - speed
+        error = registers[wheel + _SPEED_SETPOINT] - speed
         _regulate(registers, wheel, _SPEED_GAINS, SPEED_GAIN_SCALE, error)
     elif mode == _POSITION_MODE:
         _advance_profile(registers, wheel)
-        error = wrap(divide(int(registers[wheel + _PROFILE_POSITION]), FRACTION) - position)
+        error = wrap(divide(registers[wheel + _PROFILE_POSITION], FRACTION) - position)
         _regulate(registers, wheel, _POSITION_GAINS, POSITION_GAIN_SCALE, error)
         arrived = registers[wheel + _PROFILE_POSITION] == registers[wheel + _TARGET] * FRACTION
         if arrived and abs(error) <= TARGET_TOLERANCE_PULSES:
@@ -218,9 +224,9 @@ def _control(registers: Registers, wheel: int, pulses: int) -> None:
 
 def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: int) -> None:
     """The PID law; the sum grows only as far as it can act on the duty."""
-    kp, ki, kd = int(registers[gains]), int(registers[gains + 1]), int(registers[gains + 2])
-    error_sum = clip(int(registers[wheel + _ERROR_SUM]) + error, divide(DUTY_LIMIT * scale, max(ki, 1)))
-    drive = kp * error + ki * error_sum + kd * (error - int(registers[wheel + _ERROR]))
+    kp, ki, kd = registers[gains], registers[gains + 1], registers[gains + 2]
+    error_sum = clip(registers[wheel + _ERROR_SUM] + error, divide(DUTY_LIMIT * scale, max(ki, 1)))
+    drive = kp * error + ki * error_sum + kd * (error - registers[wheel + _ERROR])
     registers[wheel + _ERROR] = error
     registers[wheel + _ERROR_SUM] = error_sum
     registers[wheel + _DUTY] = clip(divide(drive, scale), DUTY_LIMIT)
@@ -232,14 +238,14 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
     Brakes as soon as the way left is no more than v^2 / (2 a), then with a = v^2 / (2 way left), so that
     the profile ends on the target whatever the rounding.
     """
-    position = int(registers[wheel + _PROFILE_POSITION])
-    speed = int(registers[wheel + _PROFILE_SPEED])
-    acceleration = max(int(registers[wheel + _ACCELERATION]), 1)
-    way = int(registers[wheel + _TARGET]) * FRACTION - position
+    position = registers[wheel + _PROFILE_POSITION]
+    speed = registers[wheel + _PROFILE_SPEED]
+    acceleration = max(registers[wheel + _ACCELERATION], 1)
+    way = registers[wheel + _TARGET] * FRACTION - position
     direction = 1 if way >= 0 else -1
     way *= direction
     speed *= direction
-    cruise = int(registers[wheel + _MAX_SPEED]) * FRACTION
+    cruise = registers[wheel + _MAX_SPEED] * FRACTION
     if speed > 0 and speed * speed >= 2 * acceleration * way:
         speed = max(speed - max(divide(speed * speed, 2 * max(way, 1)), 1), 1)
     elif speed < cruise:

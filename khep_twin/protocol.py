@@ -12,6 +12,9 @@ from dataclasses import dataclass
 LINE_LIMIT = 128
 """Longest command line [bytes] (assumed; the manual gives none). The rest of a longer one is dropped."""
 
+LINE_ENDS = b"\r\n"
+"""Each of these bytes ends a command."""
+
 END = b"\r\n"
 COMMAND_NOT_FOUND = b"Command not found" + END
 PROTOCOL_ERROR = b"z,Protocol error" + END
@@ -40,7 +43,6 @@ ARGUMENT_COUNTS: dict[str, int] = {
 _NUMBER = re.compile(rb"[+-]?[0-9]{1,10}")
 _TOOL = re.compile(rb"[a-z][a-z-]*")
 _BLANKS = b" \t"
-_ENDINGS = b"\r\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +92,7 @@ class LineReader:
     def feed(self, data: bytes) -> Iterator[bytes]:
         """Takes more bytes; gives the lines that they complete, without their ending."""
         for byte in data:
-            if byte in _ENDINGS:
+            if byte in LINE_ENDS:
                 if self._line:
                     line = bytes(self._line)
                     self._line.clear()
@@ -129,7 +131,7 @@ def parse(line: bytes) -> Request:
 
 
 def reply(letter: str, *values: int | str) -> bytes:
-    """The reply to a command, e.g. reply("H", 12, -5) is b"h,12,-5\\r\\n"."""
+    """The reply to a command with its ending, e.g. h,12,-5 for H and the values 12, -5."""
     return ",".join([letter.lower(), *map(str, values)]).encode("ascii") + END
 
 

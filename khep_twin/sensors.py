@@ -11,7 +11,7 @@ w_i = cos(theta_i)^n / sum, theta_i off the axis. Ambient light is dark at high 
     counts = clip(dark - sum_lamps gain P cos(theta)^2 / (r - offset)^2 + noise, floor, ceiling)
 
 with lamp power P, distance r to the bulb's centre and theta off the sensor's axis; a lamp behind something
-gives nothing. Left out: light reflected off walls, lamps' effect on proximity, the vertical width of the cone.
+gives nothing. Left out: light reflected off walls, lamps' effect on proximity, the cone's vertical width.
 """
 
 import math

@@ -206,7 +206,8 @@ def _wish(field: FieldInfo | None) -> str:
 
 def _range(field: FieldInfo) -> str:
     """A number's limits, e.g. "from 0 to 2", "above 0 up to 1000"."""
-    limits = {key: getattr(rule, key) for rule in field.metadata for key in ("ge", "gt", "le", "lt") if hasattr(rule, key)}
+    keys = ("ge", "gt", "le", "lt")
+    limits = {key: getattr(rule, key) for rule in field.metadata for key in keys if hasattr(rule, key)}
     words: list[str] = []
     if "gt" in limits:
         words.append(f"above {limits['gt']:g}")

@@ -4,13 +4,15 @@ A byte takes eleven bit times. Of a burst that starts at t0, byte k (counted fro
 t0 + k * 11 * 10^9 // baud; a burst that finds the line busy starts when the line is free.
 """
 
-from collections import deque
+from bisect import bisect_right
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.units import BITS_PER_BYTE
 
 QUEUE_LIMIT = 1024
 """Bytes that wait on the way to the robot before the line pushes back (assumed; the manual gives none)."""
+
+_BYTE_BITS_NS = BITS_PER_BYTE * NS_PER_S
 
 
 class Line:
@@ -24,58 +26,55 @@ class Line:
     def __init__(self, baud: int) -> None:
         self.baud = baud
         self.next_ns: int | None = None
-        self._arrivals: deque[tuple[int, int]] = deque()
+        self._bytes = bytearray()
+        self._arrivals: list[int] = []
         self._free_ns = 0
 
     def __len__(self) -> int:
-        return len(self._arrivals)
+        return len(self._bytes)
 
     @property
     def byte_ns(self) -> int:
         """Time that one byte takes [ns]."""
-        return BITS_PER_BYTE * NS_PER_S // self.baud if self.baud else 0
+        return _BYTE_BITS_NS // self.baud if self.baud else 0
 
     def put(self, data: bytes, time_ns: int) -> int:
         """Sends `data`, at `time_ns` or as soon as the line is free; returns when its last byte arrives."""
         start_ns = max(time_ns, self._free_ns)
-        for k, byte in enumerate(data, start=1):
-            arrival_ns = start_ns + (k * BITS_PER_BYTE * NS_PER_S // self.baud if self.baud else 0)
-            self._arrivals.append((arrival_ns, byte))
-            self._free_ns = arrival_ns
-        self.next_ns = self._arrivals[0][0] if self._arrivals else None
+        baud = self.baud
+        if data:
+            counts = range(1, len(data) + 1)
+            self._arrivals += [start_ns + (k * _BYTE_BITS_NS // baud if baud else 0) for k in counts]
+            self._bytes += data
+            self._free_ns = self._arrivals[-1]
+            self.next_ns = self._arrivals[0]
         return self._free_ns
-
-    def take(self) -> tuple[int, int]:
-        """The oldest byte under way, as (arrival [ns], byte).
-
-        Raises:
-            IndexError: nothing is under way.
-        """
-        arrival = self._arrivals.popleft()
-        self.next_ns = self._arrivals[0][0] if self._arrivals else None
-        return arrival
 
     def arrived(self, time_ns: int) -> int:
         """How many bytes have arrived by `time_ns`."""
-        return sum(arrival_ns <= time_ns for arrival_ns, _ in self._arrivals)
+        return bisect_right(self._arrivals, time_ns)
 
     def arrival(self, count: int) -> int | None:
         """When the `count`-th byte under way arrives [ns], None if there are fewer."""
-        return self._arrivals[count - 1][0] if 0 < count <= len(self._arrivals) else None
+        return self._arrivals[count - 1] if 0 < count <= len(self._arrivals) else None
 
     def arrival_of(self, *wanted: int) -> int | None:
         """When the first of these bytes under way arrives [ns], None if there is none."""
-        return next((arrival_ns for arrival_ns, byte in self._arrivals if byte in wanted), None)
+        places = [place for byte in wanted if (place := self._bytes.find(byte)) >= 0]
+        return self._arrivals[min(places)] if places else None
 
     def read(self, time_ns: int, limit: int | None = None) -> bytes:
         """Takes what has arrived by `time_ns`, at most `limit` bytes."""
-        data = bytearray()
-        while self.next_ns is not None and self.next_ns <= time_ns and len(data) != limit:
-            data.append(self.take()[1])
-        return bytes(data)
+        count = self.arrived(time_ns)
+        count = count if limit is None else min(count, limit)
+        data = bytes(self._bytes[:count])
+        del self._bytes[:count], self._arrivals[:count]
+        self.next_ns = self._arrivals[0] if self._arrivals else None
+        return data
 
     def clear(self) -> None:
         """Drops what is under way."""
+        self._bytes.clear()
         self._arrivals.clear()
         self.next_ns = None
 

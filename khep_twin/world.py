@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from khep_twin import calibration, kernel, units
 from khep_twin.errors import DivergedError
 from khep_twin.firmware import BAUD_BY_MODE, ROMS, Firmware
-from khep_twin.kernel import LEFT, RIGHT, Board, Wheel
+from khep_twin.kernel import DUTIES, LEFT, RIGHT, Wheel
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.protocol import LINE_ENDS
 from khep_twin.randomness import stream
 from khep_twin.sensors import InfraredScan
 from khep_twin.uart import Uart
@@ -150,12 +151,14 @@ class World:
         """Refuses to go on with a state that is no physics any more."""
         if self._warnings.any():
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
-            raise DivergedError(f"the simulation failed at {self.time_ns / 1e9:.4f} s: MuJoCo warns of {kind}")
+            raise DivergedError(
+                f"the simulation failed at {self.time_ns / 1e9:.4f} s: MuJoCo warns of {kind}"
+            )
         positions, speeds = self.data.xpos, self.data.cvel
         if not (np.abs(positions).max() < self._limit and np.abs(speeds).max() < 100 * _FASTEST):
             raise DivergedError(
-                f"the simulation failed at {self.time_ns / 1e9:.4f} s: something is {np.abs(positions).max():g} m "
-                f"off at {np.abs(speeds).max():g} m/s or rad/s"
+                f"the simulation failed at {self.time_ns / 1e9:.4f} s: something is "
+                f"{np.abs(positions).max():g} m off, at {np.abs(speeds).max():g} m/s or rad/s"
             )
 
 
@@ -175,6 +178,7 @@ class Robot:
         self.name = f"khepera{index}"
         self.firmware = Firmware(ROMS[entry.rom])
         self.registers = self.firmware.registers
+        self._cells = self.firmware.cells
         self.uart = Uart(0 if unpaced else BAUD_BY_MODE[entry.mode])
         self._world = world
         self._index = index
@@ -188,39 +192,7 @@ class Robot:
         self._ctrl: NDArray[np.float64] = data.ctrl
         self.base = model.body(f"{self.name}/base").id
         noise = None if noise_seed is None else partial(stream, noise_seed, "robot", index)
-        self._scan = InfraredScan(
-            model, data, f"{self.name}/", calibration.read(entry.calibration)[0], noise
-        )
-
-    @property
-    def proximity(self) -> NDArray[np.int64]:
-        """Last conversions in the order of N (8,) [counts]."""
-        return self.registers[Board.PROXIMITY : Board.PROXIMITY + units.N_SENSORS]
-
-    @property
-    def ambient(self) -> NDArray[np.int64]:
-        """Last conversions in the order of O (8,) [counts]."""
-        return self.registers[Board.AMBIENT : Board.AMBIENT + units.N_SENSORS]
-
-    @property
-    def wheel_speeds(self) -> NDArray[np.int64]:
-        """Left and right, as last measured (2,) [pulses/10 ms]."""
-        return self.registers[_SPEEDS]
-
-    @property
-    def wheel_setpoints(self) -> NDArray[np.int64]:
-        """Left and right speed setpoint (2,) [pulses/10 ms]."""
-        return self.registers[_SETPOINTS]
-
-    @property
-    def duties(self) -> NDArray[np.int64]:
-        """Left and right motor (2,) [-255 to 255]."""
-        return self.registers[_DUTIES]
-
-    @property
-    def leds(self) -> NDArray[np.int64]:
-        """Lateral and frontal (2,) [0 or 1]."""
-        return self.registers[Board.LED_0 : Board.LED_1 + 1]
+        self._scan = InfraredScan(model, data, f"{self.name}/", calibration.read(entry.calibration)[0], noise)
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -235,43 +207,38 @@ class Robot:
 
     def exchange(self, time_ns: int) -> None:
         """Lets the firmware take what arrives by `time_ns` and puts its answers on the line."""
-        rx, tx = self.uart.rx, self.uart.tx
-        heard = bytearray()
-        arrival_ns = time_ns
-        while rx.next_ns is not None and rx.next_ns <= time_ns:
-            arrival_ns, byte = rx.take()
-            heard.append(byte)
-            answer = self.firmware.receive(bytes((byte,)))
+        rx = self.uart.rx
+        while (end_ns := rx.arrival_of(*LINE_ENDS)) is not None and end_ns <= time_ns:
+            line = rx.read(end_ns)
+            self._tap(end_ns, True, line)
+            answer = self.firmware.receive(line)
             if answer:
-                self._tap(arrival_ns, True, heard)
-                heard.clear()
-                self._tap(tx.put(answer, arrival_ns), False, answer)
-        if heard:
-            self._tap(arrival_ns, True, heard)
+                self._tap(self.uart.tx.put(answer, end_ns), False, answer)
+        if begun := rx.read(time_ns):
+            self._tap(time_ns, True, begun)
+            self.firmware.receive(begun)
 
     def convert(self, channel: int) -> None:
         """Converts one sensor of the scan."""
-        kernel.convert(self.registers, *self._scan.convert(channel))
+        kernel.convert(self._cells, *self._scan.convert(channel))
 
     def tick(self) -> None:
         """One control period: from encoders to motor voltages."""
-        qpos, ctrl, registers = self._qpos, self._ctrl, self.registers
+        qpos, ctrl, cells = self._qpos, self._ctrl, self._cells
         left = units.wheel_pulses(qpos[self._left_angle])
         right = units.wheel_pulses(qpos[self._right_angle])
-        kernel.tick(registers, left, right)
-        ctrl[self._left_motor] = units.duty_voltage(int(registers[LEFT + Wheel.DUTY]))
-        ctrl[self._right_motor] = units.duty_voltage(int(registers[RIGHT + Wheel.DUTY]))
+        kernel.tick(cells, left, right)
+        ctrl[self._left_motor] = units.duty_voltage(cells[_LEFT_DUTY])
+        ctrl[self._right_motor] = units.duty_voltage(cells[_RIGHT_DUTY])
 
     def zero_encoders(self) -> None:
         """Makes the encoders start from where the wheels stand."""
         self.registers[LEFT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._left_angle])
         self.registers[RIGHT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._right_angle])
 
-    def _tap(self, time_ns: int, to_robot: bool, data: bytes | bytearray) -> None:
+    def _tap(self, time_ns: int, to_robot: bool, data: bytes) -> None:
         for tap in self._world.taps:
-            tap.wire(time_ns, self._index, to_robot, bytes(data))
+            tap.wire(time_ns, self._index, to_robot, data)
 
 
-_SPEEDS = [LEFT + Wheel.SPEED, RIGHT + Wheel.SPEED]
-_SETPOINTS = [LEFT + Wheel.SPEED_SETPOINT, RIGHT + Wheel.SPEED_SETPOINT]
-_DUTIES = [LEFT + Wheel.DUTY, RIGHT + Wheel.DUTY]
+_LEFT_DUTY, _RIGHT_DUTY = DUTIES

@@ -147,7 +147,7 @@ class Khepera:
     # Senses --------------------------------------------------------------------------------------------
 
     def proximity(self) -> tuple[int, ...]:
-        """N: eight proximity counts, 0 (nothing) to 1023; left 90, 45, 10, right 10, 45, 90, back right, left."""
+        """N: eight proximity counts, 0 to 1023; left 90, 45, 10, right 10, 45, 90, back right, back left."""
         return self._values("N", N_SENSORS)
 
     def ambient(self) -> tuple[int, ...]:
@@ -178,7 +178,7 @@ class Khepera:
         self._acknowledged("W", data, address)
 
     def turret(self, number: int, message: str) -> str:
-        """T: passes a message on to a turret, e.g. turret(1, "D,0"); returns its answer without "t,1,"."""
+        """T: passes a message such as "D,0" on to a turret; returns its answer without the head "t,1,"."""
         request = f"T,{number},{message}"
         answer = self.ask(request)
         if not answer.startswith(f"t,{number},"):
@@ -222,7 +222,9 @@ class Khepera:
             return tuple(int(field) for field in fields)
         except ValueError:
             answer = ",".join([letter.lower(), *fields])
-            raise ProtocolError(f"{self.name}: {letter!r} was answered {answer!r}: not whole numbers") from None
+            raise ProtocolError(
+                f"{self.name}: {letter!r} was answered {answer!r}: not whole numbers"
+            ) from None
 
     def _acknowledged(self, letter: str, *arguments: int) -> None:
         self._fields(letter, 0, *arguments)

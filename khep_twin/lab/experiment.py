@@ -86,7 +86,9 @@ def find_controller(name: str) -> Controller:
     if not function:
         function = "controller" if "controller" in functions or len(functions) != 1 else next(iter(functions))
     if function not in functions:
-        raise ControllerError(f"{path}: no function {function!r} that takes a robot; {choices(function, functions)}")
+        raise ControllerError(
+            f"{path}: no function {function!r} that takes a robot; {choices(function, functions)}"
+        )
     return functions[function]
 
 

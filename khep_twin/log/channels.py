@@ -12,13 +12,17 @@
 
 CDR here is little-endian: a header of four bytes, then each value at a multiple of its size, counted from the
 header's end; strings and sequences are preceded by their length. Messages that are written often have a fixed
-size and are filled into a ready-made frame.
+size: many copies of a ready-made frame are filled in at once.
 """
 
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 
@@ -143,19 +147,25 @@ class ArrayFrame:
 
     Args:
         length: of the array.
-        kind: "d" for float64, "q" for int64.
+        kind: "f8" for float64, "i8" for int64.
         label: what the array holds.
     """
 
     def __init__(self, length: int, kind: str, label: str) -> None:
-        frame = Encoder().put("I", 1).text(label).put("I", length).put("I", length).put("I", 0).put("I", length)
-        frame.align(8)
-        self._head = frame.message()
-        self._values = struct.Struct(f"<{length}{kind}")
+        frame = (
+            Encoder().put("I", 1).text(label).put("I", length).put("I", length).put("I", 0).put("I", length)
+        )
+        values = frame.align(8)
+        for _ in range(length):
+            frame.put("q", 0)
+        self._frame = frame.message()
+        self._type = _layout(len(self._frame), {"values": (f"({length},)<{kind}", values)})
 
-    def message(self, values: Sequence[float]) -> bytes:
-        """The message with these values (length,)."""
-        return self._head + self._values.pack(*values)
+    def messages(self, values: NDArray[Any]) -> list[bytes]:
+        """One message per row of values (n, length)."""
+        filled = _copies(self._frame, len(values), self._type)
+        filled["values"] = values
+        return _rows(filled)
 
 
 class TransformFrame:
@@ -167,27 +177,45 @@ class TransformFrame:
 
     def __init__(self, names: Sequence[str]) -> None:
         frame = Encoder().put("I", len(names))
-        self._places: list[tuple[int, int]] = []
-        for name in names:
-            stamp = frame.align(4)
+        fields: dict[str, tuple[str, int]] = {}
+        for index, name in enumerate(names):
+            fields[f"stamp {index}"] = ("(2,)<i4", frame.align(4))
             frame.time(0).text("world").text(name)
-            pose = frame.align(8)
-            for value in (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0):
-                frame.put("d", value)
-            self._places.append((stamp, pose))
-        self._frame = bytearray(frame.message())
-        self._stamp = struct.Struct("<iI")
-        self._pose = struct.Struct("<7d")
+            fields[f"position {index}"] = ("(3,)<f8", frame.align(8))
+            frame.put("d", 0.0).put("d", 0.0).put("d", 0.0)
+            fields[f"rotation {index}"] = ("(4,)<f8", frame.align(8))
+            frame.put("d", 0.0).put("d", 0.0).put("d", 0.0).put("d", 1.0)
+        self._size = len(names)
+        self._frame = frame.message()
+        self._type = _layout(len(self._frame), fields)
 
-    def message(
-        self, time_ns: int, positions: Sequence[Sequence[float]], quaternions: Sequence[Sequence[float]]
-    ) -> bytes:
-        """The message with these poses: x, y, z [m] (n, 3) and quaternions w, x, y, z (n, 4)."""
-        frame, seconds, nanoseconds = self._frame, time_ns // NS_PER_S, time_ns % NS_PER_S
-        for (stamp, pose), position, (w, x, y, z) in zip(self._places, positions, quaternions, strict=True):
-            self._stamp.pack_into(frame, stamp, seconds, nanoseconds)
-            self._pose.pack_into(frame, pose, *position, x, y, z, w)
-        return bytes(frame)
+    def messages(
+        self, times_ns: NDArray[np.int64], positions: NDArray[np.float64], quaternions: NDArray[np.float64]
+    ) -> list[bytes]:
+        """One message per time (n,): positions [m] (n, bodies, 3), quaternions w, x, y, z (n, bodies, 4)."""
+        filled = _copies(self._frame, len(times_ns), self._type)
+        stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
+        for index in range(self._size):
+            filled[f"stamp {index}"] = stamps
+            filled[f"position {index}"] = positions[:, index]
+            filled[f"rotation {index}"] = quaternions[:, index, [1, 2, 3, 0]]
+        return _rows(filled)
+
+
+def _layout(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
+    """The type of a message of `size` bytes with some named fields: format and place of each."""
+    formats, places = zip(*fields.values(), strict=True) if fields else ((), ())
+    return np.dtype({"names": list(fields), "formats": formats, "offsets": places, "itemsize": size})
+
+
+def _copies(frame: bytes, count: int, layout: np.dtype[np.void]) -> NDArray[np.void]:
+    """`count` copies of a message, to be filled in."""
+    return np.frombuffer(bytearray(frame * count), layout)
+
+
+def _rows(filled: NDArray[np.void]) -> list[bytes]:
+    data, size = filled.tobytes(), filled.itemsize
+    return [data[place : place + size] for place in range(0, len(data), size)]
 
 
 def text_message(text: str) -> bytes:
@@ -197,8 +225,26 @@ def text_message(text: str) -> bytes:
 
 def line_message(line: Line) -> bytes:
     """An rcl_interfaces/Log."""
-    encoder = Encoder().time(line.time_ns).put("B", line.level).text(line.name).text(line.text)
-    return encoder.text("").text("").put("I", 0).message()
+    # Written by hand: there are two of them to every command of the host.
+    name, text = line.name.encode("utf-8") + b"\0", line.text.encode("utf-8") + b"\0"
+    stamp = _LINE_HEAD.pack(line.time_ns // NS_PER_S, line.time_ns % NS_PER_S, line.level, len(name))
+    return b"".join(
+        (
+            _HEADER,
+            stamp,
+            name,
+            bytes(-len(name) % 4),
+            _COUNT.pack(len(text)),
+            text,
+            bytes(-len(text) % 4),
+            _LINE_TAIL,
+        )
+    )
+
+
+_LINE_HEAD = struct.Struct("<iIB3xI")
+_COUNT = struct.Struct("<I")
+_LINE_TAIL = Encoder().text("").text("").put("I", 0).message()[len(_HEADER) :]
 
 
 class Decoder:

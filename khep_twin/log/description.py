@@ -42,11 +42,15 @@ def _visuals(model: mujoco.MjModel, body: int) -> Iterator[ElementTree.Element]:
         rgba = model.geom_rgba[geom]
         if rgba[3] > 0 and model.geom_group[geom] != _HIDDEN_GROUP:
             kind, position = int(model.geom_type[geom]), model.geom_pos[geom]
-            yield _visual(model.geom(geom).name, kind, model.geom_size[geom], position, model.geom_quat[geom], rgba)
+            yield _visual(
+                model.geom(geom).name, kind, model.geom_size[geom], position, model.geom_quat[geom], rgba
+            )
     for site in np.flatnonzero(model.site_bodyid == body).tolist():
         kind, position = int(model.site_type[site]), model.site_pos[site]
         rgba = model.site_rgba[site]
-        yield _visual(model.site(site).name, kind, model.site_size[site], position, model.site_quat[site], rgba)
+        yield _visual(
+            model.site(site).name, kind, model.site_size[site], position, model.site_quat[site], rgba
+        )
 
 
 def _visual(

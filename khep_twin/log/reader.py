@@ -64,7 +64,9 @@ def read(path: Path) -> Run:
     try:
         with path.open("rb") as file:
             reader = make_reader(file)
-            metadata = {key: text for record in reader.iter_metadata() for key, text in record.metadata.items()}
+            metadata = {
+                key: text for record in reader.iter_metadata() for key, text in record.metadata.items()
+            }
             attachments = {each.name: each.data.decode("utf-8") for each in reader.iter_attachments()}
             columns = _Columns()
             for _, channel, message in reader.iter_messages():
@@ -72,7 +74,9 @@ def read(path: Path) -> Run:
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     except (McapError, EOFError, ValueError) as error:
-        raise LogError(f"{path}: no whole log: {error or type(error).__name__}; right is a finished .mcap file") from error
+        raise LogError(
+            f"{path}: no whole log: {error or type(error).__name__}; right is a finished .mcap file"
+        ) from error
     names = [name for name in metadata.get("robots", "").split(",") if name]
     return Run(metadata, attachments, {name: columns.track(name) for name in names}, columns.lines["/events"])
 

@@ -7,6 +7,7 @@ machine or the file's own name goes in: the same run gives the same bytes.
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -22,16 +23,19 @@ from khep_twin import __version__, calibration
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.kernel import N_REGISTERS
+from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS
 from khep_twin.log import channels
 from khep_twin.log.channels import ArrayFrame, Level, Line, TransformFrame
 from khep_twin.log.description import body_name, urdf
-from khep_twin.world import Robot, World
+from khep_twin.world import SAMPLE_NS, Robot, World
 
 FLUSH_NS = 5 * NS_PER_S
 """Simulated time after which everything is handed to the file system [ns]."""
 
+_BATCH = FLUSH_NS // SAMPLE_NS
+
 _CHUNK_SIZE = 2**20
+_LINE_ENDS = re.compile(rb"[\r\n]")
 
 
 class Recorder:
@@ -56,8 +60,8 @@ class Recorder:
         self.part = path.with_name(path.name + ".part")
         self._world = world
         self._channels: dict[str, int] = {}
-        self._lines: dict[tuple[int, bool], bytearray] = {}
-        self._flushed_ns = 0
+        self._wire: list[tuple[int, int, bool, bytes]] = []
+        self._rests: dict[tuple[int, bool], bytes] = {}
         self._open = True
         if path.is_dir():
             raise LogError(f"{path}: this is a directory; right is the name of a file, such as run.mcap")
@@ -72,6 +76,10 @@ class Recorder:
         self._moving: list[int] = np.flatnonzero(model.body_weldid != 0).tolist()
         self._transforms = TransformFrame([body_name(model, body) for body in self._moving])
         self._streams = [_RobotStream(robot) for robot in world.robots]
+        self._rows = 0
+        self._times_ns = np.zeros(_BATCH, np.int64)
+        self._positions = np.zeros((_BATCH, len(self._moving), 3))
+        self._quaternions = np.zeros((_BATCH, len(self._moving), 4))
         with self._guarded():
             self._begin(settings)
 
@@ -84,34 +92,22 @@ class Recorder:
         self.close()
 
     def sample(self, world: World) -> None:
-        """Writes where everything is and what the robots sense."""
+        """Notes where everything is and what the boards hold; it is written in batches."""
         if not self._open:
             return
-        time_ns = world.time_ns
-        with self._guarded():
-            data = world.data
-            poses = self._transforms.message(
-                time_ns, data.xpos[self._moving].tolist(), data.xquat[self._moving].tolist()
-            )
-            self._add("/tf", "tf2_msgs/msg/TFMessage", time_ns, poses)
-            for stream in self._streams:
-                for topic, schema, message in stream.messages():
-                    self._add(topic, schema, time_ns, message)
-            if time_ns - self._flushed_ns >= FLUSH_NS:
-                self._flushed_ns = time_ns
-                self._writer.flush()
+        row = self._rows
+        self._times_ns[row] = world.time_ns
+        self._positions[row] = world.data.xpos[self._moving]
+        self._quaternions[row] = world.data.xquat[self._moving]
+        for stream in self._streams:
+            stream.note(row)
+        self._rows = row + 1
+        if self._rows == _BATCH:
+            self.flush()
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Writes the lines that these bytes complete."""
-        if not self._open:
-            return
-        line = self._lines.setdefault((robot, to_robot), bytearray())
-        with self._guarded():
-            for byte in data:
-                if byte not in b"\r\n":
-                    line.append(byte)
-                elif line:
-                    self._add_line(time_ns, robot, to_robot)
+        """Notes bytes of the transcript."""
+        self._wire.append((time_ns, robot, to_robot, data))
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Writes a note, and everything so far to the file."""
@@ -121,12 +117,14 @@ class Recorder:
         with self._guarded():
             message = channels.line_message(Line(time_ns, Level.INFO, name, text))
             self._add("/events", "rcl_interfaces/msg/Log", time_ns, message)
-            self._writer.flush()
+        self.flush()
 
     def flush(self) -> None:
         """Hands everything so far to the file system."""
         if self._open:
             with self._guarded():
+                self._write_samples()
+                self._write_lines()
                 self._writer.flush()
 
     def close(self) -> None:
@@ -138,13 +136,35 @@ class Recorder:
         if not self._open:
             return
         with self._guarded():
-            for (robot, to_robot), line in self._lines.items():
-                if line:
-                    self._add_line(self._world.time_ns, robot, to_robot)
+            self._write_samples()
+            self._write_lines()
+            for (robot, to_robot), rest in self._rests.items():
+                if rest:
+                    self._add_line(self._world.time_ns, robot, to_robot, rest)
             self._writer.finish()
             self._file.close()
             os.replace(self.part, self.path)
         self._open = False
+
+    def _write_samples(self) -> None:
+        rows, self._rows = self._rows, 0
+        times_ns = self._times_ns[:rows]
+        poses = self._transforms.messages(times_ns, self._positions[:rows], self._quaternions[:rows])
+        batches = [("/tf", "tf2_msgs/msg/TFMessage", poses)]
+        for stream in self._streams:
+            batches += stream.messages(rows)
+        for topic, schema, messages in batches:
+            for time_ns, message in zip(times_ns.tolist(), messages, strict=True):
+                self._add(topic, schema, time_ns, message)
+
+    def _write_lines(self) -> None:
+        """Writes the lines that the noted bytes complete."""
+        for time_ns, robot, to_robot, data in self._wire:
+            *lines, rest = _LINE_ENDS.split(self._rests.get((robot, to_robot), b"") + data)
+            self._rests[robot, to_robot] = rest
+            for line in filter(None, lines):
+                self._add_line(time_ns, robot, to_robot, line)
+        self._wire.clear()
 
     def _begin(self, settings: Mapping[str, object]) -> None:
         world = self._world
@@ -173,10 +193,8 @@ class Recorder:
         self._add("/robot_description", "std_msgs/msg/String", 0, message)
         self._writer.flush()
 
-    def _add_line(self, time_ns: int, robot: int, to_robot: bool) -> None:
-        line = self._lines[robot, to_robot]
+    def _add_line(self, time_ns: int, robot: int, to_robot: bool, line: bytes) -> None:
         text = line.decode("ascii", "backslashreplace")
-        line.clear()
         message = channels.line_message(Line(time_ns, Level.INFO, "host" if to_robot else "robot", text))
         topic = f"/{self._world.robots[robot].name}/serial"
         self._add(topic, "rcl_interfaces/msg/Log", time_ns, message)
@@ -235,26 +253,33 @@ class _PartFile:
 
 
 class _RobotStream:
-    """One robot's sampled channels."""
+    """One robot's sampled channels: all of them are parts of its board's registers."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self._eight = ArrayFrame(8, "d", "counts")
-        self._speed = ArrayFrame(4, "d", "left, right, setpoint left, setpoint right [pulses/10 ms]")
-        self._duty = ArrayFrame(2, "d", "left, right [-255 to 255]")
-        self._registers = ArrayFrame(N_REGISTERS, "q", "registers")
-
-    def messages(self) -> list[tuple[str, str, bytes]]:
-        """Topic, message type and message of each channel, as of now."""
-        robot, name = self._robot, self._robot.name
+        self._registers = robot.registers
+        self._noted = np.zeros((_BATCH, N_REGISTERS), np.int64)
         floats, integers = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Int64MultiArray"
-        speeds = [*robot.wheel_speeds.tolist(), *robot.wheel_setpoints.tolist()]
+        speeds = "left, right, setpoint left, setpoint right [pulses/10 ms]"
+        self._channels = [
+            (f"/{robot.name}/{topic}", schema, ArrayFrame(len(columns), kind, label), columns)
+            for topic, schema, kind, label, columns in (
+                ("proximity", floats, "f8", "counts", PROXIMITY),
+                ("ambient", floats, "f8", "counts", AMBIENT),
+                ("speed", floats, "f8", speeds, [*SPEEDS, *SETPOINTS]),
+                ("duty", floats, "f8", "left, right [-255 to 255]", DUTIES),
+                ("registers", integers, "i8", "registers", list(range(N_REGISTERS))),
+            )
+        ]
+
+    def note(self, row: int) -> None:
+        """Keeps the board's state as a row of the batch."""
+        self._noted[row] = self._registers
+
+    def messages(self, rows: int) -> list[tuple[str, str, list[bytes]]]:
+        """Topic, message type and messages of each channel, for the first rows of the batch."""
         return [
-            (f"/{name}/proximity", floats, self._eight.message(robot.proximity.tolist())),
-            (f"/{name}/ambient", floats, self._eight.message(robot.ambient.tolist())),
-            (f"/{name}/speed", floats, self._speed.message(speeds)),
-            (f"/{name}/duty", floats, self._duty.message(robot.duties.tolist())),
-            (f"/{name}/registers", integers, self._registers.message(robot.registers.tolist())),
+            (topic, schema, frame.messages(self._noted[:rows, columns]))
+            for topic, schema, frame, columns in self._channels
         ]
 
 

@@ -12,7 +12,7 @@ give the same run.
 # pyright: reportUnknownMemberType=false, reportAttributeAccessIssue=false
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from serial import PortNotOpenError, SerialException
@@ -22,9 +22,10 @@ from khep_twin.clock import to_ns
 from khep_twin.errors import KhepTwinError, PortError, choices
 from khep_twin.firmware import BAUD_BY_MODE
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.protocol import LINE_ENDS
 
-_LINE_FEED = 10
-_CARRIAGE_RETURN = 13
+_POLL_NS = 1_000_000
+"""What a poll costs on a line that takes no time [ns]."""
 
 
 class TwinPortError(PortError, SerialException):
@@ -40,6 +41,13 @@ class Serial(SerialBase):
 
     twin: Twin
 
+    @classmethod
+    def of(cls, twin: Twin, timeout: float | None = None) -> Self:
+        """A port to a twin that is there already."""
+        port = cls(timeout=timeout)
+        port._connect(twin)
+        return port
+
     def open(self) -> None:
         """Opens the twin that the URL describes.
 
@@ -51,13 +59,15 @@ class Serial(SerialBase):
         if self.is_open:
             raise TwinPortError(f"{self._port} is open already")
         try:
-            self.twin = open_twin(*parse_url(str(self._port)))
+            self._connect(open_twin(*parse_url(str(self._port))))
         except KhepTwinError as error:
             raise TwinPortError(str(error)) from error
-        self._uart = self.twin.robot.uart
-        self._poll_ns = self._uart.rx.byte_ns or 1_000_000
+
+    def _connect(self, twin: Twin) -> None:
+        self.twin = twin
+        self._uart = twin.robot.uart
+        self._poll_ns = self._uart.rx.byte_ns or _POLL_NS
         self.is_open = True
-        self._reconfigure_port()
 
     def close(self) -> None:
         """Ends the twin and completes its log."""
@@ -139,7 +149,7 @@ class Serial(SerialBase):
         deadline_ns = None if self._timeout is None else start_ns + to_ns(self._timeout)
         while (goal_ns := wanted()) is None:
             # Nothing comes but in answer to a line that has reached the robot.
-            next_ns = self._uart.rx.arrival_of(_LINE_FEED, _CARRIAGE_RETURN)
+            next_ns = self._uart.rx.arrival_of(*LINE_ENDS)
             if next_ns is None or (deadline_ns is not None and next_ns > deadline_ns):
                 break
             self.twin.advance_to(next_ns)
@@ -195,7 +205,7 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
     """The playpen and the options that a khep:// URL names.
 
     Raises:
-        TwinPortError: the URL has another scheme, no playpen, or an option that is unknown or has a wrong value.
+        TwinPortError: the URL has another scheme, no playpen, or an option that is unknown or wrong.
     """
     parts = urlsplit(url)
     if parts.scheme != "khep":

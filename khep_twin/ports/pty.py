@@ -8,6 +8,8 @@ back finds it as it was.
 import os
 import tty
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from khep_twin.errors import PortError
 
@@ -41,6 +43,14 @@ class PtyPort:
             except PortError:
                 self.close()
                 raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     @property
     def path(self) -> str:

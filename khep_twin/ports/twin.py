@@ -6,6 +6,8 @@ words give the same run.
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PortError, choices
@@ -45,7 +47,9 @@ class TwinOptions:
         if self.rom is not None and self.rom not in ROMS:
             raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
         if self.mode is not None and self.mode not in BAUD_BY_MODE:
-            raise PortError(f"mode = {self.mode}: does not speak the protocol; {choices(self.mode, BAUD_BY_MODE)}")
+            raise PortError(
+                f"mode = {self.mode}: does not speak the protocol; {choices(self.mode, BAUD_BY_MODE)}"
+            )
 
 
 class Twin:
@@ -61,6 +65,14 @@ class Twin:
         self.world = world
         self.robot = robot
         self.recorder = recorder
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     def advance_to(self, time_ns: int) -> None:
         """Lets time pass until `time_ns`."""

@@ -1,0 +1,192 @@
+"""Drawings: a playpen from above, to scale, with the ways that robots took.
+
+Lamps, objects and robots stand as the playpen has them (`symbols`): robots at their start, their front marked.
+A way is coloured by time; where it ends, the robot's outline is dashed. The same arguments give the same bytes,
+whatever else matplotlib is set up to do.
+"""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
+from khep_twin.symbols import INK, draw_arena, draw_lamp, draw_object, draw_robot, surface_look
+from khep_twin.units import BODY_RADIUS
+
+POINT_LIMIT = 20_000
+"""Most points of a way that are drawn; of more, evenly many are left out."""
+
+_STYLE: list[Any] = [
+    "default",
+    {
+        "font.size": 9,
+        "text.color": INK,
+        "axes.labelcolor": INK,
+        "axes.linewidth": 0.6,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "hatch.linewidth": 0.6,
+        # Without a salt SVG names its parts anew each time.
+        "svg.hashsalt": "khep_twin",
+    },
+]
+_START: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
+_END: dict[str, Any] = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
+_LONGER_SIDE = 6.2
+"""Of the playpen on paper [inch]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """The way of one robot.
+
+    Attributes:
+        time_s: when it was where, rising (n,) [s].
+        xy_mm: where it was in the playpen (n, 2) [mm].
+    """
+
+    time_s: NDArray[np.float64]
+    xy_mm: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Refuses arrays that are no way.
+
+        Raises:
+            ValueError: the shapes are not (n,) and (n, 2), or a number is not finite.
+        """
+        if self.time_s.ndim != 1 or self.xy_mm.shape != (len(self.time_s), 2):
+            raise ValueError(f"shapes {self.time_s.shape} and {self.xy_mm.shape} are not (n,) and (n, 2)")
+        if not (np.isfinite(self.time_s).all() and np.isfinite(self.xy_mm).all()):
+            raise ValueError("a track holds a number that is not finite")
+
+
+def draw(playpen: Playpen, tracks: Sequence[Track] = (), *, title: str | None = None) -> Figure:
+    """Draws a playpen as it is at the start, and the ways that robots took from there.
+
+    Args:
+        playpen: what is drawn.
+        tracks: of any of its robots; one scale of time colours all.
+        title: above the drawing; without, the playpen's name.
+    """
+    ways = [track for track in tracks if len(track.time_s)]
+    with matplotlib.style.context(_STYLE):
+        legend = list(_legend_entries(playpen, bool(ways)))
+        figure, axes = _sheet(playpen, scale=bool(ways), legend=len(legend) > 1)
+        axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
+        limits = axes.axis()
+        draw_arena(axes, playpen)
+        for item in (*playpen.blocks, *playpen.cylinders):
+            draw_object(axes, playpen, item)
+        if ways:
+            _draw_ways(figure, axes, ways)
+        for index, robot in enumerate(playpen.robots):
+            draw_robot(axes, robot, f"khepera{index}")
+        for lamp in playpen.lamps:
+            draw_lamp(axes, lamp)
+        axes.axis(limits)
+        if len(legend) > 1:
+            columns = min(len(legend), 7)
+            figure.legend(handles=legend, loc="lower center", ncols=columns, frameon=False, fontsize=8)
+    return figure
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Writes a drawing as PNG or SVG, by the file's suffix.
+
+    Raises:
+        KhepTwinError: the suffix is another one, or the file cannot be written.
+    """
+    kind = file.suffix.lower().removeprefix(".")
+    if kind not in ("png", "svg"):
+        raise KhepTwinError(f"{file}: right is a name that ends in .png or .svg")
+    # What matplotlib would write of its version and the hour.
+    metadata = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
+    picture = BytesIO()
+    with matplotlib.style.context(_STYLE):
+        figure.savefig(picture, format=kind, dpi=160, metadata=metadata)
+    try:
+        file.write_bytes(picture.getvalue())
+    except OSError as error:
+        raise KhepTwinError(f"{file}: cannot be written: {error.strerror}") from None
+
+
+def _sheet(playpen: Playpen, *, scale: bool, legend: bool) -> tuple[Figure, Axes]:
+    """A figure with axes in mm, and room for what stands around them."""
+    arena = playpen.arena
+    rim_mm = arena.wall_thickness_mm + 2
+    width_mm, height_mm = arena.width_mm + 2 * rim_mm, arena.height_mm + 2 * rim_mm
+    inch_per_mm = _LONGER_SIDE / max(width_mm, height_mm)
+    width, height = max(width_mm * inch_per_mm, 2.5), max(height_mm * inch_per_mm, 1.0)
+    left, bottom, right, top = 0.65, 0.85 if legend else 0.55, 0.95 if scale else 0.2, 0.42
+    size = left + width + right, bottom + height + top
+    figure = Figure(figsize=size, facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+    axes.set(xlim=(-rim_mm, arena.width_mm + rim_mm), ylim=(-rim_mm, arena.height_mm + rim_mm))
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    axes.spines[:].set_visible(False)
+    for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
+        axis.set_major_locator(MaxNLocator(nbins=max(round(1.5 * inches), 1), steps=[1, 2, 5, 10]))
+    axes.grid(color=INK, alpha=0.10, lw=0.5)
+    axes.set_axisbelow(False)
+    return figure, axes
+
+
+def _draw_ways(figure: Figure, axes: Axes, tracks: Sequence[Track]) -> None:
+    first = min(float(track.time_s[0]) for track in tracks)
+    last = max(float(track.time_s[-1]) for track in tracks)
+    norm = Normalize(first, last if last > first else first + 1)
+    # Plasma without its yellow end, which would not stand out from a lit floor.
+    plasma = matplotlib.colormaps["plasma"]
+    colours = LinearSegmentedColormap.from_list("time", list(plasma(np.linspace(0, 0.8, 64))))
+    for track in tracks:
+        thin = slice(None, None, -(-len(track.time_s) // POINT_LIMIT))
+        points = track.xy_mm[thin]
+        lines = LineCollection(
+            list(np.stack((points[:-1], points[1:]), axis=1)), cmap=colours, norm=norm, lw=1.4, zorder=4
+        )
+        lines.set_array(track.time_s[thin][:-1])
+        lines.set_capstyle("round")
+        axes.add_collection(lines, autolim=False)
+        (start_x, start_y), (end_x, end_y) = track.xy_mm[[0, -1]].tolist()
+        outline = Circle((end_x, end_y), 1000 * BODY_RADIUS, fill=False, edgecolor=INK, lw=0.9, ls="--")
+        axes.add_patch(outline).set_zorder(6)
+        axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START))
+        axes.add_line(Line2D([end_x], [end_y], zorder=7, **_END))
+    box, width = axes.get_position(), figure.get_figwidth()
+    beside = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
+    scale = figure.colorbar(ScalarMappable(norm, colours), cax=beside)
+    scale.set_label("time [s]")
+    beside.spines[:].set_visible(False)
+
+
+def _legend_entries(playpen: Playpen, ways: bool) -> Iterator[Line2D | Patch]:
+    objects = (*playpen.blocks, *playpen.cylinders)
+    for surface in dict.fromkeys((playpen.arena.surface, *(item.surface for item in objects))):
+        yield Patch(label=surface, **surface_look(playpen, surface, movable=False))
+    if any(item.movable for item in objects):
+        yield Patch(label="movable", **surface_look(playpen, "white", movable=True))
+    if ways:
+        yield Line2D([], [], label="start", ls="", **_START)
+        yield Line2D([], [], label="end", ls="", **_END)

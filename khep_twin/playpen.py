@@ -1,0 +1,277 @@
+"""Playpens: what a robot's world holds, as a TOML file in mm, degrees, grams and watts.
+
+The models below are the format: their attributes are the file's keys, except that the arrays of tables
+`[[block]]`, `[[cylinder]]`, `[[lamp]]` and `[[robot]]` become the tuples `blocks`, `cylinders`, `lamps` and
+`robots`. The origin is the arena's lower left inner corner; x runs right, y up, angles counter-clockwise
+from x.
+
+A playpen is checked as a place too: centres lie inside the arena, names are used once, surfaces exist, and
+robots and movable objects start clear of everything else. Fixed objects may touch and cross each other and
+the walls, as mazes need it. Lamps are bulbs without posts: a run's robots and objects pass through them, but
+none that reaches up to a bulb may start there.
+"""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
+
+from khep_twin import toml_files
+from khep_twin.errors import PlaypenError, choices
+from khep_twin.footprint import Circle, Rectangle
+from khep_twin.placement import Thing, label, placement_problems
+from khep_twin.toml_files import NAME_WISH, Name, Table
+from khep_twin.units import BODY_HEIGHT, BODY_RADIUS
+
+BULB_RADIUS_MM = 10.0
+"""Of a lamp [mm]: that of the lamp which the calibration `khepera1` was sampled with."""
+
+
+def _no_turret(turret: str) -> str:
+    raise ValueError(f"no turret named {turret}")
+
+
+def _driven(mode: object) -> object:
+    if mode in ("random", "sequenced"):
+        raise ValueError("part of the format, but not of this version")
+    return mode
+
+
+Place = Annotated[float, Field(ge=0, le=10_000)]
+Size = Annotated[float, Field(ge=1, le=10_000)]
+Height = Annotated[float, Field(ge=1, le=1000)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Mass = Annotated[float, Field(ge=1, le=10_000)]
+ObjectName = Annotated[Name | None, Field(description=NAME_WISH)]
+Colour = Annotated[int, Field(ge=0, le=255)]
+
+
+class Surface(Table):
+    """What something is made of.
+
+    Attributes:
+        reflectance: infrared, relative to the calibration's reference wall.
+        rgb: its colour, for looks only.
+    """
+
+    reflectance: Annotated[float, Field(ge=0, le=2)]
+    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three whole numbers from 0 to 255")]
+
+
+class Arena(Table):
+    """The floor within four walls; the walls stand around it, not on it. All in [mm]."""
+
+    width_mm: Annotated[float, Field(ge=100, le=10_000)]
+    height_mm: Annotated[float, Field(ge=100, le=10_000)]
+    wall_height_mm: Height = 50.0
+    wall_thickness_mm: Annotated[float, Field(ge=1, le=1000)] = 10.0
+    surface: Name = "white"
+
+
+class Block(Table):
+    """A cuboid on the floor; its length runs at `angle_deg`. `mass_g` counts where it is movable."""
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    angle_deg: Angle = 0.0
+    length_mm: Size
+    width_mm: Size
+    height_mm: Height
+    surface: Name = "white"
+    movable: bool = False
+    mass_g: Mass = 20.0
+
+    @property
+    def footprint(self) -> Rectangle:
+        """What it covers of the floor."""
+        return Rectangle(self.x_mm, self.y_mm, self.length_mm, self.width_mm, self.angle_deg)
+
+
+class Cylinder(Table):
+    """An upright cylinder on the floor. `mass_g` counts where it is movable."""
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    radius_mm: Size
+    height_mm: Height
+    surface: Name = "white"
+    movable: bool = False
+    mass_g: Mass = 20.0
+
+    @property
+    def footprint(self) -> Circle:
+        """What it covers of the floor."""
+        return Circle(self.x_mm, self.y_mm, self.radius_mm)
+
+
+class Lamp(Table):
+    """A light bulb with its centre at x, y, z."""
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    z_mm: Height = 15.0
+    power_w: Annotated[float, Field(ge=0, le=1000)]
+
+    @property
+    def footprint(self) -> Circle:
+        """What it covers of the floor."""
+        return Circle(self.x_mm, self.y_mm, BULB_RADIUS_MM)
+
+
+class Lighting(Table):
+    """Which lamps are on: `all` of them."""
+
+    mode: Annotated[
+        Literal["all"],
+        BeforeValidator(_driven),
+        Field(description='"all"; "random" and "sequenced" are not available in this version yet'),
+    ] = "all"
+
+
+class Robot(Table):
+    """A robot at its start.
+
+    Attributes:
+        calibration: of its sensors: a name in assets/calibration, or the path of a file.
+        mode: its running mode, 1 to 3: the serial line at 9600, 19200 or 38400 baud.
+        rom: the version of its firmware.
+        turrets: what is plugged on top.
+    """
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    heading_deg: Angle
+    model: Literal["khepera1"] = "khepera1"
+    calibration: Annotated[
+        str,
+        Field(min_length=1, max_length=1024, description="the name of a calibration, or the path of a file"),
+    ] = "khepera1"
+    mode: Annotated[int, Field(ge=1, le=3, description="1, 2 or 3, the modes that speak the protocol")] = 1
+    rom: Literal["5.02", "4.06"] = "5.02"
+    turrets: Annotated[
+        tuple[Annotated[str, AfterValidator(_no_turret)], ...],
+        Field(description="an empty list: there is no turret in this version yet"),
+    ] = ()
+
+    @property
+    def footprint(self) -> Circle:
+        """What it covers of the floor."""
+        return Circle(self.x_mm, self.y_mm, BODY_RADIUS * 1000)
+
+
+BUILT_IN_SURFACES: Mapping[str, Surface] = MappingProxyType(
+    {
+        "white": Surface(reflectance=1.0, rgb=(244, 243, 238)),
+        "grey": Surface(reflectance=0.15, rgb=(138, 141, 145)),
+        "black": Surface(reflectance=0.024, rgb=(38, 38, 42)),
+        "lego": Surface(reflectance=0.8, rgb=(196, 62, 48)),
+    }
+)
+"""White is the calibration's reference by definition. Grey and black plastic, beside white plastic: from the
+counts over distance in the manual's figure 11. Lego bricks of mixed colours: assumed."""
+
+
+class Playpen(Table):
+    """A whole playpen."""
+
+    version: Annotated[int, Field(ge=1, le=1, description="1")]
+    name: Name
+    arena: Arena
+    lighting: Lighting = Lighting()
+    surfaces: Annotated[Mapping[Name, Surface], Field(default_factory=dict[str, Surface])]
+    blocks: Annotated[tuple[Block, ...], Field(alias="block")] = ()
+    cylinders: Annotated[tuple[Cylinder, ...], Field(alias="cylinder")] = ()
+    lamps: Annotated[tuple[Lamp, ...], Field(alias="lamp")] = ()
+    robots: Annotated[tuple[Robot, ...], Field(alias="robot")] = ()
+
+    def surface(self, name: str) -> Surface:
+        """The surface of a name, built-in or this playpen's own."""
+        return BUILT_IN_SURFACES.get(name) or self.surfaces[name]
+
+    @model_serializer(mode="wrap")
+    def _without_empty_arrays(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # A file with `lamp = []` in it could not be given a [[lamp]] by hand.
+        return {key: value for key, value in serialize(self).items() if value not in ([], (), {})}
+
+    @model_validator(mode="after")
+    def _is_a_place(self) -> Self:
+        arena = self.arena
+        problems = [
+            *_surface_problems(self),
+            *placement_problems(list(_things(self)), arena.width_mm, arena.height_mm),
+        ]
+        if problems:
+            raise ValueError("\n".join(problems))
+        return self
+
+
+def load(path_or_name: str | os.PathLike[str]) -> Playpen:
+    """A playpen by the bare name of a shipped one, or by path.
+
+    Raises:
+        PlaypenError: there is none, or its file cannot be used; one line per problem.
+    """
+    text, source = toml_files.read("playpens", Path(path_or_name), PlaypenError)
+    return parse(text, source)
+
+
+def parse(text: str, source: str) -> Playpen:
+    """The text of a playpen file.
+
+    Args:
+        text: in TOML.
+        source: what to call the file in messages.
+
+    Raises:
+        PlaypenError: it cannot be used; one line per problem.
+    """
+    return toml_files.validate(Playpen, text, source, PlaypenError)
+
+
+def dump(playpen: Playpen) -> str:
+    """A playpen as the text of a file, always the same for the same playpen; `parse` gives it back."""
+    return toml_files.dump(playpen)
+
+
+def names() -> list[str]:
+    """The playpens that ship with the package."""
+    return toml_files.names("playpens")
+
+
+def _surface_problems(playpen: Playpen) -> Iterator[str]:
+    for name in playpen.surfaces:
+        if name in BUILT_IN_SURFACES:
+            yield f"surfaces {name}: built in; right is a name other than {', '.join(BUILT_IN_SURFACES)}"
+    known = {**BUILT_IN_SURFACES, **playpen.surfaces}
+    users: dict[str, Arena | Block | Cylinder] = {"arena": playpen.arena}
+    users |= {label("block", number, item.name): item for number, item in enumerate(playpen.blocks, 1)}
+    users |= {label("cylinder", number, item.name): item for number, item in enumerate(playpen.cylinders, 1)}
+    for place, item in users.items():
+        if item.surface not in known:
+            yield f'{place}: surface = "{item.surface}": unknown; {choices(item.surface, known)}'
+
+
+def _things(playpen: Playpen) -> Iterator[Thing]:
+    for number, item in enumerate(playpen.blocks, 1):
+        yield Thing("block", number, item.name, item.footprint, 0, item.height_mm, item.movable)
+    for number, item in enumerate(playpen.cylinders, 1):
+        yield Thing("cylinder", number, item.name, item.footprint, 0, item.height_mm, item.movable)
+    for number, item in enumerate(playpen.lamps, 1):
+        low_mm, high_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
+        yield Thing("lamp", number, item.name, item.footprint, low_mm, high_mm, False)
+    for number, item in enumerate(playpen.robots, 1):
+        yield Thing("robot", number, item.name, item.footprint, 0, BODY_HEIGHT * 1000, True)
