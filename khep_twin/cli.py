@@ -5,7 +5,7 @@ What a command needs is imported inside it, so that `khep-twin --help` comes at 
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -239,7 +239,7 @@ def _draw_log(log: Path, picture: Path) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[float], None] | None]:
+def _progress() -> Generator[Callable[[float], None] | None, None, None]:
     """A bar on the terminal, for runs of more than a second; nothing where nobody looks."""
     if not sys.stderr.isatty():
         yield None

@@ -1,8 +1,8 @@
 """Drawings: a playpen from above, to scale, with the ways that robots took.
 
-Lamps, objects and robots stand as the playpen has them (`symbols`): robots at their start, their front marked.
-A way is coloured by time; where it ends, the robot's outline is dashed. The same arguments give the same bytes,
-whatever else matplotlib is set up to do.
+Lamps, objects and robots stand as the playpen has them (`symbols`), robots at their start. A way is coloured
+by time; where it ends, the robot's outline is dashed. The same arguments give the same bytes, whatever else
+matplotlib is set up to do.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -147,7 +147,7 @@ def _sheet(playpen: Playpen, *, scale: bool, legend: bool) -> tuple[Figure, Axes
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     axes.spines[:].set_visible(False)
     for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
-        axis.set_major_locator(MaxNLocator(nbins=max(round(1.5 * inches), 1), steps=[1, 2, 5, 10]))
+        axis.set_major_locator(MaxNLocator(nbins=max(round(1.5 * inches), 3), steps=[1, 2, 5, 10]))
     axes.grid(color=INK, alpha=0.10, lw=0.5)
     axes.set_axisbelow(False)
     return figure, axes

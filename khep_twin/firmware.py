@@ -103,7 +103,7 @@ class Firmware:
     def __init__(self, rom: Rom) -> None:
         self.rom = rom
         self.registers = np.zeros(kernel.N_REGISTERS, np.int64)
-        self.cells = memoryview(self.registers)
+        self.cells = self.registers.data
         self._lines = LineReader()
         kernel.reset(self.cells)
 

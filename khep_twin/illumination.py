@@ -27,7 +27,7 @@ def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
     objects = (*playpen.blocks, *playpen.cylinders)
     if len(playpen.lamps) * len(objects) > SHADOW_LIMIT:
         objects = ()
-    light = np.zeros_like(x_mm)
+    light = np.zeros(x_mm.shape)
     for lamp in playpen.lamps:
         square = (lamp.x_mm - x_mm) ** 2 + (lamp.y_mm - y_mm) ** 2 + (lamp.z_mm - _HEIGHT_MM) ** 2
         seen = np.ones(x_mm.shape, dtype=bool)

@@ -218,7 +218,7 @@ def _control(registers: Registers, wheel: int, pulses: int) -> None:
         error = wrap(divide(registers[wheel + _PROFILE_POSITION], FRACTION) - position)
         _regulate(registers, wheel, _POSITION_GAINS, POSITION_GAIN_SCALE, error)
         arrived = registers[wheel + _PROFILE_POSITION] == registers[wheel + _TARGET] * FRACTION
-        if arrived and abs(error) <= TARGET_TOLERANCE_PULSES:
+        if arrived and abs(error) <= TARGET_TOLERANCE_PULSES and abs(speed) <= 1:
             registers[wheel + _ON_TARGET] = 1
 
 
@@ -257,5 +257,8 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
         speed = 0
     else:
         position += direction * speed
+    if speed == 0 and registers[wheel + _PROFILE_SPEED] != 0:
+        # What the sum held up against while driving is no error any more at the end of the way.
+        registers[wheel + _ERROR_SUM] = 0
     registers[wheel + _PROFILE_POSITION] = position
     registers[wheel + _PROFILE_SPEED] = direction * speed

@@ -1,7 +1,7 @@
 """Symbols: how the parts of a playpen look in a drawing, to scale, on axes in mm.
 
-Walls and objects have their surface's colour, what can be moved is hatched with a dashed edge. The floor glows
-where lamps reach it, as far as their light is not hidden (`illumination`). A robot's bright wedge is its front.
+Walls and objects have their surface's colour; what can be moved is hatched, with a dashed edge. The floor
+glows where light of the lamps comes to (`illumination`). The white wedge on a robot is its front.
 """
 
 # matplotlib's own annotations leave keyword arguments open.

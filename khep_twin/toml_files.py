@@ -192,7 +192,7 @@ def _wish(field: FieldInfo | None) -> str:
     annotation = field.annotation
     if literals := _literals(annotation):
         return " or ".join(show(literal) for literal in literals)
-    if annotation in (int, float):
+    if annotation is int or annotation is float:
         word = "a whole number" if annotation is int else "a number"
         return f"{word} {_range(field)}".rstrip()
     if annotation is bool:

@@ -9,8 +9,8 @@ PACKAGE = Path(__file__).parent.parent / "khep_twin"
 
 FLOORS = [
     ["errors", "files", "units", "randomness", "clock"],
-    ["toml_files", "protocol", "playpen", "calibration", "kernel", "uart"],
-    ["firmware", "playpen_to_mjcf", "sensors", "drawing"],
+    ["toml_files", "footprint", "placement", "playpen", "calibration", "protocol", "kernel", "uart"],
+    ["firmware", "playpen_to_mjcf", "sensors", "illumination", "symbols", "drawing"],
     ["world"],
     ["ports", "host", "log"],
     ["lab"],
@@ -21,8 +21,14 @@ FLOORS = [
 
 WITHIN_A_FLOOR = {
     ("files", "errors"),
+    ("placement", "footprint"),
+    ("playpen", "footprint"),
+    ("playpen", "placement"),
     ("playpen", "toml_files"),
     ("calibration", "toml_files"),
+    ("symbols", "illumination"),
+    ("drawing", "illumination"),
+    ("drawing", "symbols"),
     ("ports", "log"),
 }
 """(importer, imported) pairs of one floor that are allowed all the same."""
@@ -46,7 +52,8 @@ def imports_of(path: Path) -> set[str]:
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            names.update({node.module} if node.module != "khep_twin" else {f"khep_twin.{a.name}" for a in node.names})
+            members = {f"khep_twin.{alias.name}" for alias in node.names}
+            names |= members if node.module == "khep_twin" else {node.module}
     return names
 
 

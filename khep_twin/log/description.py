@@ -12,7 +12,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-_FLOOR_THICKNESS = 0.002
+_PLANE, _SPHERE, _CAPSULE, _CYLINDER, _BOX = 0, 2, 3, 5, 6
+"""Kinds of `mujoco.mjtGeom` that are drawn; ellipsoids and meshes are left out."""
+
+_PLANE_THICKNESS = 0.0002
+_ENDLESS_SIZE = 10.0
 _HIDDEN_GROUP = 3
 
 
@@ -34,60 +38,68 @@ def urdf(model: mujoco.MjModel) -> str:
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
     """A body's name in links and frames."""
-    return model.body(body).name
+    return model.body(body).name or f"body{body}"
 
 
 def _visuals(model: mujoco.MjModel, body: int) -> Iterator[ElementTree.Element]:
     for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
         rgba = model.geom_rgba[geom]
-        if rgba[3] > 0 and model.geom_group[geom] != _HIDDEN_GROUP:
-            kind, position = int(model.geom_type[geom]), model.geom_pos[geom]
-            yield _visual(
-                model.geom(geom).name, kind, model.geom_size[geom], position, model.geom_quat[geom], rgba
-            )
+        shape = _shape(int(model.geom_type[geom]), model.geom_size[geom].tolist())
+        if shape is not None and rgba[3] > 0 and model.geom_group[geom] != _HIDDEN_GROUP:
+            name = model.geom(geom).name or f"geom{geom}"
+            yield _visual(name, shape, model.geom_pos[geom], model.geom_quat[geom], rgba)
     for site in np.flatnonzero(model.site_bodyid == body).tolist():
-        kind, position = int(model.site_type[site]), model.site_pos[site]
         rgba = model.site_rgba[site]
-        yield _visual(
-            model.site(site).name, kind, model.site_size[site], position, model.site_quat[site], rgba
-        )
+        shape = _shape(int(model.site_type[site]), model.site_size[site].tolist())
+        if shape is not None and rgba[3] > 0:
+            name = model.site(site).name or f"site{site}"
+            yield _visual(name, shape, model.site_pos[site], model.site_quat[site], rgba)
+
+
+def _shape(kind: int, size: list[float]) -> ElementTree.Element | None:
+    """A shape of MuJoCo, which counts half sizes, as URDF has it; None for one that URDF lacks."""
+    if kind == _PLANE:
+        # Size 0 is a plane that never ends.
+        length, width = (2 * half or _ENDLESS_SIZE for half in size[:2])
+        return ElementTree.Element("box", size=_numbers([length, width, _PLANE_THICKNESS]))
+    if kind == _BOX:
+        return ElementTree.Element("box", size=_numbers([2 * half for half in size]))
+    if kind in (_CYLINDER, _CAPSULE):
+        name = "cylinder" if kind == _CYLINDER else "capsule"
+        return ElementTree.Element(name, radius=_numbers(size[:1]), length=_numbers([2 * size[1]]))
+    if kind == _SPHERE:
+        return ElementTree.Element("sphere", radius=_numbers(size[:1]))
+    return None
 
 
 def _visual(
     name: str,
-    kind: int,
-    size: NDArray[np.float64],
+    shape: ElementTree.Element,
     position: NDArray[np.float64],
     quaternion: NDArray[np.float64],
     rgba: NDArray[np.float32],
 ) -> ElementTree.Element:
     visual = ElementTree.Element("visual", name=name)
-    place = position.copy()
-    shape: tuple[str, dict[str, str]]
-    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        place[2] -= _FLOOR_THICKNESS / 2
-        shape = "box", {"size": _numbers([2 * size[0], 2 * size[1], _FLOOR_THICKNESS])}
-    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
-        shape = "box", {"size": _numbers(2 * size)}
-    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        shape = "cylinder", {"radius": _numbers([size[0]]), "length": _numbers([2 * size[1]])}
-    else:
-        shape = "sphere", {"radius": _numbers([size[0]])}
-    ElementTree.SubElement(visual, "origin", xyz=_numbers(place), rpy=_numbers(_roll_pitch_yaw(quaternion)))
-    ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), shape[0], shape[1])
+    ElementTree.SubElement(
+        visual, "origin", xyz=_numbers(position.tolist()), rpy=_numbers(_roll_pitch_yaw(quaternion))
+    )
+    ElementTree.SubElement(visual, "geometry").append(shape)
     material = ElementTree.SubElement(visual, "material", name=f"{name}_colour")
-    ElementTree.SubElement(material, "color", rgba=_numbers(rgba))
+    ElementTree.SubElement(material, "color", rgba=_numbers(rgba.tolist()))
     return visual
 
 
-def _numbers(values: NDArray[np.floating] | list[float]) -> str:
-    return " ".join(f"{float(value):.9g}" for value in values)
+def _numbers(values: list[float]) -> str:
+    return " ".join(f"{value:.9g}" for value in values)
 
 
 def _roll_pitch_yaw(quaternion: NDArray[np.float64]) -> list[float]:
     """A rotation w, x, y, z as angles about the fixed axes x, y, z [rad], as URDF wants it."""
     w, x, y, z = quaternion.tolist()
+    sine = 2 * (w * y - z * x)
+    if abs(sine) > 1 - 1e-12:  # straight up or down, where roll and yaw turn about the same axis
+        return [0.0, math.copysign(math.pi / 2, sine), -2 * math.copysign(1.0, sine) * math.atan2(x, w)]
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+    pitch = math.asin(sine)
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return [roll, pitch, yaw]

@@ -1,16 +1,32 @@
 """Reading a log back: what was recorded as arrays, without ROS, rerun or the simulator."""
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.reader import McapReader, make_reader
 from numpy.typing import NDArray
+from zstandard import ZstdError
 
 from khep_twin.errors import LogError
 from khep_twin.log.channels import Line, read_array, read_line, read_transforms
+
+_DAMAGE = (
+    McapError,
+    ZstdError,
+    struct.error,
+    OSError,
+    EOFError,
+    LookupError,
+    ValueError,
+    OverflowError,
+    MemoryError,
+)
+"""What the mcap reader raises, depending on where a file is damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +55,21 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True)
+class Label:
+    """What a log says of itself.
+
+    Attributes:
+        metadata: seed, versions, settings.
+        attachments: playpen.toml, scene.xml, configuration.json, calibration/*.toml.
+        robots: names.
+    """
+
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, str]
+    robots: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Run:
     """A whole log.
 
@@ -61,24 +92,51 @@ def read(path: Path) -> Run:
     Raises:
         LogError: there is none, or it is not whole.
     """
+    with _opened(path) as reader:
+        label = _label(path, reader)
+        columns = _Columns()
+        for _, channel, message in reader.iter_messages():
+            columns.add(channel.topic, message.log_time, message.data)
+        robots = {name: columns.track(name) for name in label.robots}
+    return Run(label.metadata, label.attachments, robots, columns.lines["/events"])
+
+
+def read_label(path: Path) -> Label:
+    """What a log says of itself; quick however long the run was.
+
+    Raises:
+        LogError: there is none, or it is not whole.
+    """
+    with _opened(path) as reader:
+        return _label(path, reader)
+
+
+@contextmanager
+def _opened(path: Path) -> Generator[McapReader, None, None]:
+    """Opens a log; what goes wrong with its file and its content becomes one line."""
     try:
-        with path.open("rb") as file:
-            reader = make_reader(file)
-            metadata = {
-                key: text for record in reader.iter_metadata() for key, text in record.metadata.items()
-            }
-            attachments = {each.name: each.data.decode("utf-8") for each in reader.iter_attachments()}
-            columns = _Columns()
-            for _, channel, message in reader.iter_messages():
-                columns.add(channel.topic, message.log_time, message.data)
+        file = path.open("rb")
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    except (McapError, EOFError, ValueError) as error:
-        raise LogError(
-            f"{path}: no whole log: {error or type(error).__name__}; right is a finished .mcap file"
-        ) from error
-    names = [name for name in metadata.get("robots", "").split(",") if name]
-    return Run(metadata, attachments, {name: columns.track(name) for name in names}, columns.lines["/events"])
+    with file:
+        try:
+            yield make_reader(file, validate_crcs=True)
+        except _DAMAGE as error:
+            what = f"no whole log ({type(error).__name__})"
+            raise LogError(f"{path}: {what}; right is a finished .mcap file") from error
+
+
+def _label(path: Path, reader: McapReader) -> Label:
+    metadata = {
+        key: text
+        for record in reader.iter_metadata()
+        if record.name == "run"
+        for key, text in record.metadata.items()
+    }
+    if "robots" not in metadata:
+        raise LogError(f"{path}: an MCAP file, but no log of khep_twin")
+    attachments = {each.name: each.data.decode("utf-8") for each in reader.iter_attachments()}
+    return Label(metadata, attachments, tuple(metadata["robots"].split(",")))
 
 
 class _Lines(dict[str, list[Line]]):

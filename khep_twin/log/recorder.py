@@ -5,14 +5,17 @@ that even a torn file says what it was. All times are simulated, and nothing of 
 machine or the file's own name goes in: the same run gives the same bytes.
 """
 
+import fcntl
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import signal
+import threading
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import IO, Self, cast
 
 import mujoco
@@ -36,6 +39,7 @@ _BATCH = FLUSH_NS // SAMPLE_NS
 
 _CHUNK_SIZE = 2**20
 _LINE_ENDS = re.compile(rb"[\r\n]")
+_LINE_LIMIT = 1024
 
 
 class Recorder:
@@ -65,13 +69,15 @@ class Recorder:
         self._open = True
         if path.is_dir():
             raise LogError(f"{path}: this is a directory; right is the name of a file, such as run.mcap")
+        if not path.parent.is_dir():
+            raise LogError(f"{path}: cannot write a log here: there is no directory {path.parent}")
         try:
             self.kept = _set_aside(self.part)
             self._file = _PartFile(self.part)
         except OSError as error:
             raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
         self._writer = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_SIZE)
-        # What moves is shown at every sample, what stands only in the description.
+        # What moves is shown at every sample, what stands only once.
         model = world.model
         self._moving: list[int] = np.flatnonzero(model.body_weldid != 0).tolist()
         self._transforms = TransformFrame([body_name(model, body) for body in self._moving])
@@ -107,7 +113,8 @@ class Recorder:
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Notes bytes of the transcript."""
-        self._wire.append((time_ns, robot, to_robot, data))
+        if self._open:
+            self._wire.append((time_ns, robot, to_robot, data))
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Writes a note, and everything so far to the file."""
@@ -142,9 +149,9 @@ class Recorder:
                 if rest:
                     self._add_line(self._world.time_ns, robot, to_robot, rest)
             self._writer.finish()
-            self._file.close()
             os.replace(self.part, self.path)
-        self._open = False
+            self._open = False
+            self._file.close()
 
     def _write_samples(self) -> None:
         rows, self._rows = self._rows, 0
@@ -161,6 +168,8 @@ class Recorder:
         """Writes the lines that the noted bytes complete."""
         for time_ns, robot, to_robot, data in self._wire:
             *lines, rest = _LINE_ENDS.split(self._rests.get((robot, to_robot), b"") + data)
+            if len(rest) > _LINE_LIMIT:  # noise, or a host that knows no line ends
+                lines, rest = [*lines, rest], b""
             self._rests[robot, to_robot] = rest
             for line in filter(None, lines):
                 self._add_line(time_ns, robot, to_robot, line)
@@ -191,10 +200,21 @@ class Recorder:
         self._writer.add_metadata("run", {**facts, **{key: str(value) for key, value in settings.items()}})
         message = channels.text_message(urdf(world.model))
         self._add("/robot_description", "std_msgs/msg/String", 0, message)
+        self._add_standing()
         self._writer.flush()
 
+    def _add_standing(self) -> None:
+        model, data = self._world.model, self._world.data
+        standing: list[int] = (1 + np.flatnonzero(model.body_weldid[1:] == 0)).tolist()
+        if standing:
+            frame = TransformFrame([body_name(model, body) for body in standing])
+            start = np.zeros(1, np.int64)
+            (poses,) = frame.messages(start, data.xpos[None, standing], data.xquat[None, standing])
+            self._add("/tf", "tf2_msgs/msg/TFMessage", 0, poses)
+
     def _add_line(self, time_ns: int, robot: int, to_robot: bool, line: bytes) -> None:
-        text = line.decode("ascii", "backslashreplace")
+        # Readable and whole: control characters and noise on the line become \n, \x00, \xff.
+        text = line.decode("latin-1").encode("unicode_escape").decode("ascii")
         message = channels.line_message(Line(time_ns, Level.INFO, "host" if to_robot else "robot", text))
         topic = f"/{self._world.robots[robot].name}/serial"
         self._add(topic, "rcl_interfaces/msg/Log", time_ns, message)
@@ -207,12 +227,14 @@ class Recorder:
         self._writer.add_message(channel, time_ns, message, time_ns)
 
     @contextmanager
-    def _guarded(self) -> Iterator[None]:
+    def _guarded(self) -> Generator[None, None, None]:
         """Turns the first trouble with the file into an error, after which the file is left alone."""
         try:
-            yield
+            with _undisturbed():
+                yield
         except OSError as error:
             self._open = False
+            self._wire.clear()
             self._file.close()
             seconds = self._world.time_ns / NS_PER_S
             raise LogError(
@@ -221,12 +243,35 @@ class Recorder:
             ) from error
 
 
+@contextmanager
+def _undisturbed() -> Generator[None, None, None]:
+    """Holds Ctrl-C back for a moment: half a record would make what follows unreadable."""
+    handler = signal.getsignal(signal.SIGINT)
+    if not callable(handler) or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: held.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if held:
+            handler(*held[0])
+
+
 class _PartFile:
-    """A file without a buffer of its own, in which each write is there as a whole or not at all."""
+    """A file without a buffer of its own, in which each write is there as a whole or not at all.
+
+    It is locked while it is open, so that a second run does not take it for what a crash left behind.
+    """
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         self._size = 0
+        self._closed = False
+        with suppress(OSError):  # some network file systems know no locks
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def write(self, data: bytes) -> int:
         """Appends `data`; what a full disk tore off is taken back before the error goes on."""
@@ -235,7 +280,8 @@ class _PartFile:
             while rest:
                 rest = rest[os.write(self._descriptor, rest) :]
         except OSError:
-            os.ftruncate(self._descriptor, self._size)
+            with suppress(OSError):
+                os.ftruncate(self._descriptor, self._size)
             raise
         self._size += len(data)
         return len(data)
@@ -249,7 +295,9 @@ class _PartFile:
 
     def close(self) -> None:
         """Ends the file."""
-        os.close(self._descriptor)
+        if not self._closed:
+            self._closed = True
+            os.close(self._descriptor)
 
 
 class _RobotStream:
@@ -287,6 +335,11 @@ def _set_aside(part: Path) -> Path | None:
     """Moves an unfinished log out of the way, so that nothing that could be rescued is lost."""
     if not part.exists():
         return None
+    with part.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise LogError(f"{part}: another run is writing it; right is another name for the log") from None
     number = 1
     while (kept := part.with_name(f"{part.name}.{number}")).exists():
         number += 1

@@ -1,137 +1,173 @@
-"""Looking at a log in rerun, with a layout made for this robot: arena, sensor curves, wheels and transcript.
+"""Looking at a log in rerun: the arena, the curves and the transcript side by side, on one time axis.
 
-rerun reads the log's channels by itself; here it is only told which views to open, and that times are
-durations and not dates.
+rerun reads a log by itself. What is added here is a layout made for this robot, and time as seconds of the
+run instead of dates in 1970; both go into a rerun recording, which is kept or shown.
 """
 
 # rerun's types are partly unknown.
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownMemberType=false
 
 import os
+import subprocess
 import sys
+import tempfile
+import tomllib
+import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from khep_twin import playpen, units
 from khep_twin.errors import LogError
-from khep_twin.log.reader import Run, read
+from khep_twin.log.reader import Label, read_label
 from khep_twin.units import Sensor
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
-TIMELINE = "message_log_time"
+Colour = tuple[int, int, int]
+
+_TIMELINE = "message_log_time"
 """What rerun calls the simulated time of a log's messages."""
+
+_WARM: list[Colour] = [(228, 87, 46), (242, 159, 5), (244, 211, 94)]
+_COLD: list[Colour] = [(64, 224, 208), (77, 171, 247), (92, 124, 250)]
+_VIOLET: list[Colour] = [(177, 151, 252), (230, 153, 247)]
+
+_SENSORS = {
+    sensor.name.lower().replace("_", " "): colour
+    for sensor, colour in zip(Sensor, [*_WARM, *_COLD, *_VIOLET], strict=True)
+}
+"""Curves of the sensors: left ones warm, right ones cold, those at the back violet."""
+
+_WHEELS: dict[str, Colour] = {
+    "left": _WARM[0],
+    "right": _COLD[1],
+    "left setpoint": (255, 201, 184),
+    "right setpoint": (208, 235, 255),
+}
 
 
 def view(path: Path, save: Path | None = None) -> None:
-    """Opens a log in rerun's viewer, or writes it with its layout as a recording.
+    """Shows a log in rerun's viewer until its window is closed, or saves it as a rerun recording.
 
     Args:
-        path: of the log.
-        save: file to write, by custom NAME.rrd; None opens the viewer.
+        path: of a finished log.
+        save: of the recording, by custom NAME.rrd; None opens the viewer.
 
     Raises:
-        LogError: the log cannot be read, the file cannot be written, or there is no screen for the viewer.
+        LogError: the log cannot be read, the recording cannot be written, or no window opens.
     """
-    run = read(path)
-    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or sys.platform != "linux"
-    if save is None and not screen:
-        raise LogError(f"{path}: no screen to open rerun on; right is to add --save FILE.rrd")
+    label = read_label(path)
+    if save is not None:
+        _save(path, label, save)
+        return
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise LogError(f"{path}: there is no screen to open a window on; {_wish(path)}")
+    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+        recording = Path(folder) / f"{path.stem}.rrd"
+        _save(path, label, recording)
+        _show(path, recording)
+
+
+def _save(path: Path, label: Label, save: Path) -> None:
     import rerun as rr
     from rerun.chunk import McapReader
 
-    # By name, so that no date of making gets into the file.
-    with rr.RecordingStream("khep_twin", recording_id=path.stem) as recording:
-        part = None if save is None else save.with_name(save.name + ".part")
-        if part is None:
-            rr.spawn(recording=recording, default_blueprint=layout(run))
-        else:
-            try:
-                part.open("wb").close()
-            except OSError as error:
-                raise LogError(f"{save}: cannot be written: {error.strerror}") from error
-            recording.save(part, default_blueprint=layout(run))
-        rr.send_chunks(McapReader(path, timeline_type="duration_ns").stream(), recording=recording)
-        recording.flush()
-        recording.disconnect()
-    if part is not None and save is not None:
+    if save.is_dir() or (save.exists() and save.samefile(path)):
+        what = "a directory" if save.is_dir() else "the log itself"
+        raise LogError(f"{save}: this is {what}; right is the name of a file, such as {path.stem}.rrd")
+    part = save.with_name(save.name + ".part")
+    try:
+        # A file that rerun cannot make or fill is no error to it: we make it, and look at it afterwards.
+        part.touch()
+        with rr.RecordingStream("khep_twin", recording_id=path.stem) as recording:
+            recording.save(part, default_blueprint=_layout(label))
+            recording.send_recording_name(path.stem)
+            rr.send_chunks(McapReader(path, timeline_type="duration_ns").stream(), recording=recording)
+            recording.disconnect()
+        if not _is_whole(part):
+            raise LogError(f"{save}: the recording could not be written to its end; is the disk full?")
         os.replace(part, save)
+    except OSError as error:
+        raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
+    finally:
+        with suppress(OSError):
+            part.unlink()
 
 
-def layout(run: Run) -> "rrb.Blueprint":
-    """Which views a log is opened with."""
+def _is_whole(recording: Path) -> bool:
+    from rerun.chunk import RrdReader
+    from rerun.error_utils import RerunWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            return bool(RrdReader(recording).recordings())
+        except (RerunWarning, RuntimeError):
+            return False
+
+
+def _layout(label: Label) -> "rrb.Blueprint":
+    import rerun as rr
     import rerun.blueprint as rrb
 
-    robots = list(run.robots)
-    size = playpen.parse(run.attachments["playpen.toml"], "playpen.toml").arena
-    width, depth = units.metres(size.width_mm), units.metres(size.height_mm)
-    # From the side of the lower wall, high enough to look over it.
-    away = max(width, depth)
-    eye = rrb.EyeControls3D(
-        position=(width / 2, depth / 2 - 0.65 * away, 0.9 * away),
-        look_target=(width / 2, depth / 2 - 0.05 * away, 0.0),
-        eye_up=(0.0, 0.0, 1.0),
-    )
-    arena = rrb.Spatial3DView(origin="/", name="Playpen", contents=["/**"], eye_controls=eye, line_grid=False)
-    transcripts = [rrb.TextLogView(origin=f"/{name}/serial", name=f"{name}: serial line") for name in robots]
-    curves = [rrb.Vertical(*_curves(name), name=name) for name in robots]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(arena, rrb.Tabs(*transcripts), row_shares=[3, 2]),
-            rrb.Tabs(*curves),
-            column_shares=[1, 1],
+    solid = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
+    arena = rrb.Spatial3DView(name="arena", eye_controls=_eye(label), line_grid=False, defaults=solid)
+    transcript = rrb.TextLogView(
+        name="serial line and events",
+        columns=rrb.TextLogColumns(
+            timeline_columns=[_TIMELINE],
+            text_log_columns=["body"] if len(label.robots) == 1 else ["entitypath", "body"],
         ),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        format_options=rrb.TextLogFormat(monospace_body=True),
+    )
+    curves = [
+        rrb.Vertical(
+            _plot(f"/{robot}/proximity", "proximity [counts]", _SENSORS),
+            _plot(f"/{robot}/ambient", "ambient light [counts, low is bright]", _SENSORS),
+            _plot(f"/{robot}/speed", "wheel speed [pulses/10 ms]", _WHEELS),
+            name=robot,
+        )
+        for robot in label.robots
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(rrb.Vertical(arena, transcript, row_shares=[2, 1]), rrb.Tabs(*curves)),
+        rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
 
 
-def _curves(name: str) -> "list[rrb.TimeSeriesView]":
+def _plot(origin: str, name: str, curves: dict[str, Colour]) -> "rrb.TimeSeriesView":
     import rerun as rr
     import rerun.blueprint as rrb
 
-    sensors = [sensor.name.lower().replace("_", " ") for sensor in Sensor]
-    wheels = ["left", "right", "left setpoint", "right setpoint"]
-    series = {
-        "proximity": (
-            "Proximity [counts]",
-            sensors,
-            True,
-        ),
-        # The same sensors in the same colours: one legend does for both.
-        "ambient": (
-            "Ambient light [counts, low is bright]",
-            sensors,
-            False,
-        ),
-        "speed": ("Wheel speed [pulses/10 ms]", wheels, True),
-        "duty": ("Motor duty [-255 to 255]", wheels[:2], False),
-    }
-    return [
-        rrb.TimeSeriesView(
-            origin=f"/{name}/{topic}",
-            name=title,
-            overrides={
-                f"/{name}/{topic}": rr.SeriesLines(
-                    names=labels, colors=_COLOURS[: len(labels)], widths=[1.5] * len(labels)
-                )
-            },
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
-        )
-        for topic, (title, labels, legend) in series.items()
-    ]
+    lines = rr.SeriesLines.from_fields(names=list(curves), colors=list(curves.values()))
+    return rrb.TimeSeriesView(origin=origin, name=name, overrides={origin: lines})
 
 
-# Left and right in cold and warm colours, the two at the back in greys.
-_COLOURS = [
-    [66, 133, 244],
-    [0, 188, 212],
-    [105, 220, 160],
-    [255, 214, 90],
-    [255, 145, 60],
-    [235, 70, 70],
-    [200, 200, 200],
-    [130, 130, 130],
-]
+def _eye(label: Label) -> "rrb.EyeControls3D":
+    """Looks at the arena's middle from before and above, from as far as its size asks."""
+    import rerun.blueprint as rrb
+
+    arena = tomllib.loads(label.attachments["playpen.toml"])["arena"]
+    width, depth = arena["width_mm"] / 1000, arena["height_mm"] / 1000
+    reach = max(width, depth)
+    return rrb.EyeControls3D(
+        position=(width / 2, depth / 2 - 0.75 * reach, 0.85 * reach),
+        look_target=(width / 2, depth / 2, 0.0),
+        eye_up=(0.0, 0.0, 1.0),
+    )
+
+
+def _show(path: Path, recording: Path) -> None:
+    # The viewer takes recordings from the network too; nobody but this machine shall send it any.
+    command = [sys.executable, "-m", "rerun", str(recording), "--bind", "127.0.0.1", "--port", "auto"]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        reason = done.stderr.strip().splitlines()[-1:] or [f"code {done.returncode}"]
+        raise LogError(f"{path}: rerun's viewer failed: {reason[0].removeprefix('Error: ')}; {_wish(path)}")
+
+
+def _wish(path: Path) -> str:
+    return f"right here is to save a recording, --save {path.stem}.rrd, and to open that where there is one"

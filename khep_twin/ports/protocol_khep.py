@@ -40,6 +40,8 @@ class Serial(SerialBase):
     """
 
     twin: Twin
+    _port: str | None
+    _timeout: float | None
 
     @classmethod
     def of(cls, twin: Twin, timeout: float | None = None) -> Self:
@@ -59,7 +61,7 @@ class Serial(SerialBase):
         if self.is_open:
             raise TwinPortError(f"{self._port} is open already")
         try:
-            self._connect(open_twin(*parse_url(str(self._port))))
+            self._connect(open_twin(*parse_url(self._port)))
         except KhepTwinError as error:
             raise TwinPortError(str(error)) from error
 

@@ -4,7 +4,7 @@ import math
 import select
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -56,7 +56,7 @@ def serve(twin: Twin, port: PtyPort, speed: float, *, stop: Callable[[], bool]) 
 
 
 @contextmanager
-def stopping() -> Iterator[Callable[[], bool]]:
+def stopping() -> Generator[Callable[[], bool], None, None]:
     """Says whether the process was asked to end, by SIGINT or SIGTERM."""
     asked = False
 

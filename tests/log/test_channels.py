@@ -1,0 +1,89 @@
+"""The messages of a log, decoded here anew from the rules of CDR, and what reads them back."""
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from khep_twin.log import channels
+from khep_twin.log.channels import ArrayFrame, Level, Line, TransformFrame
+
+
+@dataclass
+class Cdr:
+    """Values of a little-endian CDR message, each at a multiple of its size after the header."""
+
+    message: bytes
+    place: int = 4
+
+    def take(self, kind: str) -> float:
+        size = struct.calcsize(kind)
+        while (self.place - 4) % size:
+            assert self.message[self.place] == 0
+            self.place += 1
+        self.place += size
+        return struct.unpack(f"<{kind}", self.message[self.place - size : self.place])[0]
+
+    def string(self) -> str:
+        length = int(self.take("I"))
+        text = self.message[self.place : self.place + length]
+        self.place += length
+        assert text[-1:] == b"\0"
+        return text[:-1].decode()
+
+    def at_end(self) -> bool:
+        return self.place == len(self.message)
+
+
+@pytest.mark.parametrize("label", ["", "a", "abc", "counts", "speed [pulses/10 ms]"])
+@pytest.mark.parametrize(("kind", "code"), [("f8", "d"), ("i8", "q")])
+def test_an_array_decodes_by_the_rules_of_cdr(label: str, kind: str, code: str) -> None:
+    first, second = ArrayFrame(3, kind, label).messages(np.array([[1, -2, 1023], [4, 5, 6]]))
+    assert len(first) == len(second)
+    for message, values in ((first, [1, -2, 1023]), (second, [4, 5, 6])):
+        cdr = Cdr(message)
+        assert message[:4] == b"\x00\x01\x00\x00"
+        assert (cdr.take("I"), cdr.string(), cdr.take("I"), cdr.take("I")) == (1, label, 3, 3)
+        assert (cdr.take("I"), cdr.take("I")) == (0, 3)
+        assert [cdr.take(code) for _ in range(3)] == values
+        assert cdr.at_end()
+
+
+def test_transforms_decode_by_the_rules_of_cdr() -> None:
+    names = ["khepera0/base", "b", "khepera0/left_wheel"]
+    random = np.random.default_rng(0)
+    positions, quaternions = random.normal(size=(2, 3, 3)), random.normal(size=(2, 3, 4))
+    times_ns = np.array([0, 12_345_678_901])
+    messages = TransformFrame(names).messages(times_ns, positions, quaternions)
+    for row, message in enumerate(messages):
+        cdr = Cdr(message)
+        assert cdr.take("I") == 3
+        for body, name in enumerate(names):
+            seconds, nanoseconds = cdr.take("i"), cdr.take("I")
+            assert seconds * 10**9 + nanoseconds == times_ns[row]
+            assert (cdr.string(), cdr.string()) == ("world", name)
+            assert [cdr.take("d") for _ in range(3)] == positions[row, body].tolist()
+            assert [cdr.take("d") for _ in range(4)] == quaternions[row, body, [1, 2, 3, 0]].tolist()
+        assert cdr.at_end()
+
+
+@pytest.mark.parametrize("text", ["", "N", "no", "n,1", "n,12", "D,-5,5"])
+@pytest.mark.parametrize("name", ["host", "robot", "x"])
+def test_a_line_decodes_by_the_rules_of_cdr(name: str, text: str) -> None:
+    cdr = Cdr(channels.line_message(Line(2_000_000_007, Level.WARN, name, text)))
+    assert (cdr.take("i"), cdr.take("I"), cdr.take("B")) == (2, 7, 30)
+    assert (cdr.string(), cdr.string(), cdr.string(), cdr.string()) == (name, text, "", "")
+    assert cdr.take("I") == 0
+    assert cdr.at_end()
+
+
+def test_what_is_encoded_can_be_read_back() -> None:
+    line = Line(5_000_000_123, Level.INFO, "robot", "n,1,2,3")
+    assert channels.read_line(channels.line_message(line)) == line
+    values = [[1.0, 2.5, -3.0]]
+    assert list(channels.read_array(ArrayFrame(3, "f8", "x").messages(np.array(values))[0], "d")) == values[0]
+    (message,) = TransformFrame(["a"]).messages(
+        np.zeros(1, np.int64), np.ones((1, 1, 3)), np.eye(4)[None, :1]
+    )
+    assert channels.read_transforms(message) == {"a": (1, 1, 1, 0, 0, 0, 1)}

@@ -1,0 +1,105 @@
+"""A log read back: the same values as in the world, and one line for what is no log."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from khep_twin.errors import LogError
+from khep_twin.kernel import AMBIENT, PROXIMITY
+from khep_twin.log.reader import read, read_label
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+SCAN_NS = 20_000_000
+
+
+def test_a_run_comes_back_as_arrays(log: Path) -> None:
+    track = read(log).robots["khepera0"]
+    assert np.array_equal(track.times_ns, np.arange(101) * SCAN_NS)
+    assert track.pose.shape == (101, 3)
+    assert track.proximity.shape == track.ambient.shape == (101, 8)
+    assert track.speed.shape == (101, 4)
+    assert track.duty.shape == (101, 2)
+    assert len(track.registers) == 101
+
+
+def test_values_are_those_of_the_world(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with open_twin("two-lamps", TwinOptions(log=str(path))) as twin:
+        robot = twin.robot
+        start = (*robot.pose, robot.registers[PROXIMITY].tolist(), robot.registers[AMBIENT].tolist())
+        robot.send(b"D,10,6\n")
+        twin.advance_to(500_000_000)
+        end = (*robot.pose, robot.registers[PROXIMITY].tolist(), robot.registers[AMBIENT].tolist())
+        registers = robot.registers.copy()
+    track = read(path).robots["khepera0"]
+    for row, (x, y, heading, proximity, ambient) in ((0, start), (-1, end)):
+        assert track.pose[row] == pytest.approx([x, y, heading], abs=1e-9)
+        assert track.proximity[row].tolist() == proximity
+        assert track.ambient[row].tolist() == ambient
+    assert track.registers[-1].tolist() == registers.tolist()
+    assert track.speed[-1, 2:].tolist() == [10, 6]
+
+
+def test_the_transcript_has_both_sides_at_the_time_of_their_last_byte(log: Path) -> None:
+    lines = read(log).robots["khepera0"].serial
+    assert [line.text for line in lines[:3]] == ["D,8,5", "d", "N"]
+    assert [line.name for line in lines[:3]] == ["host", "robot", "host"]
+    # Six bytes of eleven bits at 9600 baud, then the three of "d\r\n" or its first two.
+    assert lines[0].time_ns == 6 * 11 * 10**9 // 9600
+    byte_ns = 11 * 10**9 / 9600
+    assert lines[1].time_ns - lines[0].time_ns == pytest.approx(3 * byte_ns, abs=2)
+    assert [line.time_ns for line in lines] == sorted(line.time_ns for line in lines)
+
+
+def test_events_carry_who_and_when(log: Path) -> None:
+    (event,) = read(log).events
+    assert (event.time_ns, event.name, event.text) == (2_000_000_000, "khepera0", "taken away")
+
+
+def test_the_label_is_read_without_the_run(log: Path) -> None:
+    label = read_label(log)
+    assert label.robots == ("khepera0",)
+    assert label.metadata["seed"] == "3"
+    assert 'name = "obstacles"' in label.attachments["playpen.toml"]
+    assert "<mujoco" in label.attachments["scene.xml"]
+    assert {"configuration.json", "calibration/khepera1.toml"} < set(label.attachments)
+
+
+@pytest.mark.parametrize("content", [b"", b"PNG", b"\x89MCAP0\r\n", b"\x00" * 1000])
+def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r"x\.mcap: no whole log .*right is a finished \.mcap file$"):
+        read(path)
+
+
+def test_a_foreign_mcap_file_is_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    writer = Writer(str(path))
+    writer.start()
+    writer.finish()
+    with pytest.raises(LogError, match=r"foreign\.mcap: an MCAP file, but no log of khep_twin"):
+        read(path)
+
+
+def test_a_missing_log_and_a_directory_are_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"none\.mcap: cannot be read: No such file"):
+        read(tmp_path / "none.mcap")
+    with pytest.raises(LogError, match="cannot be read: Is a directory"):
+        read(tmp_path)
+
+
+def test_damage_anywhere_is_an_error_or_harmless(log: Path, tmp_path: Path) -> None:
+    whole, path = log.read_bytes(), tmp_path / "torn.mcap"
+    random = np.random.default_rng(1)
+    for place in random.integers(0, len(whole), 40).tolist():
+        for torn in (whole[:place], whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :]):
+            path.write_bytes(torn)
+            try:
+                read(path)
+            except LogError as error:
+                assert "\n" not in str(error)
+            else:
+                assert len(torn) == len(whole), "a cut file passes for a whole one"

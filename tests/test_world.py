@@ -1,0 +1,206 @@
+"""The world as a whole: physics against closed form, time, order, determinism."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from khep_twin import playpen, units
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import DivergedError
+from khep_twin.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, SETPOINTS, SPEEDS, Wheel
+from khep_twin.playpen import Playpen
+from khep_twin.world import Robot, World
+
+
+def advance(world: World, seconds: float) -> None:
+    world.advance_to(world.time_ns + round(seconds * NS_PER_S))
+
+
+def command(world: World, line: str) -> None:
+    """Sends a command and waits until it is carried out."""
+    world.robots[0].send(line.encode() + b"\n")
+    advance(world, 0.05)
+
+
+def position(robot: Robot) -> tuple[int, int]:
+    """Both counters [pulses]."""
+    return int(robot.registers[LEFT + Wheel.POSITION]), int(robot.registers[RIGHT + Wheel.POSITION])
+
+
+@pytest.mark.parametrize("speed_pulses", [1, 2, 5, 10, 20, 40, 80, 127, -10])
+def test_free_speed_is_within_one_percent_of_the_command(field: Playpen, speed_pulses: int) -> None:
+    world = World(field, noise=False)
+    command(world, f"D,{speed_pulses},{speed_pulses}")
+    # The fastest takes longest, since its wheels slip at first.
+    advance(world, 1.5)
+    start = world.robots[0].pose
+    advance(world, 1.0)
+    driven = math.dist(start[:2], world.robots[0].pose[:2])
+    assert driven == pytest.approx(abs(units.speed(speed_pulses)), rel=0.01)
+
+
+def test_a_straight_metre_agrees_with_the_counters_within_one_percent(field: Playpen) -> None:
+    world = World(field, noise=False)
+    start = world.robots[0].pose
+    command(world, "D,10,10")
+    advance(world, 12.5)
+    driven = math.dist(start[:2], world.robots[0].pose[:2])
+    counted = position(world.robots[0])[0] * units.PULSE_LENGTH
+    assert driven > 0.98
+    assert driven == pytest.approx(counted, rel=0.01)
+    assert abs(world.robots[0].pose[1] - start[1]) < 0.001
+
+
+def test_a_spin_of_ten_turns_agrees_with_the_counters_within_two_percent(field: Playpen) -> None:
+    world = World(field, noise=False)
+    start = world.robots[0].pose
+    command(world, "D,5,-5")
+    turned, heading = 0.0, start[2]
+    while abs(turned) < 10 * 2 * math.pi:
+        advance(world, 0.05)
+        now = world.robots[0].pose[2]
+        turned += math.remainder(now - heading, 2 * math.pi)
+        heading = now
+    left, right = position(world.robots[0])
+    assert -turned == pytest.approx((left - right) * units.PULSE_LENGTH / units.WHEEL_BASE, rel=0.02)
+    assert math.dist(start[:2], world.robots[0].pose[:2]) < 0.002
+
+
+def test_a_robot_at_rest_drifts_less_than_a_tenth_of_a_millimetre_in_a_minute(field: Playpen) -> None:
+    world = World(field, noise=False)
+    start = world.robots[0].pose
+    advance(world, 60)
+    assert math.dist(start[:2], world.robots[0].pose[:2]) < 1e-4
+    assert not world.data.warning.number.any()
+
+
+@pytest.mark.parametrize("target", [1, 10, 100, 1000, 5000, -300])
+def test_a_position_is_reached_within_two_pulses(field: Playpen, target: int) -> None:
+    world = World(field, noise=False)
+    command(world, f"C,{target},{target}")
+    for _ in range(120):
+        advance(world, 0.05)
+        if world.robots[0].registers[LEFT + Wheel.ON_TARGET]:
+            break
+    assert world.robots[0].registers[LEFT + Wheel.ON_TARGET] == 1
+    assert position(world.robots[0]) == pytest.approx((target, target), abs=2)
+    advance(world, 2)
+    assert position(world.robots[0]) == pytest.approx((target, target), abs=2)
+
+
+def test_a_short_move_peaks_below_the_cruising_speed_and_takes_its_time(field: Playpen) -> None:
+    # From rest over 1000 pulses at 64/256 pulses/tick^2: v = sqrt(1000 / 4) = 15.8, t = 2 v / a = 1.26 s.
+    world = World(field, noise=False)
+    command(world, "C,1000,1000")
+    peak, start_ns = 0.0, 0
+    while not world.robots[0].registers[LEFT + Wheel.ON_TARGET] and world.time_ns < 3 * NS_PER_S:
+        advance(world, 0.01)
+        start_ns = start_ns or world.time_ns
+        peak = max(peak, world.robots[0].registers[LEFT + Wheel.PROFILE_SPEED] / 256)
+    assert peak == pytest.approx(math.sqrt(250), abs=0.3)
+    assert world.time_ns / NS_PER_S == pytest.approx(1.26, abs=0.1)
+
+
+def test_a_robot_that_hits_a_wall_stops_while_its_wheels_spin_on(field: Playpen) -> None:
+    world = World(playpen.load("default"), noise=False)
+    command(world, "D,20,20")
+    advance(world, 4)
+    x, y, _ = world.robots[0].pose
+    advance(world, 1)
+    assert math.dist((x, y), world.robots[0].pose[:2]) < 0.02
+    assert 0.5 - units.BODY_RADIUS - 0.002 < y < 0.5 - units.BODY_RADIUS + 0.001
+    assert world.robots[0].registers[SPEEDS] == pytest.approx((20, 20), abs=3)
+    assert not world.data.warning.number.any()
+
+
+def test_the_scan_converts_one_sensor_per_step_in_order() -> None:
+    world = World(playpen.load("default"), noise=False)
+    world.robots[0].registers[PROXIMITY] = -1
+    for channel in range(8):
+        assert list(world.robots[0].registers[PROXIMITY] == -1).count(True) == 8 - channel
+        world.advance_to(world.time_ns + units.STEP_NS)
+        assert world.robots[0].registers[PROXIMITY][channel] >= 0
+
+
+def test_every_register_holds_a_conversion_at_the_start() -> None:
+    world = World(playpen.load("default"), noise=False)
+    assert (world.robots[0].registers[AMBIENT] == 485).all()
+
+
+def test_how_time_is_cut_does_not_change_the_run() -> None:
+    whole, cut = (World(playpen.load("obstacles"), seed=3) for _ in range(2))
+    for world in (whole, cut):
+        world.robots[0].send(b"D,10,8\n")
+    whole.advance_to(2 * NS_PER_S)
+    while cut.time_ns < 2 * NS_PER_S:
+        cut.advance_to(min(cut.time_ns + 1_234_567, 2 * NS_PER_S))
+    np.testing.assert_array_equal(whole.data.qpos, cut.data.qpos)
+    np.testing.assert_array_equal(whole.robots[0].registers, cut.robots[0].registers)
+
+
+def test_the_same_seed_gives_the_same_counts_and_another_does_not() -> None:
+    counts = []
+    for seed in (1, 1, 2):
+        world = World(playpen.load("default"), seed=seed)
+        advance(world, 0.5)
+        counts.append(tuple(world.robots[0].registers[AMBIENT]))
+    assert counts[0] == counts[1] != counts[2]
+
+
+def test_a_command_acts_when_its_last_byte_has_crossed_the_line(field: Playpen) -> None:
+    world = World(field, noise=False)
+    robot = world.robots[0]
+    robot.send(b"D,7,7\n")
+    arrival_ns = 6 * 11 * NS_PER_S // 9600
+    world.advance_to(arrival_ns - 1)
+    assert not robot.registers[SETPOINTS].any()
+    world.advance_to(arrival_ns)
+    assert robot.registers[SETPOINTS].tolist() == [7, 7]
+
+
+def test_time_cannot_go_back(field: Playpen) -> None:
+    world = World(field)
+    world.advance_to(1000)
+    with pytest.raises(ValueError, match="cannot go back from 1000 to 999"):
+        world.advance_to(999)
+
+
+def test_a_simulation_that_diverges_is_an_error_and_no_silent_restart(field: Playpen) -> None:
+    world = World(field)
+    advance(world, 0.1)
+    world.data.qvel[0] = math.nan
+    with pytest.raises(DivergedError, match=r"failed at 0\.1\d+ s"):
+        advance(world, 0.1)
+
+
+def test_several_robots_see_each_other_and_keep_their_own_noise() -> None:
+    two = playpen.dump(playpen.load("default")) + (
+        "\n[[robot]]\nx_mm = 300\ny_mm = 318\nheading_deg = -90\n"
+    )
+    alone, together = World(playpen.load("default"), seed=5), World(playpen.parse(two, "two"), seed=5)
+    for world in (alone, together):
+        advance(world, 0.5)
+    ambient = [world.robots[0].registers[AMBIENT].tolist() for world in (alone, together)]
+    assert ambient[0] == ambient[1]
+    quiet = World(playpen.parse(two.replace("318", "310"), "two"), noise=False)
+    assert quiet.robots[0].registers[PROXIMITY][2:4].max() > 100
+
+
+def test_a_movable_cylinder_is_pushed_along() -> None:
+    text = playpen.dump(playpen.load("default")) + (
+        "\n[[cylinder]]\nx_mm = 300\ny_mm = 320\nradius_mm = 12.5\nheight_mm = 30\nmovable = true\nmass_g = 20\n"
+    )
+    world = World(playpen.parse(text, "push"), noise=False)
+    command(world, "D,5,5")
+    advance(world, 3)
+    assert world.data.xpos[world.model.body("cylinder0").id][1] > 0.35
+    assert not world.data.warning.number.any()
+
+
+def test_the_steps_agree_with_the_compiled_model(field: Playpen) -> None:
+    world = World(field)
+    assert world.model.opt.timestep == units.STEP_NS * 1e-9
+    assert world.model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    assert world.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET

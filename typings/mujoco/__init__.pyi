@@ -1,0 +1,174 @@
+"""The part of MuJoCo's Python interface that khep_twin uses; MuJoCo ships no types of its own."""
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__version__: str
+mjMAXVAL: float
+
+class mjtGeom(IntEnum):
+    mjGEOM_PLANE = ...
+    mjGEOM_SPHERE = ...
+    mjGEOM_CYLINDER = ...
+    mjGEOM_BOX = ...
+
+class mjtIntegrator(IntEnum):
+    mjINT_IMPLICITFAST = ...
+
+class mjtDisableBit(IntEnum):
+    mjDSBL_AUTORESET = ...
+    mjDSBL_ISLAND = ...
+
+class mjtEnableBit(IntEnum):
+    mjENBL_SLEEP = ...
+
+class mjtLightType(IntEnum):
+    mjLIGHT_DIRECTIONAL = ...
+
+class mjtWarning(IntEnum): ...
+
+class _Named:
+    """A view of one element of a model; which fields it has depends on its kind."""
+
+    id: int
+    name: str
+    adr: NDArray[np.int32]
+    dim: NDArray[np.int32]
+    fovy: NDArray[np.float64]
+    qposadr: NDArray[np.int32]
+
+class MjModel:
+    nbody: int
+    nuser_site: int
+    names: bytes
+    body_mass: NDArray[np.float64]
+    body_rootid: NDArray[np.int32]
+    body_weldid: NDArray[np.int32]
+    cam_resolution: NDArray[np.int32]
+    geom_bodyid: NDArray[np.int32]
+    geom_group: NDArray[np.int32]
+    geom_pos: NDArray[np.float64]
+    geom_quat: NDArray[np.float64]
+    geom_rgba: NDArray[np.float32]
+    geom_size: NDArray[np.float64]
+    geom_type: NDArray[np.int32]
+    geom_user: NDArray[np.float64]
+    site_bodyid: NDArray[np.int32]
+    site_pos: NDArray[np.float64]
+    site_quat: NDArray[np.float64]
+    site_rgba: NDArray[np.float32]
+    site_size: NDArray[np.float64]
+    site_type: NDArray[np.int32]
+    site_user: NDArray[np.float64]
+
+    @staticmethod
+    def from_xml_path(filename: str) -> MjModel: ...
+    @staticmethod
+    def from_xml_string(xml: str) -> MjModel: ...
+    def actuator(self, name: str) -> _Named: ...
+    def body(self, name: str | int) -> _Named: ...
+    def camera(self, name: str) -> _Named: ...
+    def geom(self, name: str | int) -> _Named: ...
+    def joint(self, name: str) -> _Named: ...
+    def sensor(self, name: str) -> _Named: ...
+    def site(self, name: str | int) -> _Named: ...
+
+class _Warnings:
+    number: NDArray[np.int32]
+
+class MjData:
+    cam_xmat: NDArray[np.float64]
+    cam_xpos: NDArray[np.float64]
+    ctrl: NDArray[np.float64]
+    cvel: NDArray[np.float64]
+    qpos: NDArray[np.float64]
+    qvel: NDArray[np.float64]
+    sensordata: NDArray[np.float64]
+    warning: _Warnings
+    xmat: NDArray[np.float64]
+    xpos: NDArray[np.float64]
+    xquat: NDArray[np.float64]
+
+    def __init__(self, model: MjModel) -> None: ...
+
+class MjsOption:
+    timestep: float
+    integrator: int
+    disableflags: int
+    enableflags: int
+
+class MjsGeom:
+    conaffinity: int
+    contype: int
+    mass: float
+    pos: Sequence[float]
+    quat: Sequence[float]
+    rgba: Sequence[float]
+    solimp: Sequence[float]
+    solref: Sequence[float]
+    userdata: Sequence[float]
+
+class MjsKey: ...
+class MjsFrame: ...
+
+class MjsOrientation:
+    xyaxes: Sequence[float]
+
+class MjsCamera:
+    alt: MjsOrientation
+
+class MjsBody:
+    def add_body(self, **attributes: Any) -> MjsBody: ...
+    def add_frame(self, **attributes: Any) -> MjsFrame: ...
+    def add_freejoint(self) -> None: ...
+    def add_geom(self, **attributes: Any) -> MjsGeom: ...
+    def add_light(self, **attributes: Any) -> None: ...
+    def add_site(self, **attributes: Any) -> None: ...
+
+class MjSpec:
+    modelname: str
+    nuser_geom: int
+    nuser_site: int
+    option: MjsOption
+    visual: Any
+    worldbody: MjsBody
+    keys: Sequence[MjsKey]
+
+    @staticmethod
+    def from_file(filename: str) -> MjSpec: ...
+    def add_pair(self, **attributes: Any) -> None: ...
+    def attach(self, child: MjSpec, *, prefix: str, frame: MjsFrame) -> MjsFrame: ...
+    def camera(self, name: str) -> MjsCamera: ...
+    def compile(self) -> MjModel: ...
+    def delete(self, element: MjsKey) -> None: ...
+    def to_xml(self) -> str: ...
+
+def mj_step(model: MjModel, data: MjData, nstep: int = 1) -> None: ...
+def mj_ray(
+    model: MjModel,
+    data: MjData,
+    pnt: NDArray[np.float64],
+    vec: NDArray[np.float64],
+    geomgroup: NDArray[np.uint8] | None,
+    flg_static: bool,
+    bodyexclude: int,
+    geomid: NDArray[np.int32] | None,
+) -> float: ...
+def mj_multiRay(
+    model: MjModel,
+    data: MjData,
+    pnt: NDArray[np.float64],
+    vec: NDArray[np.float64],
+    geomgroup: NDArray[np.uint8] | None,
+    flg_static: bool,
+    bodyexclude: int,
+    geomid: NDArray[np.int32],
+    dist: NDArray[np.float64],
+    normal: NDArray[np.float64] | None,
+    nray: int,
+    cutoff: float,
+) -> None: ...
