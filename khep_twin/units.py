@@ -64,23 +64,18 @@ WHEEL_BASE = 0.052
 # Motors ------------------------------------------------------------------------------------------------
 
 SUPPLY_VOLTAGE = 5.0
-"""Four NiCd cells, or the charger [V] (manual, 3.1.6)."""
+"""Four NiCd cells, or the charger [V] (manual, figure 14)."""
 
 MOTOR_NO_LOAD_SPEED = 150.0
 """Wheel speed at full duty without load [rad/s] (assumed: so that the manual's maximum of 127 pulses per
 10 ms, 133 rad/s, can be held)."""
 
-MOTOR_STALL_TORQUE = 0.005
-"""Torque at a blocked wheel at full duty [N m] (assumed: above the 2.4 mN m at which a tyre slips)."""
+MOTOR_STALL_TORQUE = 0.010
+"""Torque at a blocked wheel at full duty [N m] (assumed: well above the 2.4 mN m at which a tyre slips)."""
 
-MOTOR_NO_LOAD_CURRENT = 0.01
-"""[A] (assumed; small beside the stall current)."""
-
-MOTOR_STALL_CURRENT = 0.4
-"""[A] (assumed; the robot as a whole draws 0.25 A on average, manual 3.1.6)."""
-
-ROTOR_INERTIA = 2e-6
-"""Of the motor's rotor, seen at the wheel through the gear [kg m^2] (assumed)."""
+ROTOR_INERTIA = 1e-6
+"""Of the motor's rotor, seen at the wheel through the gear [kg m^2] (assumed: with the robot's mass the
+wheels then follow their voltage within 50 ms)."""
 
 DUTY_LIMIT = 255
 """Full duty of the motors' pulse-width modulation (manual, appendix A, command P)."""

@@ -1,0 +1,197 @@
+"""From a playpen to a scene."""
+
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from khep_twin import calibration, playpen, units
+from khep_twin.playpen_to_mjcf import ROBOT_FILE, to_mjcf, to_spec
+from khep_twin.units import Sensor
+
+
+@pytest.fixture(scope="module")
+def robot() -> mujoco.MjModel:
+    """The robot alone, as its file has it."""
+    return mujoco.MjModel.from_xml_path(str(ROBOT_FILE))
+
+
+def test_mass_and_centre_of_mass_arrive_in_the_model(robot: mujoco.MjModel) -> None:
+    assert robot.body_subtreemass[0] == pytest.approx(units.MASS)
+    assert robot.body("left_wheel").mass == pytest.approx(units.WHEEL_MASS)
+    data = mujoco.MjData(robot)
+    mujoco.mj_resetDataKeyframe(robot, data, robot.key("home").id)
+    mujoco.mj_forward(robot, data)
+    assert data.subtree_com[1] == pytest.approx((0, 0, units.CENTRE_OF_MASS_HEIGHT), abs=3e-5)
+
+
+def test_wheels_and_supports_arrive_in_the_model(robot: mujoco.MjModel) -> None:
+    for side, y in (("left", units.WHEEL_BASE / 2), ("right", -units.WHEEL_BASE / 2)):
+        wheel = robot.body(f"{side}_wheel")
+        assert wheel.pos == pytest.approx((0, y, units.WHEEL_RADIUS))
+        assert robot.geom(f"{side}_tyre").size[0] == pytest.approx(units.WHEEL_RADIUS)
+        rim = robot.geom(f"{side}_rim").size
+        assert (rim[0], 2 * rim[1]) == pytest.approx((units.WHEEL_RADIUS, units.WHEEL_WIDTH))
+        assert robot.dof_armature[robot.joint(f"{side}_axle").dofadr[0]] == pytest.approx(units.ROTOR_INERTIA)
+    assert robot.geom("front_support").pos[0] == pytest.approx(units.SUPPORT_POSITION)
+    assert robot.geom("back_support").pos[0] == pytest.approx(-units.SUPPORT_POSITION)
+
+
+def test_the_body_has_its_size(robot: mujoco.MjModel) -> None:
+    shell = robot.geom("shell")
+    assert shell.size[0] == pytest.approx(units.BODY_RADIUS)
+    assert shell.pos[2] + shell.size[1] == pytest.approx(units.BODY_HEIGHT)
+
+
+def test_a_motor_reaches_its_no_load_speed_and_its_stall_torque(robot: mujoco.MjModel) -> None:
+    spec = mujoco.MjSpec.from_file(str(ROBOT_FILE))
+    spec.option.gravity = [0, 0, 0]
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.ctrl[:] = units.duty_voltage(units.DUTY_LIMIT)
+    mujoco.mj_step(model, data)
+    assert data.actuator_force[0] == pytest.approx(units.MOTOR_STALL_TORQUE)
+    # Until the wheels turn freely; the body turns the other way, so it is held.
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+        data.qvel[:6] = 0
+    assert data.qvel[6] == pytest.approx(units.MOTOR_NO_LOAD_SPEED, rel=0.01)
+
+
+def test_the_sensors_sit_and_look_as_the_constants_say(robot: mujoco.MjModel) -> None:
+    data = mujoco.MjData(robot)
+    mujoco.mj_forward(robot, data)
+    for sensor in Sensor:
+        camera = robot.camera(sensor.name.lower()).id
+        assert data.cam_xpos[camera] == pytest.approx((*units.SENSOR_POSITIONS[sensor], units.SENSOR_HEIGHT))
+        axis = -data.cam_xmat[camera].reshape(3, 3)[:, 2]
+        heading = units.SENSOR_HEADINGS[sensor]
+        assert axis == pytest.approx((math.cos(heading), math.sin(heading), 0), abs=1e-9)
+
+
+def test_the_rangefinders_take_turns_for_an_hour() -> None:
+    spec = mujoco.MjSpec.from_file(str(ROBOT_FILE))
+    spec.option.gravity = [0, 0, 0]
+    for x, y in ((0.2, 0), (-0.3, 0), (0, 0.25), (0, -0.35)):
+        size = [0.01 if x else 0.5, 0.01 if y else 0.5, 0.1]
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=[x, y, 0], size=size, contype=0)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qvel[5] = 3.0  # turning, so that every reading is new
+    mujoco.mj_step(model, data)
+    # The middle ray of each sensor; a look at a few stretches of the hour.
+    middle = data.sensordata[16::36]
+    for _ in range(60):
+        mujoco.mj_step(model, data, 8 * 2997)
+        before = middle.copy()
+        for step in range(16):
+            mujoco.mj_step(model, data)
+            changed = np.flatnonzero(middle != before).tolist()
+            assert changed == [step % 8]
+            before = middle.copy()
+
+
+@pytest.mark.parametrize("name", playpen.names())
+def test_a_shipped_playpen_opens_in_mujoco_alone_and_holds_still(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "scene.xml"
+    file.write_text(to_mjcf(playpen.load(name)))
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    start = data.qpos[:3].copy()
+    mujoco.mj_step(model, data, 400)
+    assert not data.warning.number.any()
+    assert data.qpos[:3] == pytest.approx(start, abs=1e-4)
+
+
+SCENE = """
+version = 1
+name = "scene"
+[arena]
+width_mm = 400
+height_mm = 300
+wall_height_mm = 60
+wall_thickness_mm = 20
+surface = "grey"
+[[block]]
+x_mm = 100
+y_mm = 50
+length_mm = 60
+width_mm = 20
+height_mm = 40
+angle_deg = 45
+surface = "black"
+[[cylinder]]
+x_mm = 300
+y_mm = 200
+radius_mm = 12.5
+height_mm = 30
+movable = true
+mass_g = 25
+[[lamp]]
+x_mm = 20
+y_mm = 280
+z_mm = 100
+power_w = 7
+[[robot]]
+x_mm = 200
+y_mm = 150
+heading_deg = 30
+"""
+
+
+def test_everything_stands_where_the_file_says() -> None:
+    model = to_spec(playpen.parse(SCENE, "scene")).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    block = model.geom("block0")
+    assert block.pos == pytest.approx((0.1, 0.05, 0.02))
+    assert block.size == pytest.approx((0.03, 0.01, 0.02))
+    assert data.geom("block0").xmat.reshape(3, 3)[:2, 0] == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
+    assert data.body("cylinder0").xpos == pytest.approx((0.3, 0.2, 0.015))
+    assert model.body("cylinder0").mass == pytest.approx(0.025)
+    assert model.site("lamp0").pos == pytest.approx((0.02, 0.28, 0.1))
+    assert data.body("khepera0/base").xpos == pytest.approx((0.2, 0.15, 0))
+    heading = data.body("khepera0/base").xmat.reshape(3, 3)[:2, 0]
+    assert heading == pytest.approx((math.cos(math.pi / 6), 0.5))
+
+
+def test_the_walls_stand_around_the_arena() -> None:
+    model = to_spec(playpen.parse(SCENE, "scene")).compile()
+    inner = {
+        "wall_left": (0, 1, 0.0),
+        "wall_right": (0, -1, 0.4),
+        "wall_bottom": (1, 1, 0.0),
+        "wall_top": (1, -1, 0.3),
+    }
+    for name, (axis, side, edge) in inner.items():
+        wall = model.geom(name)
+        assert wall.pos[axis] + side * wall.size[axis] == pytest.approx(edge)
+        assert (2 * wall.size[axis], 2 * wall.size[2]) == pytest.approx((0.02, 0.06))
+
+
+def test_reflectance_and_power_travel_inside_the_mjcf() -> None:
+    model = mujoco.MjModel.from_xml_string(to_mjcf(playpen.parse(SCENE, "scene")))
+    assert model.geom("block0").user == pytest.approx(0.024)
+    assert model.geom("wall_left").user == pytest.approx(0.15)
+    assert model.geom("khepera0/base").user == pytest.approx(0.17)
+    assert model.site("lamp0").user == pytest.approx(7)
+
+
+def test_the_calibration_turns_the_sensors() -> None:
+    model = to_spec(playpen.parse(SCENE.replace("heading_deg = 30", "heading_deg = 0"), "scene")).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for sensor, heading_deg in zip(Sensor, calibration.read("khepera1")[0].heading_deg, strict=True):
+        frame = data.cam_xmat[model.camera(f"khepera0/{sensor.name.lower()}").id].reshape(3, 3)
+        heading = math.radians(heading_deg)
+        assert -frame[:, 2] == pytest.approx((math.cos(heading), math.sin(heading), 0), abs=1e-9)
+
+
+def test_islands_are_off_unless_something_moves() -> None:
+    still = to_spec(playpen.load("default")).compile()
+    moving = to_spec(playpen.parse(SCENE, "scene")).compile()
+    assert still.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
+    assert not moving.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
+    assert moving.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP

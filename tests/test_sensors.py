@@ -1,0 +1,173 @@
+"""The infrared sensors: against closed form, and against the sampled robot's derived figures."""
+
+import math
+
+import numpy as np
+import pytest
+
+from khep_twin import calibration, playpen, sensors
+from khep_twin.kernel import AMBIENT, PROXIMITY
+from khep_twin.lab.controllers import BRAITENBERG_SPEED_PULSES, BRAITENBERG_WEIGHTS
+from khep_twin.sensors import illuminance, lobe_weights, reflected
+from khep_twin.units import BODY_RADIUS
+from khep_twin.world import World
+
+KHEPERA1 = calibration.read("khepera1")[0]
+
+
+def scene(*tables: str, x_mm: float = 300, y_mm: float = 250, heading_deg: float = 0) -> str:
+    head = 'version = 1\nname = "scene"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
+    robot = f"[[robot]]\nx_mm = {x_mm}\ny_mm = {y_mm}\nheading_deg = {heading_deg}\n"
+    return head + robot + "\n".join(tables)
+
+
+def counts(text: str, registers: list[int]) -> np.ndarray:
+    """What a quiet robot that stands still reads."""
+    return World(playpen.parse(text, "scene"), noise=False).robots[0].registers[registers]
+
+
+def facing_wall(distance_mm: float, bearing_deg: float = 0, surface: str = "white") -> np.ndarray:
+    """Proximity with a wall so far off the robot's edge, at a bearing counter-clockwise from ahead."""
+    text = scene(x_mm=1000 - BODY_RADIUS * 1000 - distance_mm, y_mm=500, heading_deg=-bearing_deg)
+    return counts(text.replace("[arena]", f'[arena]\nsurface = "{surface}"'), PROXIMITY)
+
+
+def test_one_ray_follows_the_inverse_square() -> None:
+    near, far = (reflected([d], [1.0], [1.0], [1.0], 0.005, 0.2) for d in (0.015, 0.035))
+    assert near == pytest.approx(1 / 0.02**2)
+    assert near / far == pytest.approx(4)
+
+
+def test_rays_add_up_by_weight_reflectance_and_incidence() -> None:
+    total = reflected([0.02, 0.02, -1.0], [1.0, 0.25, 1.0], [1.0, 0.5, 1.0], [0.5, 0.3, 0.2], 0.0, 0.5)
+    assert total == pytest.approx((0.5 + 0.3 * 0.5 * 0.25**0.5) / 0.02**2)
+
+
+def test_weights_of_a_cone_add_up_to_one_and_favour_the_middle() -> None:
+    weights = lobe_weights(np.array([-1.0, 0.0, 1.0]), 2.0)
+    assert sum(weights) == pytest.approx(1)
+    assert weights == pytest.approx([0.25, 0.5, 0.25])
+
+
+def test_light_falls_with_the_square_of_cosine_and_distance() -> None:
+    ahead = illuminance(0.209, 1.0, 2.0, KHEPERA1.ambient)
+    assert ahead == pytest.approx(2 * 2_165_000 / 200**2)
+    assert illuminance(0.409, 1.0, 2.0, KHEPERA1.ambient) == pytest.approx(ahead / 4)
+    assert illuminance(0.209, 0.5, 2.0, KHEPERA1.ambient) == pytest.approx(ahead / 4)
+    assert illuminance(0.209, -0.5, 2.0, KHEPERA1.ambient) == 0
+
+
+# Distance at half scale of each sensor before a wall, as derived from the samples [mm].
+HALF_SCALE_MM = [23.8, 23.8, 22.5, 19.3, 25.2, 27.6, 22.5, 26.9]
+
+
+@pytest.mark.parametrize("sensor", range(8))
+def test_half_scale_before_a_wall_is_where_the_sampled_robot_has_it(sensor: int) -> None:
+    # Taken at the bearing where the sensor sees the wall best.
+    def best(distance_mm: float) -> int:
+        return max(facing_wall(distance_mm, bearing)[sensor] for bearing in range(-180, 180, 6))
+
+    half_mm = HALF_SCALE_MM[sensor]
+    assert best(half_mm + 2.5) < 511 < best(half_mm - 2.5)
+
+
+def test_proximity_saturates_close_by_and_ends_within_five_centimetres() -> None:
+    front = [facing_wall(distance)[2:4] for distance in (3, 10, 50, 100)]
+    assert (np.array(front[:2]) == 1023).all()
+    assert (np.array(front[2:]) == 0).all()
+
+
+def test_dark_surfaces_reflect_less() -> None:
+    white, grey, black = (facing_wall(6, surface=name)[2] for name in ("white", "grey", "black"))
+    assert white == 1023
+    assert 100 < grey < 900
+    assert black == 0
+
+
+def test_among_mixed_surfaces_each_ray_takes_that_of_what_it_hits() -> None:
+    def block(surface: str) -> str:
+        return (
+            "[[block]]\nx_mm = 362\ny_mm = 250\nlength_mm = 20\nwidth_mm = 200\nheight_mm = 50\n"
+            f'surface = "{surface}"'
+        )
+
+    uniform = counts(scene(block("white")), PROXIMITY)
+    mixed = counts(scene(block("white")).replace("[arena]", '[arena]\nsurface = "black"'), PROXIMITY)
+    assert 100 < uniform[2] < 1000
+    np.testing.assert_array_equal(uniform[2:4], mixed[2:4])
+    assert counts(scene(block("black")), PROXIMITY)[2] == 0
+
+
+def test_the_vehicle_turns_round_where_the_sampled_robot_does() -> None:
+    # The sum of both motors changes sign head-on to a wall at about 23 mm.
+    def drive(distance_mm: float) -> float:
+        turning = facing_wall(distance_mm) @ np.array(BRAITENBERG_WEIGHTS).sum(axis=1) / 400
+        return float(turning) + 2 * BRAITENBERG_SPEED_PULSES
+
+    assert drive(20.5) < 0 < drive(26)
+
+
+LAMP = "[[lamp]]\nx_mm = 700\ny_mm = 250\npower_w = 7\n"
+SCREEN = "[[block]]\nx_mm = 400\ny_mm = 250\nlength_mm = 5\nwidth_mm = 400\nheight_mm = 100\n"
+
+
+def test_a_lamp_ahead_is_seen_ahead() -> None:
+    ambient = counts(scene(LAMP), AMBIENT)
+    assert ambient[2:4].max() < 400
+    assert (ambient[6:] == KHEPERA1.ambient.dark_counts).all()
+
+
+def test_behind_a_wall_it_is_dark() -> None:
+    assert (counts(scene(LAMP, SCREEN), AMBIENT) == KHEPERA1.ambient.dark_counts).all()
+
+
+def test_a_lamp_above_a_low_wall_is_seen_over_it() -> None:
+    low = SCREEN.replace("height_mm = 100", "height_mm = 5")
+    np.testing.assert_array_equal(counts(scene(LAMP, low), AMBIENT), counts(scene(LAMP), AMBIENT))
+
+
+def test_lamps_add_up_down_to_the_floor() -> None:
+    near = LAMP.replace("x_mm = 700", "x_mm = 400")
+    one, both = counts(scene(LAMP), AMBIENT)[2], counts(scene(LAMP, LAMP.replace("250", "260")), AMBIENT)[2]
+    assert KHEPERA1.ambient.dark_counts - both == pytest.approx(
+        2 * (KHEPERA1.ambient.dark_counts - one), rel=0.05
+    )
+    assert counts(scene(near), AMBIENT)[2] == KHEPERA1.ambient.floor_counts
+
+
+def readings(text: str, registers: list[int], seconds: int = 30) -> np.ndarray:
+    """What a noisy robot that stands still reads, one row per scan."""
+    world = World(playpen.parse(text, "scene"), seed=1)
+    rows = []
+    while world.time_ns < seconds * 10**9:
+        world.advance_to(world.time_ns + 20_000_000)
+        rows.append(world.robots[0].registers[registers])
+    return np.array(rows)
+
+
+def test_noise_has_the_measured_level() -> None:
+    text = scene(x_mm=1000 - 27.5 - 24, y_mm=500)
+    middle = readings(text, PROXIMITY)[:, 2]
+    assert 200 < middle.mean() < 800
+    assert middle.std() == pytest.approx(40, abs=3)
+    assert readings(text, AMBIENT)[:, 7].std() == pytest.approx(5, abs=0.5)
+
+
+def test_with_nothing_in_reach_only_a_few_counts_are_left() -> None:
+    idle = readings(scene(), PROXIMITY)
+    assert np.median(idle) in (1, 2)
+    assert np.percentile(idle, 99) <= 12
+
+
+def test_a_lamp_is_seen_by_a_robot_that_turns_towards_it() -> None:
+    bearings = {
+        heading: counts(scene(LAMP, heading_deg=heading), AMBIENT)[2] for heading in range(-180, 180, 10)
+    }
+    brightest = min(bearings, key=lambda heading: bearings[heading])
+    assert abs(brightest) <= 10
+    assert math.isclose(bearings[-180], KHEPERA1.ambient.dark_counts)
+
+
+def test_a_draw_without_chance_is_zero() -> None:
+    draws = sensors._draws(None)
+    assert [next(draws) for _ in range(3)] == [0.0, 0.0, 0.0]
