@@ -1,7 +1,7 @@
 """A Braitenberg vehicle in plain pyserial: it runs on a robot, on a served twin and on khep:// alike.
 
-    python examples/01_braitenberg.py /dev/ttyUSB0        a robot
-    python examples/01_braitenberg.py khep://obstacles    a twin in this process
+python examples/01_braitenberg.py /dev/ttyUSB0        a robot
+python examples/01_braitenberg.py khep://obstacles    a twin in this process
 """
 
 import sys

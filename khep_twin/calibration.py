@@ -4,7 +4,7 @@ Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and 
 files in assets/calibration are used by bare name, others by path. What the numbers do stands in `sensors`.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -49,7 +49,7 @@ class AmbientCalibration(Table):
 class Calibration(Table):
     """One robot's sensors; headings [deg] counter-clockwise from straight ahead, in the order of N."""
 
-    version: Literal[1]
+    version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
     source: str
     heading_deg: Annotated[tuple[_Heading, ...], _Eight]

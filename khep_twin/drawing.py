@@ -28,8 +28,9 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError
+from khep_twin.files import write_whole
 from khep_twin.playpen import Playpen
-from khep_twin.symbols import INK, draw_arena, draw_lamp, draw_object, draw_robot, surface_look
+from khep_twin.symbols import INK, draw_arena, draw_lamp, draw_object, draw_robot, surface_look, write_below
 from khep_twin.units import BODY_RADIUS
 
 POINT_LIMIT = 20_000
@@ -62,10 +63,12 @@ class Track:
     """The way of one robot.
 
     Attributes:
+        robot: its name, e.g. "khepera0".
         time_s: when it was where, rising (n,) [s].
         xy_mm: where it was in the playpen (n, 2) [mm].
     """
 
+    robot: str
     time_s: NDArray[np.float64]
     xy_mm: NDArray[np.float64]
 
@@ -78,7 +81,7 @@ class Track:
         if self.time_s.ndim != 1 or self.xy_mm.shape != (len(self.time_s), 2):
             raise ValueError(f"shapes {self.time_s.shape} and {self.xy_mm.shape} are not (n,) and (n, 2)")
         if not (np.isfinite(self.time_s).all() and np.isfinite(self.xy_mm).all()):
-            raise ValueError("a track holds a number that is not finite")
+            raise ValueError(f"the track of {self.robot} holds a number that is not finite")
 
 
 def draw(playpen: Playpen, tracks: Sequence[Track] = (), *, title: str | None = None) -> Figure:
@@ -125,10 +128,7 @@ def save(figure: Figure, file: Path) -> None:
     picture = BytesIO()
     with matplotlib.style.context(_STYLE):
         figure.savefig(picture, format=kind, dpi=160, metadata=metadata)
-    try:
-        file.write_bytes(picture.getvalue())
-    except OSError as error:
-        raise KhepTwinError(f"{file}: cannot be written: {error.strerror}") from None
+    write_whole(file, picture.getvalue())
 
 
 def _sheet(playpen: Playpen, *, scale: bool, legend: bool) -> tuple[Figure, Axes]:
@@ -174,6 +174,8 @@ def _draw_ways(figure: Figure, axes: Axes, tracks: Sequence[Track]) -> None:
         axes.add_patch(outline).set_zorder(6)
         axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START))
         axes.add_line(Line2D([end_x], [end_y], zorder=7, **_END))
+        if len(tracks) > 1:
+            write_below(axes, end_x, end_y - 1000 * BODY_RADIUS - 4, track.robot)
     box, width = axes.get_position(), figure.get_figwidth()
     beside = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
     scale = figure.colorbar(ScalarMappable(norm, colours), cax=beside)

@@ -8,15 +8,13 @@ heights do not meet, such as a robot and a lamp above it, are clear of each othe
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+
+import numpy as np
 
 from khep_twin.footprint import Footprint, overlap, sticks_out
 
 THING_LIMIT = 5000
 """Most things in one playpen: MuJoCo needs seconds to compile so many."""
-
-COLLISION_LIMIT = 50
-"""Most overlaps told at once: 5000 things on one spot have millions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +66,7 @@ def placement_problems(things: Sequence[Thing], width_mm: float, height_mm: floa
         yield from outside
         if not outside:
             inside.append(thing)
-    collisions = list(islice(_collisions(inside, width_mm, height_mm), COLLISION_LIMIT + 1))
-    yield from collisions[:COLLISION_LIMIT]
-    if len(collisions) > COLLISION_LIMIT:
-        yield f"more than {COLLISION_LIMIT} overlaps; the others are told once these are gone"
+    yield from _collisions(inside, width_mm, height_mm)
 
 
 def _shared_names(things: Sequence[Thing]) -> Iterator[str]:
@@ -103,19 +98,23 @@ def _collisions(things: Sequence[Thing], width_mm: float, height_mm: float) -> I
 
 
 def _overlapping_pairs(things: Sequence[Thing]) -> Iterator[tuple[Thing, Thing]]:
-    """Pairs of overlapping things of which at least one is free, the free one first."""
-    # Swept from left to right: only things side by side in x are looked at.
-    spans = {id(thing): thing.footprint.reach((1.0, 0.0)) for thing in things}
-    fixed: list[Thing] = []
-    free: list[Thing] = []
-    for thing in sorted(things, key=lambda thing: thing.footprint.x_mm - spans[id(thing)]):
-        left_mm = thing.footprint.x_mm - spans[id(thing)]
-        free = [other for other in free if other.footprint.x_mm + spans[id(other)] > left_mm]
-        fixed = [other for other in fixed if other.footprint.x_mm + spans[id(other)] > left_mm]
-        for other in (*free, *fixed) if thing.free else free:
-            if _meet(thing, other):
-                yield (thing, other) if thing.free else (other, thing)
-        (free if thing.free else fixed).append(thing)
+    """Pairs of overlapping things, the first of each free."""
+    if not things:
+        return
+    shapes = [thing.footprint for thing in things]
+    centres = np.array([(shape.x_mm, shape.y_mm) for shape in shapes])
+    reaches = np.array([(shape.reach((1.0, 0.0)), shape.reach((0.0, 1.0))) for shape in shapes])
+    low, high = centres - reaches, centres + reaches
+    for index, thing in enumerate(things):
+        if thing.free:
+            # Few of thousands have their surrounding rectangles in common: only those are looked at closely.
+            near = ((low < high[index]) & (high > low[index])).all(axis=1)
+            neighbours: list[int] = near.nonzero()[0].tolist()
+            for neighbour in neighbours:
+                other = things[neighbour]
+                # Of two free things the later one has found the earlier.
+                if (neighbour < index or not other.free) and _meet(thing, other):
+                    yield thing, other
 
 
 def _meet(one: Thing, other: Thing) -> bool:

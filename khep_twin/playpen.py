@@ -13,8 +13,8 @@ none that reaches up to a bulb may start there.
 
 import os
 from collections.abc import Iterator, Mapping
+from itertools import chain, islice
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -30,11 +30,12 @@ from khep_twin import toml_files
 from khep_twin.errors import PlaypenError, choices
 from khep_twin.footprint import Circle, Rectangle
 from khep_twin.placement import Thing, label, placement_problems
-from khep_twin.toml_files import NAME_WISH, Name, Table
-from khep_twin.units import BODY_HEIGHT, BODY_RADIUS
+from khep_twin.surfaces import BUILT_IN_SURFACES, Surface
+from khep_twin.toml_files import NAME_WISH, PROBLEM_LIMIT, Name, Table
+from khep_twin.units import BODY_HEIGHT, BODY_RADIUS, BULB_RADIUS
 
-BULB_RADIUS_MM = 10.0
-"""Of a lamp [mm]: that of the lamp which the calibration `khepera1` was sampled with."""
+BULB_RADIUS_MM = BULB_RADIUS * 1000
+"""Of a lamp [mm]."""
 
 
 def _no_turret(turret: str) -> str:
@@ -53,19 +54,6 @@ Height = Annotated[float, Field(ge=1, le=1000)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 Mass = Annotated[float, Field(ge=1, le=10_000)]
 ObjectName = Annotated[Name | None, Field(description=NAME_WISH)]
-Colour = Annotated[int, Field(ge=0, le=255)]
-
-
-class Surface(Table):
-    """What something is made of.
-
-    Attributes:
-        reflectance: infrared, relative to the calibration's reference wall.
-        rgb: its colour, for looks only.
-    """
-
-    reflectance: Annotated[float, Field(ge=0, le=2)]
-    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three whole numbers from 0 to 255")]
 
 
 class Arena(Table):
@@ -173,18 +161,6 @@ class Robot(Table):
         return Circle(self.x_mm, self.y_mm, BODY_RADIUS * 1000)
 
 
-BUILT_IN_SURFACES: Mapping[str, Surface] = MappingProxyType(
-    {
-        "white": Surface(reflectance=1.0, rgb=(244, 243, 238)),
-        "grey": Surface(reflectance=0.15, rgb=(138, 141, 145)),
-        "black": Surface(reflectance=0.024, rgb=(38, 38, 42)),
-        "lego": Surface(reflectance=0.8, rgb=(196, 62, 48)),
-    }
-)
-"""White is the calibration's reference by definition. Grey and black plastic, beside white plastic: from the
-counts over distance in the manual's figure 11. Lego bricks of mixed colours: assumed."""
-
-
 class Playpen(Table):
     """A whole playpen."""
 
@@ -210,10 +186,8 @@ class Playpen(Table):
     @model_validator(mode="after")
     def _is_a_place(self) -> Self:
         arena = self.arena
-        problems = [
-            *_surface_problems(self),
-            *placement_problems(list(_things(self)), arena.width_mm, arena.height_mm),
-        ]
+        placement = placement_problems(list(_things(self)), arena.width_mm, arena.height_mm)
+        problems = list(islice(chain(_surface_problems(self), placement), PROBLEM_LIMIT + 1))
         if problems:
             raise ValueError("\n".join(problems))
         return self

@@ -61,7 +61,11 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     for index, lamp in enumerate(playpen.lamps):
         position = [units.metres(lamp.x_mm), units.metres(lamp.y_mm), units.metres(lamp.z_mm)]
         spec.worldbody.add_site(
-            name=f"lamp{index}", pos=position, size=[0.010, 0, 0], rgba=_LAMP_COLOUR, userdata=[lamp.power_w]
+            name=f"lamp{index}",
+            pos=position,
+            size=[units.BULB_RADIUS, 0, 0],
+            rgba=_LAMP_COLOUR,
+            userdata=[lamp.power_w],
         )
     shells: list[str] = []
     for index, robot in enumerate(playpen.robots):

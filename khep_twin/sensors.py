@@ -22,10 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.calibration import AmbientCalibration, Calibration
-from khep_twin.units import COUNTS_LIMIT, Sensor
-
-BULB_RADIUS = 0.010
-"""Of a lamp [m] (the sampled lamp's). A ray that comes this close to its centre has reached it."""
+from khep_twin.units import BULB_RADIUS, COUNTS_LIMIT, Sensor
 
 _LENGTH_AND_NORMAL = 4
 """Numbers per ray that the rangefinders of assets/khepera.xml give."""
@@ -228,6 +225,7 @@ class _Sensor:
 
     def _blocked(self, vector: NDArray[np.float64], distance: float) -> bool:
         hit = mujoco.mj_ray(self._model, self._data, self._position, vector, None, True, self._body, None)
+        # A ray that comes as near as the bulb's glass has reached it.
         return 0 <= hit * distance < distance - BULB_RADIUS
 
 

@@ -10,6 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from importlib.resources import files
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -21,6 +22,9 @@ from khep_twin.errors import KhepTwinError, choices
 
 SIZE_LIMIT = 2**20
 """Largest file that is read [bytes]."""
+
+PROBLEM_LIMIT = 50
+"""Most problems of a file that are told at once."""
 
 NAME_WISH = "1 to 64 letters, digits, '_' or '-'"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
@@ -91,7 +95,10 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
     try:
         return model.model_validate(_frozen(data))
     except ValidationError as trouble:
-        raise error("\n".join(f"{source}: {line}" for line in _lines(model, trouble))) from None
+        lines = list(islice(_lines(model, trouble), PROBLEM_LIMIT + 1))
+        if len(lines) > PROBLEM_LIMIT:
+            lines[-1] = f"more than {PROBLEM_LIMIT} problems; the others are told once these are gone"
+        raise error("\n".join(f"{source}: {line}" for line in lines)) from None
 
 
 def dump(table: Table) -> str:
@@ -165,8 +172,10 @@ def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[Field
             continue
         fields = {(each.alias or name): each for name, each in table.model_fields.items()}
         keys = list(fields)
-        field = fields.get(part)
-        table = _table_of(field.annotation) if field is not None else table
+        # A free key, such as a surface's name, belongs to the field around it.
+        if part in fields:
+            field = fields[part]
+            table = _table_of(field.annotation)
     return field, keys
 
 

@@ -126,6 +126,9 @@ SENSOR_HEADINGS = (
 """Where each sensor looks, counter-clockwise from straight ahead [rad] (a lamp far away, measured on one
 robot and made symmetric)."""
 
+BULB_RADIUS = 0.010
+"""Of a lamp [m] (that of the lamp which the calibration `khepera1` was sampled with)."""
+
 COUNTS_LIMIT = 1023
 """Largest count of the 10-bit converter (manual, 3.1.5)."""
 
@@ -148,8 +151,8 @@ def speed(speed_pulses: float) -> float:
 
 
 def wheel_pulses(angle: float) -> int:
-    """Whole pulses that the encoder has counted at a wheel angle [rad]."""
-    return math.floor(angle * (PULSES_PER_TURN / (2 * math.pi)))
+    """Whole pulses that the encoder has counted at a wheel angle [rad], which started amid a pulse."""
+    return math.floor(angle * (PULSES_PER_TURN / (2 * math.pi)) + 0.5)
 
 
 def duty_voltage(duty: int) -> float:

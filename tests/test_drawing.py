@@ -61,7 +61,7 @@ heading_deg = 180
 
 def track(n: int = 50, start_s: float = 0) -> Track:
     time_s = np.linspace(start_s, start_s + 10, n)
-    return Track(time_s, np.stack((100 + 10 * time_s, 100 + 5 * time_s), axis=1))
+    return Track("khepera0", time_s, np.stack((100 + 10 * time_s, 100 + 5 * time_s), axis=1))
 
 
 def texts(figure: Figure) -> set[str]:
@@ -115,7 +115,9 @@ def test_movable_things_are_hatched_and_dashed() -> None:
 
 
 def test_the_axes_end_at_the_walls() -> None:
-    axes = draw(SCENE, [Track(np.array([0.0, 1.0]), np.array([(100.0, 100.0), (2000.0, 2000.0)]))]).axes[0]
+    axes = draw(
+        SCENE, [Track("khepera0", np.array([0.0, 1.0]), np.array([(100.0, 100.0), (2000.0, 2000.0)]))]
+    ).axes[0]
     assert axes.get_xlim() == (-12, 612)
     assert axes.get_ylim() == (-12, 312)
 
@@ -153,7 +155,7 @@ def test_of_a_long_track_evenly_many_points_are_drawn() -> None:
 )
 def test_a_track_is_finite_and_has_a_place_for_every_time(time_s: list[float], xy_mm: list[float]) -> None:
     with pytest.raises(ValueError, match=r"are not \(n,\)|not finite"):
-        Track(np.array(time_s, float), np.array(xy_mm, float))
+        Track("khepera0", np.array(time_s, float), np.array(xy_mm, float))
 
 
 @pytest.mark.parametrize("name", playpens.names())

@@ -113,9 +113,7 @@ def test_channels_1_and_2_follow_the_sensor_converted_last(firmware: Firmware) -
     assert (ask(firmware, "I,1"), ask(firmware, "I,2")) == ("i,321", "i,123")
 
 
-@pytest.mark.parametrize(
-    ("rom", "speed", "position", "pwm"), [("5.02", 0, 1, 2), ("4.06", 1, 0, 2)]
-)
+@pytest.mark.parametrize(("rom", "speed", "position", "pwm"), [("5.02", 0, 1, 2), ("4.06", 1, 0, 2)])
 def test_the_rom_says_how_modes_are_counted(rom: str, speed: int, position: int, pwm: int) -> None:
     firmware = Firmware(ROMS[rom])
     modes = []

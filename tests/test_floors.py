@@ -9,7 +9,17 @@ PACKAGE = Path(__file__).parent.parent / "khep_twin"
 
 FLOORS = [
     ["errors", "files", "units", "randomness", "clock"],
-    ["toml_files", "footprint", "placement", "playpen", "calibration", "protocol", "kernel", "uart"],
+    [
+        "toml_files",
+        "footprint",
+        "placement",
+        "surfaces",
+        "playpen",
+        "calibration",
+        "protocol",
+        "kernel",
+        "uart",
+    ],
     ["firmware", "playpen_to_mjcf", "sensors", "illumination", "symbols", "drawing"],
     ["world"],
     ["ports", "host", "log"],
@@ -24,7 +34,9 @@ WITHIN_A_FLOOR = {
     ("placement", "footprint"),
     ("playpen", "footprint"),
     ("playpen", "placement"),
+    ("playpen", "surfaces"),
     ("playpen", "toml_files"),
+    ("surfaces", "toml_files"),
     ("calibration", "toml_files"),
     ("symbols", "illumination"),
     ("drawing", "illumination"),

@@ -152,7 +152,7 @@ def test_the_scan_goes_round(registers: kernel.Registers) -> None:
     for turn in range(9):
         kernel.convert(registers, 10 + turn, 100 + turn)
     assert [registers[register] for register in kernel.PROXIMITY] == [18, 11, 12, 13, 14, 15, 16, 17]
-    assert [registers[register] for register in kernel.AMBIENT][0] == 108
+    assert next(registers[register] for register in kernel.AMBIENT) == 108
     assert registers[Board.SCAN] == 1
 
 

@@ -11,8 +11,9 @@ from pydantic import ValidationError
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.footprint import Circle, overlap
-from khep_twin.placement import COLLISION_LIMIT, THING_LIMIT
-from khep_twin.playpen import BUILT_IN_SURFACES, Block, Cylinder, Lamp, Playpen, Robot
+from khep_twin.placement import THING_LIMIT
+from khep_twin.playpen import PROBLEM_LIMIT, Block, Cylinder, Lamp, Playpen, Robot
+from khep_twin.surfaces import BUILT_IN_SURFACES
 
 HEAD = 'version = 1\nname = "p"\n'
 ARENA = "[arena]\nwidth_mm = 600\nheight_mm = 500\n"
@@ -339,13 +340,11 @@ def test_so_many_objects_are_refused_before_they_are_compared() -> None:
     assert line == "p.toml: 5001 blocks, cylinders, lamps and robots; right is up to 5000 together"
 
 
-def test_of_very_many_overlaps_only_the_first_are_told() -> None:
+def test_of_very_many_problems_of_a_place_only_the_first_are_told() -> None:
     robots = ",".join(["{x_mm=300,y_mm=250,heading_deg=0}"] * 1000)
     lines = lines_about(f"robot = [{robots}]\n" + HEAD + ARENA)
-    assert len(lines) == COLLISION_LIMIT + 1
-    assert (
-        lines[-1] == f"p.toml: more than {COLLISION_LIMIT} overlaps; the others are told once these are gone"
-    )
+    assert len(lines) == PROBLEM_LIMIT + 1
+    assert lines[-1] == f"p.toml: more than {PROBLEM_LIMIT} problems; the others are told once these are gone"
 
 
 # Where things may stand ----------------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 """The grammar: lines, commands, replies."""
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -41,7 +43,7 @@ def test_lines_end_in_cr_lf_or_both_and_empty_ones_vanish(stream: bytes, lines: 
 def test_the_chunks_that_bytes_come_in_do_not_matter(stream: bytes, cuts: list[int]) -> None:
     reader = LineReader()
     edges = [0, *sorted(cuts), len(stream)]
-    pieces = [stream[a:b] for a, b in zip(edges, edges[1:], strict=False)]
+    pieces = [stream[a:b] for a, b in itertools.pairwise(edges)]
     assert [line for piece in pieces for line in reader.feed(piece)] == list(LineReader().feed(stream))
 
 
@@ -74,7 +76,9 @@ def test_well_formed_lines(line: bytes, request_: object) -> None:
     assert parse(line) == request_
 
 
-@pytest.mark.parametrize("line", [b" ", b"d,5,5", b"Q", b"M", b"S", b"NN", b"N1", b"\xff", b"D5,5", b"5", b",", b"Restart"])
+@pytest.mark.parametrize(
+    "line", [b" ", b"d,5,5", b"Q", b"M", b"S", b"NN", b"N1", b"\xff", b"D5,5", b"5", b",", b"Restart"]
+)
 def test_unknown_words_are_not_found(line: bytes) -> None:
     request = parse(line)
     # A lower-case letter is a word that no tool has; who carries out tools says so.

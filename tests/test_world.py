@@ -176,9 +176,7 @@ def test_a_simulation_that_diverges_is_an_error_and_no_silent_restart(field: Pla
 
 
 def test_several_robots_see_each_other_and_keep_their_own_noise() -> None:
-    two = playpen.dump(playpen.load("default")) + (
-        "\n[[robot]]\nx_mm = 300\ny_mm = 318\nheading_deg = -90\n"
-    )
+    two = playpen.dump(playpen.load("default")) + ("\n[[robot]]\nx_mm = 300\ny_mm = 318\nheading_deg = -90\n")
     alone, together = World(playpen.load("default"), seed=5), World(playpen.parse(two, "two"), seed=5)
     for world in (alone, together):
         advance(world, 0.5)
@@ -190,7 +188,8 @@ def test_several_robots_see_each_other_and_keep_their_own_noise() -> None:
 
 def test_a_movable_cylinder_is_pushed_along() -> None:
     text = playpen.dump(playpen.load("default")) + (
-        "\n[[cylinder]]\nx_mm = 300\ny_mm = 320\nradius_mm = 12.5\nheight_mm = 30\nmovable = true\nmass_g = 20\n"
+        "\n[[cylinder]]\nx_mm = 300\ny_mm = 320\nradius_mm = 12.5\nheight_mm = 30\n"
+        "movable = true\nmass_g = 20\n"
     )
     world = World(playpen.parse(text, "push"), noise=False)
     command(world, "D,5,5")

@@ -5,17 +5,14 @@ that even a torn file says what it was. All times are simulated, and nothing of 
 machine or the file's own name goes in: the same run gives the same bytes.
 """
 
-import fcntl
 import json
 import os
 import re
-import signal
-import threading
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import IO, Self, cast
 
 import mujoco
@@ -30,6 +27,7 @@ from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS,
 from khep_twin.log import channels
 from khep_twin.log.channels import ArrayFrame, Level, Line, TransformFrame
 from khep_twin.log.description import body_name, urdf
+from khep_twin.log.part_file import PartFile, set_aside, undisturbed
 from khep_twin.world import SAMPLE_NS, Robot, World
 
 FLUSH_NS = 5 * NS_PER_S
@@ -72,8 +70,8 @@ class Recorder:
         if not path.parent.is_dir():
             raise LogError(f"{path}: cannot write a log here: there is no directory {path.parent}")
         try:
-            self.kept = _set_aside(self.part)
-            self._file = _PartFile(self.part)
+            self.kept = set_aside(self.part)
+            self._file = PartFile(self.part)
         except OSError as error:
             raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
         self._writer = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_SIZE)
@@ -230,7 +228,7 @@ class Recorder:
     def _guarded(self) -> Generator[None, None, None]:
         """Turns the first trouble with the file into an error, after which the file is left alone."""
         try:
-            with _undisturbed():
+            with undisturbed():
                 yield
         except OSError as error:
             self._open = False
@@ -241,63 +239,6 @@ class Recorder:
                 f"{self.path}: the log cannot be written any more at {seconds:.2f} s: {error.strerror}; "
                 f"what came before is kept in {self.part}"
             ) from error
-
-
-@contextmanager
-def _undisturbed() -> Generator[None, None, None]:
-    """Holds Ctrl-C back for a moment: half a record would make what follows unreadable."""
-    handler = signal.getsignal(signal.SIGINT)
-    if not callable(handler) or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    held: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: held.append((number, frame)))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        if held:
-            handler(*held[0])
-
-
-class _PartFile:
-    """A file without a buffer of its own, in which each write is there as a whole or not at all.
-
-    It is locked while it is open, so that a second run does not take it for what a crash left behind.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-        self._size = 0
-        self._closed = False
-        with suppress(OSError):  # some network file systems know no locks
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-    def write(self, data: bytes) -> int:
-        """Appends `data`; what a full disk tore off is taken back before the error goes on."""
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[os.write(self._descriptor, rest) :]
-        except OSError:
-            with suppress(OSError):
-                os.ftruncate(self._descriptor, self._size)
-            raise
-        self._size += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        """How much has been written [bytes]."""
-        return self._size
-
-    def flush(self) -> None:
-        """Nothing waits here."""
-
-    def close(self) -> None:
-        """Ends the file."""
-        if not self._closed:
-            self._closed = True
-            os.close(self._descriptor)
 
 
 class _RobotStream:
@@ -329,19 +270,3 @@ class _RobotStream:
             (topic, schema, frame.messages(self._noted[:rows, columns]))
             for topic, schema, frame, columns in self._channels
         ]
-
-
-def _set_aside(part: Path) -> Path | None:
-    """Moves an unfinished log out of the way, so that nothing that could be rescued is lost."""
-    if not part.exists():
-        return None
-    with part.open("rb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise LogError(f"{part}: another run is writing it; right is another name for the log") from None
-    number = 1
-    while (kept := part.with_name(f"{part.name}.{number}")).exists():
-        number += 1
-    os.rename(part, kept)
-    return kept

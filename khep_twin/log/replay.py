@@ -12,7 +12,6 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-import warnings
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,41 +69,35 @@ def view(path: Path, save: Path | None = None) -> None:
 
 
 def _save(path: Path, label: Label, save: Path) -> None:
-    import rerun as rr
-    from rerun.chunk import McapReader
-
     if save.is_dir() or (save.exists() and save.samefile(path)):
         what = "a directory" if save.is_dir() else "the log itself"
         raise LogError(f"{save}: this is {what}; right is the name of a file, such as {path.stem}.rrd")
+    recording = _recording(path, label)
     part = save.with_name(save.name + ".part")
     try:
-        # A file that rerun cannot make or fill is no error to it: we make it, and look at it afterwards.
-        part.touch()
-        with rr.RecordingStream("khep_twin", recording_id=path.stem) as recording:
-            recording.save(part, default_blueprint=_layout(label))
-            recording.send_recording_name(path.stem)
-            rr.send_chunks(McapReader(path, timeline_type="duration_ns").stream(), recording=recording)
-            recording.disconnect()
-        if not _is_whole(part):
-            raise LogError(f"{save}: the recording could not be written to its end; is the disk full?")
+        part.write_bytes(recording)
         os.replace(part, save)
     except OSError as error:
-        raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
-    finally:
         with suppress(OSError):
             part.unlink()
+        raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
 
 
-def _is_whole(recording: Path) -> bool:
-    from rerun.chunk import RrdReader
-    from rerun.error_utils import RerunWarning
+def _recording(path: Path, label: Label) -> bytes:
+    """The log and its layout as rerun has them in a file.
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        try:
-            return bool(RrdReader(recording).recordings())
-        except (RerunWarning, RuntimeError):
-            return False
+    Made in memory, because rerun itself may wait for ever for a disk that is full.
+    """
+    import rerun as rr
+    from rerun.chunk import McapReader
+
+    with rr.RecordingStream("khep_twin", recording_id=path.stem) as recording:
+        stream = recording.binary_stream()
+        recording.send_blueprint(_layout(label))
+        recording.send_recording_name(path.stem)
+        rr.send_chunks(McapReader(path, timeline_type="duration_ns").stream(), recording=recording)
+        # Read once: each reading ends the file.
+        return stream.read() or b""
 
 
 def _layout(label: Label) -> "rrb.Blueprint":
@@ -113,14 +106,15 @@ def _layout(label: Label) -> "rrb.Blueprint":
 
     solid = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
     arena = rrb.Spatial3DView(name="arena", eye_controls=_eye(label), line_grid=False, defaults=solid)
-    transcript = rrb.TextLogView(
-        name="serial line and events",
-        columns=rrb.TextLogColumns(
-            timeline_columns=[_TIMELINE],
-            text_log_columns=["body"] if len(label.robots) == 1 else ["entitypath", "body"],
-        ),
-        format_options=rrb.TextLogFormat(monospace_body=True),
-    )
+    transcripts = [
+        rrb.TextLogView(
+            name=f"{robot}: serial line and events",
+            contents=[f"/{robot}/serial", "/events"],
+            columns=rrb.TextLogColumns(timeline_columns=[_TIMELINE], text_log_columns=["body"]),
+            format_options=rrb.TextLogFormat(monospace_body=True),
+        )
+        for robot in label.robots
+    ]
     curves = [
         rrb.Vertical(
             _plot(f"/{robot}/proximity", "proximity [counts]", _SENSORS),
@@ -131,7 +125,7 @@ def _layout(label: Label) -> "rrb.Blueprint":
         for robot in label.robots
     ]
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(arena, transcript, row_shares=[2, 1]), rrb.Tabs(*curves)),
+        rrb.Horizontal(rrb.Vertical(arena, rrb.Tabs(*transcripts), row_shares=[2, 1]), rrb.Tabs(*curves)),
         rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

@@ -47,9 +47,7 @@ class TwinOptions:
         if self.rom is not None and self.rom not in ROMS:
             raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
         if self.mode is not None and self.mode not in BAUD_BY_MODE:
-            raise PortError(
-                f"mode = {self.mode}: does not speak the protocol; {choices(self.mode, BAUD_BY_MODE)}"
-            )
+            raise PortError(f"mode = {self.mode}: speaks no protocol; {choices(self.mode, BAUD_BY_MODE)}")
 
 
 class Twin:
@@ -96,7 +94,7 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
     chosen = playpen if isinstance(playpen, Playpen) else playpens.load(playpen)
     if not 0 <= options.robot < len(chosen.robots):
         raise PortError(
-            f"robot = {options.robot}: playpen {chosen.name!r} has {len(chosen.robots)} "
+            f"robot = {options.robot}: not in playpen {chosen.name!r}; "
             f"{choices(options.robot, range(len(chosen.robots)))}"
         )
     changes = {key: value for key in ("rom", "mode") if (value := getattr(options, key)) is not None}

@@ -1,31 +1,18 @@
-"""A twin that drives about, and its log."""
+"""A twin whose run is logged, and a finished log."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from driving import drive
 
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-
-COMMANDS = (b"D,8,5\n", b"N\n", b"O\n")
-SECOND = 1_000_000_000
-
-
-def drive(twin: Twin, seconds: int = 2) -> None:
-    """Sends commands, one every tenth of a second."""
-    for tenth in range(10 * seconds):
-        twin.robot.send(COMMANDS[tenth % len(COMMANDS)])
-        twin.advance_to((tenth + 1) * SECOND // 10)
 
 
 @pytest.fixture
 def start() -> Callable[[Path], Twin]:
     """Opens a twin in the obstacles playpen that is logged to a path."""
-
-    def open_logged(path: Path) -> Twin:
-        return open_twin("obstacles", TwinOptions(seed=3, log=str(path)))
-
-    return open_logged
+    return lambda path: open_twin("obstacles", TwinOptions(seed=3, log=str(path)))
 
 
 @pytest.fixture(scope="session")

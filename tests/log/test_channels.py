@@ -18,6 +18,7 @@ class Cdr:
     place: int = 4
 
     def take(self, kind: str) -> float:
+        """A number, `kind` as in `struct`."""
         size = struct.calcsize(kind)
         while (self.place - 4) % size:
             assert self.message[self.place] == 0
@@ -26,6 +27,7 @@ class Cdr:
         return struct.unpack(f"<{kind}", self.message[self.place - size : self.place])[0]
 
     def string(self) -> str:
+        """A length, then text that ends in a zero."""
         length = int(self.take("I"))
         text = self.message[self.place : self.place + length]
         self.place += length
@@ -33,6 +35,7 @@ class Cdr:
         return text[:-1].decode()
 
     def at_end(self) -> bool:
+        """Whether nothing is left."""
         return self.place == len(self.message)
 
 

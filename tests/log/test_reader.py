@@ -91,15 +91,19 @@ def test_a_missing_log_and_a_directory_are_one_line(tmp_path: Path) -> None:
         read(tmp_path)
 
 
-def test_damage_anywhere_is_an_error_or_harmless(log: Path, tmp_path: Path) -> None:
+def reading(path: Path) -> str | None:
+    """What is wrong with a log, None if nothing is."""
+    try:
+        read(path)
+    except LogError as error:
+        return str(error)
+    return None
+
+
+def test_damage_anywhere_is_one_line_or_harmless(log: Path, tmp_path: Path) -> None:
     whole, path = log.read_bytes(), tmp_path / "torn.mcap"
-    random = np.random.default_rng(1)
-    for place in random.integers(0, len(whole), 40).tolist():
-        for torn in (whole[:place], whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :]):
-            path.write_bytes(torn)
-            try:
-                read(path)
-            except LogError as error:
-                assert "\n" not in str(error)
-            else:
-                assert len(torn) == len(whole), "a cut file passes for a whole one"
+    for place in np.random.default_rng(1).integers(0, len(whole), 40).tolist():
+        path.write_bytes(whole[:place])
+        assert len((reading(path) or "").splitlines()) == 1
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        assert len((reading(path) or "").splitlines()) <= 1

@@ -1,0 +1,89 @@
+"""The file of a log while it grows: NAME.mcap.part, of which nothing that was written gets lost.
+
+A disk that fills up, a second run of the same name, what a crash left behind and Ctrl-C in the middle of a
+write each do no harm to what is there.
+"""
+
+import fcntl
+import os
+import signal
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+
+from khep_twin.errors import LogError
+
+
+class PartFile:
+    """A file without a buffer of its own, in which each write is there as a whole or not at all.
+
+    It is locked while it is open, so that a second run does not take it for what a crash left behind.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        self._size = 0
+        self._closed = False
+        with suppress(OSError):  # some network file systems know no locks
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def write(self, data: bytes) -> int:
+        """Appends `data`; what a full disk tore off is taken back before the error goes on."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[os.write(self._descriptor, rest) :]
+        except OSError:
+            with suppress(OSError):
+                os.ftruncate(self._descriptor, self._size)
+            raise
+        self._size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """How much has been written [bytes]."""
+        return self._size
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    def close(self) -> None:
+        """Ends the file."""
+        if not self._closed:
+            self._closed = True
+            os.close(self._descriptor)
+
+
+def set_aside(part: Path) -> Path | None:
+    """Moves an unfinished log out of the way, so that nothing that could be rescued is lost."""
+    if not part.exists():
+        return None
+    with part.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise LogError(f"{part}: another run is writing it; right is another name for the log") from None
+    number = 1
+    while (kept := part.with_name(f"{part.name}.{number}")).exists():
+        number += 1
+    os.rename(part, kept)
+    return kept
+
+
+@contextmanager
+def undisturbed() -> Generator[None, None, None]:
+    """Holds Ctrl-C back for a moment: half a record would make what follows unreadable."""
+    handler = signal.getsignal(signal.SIGINT)
+    if not callable(handler) or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: held.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if held:
+            handler(*held[0])

@@ -1,0 +1,120 @@
+"""The host's side, on a twin in lock-step and on ports that misbehave."""
+
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import serial
+
+from khep_twin.errors import PortError, PortTimeout, ProtocolError
+from khep_twin.host import Khepera
+
+
+@pytest.fixture
+def robot() -> Any:
+    with Khepera("khep://default?noise=off") as khepera:
+        yield khepera
+
+
+def test_every_command_has_its_method(robot: Khepera) -> None:
+    robot.configure_speed_controller(3800, 800, 100)
+    assert robot.versions() == ("5.02", "5.01")
+    robot.configure_position_controller(3000, 20, 4000)
+    robot.configure_profile(20, 64, 20, 64)
+    robot.set_led(0, 1)
+    assert robot.proximity() == (0,) * 8
+    assert robot.ambient() == (485,) * 8
+    assert robot.converter(2) == 485
+    assert robot.read_bus(3) == 255
+    robot.write_bus(1, 2)
+    robot.set_position(100, -100)
+    assert robot.position() == (100, -100)
+    robot.set_duty(20, 20)
+    robot.set_speed(5, -5)
+    robot.sleep(0.5)
+    assert robot.speed() == pytest.approx((5, -5), abs=2)
+    left, right = robot.status()
+    assert (left.on_target, left.mode, right.mode) == (False, 0, 0)
+    robot.set_target(100, -100)
+    robot.sleep(3)
+    assert robot.status()[0].on_target
+    assert robot.position() == pytest.approx((100, -100), abs=2)
+    with pytest.raises(ProtocolError, match="'T,1,B' was answered 'z,Turret order not supported'"):
+        robot.turret(1, "B")
+
+
+def test_time_is_the_ports_own(robot: Khepera) -> None:
+    start = robot.time
+    robot.sleep(2.5)
+    assert robot.time - start == pytest.approx(2.5)
+
+
+def test_closing_stops_the_motors() -> None:
+    robot = Khepera("khep://default")
+    twin = robot.port.twin
+    with robot:
+        robot.set_speed(10, 10)
+    assert twin.robot.registers[[4, 18]].tolist() == [0, 0]
+    assert not robot.port.is_open
+    robot.close()
+
+
+class Silent(serial.SerialBase):
+    """A port whose robot answers with fixed bytes, or not at all."""
+
+    def __init__(self, answer: bytes) -> None:
+        super().__init__(timeout=0.25)
+        self.answer = answer
+        self.name = "silent"
+        self.is_open = True
+
+    def _reconfigure_port(self) -> None: ...
+
+    def write(self, data: Any, /) -> int:
+        return len(data)
+
+    def read_until(self, expected: bytes = b"\n", size: int | None = None) -> bytes:
+        return self.answer
+
+    def close(self) -> None:
+        self.is_open = False
+
+
+def test_silence_is_a_clear_error() -> None:
+    with pytest.raises(PortTimeout, match=r"silent: no reply to 'N' within 0.25 s; is the robot on"):
+        Khepera(Silent(b"")).proximity()
+    with pytest.raises(PortTimeout, match="only b'n,1,2'"):
+        Khepera(Silent(b"n,1,2")).proximity()
+
+
+@pytest.mark.parametrize(
+    "answer", [b"n,1,2\r\n", b"o,1,2,3,4,5,6,7,8\r\n", b"n,1,2,3,4,5,6,7,x\r\n", b"Command not found\r\n"]
+)
+def test_a_wrong_answer_is_told_with_the_exchange(answer: bytes) -> None:
+    with pytest.raises(ProtocolError) as caught:
+        Khepera(Silent(answer)).proximity()
+    assert "N" in str(caught.value)
+    assert answer.decode().strip() in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("/dev/no-such-port", "/dev/no-such-port: cannot open this port: .*No such file.*khep-twin serve"),
+        ("khep://nowhere", "khep://nowhere: nowhere: no such file"),
+        ("nonsense://x", "nonsense://x: .*not known"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_says_what_would_be_right(url: str, message: str) -> None:
+    with pytest.raises(PortError, match=message):
+        Khepera(url)
+
+
+def test_the_host_loads_no_simulator() -> None:
+    program = (
+        "import sys, khep_twin.host; "
+        "print([m for m in ('mujoco', 'rerun', 'matplotlib', 'numpy', 'pydantic') if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert result.stdout == "[]\n"

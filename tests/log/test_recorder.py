@@ -1,0 +1,317 @@
+"""Recording: the same run gives the same bytes, and nothing that was written is lost."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from driving import SECOND, drive
+from mcap.reader import make_reader
+from mcap.records import Attachment, Header, Message, Metadata
+from mcap.stream_reader import StreamReader
+
+from khep_twin.errors import LogError
+from khep_twin.log.reader import read
+from khep_twin.log.recorder import Recorder
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+
+Start = Callable[[Path], Twin]
+
+
+def records(path: Path) -> list[object]:
+    """Every record of a log as it stands in the file; a torn end is left out."""
+    found: list[object] = []
+    with path.open("rb") as file:
+        try:
+            found += StreamReader(file).records
+        except Exception:
+            pass
+    return found
+
+
+def test_the_same_run_gives_the_same_bytes_under_any_name(tmp_path: Path, start: Start) -> None:
+    paths = [tmp_path / "run.mcap", tmp_path / "elsewhere" / "other name.log"]
+    paths[1].parent.mkdir()
+    for path in paths:
+        with start(path) as twin:
+            drive(twin)
+            twin.world.tell(None, "the end")
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_what_describes_the_run_comes_before_its_first_message(log: Path) -> None:
+    found = records(log)
+    kinds = [type(record) for record in found]
+    first = kinds.index(Message)
+    assert isinstance(found[0], Header)
+    assert found[0].library.startswith("khep_twin ")
+    assert [record.name for record in found if isinstance(record, Attachment)] == [
+        "playpen.toml",
+        "scene.xml",
+        "configuration.json",
+        "calibration/khepera1.toml",
+    ]
+    for kind in (Attachment, Metadata):
+        assert all(place < first for place, other in enumerate(kinds) if other is kind)
+    assert all(
+        record.create_time == record.log_time == 0 for record in found if isinstance(record, Attachment)
+    )
+
+
+def test_the_attached_scene_compiles_to_the_recorded_one(log: Path) -> None:
+    model = mujoco.MjModel.from_xml_string(read(log).attachments["scene.xml"])
+    assert model.body("khepera0/base").id > 0
+
+
+def test_every_channel_has_its_messages_at_simulated_times(log: Path) -> None:
+    times: dict[str, list[int]] = {}
+    with log.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            assert message.log_time == message.publish_time
+            times.setdefault(channel.topic, []).append(message.log_time)
+    samples = list(range(0, 2 * SECOND + 1, 20_000_000))
+    for topic in (
+        "tf",
+        *(f"khepera0/{name}" for name in ("proximity", "ambient", "speed", "duty", "registers")),
+    ):
+        assert times.pop(f"/{topic}") == samples
+    assert times.pop("/robot_description") == [0]
+    assert times.pop("/events") == [2 * SECOND]
+    assert len(times.pop("/khepera0/serial")) == 40
+    assert not times
+
+
+def test_lines_are_whole_however_their_bytes_arrive(tmp_path: Path, start: Start) -> None:
+    with start(tmp_path / "run.mcap") as twin:
+        assert twin.recorder is not None
+        for time_ns, data in ((1, b"D,"), (2, b"5,"), (3, b"5\r"), (4, b"\nN\nO"), (5, b"\n\n")):
+            twin.recorder.wire(time_ns, 0, True, data)
+        twin.recorder.wire(6, 0, True, b"E")
+    lines = read(tmp_path / "run.mcap").robots["khepera0"].serial
+    assert [(line.time_ns, line.text) for line in lines] == [(0, "E"), (3, "D,5,5"), (4, "N"), (5, "O")]
+
+
+def test_noise_on_the_line_is_written_as_escapes(tmp_path: Path, start: Start) -> None:
+    with start(tmp_path / "run.mcap") as twin:
+        assert twin.recorder is not None
+        twin.recorder.wire(1, 0, True, b"N\x00\xff\x1b\\\n")
+        twin.recorder.wire(2, 0, True, b"\xaa" * 5000)
+    first, *others = read(tmp_path / "run.mcap").robots["khepera0"].serial
+    assert first.time_ns in (0, 1)
+    assert r"N\x00\xff\x1b\\" in {first.text, *(line.text for line in others)}
+
+
+def test_a_run_ended_by_an_error_is_a_whole_log(tmp_path: Path, start: Start) -> None:
+    def interrupted() -> None:
+        with start(tmp_path / "run.mcap") as twin:
+            drive(twin)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert len(read(tmp_path / "run.mcap").robots["khepera0"].times_ns) == 101
+    assert os.listdir(tmp_path) == ["run.mcap"]
+
+
+def test_ctrl_c_in_the_middle_of_a_write_waits_for_its_end(
+    tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, after = os.write, []
+
+    def interrupted(descriptor: int, data: bytes) -> int:
+        monkeypatch.undo()
+        signal.raise_signal(signal.SIGINT)
+        after.append("still here")
+        return write(descriptor, data)
+
+    def run() -> None:
+        with start(tmp_path / "run.mcap") as twin:
+            drive(twin)
+            monkeypatch.setattr(os, "write", interrupted)
+            twin.world.tell(None, "halfway")
+            after.append("never")
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert after == ["still here"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert [event.text for event in read(tmp_path / "run.mcap").events] == ["halfway"]
+
+
+def test_a_finished_log_is_replaced_only_by_a_finished_one(tmp_path: Path, start: Start) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_text("an older log")
+    with start(path) as twin:
+        drive(twin)
+        assert path.read_text() == "an older log"
+    assert len(read(path).events) == 0
+
+
+def test_what_a_crash_left_behind_is_kept(tmp_path: Path, start: Start) -> None:
+    path = tmp_path / "run.mcap"
+    (tmp_path / "run.mcap.part").write_text("crashed")
+    (tmp_path / "run.mcap.part.1").write_text("crashed before")
+    with start(path) as twin:
+        assert twin.recorder is not None
+        assert twin.recorder.kept == tmp_path / "run.mcap.part.2"
+    assert (tmp_path / "run.mcap.part.1").read_text() == "crashed before"
+    assert (tmp_path / "run.mcap.part.2").read_text() == "crashed"
+    read(path)
+
+
+def test_a_log_that_another_run_is_writing_is_left_alone(tmp_path: Path, start: Start) -> None:
+    path = tmp_path / "run.mcap"
+    with start(path) as twin:
+        with pytest.raises(LogError, match=r"run\.mcap\.part: another run is writing it"):
+            start(path)
+        drive(twin)
+    assert len(read(path).robots["khepera0"].times_ns) == 101
+
+
+def test_places_where_no_log_can_be_are_one_line_before_anything_is_written(tmp_path: Path) -> None:
+    twin = open_twin("default", TwinOptions())
+    for path, reason in (
+        (tmp_path, "this is a directory"),
+        (tmp_path / "no" / "run.mcap", "there is no directory"),
+    ):
+        with pytest.raises(LogError, match=reason):
+            Recorder(path, twin.world, {})
+    assert os.listdir(tmp_path) == []
+
+
+def fill_disk_after(size: int, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """From now on files take `size` bytes more; returns the list of what is tried afterwards."""
+    write, room, tried = os.write, [size], []
+
+    def limited(descriptor: int, data: bytes) -> int:
+        tried.append(len(data))
+        if not room[0]:
+            raise OSError(28, "No space left on device")
+        done = write(descriptor, data[: room[0]])
+        room[0] -= done
+        return done
+
+    monkeypatch.setattr(os, "write", limited)
+    return tried
+
+
+@pytest.mark.parametrize("size", [0, 10, 5000, 40_000])
+def test_a_full_disk_is_told_once_and_what_was_saved_stays(
+    tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    path = tmp_path / "run.mcap"
+    twin = start(path)
+    drive(twin, 1)
+    twin.world.tell(None, "still good")
+    saved = len([record for record in records(twin.recorder.part) if isinstance(record, Message)])
+    tried = fill_disk_after(size, monkeypatch)
+    with pytest.raises(
+        LogError, match=r"run\.mcap: .* at \d+\.\d\d s: No space left on device; .*run\.mcap\.part"
+    ):
+        drive_on(twin)
+    calls = len(tried)
+    twin.world.tell(None, "too late")
+    twin.advance_to(twin.world.time_ns + SECOND)
+    twin.close()
+    assert len(tried) == calls
+    assert os.listdir(tmp_path) == ["run.mcap.part"]
+    assert (
+        len([record for record in records(tmp_path / "run.mcap.part") if isinstance(record, Message)])
+        >= saved
+    )
+
+
+def drive_on(twin: Twin) -> None:
+    """Until the disk is full."""
+    for _ in range(100):
+        twin.advance_to(twin.world.time_ns + SECOND)
+        twin.world.tell(None, "another second")
+
+
+def test_a_disk_that_is_full_at_the_end_leaves_the_unfinished_file(
+    tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    twin = start(tmp_path / "run.mcap")
+    drive(twin)
+    fill_disk_after(100, monkeypatch)
+    with pytest.raises(LogError, match="No space left"):
+        twin.close()
+    twin.close()
+    assert os.listdir(tmp_path) == ["run.mcap.part"]
+
+
+def test_a_limit_on_file_sizes_is_a_full_disk_too(tmp_path: Path) -> None:
+    program = (
+        "import sys; from khep_twin.ports.twin import *\n"
+        "with open_twin('default', TwinOptions(log=sys.argv[1])) as twin:\n"
+        "    twin.advance_to(60 * 10**9)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "run.mcap")],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "LogError: " in done.stderr.splitlines()[-1]
+    assert "File too large" in done.stderr.splitlines()[-1]
+    (part,) = tmp_path.iterdir()
+    assert part.stat().st_size <= 200_000
+    assert sum(isinstance(record, Message) for record in records(part)) > 1000
+
+
+def test_a_killed_run_keeps_what_was_flushed(tmp_path: Path) -> None:
+    program = (
+        "import os, sys; from khep_twin.ports.twin import *\n"
+        "twin = open_twin('default', TwinOptions(log=sys.argv[1]))\n"
+        "twin.advance_to(2 * 10**9); twin.recorder.flush(); twin.advance_to(3 * 10**9)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    subprocess.run([sys.executable, "-c", program, str(tmp_path / "run.mcap")], check=False)
+    times = [record.log_time for record in records(tmp_path / "run.mcap.part") if isinstance(record, Message)]
+    assert max(times) == 2 * SECOND
+
+
+def test_several_robots_and_movable_objects_are_all_recorded(tmp_path: Path) -> None:
+    from khep_twin import playpen
+
+    crowd = """
+        version = 1
+        name = "crowd"
+        [arena]
+        width_mm = 600
+        height_mm = 500
+        [[cylinder]]
+        x_mm = 300
+        y_mm = 400
+        radius_mm = 12.5
+        height_mm = 50
+        movable = true
+        mass_g = 20
+        [[robot]]
+        x_mm = 150
+        y_mm = 250
+        heading_deg = 0
+        [[robot]]
+        x_mm = 450
+        y_mm = 250
+        heading_deg = 180
+    """
+    path = tmp_path / "run.mcap"
+    with open_twin(playpen.parse(crowd, "crowd"), TwinOptions(robot=1, log=str(path))) as twin:
+        twin.robot.send(b"D,5,5\n")
+        twin.advance_to(SECOND)
+    run = read(path)
+    assert list(run.robots) == ["khepera0", "khepera1"]
+    still, driven = run.robots["khepera0"].pose, run.robots["khepera1"].pose
+    assert np.ptp(still[:, 0]) < 0.001 < 0.02 < np.ptp(driven[:, 0])
+    assert [line.text for line in run.robots["khepera1"].serial] == ["D,5,5", "d"]
+    assert run.robots["khepera0"].serial == []

@@ -1,0 +1,144 @@
+"""What rerun makes of a log, with and without our layout, asked of its readers and not of its pictures."""
+
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rerun.chunk import Chunk, McapReader, RrdReader
+
+from khep_twin.errors import LogError
+from khep_twin.log.replay import view
+
+
+def components(chunks: list[Chunk]) -> set[tuple[str, str]]:
+    """What is shown where: (entity, component)."""
+    found: set[tuple[str, str]] = set()
+    for chunk in chunks:
+        names = [str(field.name) for field in chunk.to_record_batch().schema]
+        found |= {(chunk.entity_path, name) for name in names if ":" in name}
+    return found
+
+
+EXPECTED = {
+    ("/obstacles/visual_geometries/world/floor", "Boxes3D:half_sizes"),
+    ("/obstacles/visual_geometries/world/wall_left", "Boxes3D:half_sizes"),
+    ("/obstacles/visual_geometries/world/wall_top", "Boxes3D:half_sizes"),
+    (r"/obstacles/visual_geometries/khepera0\/base/khepera0\/base", "Cylinders3D:radii"),
+    ("/tf", "Transform3D:translation"),
+    ("/tf", "Transform3D:quaternion"),
+    ("/tf", "Transform3D:child_frame"),
+    ("/khepera0/proximity", "Scalars:scalars"),
+    ("/khepera0/ambient", "Scalars:scalars"),
+    ("/khepera0/speed", "Scalars:scalars"),
+    ("/khepera0/duty", "Scalars:scalars"),
+    ("/khepera0/serial", "TextLog:text"),
+    ("/events", "TextLog:text"),
+}
+
+
+def test_rerun_reads_a_log_by_itself(log: Path) -> None:
+    assert components(list(McapReader(log).stream())) >= EXPECTED
+
+
+def test_the_boards_whole_state_opens_no_plot(log: Path) -> None:
+    found = components(list(McapReader(log).stream()))
+    assert ("/khepera0/registers", "Scalars:scalars") not in found
+
+
+def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path) -> None:
+    view(log, tmp_path / "run.rrd")
+    reader = RrdReader(tmp_path / "run.rrd")
+    (recording,), (layout,) = reader.recordings(), reader.blueprints()
+    assert components(list(reader.stream(store=recording))) >= EXPECTED
+    views = components(list(reader.stream(store=layout)))
+    assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 5
+    assert os.listdir(tmp_path) == ["run.rrd"]
+
+
+def test_a_saved_recording_counts_seconds_of_the_run(log: Path, tmp_path: Path) -> None:
+    view(log, tmp_path / "run.rrd")
+    reader = RrdReader(tmp_path / "run.rrd")
+    types = {
+        str(field.type)
+        for chunk in reader.stream(store=reader.recordings()[0])
+        for field in chunk.to_record_batch().schema
+        if field.name == "message_log_time"
+    }
+    assert types == {"duration[ns]"}
+
+
+@pytest.mark.parametrize(
+    ("save", "reason"),
+    [
+        ("no/run.rrd", "cannot be written: No such file or directory"),
+        (".", "this is a directory"),
+    ],
+)
+def test_a_recording_that_cannot_be_saved_is_one_line(
+    log: Path, tmp_path: Path, save: str, reason: str
+) -> None:
+    with pytest.raises(LogError, match=reason):
+        view(log, tmp_path / save)
+    assert os.listdir(tmp_path) == []
+
+
+def test_the_log_itself_is_not_overwritten(log: Path) -> None:
+    before = log.read_bytes()
+    with pytest.raises(LogError, match="this is the log itself"):
+        view(log, log)
+    assert log.read_bytes() == before
+
+
+@pytest.mark.parametrize("size", [0, 30_000, 100_000])
+def test_a_recording_that_fills_the_disk_is_an_error(log: Path, tmp_path: Path, size: int) -> None:
+    program = (
+        "import resource, sys; from pathlib import Path; from khep_twin.log.replay import view\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]),) * 2)\n"
+        "view(Path(sys.argv[1]), Path(sys.argv[2]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, log, tmp_path / "run.rrd", str(size)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
+    )
+    assert "LogError: " in done.stderr.splitlines()[-1]
+    assert "run.rrd: the recording cannot be written: File too large" in done.stderr.splitlines()[-1]
+    assert os.listdir(tmp_path) == []
+
+
+def test_without_a_screen_the_way_out_is_named(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(LogError, match=r"no screen .* --save run\.rrd"):
+        view(log)
+
+
+@pytest.fixture
+def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A stand-in for rerun's viewer, which notes what it is asked to show."""
+    noted, program = tmp_path / "noted", tmp_path / "viewer"
+    program.write_text(f'#!/bin/sh\nls "$1" > {noted}\necho "$@" >> {noted}\n')
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("RERUN_CLI_PATH", str(program))
+    monkeypatch.setenv("DISPLAY", ":0")
+    return noted
+
+
+def test_the_viewer_listens_to_this_machine_only(log: Path, viewer: Path) -> None:
+    view(log)
+    recording, arguments = viewer.read_text().splitlines()
+    assert recording.endswith("/run.rrd")
+    assert "--bind 127.0.0.1" in arguments
+    assert not Path(recording).exists()
+
+
+def test_a_viewer_that_fails_is_one_line(log: Path, viewer: Path) -> None:
+    (viewer.parent / "viewer").write_text("#!/bin/sh\necho 'Error: no screen' >&2\nexit 1\n")
+    with pytest.raises(LogError, match=r"run\.mcap: rerun's viewer failed: no screen; .*--save run\.rrd"):
+        view(log)

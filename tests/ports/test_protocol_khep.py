@@ -1,0 +1,202 @@
+"""khep://: pyserial's manners in simulated time."""
+
+from pathlib import Path
+
+import pytest
+import serial
+
+import khep_twin  # noqa: F401  (teaches pyserial khep://)
+from khep_twin.errors import KhepTwinError
+from khep_twin.ports.protocol_khep import TwinPortError, parse_url
+from khep_twin.ports.twin import TwinOptions
+
+BYTE_NS = 11 * 10**9 // 9600
+
+
+def connect(url: str = "khep://default?noise=off", timeout: float | None = 1.0) -> serial.SerialBase:
+    return serial.serial_for_url(url, baudrate=9600, stopbits=2, timeout=timeout)
+
+
+def test_a_command_is_answered_after_its_time_on_the_line() -> None:
+    with connect() as port:
+        assert port.write(b"B\n") == 2
+        assert port.readline() == b"b,5.02,5.01\r\n"
+        # 2 bytes there, 13 bytes back; each burst is rounded once.
+        assert port.time_ns == 2 * 11 * 10**9 // 9600 + 13 * 11 * 10**9 // 9600
+
+
+def test_unpaced_lines_are_no_option_of_the_url_but_the_mode_is() -> None:
+    with connect("khep://default?mode=3") as port:
+        port.write(b"B\n")
+        port.readline()
+        assert port.time_ns == 2 * 11 * 10**9 // 38400 + 13 * 11 * 10**9 // 38400
+
+
+@pytest.mark.parametrize("ending", [b"\n", b"\r", b"\r\n"])
+def test_every_way_of_reading_gives_the_same_bytes(ending: bytes) -> None:
+    def by_line(port: serial.SerialBase) -> bytes:
+        return port.readline()
+
+    def by_byte(port: serial.SerialBase) -> bytes:
+        return b"".join(port.read(1) for _ in range(13))
+
+    def at_once(port: serial.SerialBase) -> bytes:
+        return port.read(13)
+
+    def by_polling(port: serial.SerialBase) -> bytes:
+        data = b""
+        while not data.endswith(b"\n"):
+            data += port.read(port.in_waiting)
+        return data
+
+    def without_blocking(port: serial.SerialBase) -> bytes:
+        port.timeout = 0
+        data = b""
+        while not data.endswith(b"\n"):
+            data += port.read(100)
+        return data
+
+    for way in (by_line, by_byte, at_once, by_polling, without_blocking):
+        with connect() as port:
+            port.write(b"B" + ending)
+            assert way(port) == b"b,5.02,5.01\r\n", way.__name__
+
+
+def test_a_read_that_gets_nothing_costs_its_timeout() -> None:
+    with connect(timeout=0.5) as port:
+        assert port.read(5) == b""
+        assert port.time_ns == 500_000_000
+        assert port.readline() == b""
+        assert port.time_ns == 1_000_000_000
+
+
+def test_a_timeout_ends_in_the_middle_of_a_reply_and_loses_nothing() -> None:
+    with connect(timeout=0.005) as port:
+        port.write(b"B\n")
+        first = port.readline()
+        assert first == b"b,"[: len(first)]
+        assert len(first) < 13
+        port.timeout = 1
+        assert first + port.readline() == b"b,5.02,5.01\r\n"
+
+
+def test_a_poll_costs_one_byte_time() -> None:
+    with connect(timeout=0) as port:
+        assert port.in_waiting == 0
+        assert port.time_ns == BYTE_NS
+        assert port.read(1) == b""
+        assert port.time_ns == 2 * BYTE_NS
+
+
+def test_a_read_that_could_never_end_is_an_error() -> None:
+    with connect(timeout=None) as port:
+        with pytest.raises(serial.SerialException, match="waiting for ever"):
+            port.read(1)
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+
+
+def test_time_passes_only_in_waiting() -> None:
+    with connect() as port:
+        port.write(b"D,5,5\n")
+        assert port.time_ns == 0
+        assert port.out_waiting == 6
+        port.flush()
+        assert port.time_ns == 6 * 11 * 10**9 // 9600
+        port.sleep(0.25)
+        assert port.time_ns == 6 * 11 * 10**9 // 9600 + 250_000_000
+        assert port.in_waiting == 3
+
+
+def test_buffers_are_reset() -> None:
+    with connect() as port:
+        port.write(b"B\nB\n")
+        port.sleep(0.1)
+        port.reset_input_buffer()
+        port.write(b"xyz")
+        port.reset_output_buffer()
+        port.write(b"E\n")
+        assert port.readline() == b"e,0,0\r\n"
+
+
+def test_a_host_that_writes_more_than_the_line_holds_is_made_to_wait() -> None:
+    with connect() as port:
+        port.write(b"E\n" * 2000)
+        assert port.out_waiting <= 1024
+        assert port.time_ns > 2900 * BYTE_NS
+        replies = [port.readline() for _ in range(2000)]
+        assert set(replies) == {b"e,0,0\r\n"}
+
+
+def test_the_ports_of_pyserial_are_all_there() -> None:
+    with connect() as port:
+        port.dtr, port.rts, port.break_condition = True, False, False
+        assert (port.cts, port.dsr, port.ri, port.cd) == (True, True, False, True)
+        port.baudrate = 38400
+        port.timeout = None
+        port.write_timeout = 1
+    assert not port.is_open
+    for use in (lambda: port.read(1), lambda: port.write(b"x"), lambda: port.in_waiting):
+        with pytest.raises(serial.PortNotOpenError):
+            use()
+    port.close()
+
+
+def test_several_twins_live_side_by_side() -> None:
+    with connect("khep://default?seed=1") as one, connect("khep://obstacles?seed=1") as other:
+        one.sleep(1)
+        assert (one.time_ns, other.time_ns) == (10**9, 0)
+
+
+def test_the_same_seed_and_bytes_give_the_same_replies() -> None:
+    def transcript(seed: int) -> list[bytes]:
+        with connect(f"khep://obstacles?seed={seed}") as port:
+            replies = []
+            for _ in range(20):
+                port.write(b"N\nD,8,9\n")
+                replies += [port.readline(), port.readline()]
+            return replies
+
+    assert transcript(4) == transcript(4) != transcript(5)
+
+
+def test_a_url_is_taken_apart() -> None:
+    playpen, options = parse_url("khep://my%20arena.toml?seed=7&robot=1&noise=off&rom=4.06&mode=2&log=a.mcap")
+    assert playpen == "my arena.toml"
+    assert options == TwinOptions(seed=7, robot=1, noise=False, rom="4.06", mode=2, log="a.mcap")
+    assert parse_url("khep:///tmp/x.toml")[0] == "/tmp/x.toml"
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("khep://", "no playpen named; right is a name or a path, such as khep://default"),
+        ("khep://default?sed=1", "unknown option 'sed'; did you mean 'seed'?"),
+        ("khep://default?seed=x", "seed = 'x': right is a whole number"),
+        ("khep://default?seed=-1", "seed = -1: right is a whole number"),
+        ("khep://default?noise=maybe", "noise = 'maybe': right is on or off"),
+        ("khep://default?seed=1&seed=2", "option 'seed' is given twice"),
+        ("khep://default?robot=3", "robot = 3: not in playpen 'default'; (choices: 0)"),
+        ("khep://default?rom=6", "rom = '6': unknown;"),
+        ("khep://default?mode=7", "mode = 7: speaks no protocol;"),
+        ("khep://nowhere", "nowhere: no such file"),
+        ("khep://default?log=/no/such/place/run.mcap", "/no/such/place/run.mcap: cannot write a log here"),
+    ],
+)
+def test_what_cannot_be_opened_says_why_in_one_line(url: str, message: str) -> None:
+    with pytest.raises(TwinPortError) as caught:
+        connect(url)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, KhepTwinError)
+    assert isinstance(caught.value, serial.SerialException)
+
+
+def test_a_log_is_whole_when_the_port_is_closed(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with connect(f"khep://default?log={log}") as port:
+        port.write(b"B\n")
+        port.readline()
+        assert not log.exists()
+    assert log.read_bytes().endswith(b"\x89MCAP0\r\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]

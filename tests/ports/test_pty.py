@@ -1,0 +1,84 @@
+"""The pseudo-terminal by itself."""
+
+import os
+import termios
+from pathlib import Path
+
+import pytest
+import serial
+
+from khep_twin.errors import PortError
+from khep_twin.ports.pty import PtyPort
+
+
+def test_it_is_raw_and_silent_before_anybody_opens_it() -> None:
+    with PtyPort() as port:
+        port.write(b"hello\r\n")
+        assert port.read(100) == b""
+        flags = termios.tcgetattr(port.descriptor)[3]
+        assert not flags & (termios.ECHO | termios.ICANON)
+
+
+def test_bytes_pass_unchanged_both_ways() -> None:
+    every = bytes(range(256))
+    with PtyPort() as port, serial.Serial(port.path, 9600, stopbits=2, timeout=1) as host:
+        host.write(every)
+        host.flush()
+        assert port.read(1000) == every
+        port.write(every)
+        assert host.read(256) == every
+
+
+def test_a_host_may_come_and_go() -> None:
+    with PtyPort() as port:
+        for _ in range(3):
+            with serial.Serial(port.path, 38400, timeout=1) as host:
+                host.write(b"B\n")
+                assert port.read(100) == b"B\n"
+            assert port.read(100) == b""
+
+
+def test_a_host_that_never_reads_loses_bytes_and_blocks_nobody() -> None:
+    with PtyPort() as port:
+        for _ in range(100):
+            port.write(bytes(1000))
+        assert port.dropped > 50_000
+
+
+def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
+    link = tmp_path / "khepera"
+    with PtyPort(link) as port:
+        assert port.path == str(link)
+        assert os.readlink(link) == port.name
+        with serial.Serial(str(link), timeout=1) as host:
+            host.write(b"x")
+            assert port.read(10) == b"x"
+    assert not os.path.lexists(link)
+
+
+def test_a_stale_link_is_replaced_and_a_strangers_link_survives(tmp_path: Path) -> None:
+    link = tmp_path / "khepera"
+    link.symlink_to("/dev/pts/9999")
+    with PtyPort(link):
+        link.unlink()
+        link.symlink_to("/dev/null")
+    assert os.readlink(link) == "/dev/null"
+
+
+def test_what_is_no_link_is_left_alone(tmp_path: Path) -> None:
+    file = tmp_path / "precious"
+    file.write_text("data")
+    with pytest.raises(PortError, match="precious: there is something that is no link"):
+        PtyPort(file)
+    assert file.read_text() == "data"
+    with pytest.raises(PortError, match="nowhere/link: cannot make this link: No such file or directory"):
+        PtyPort(tmp_path / "nowhere" / "link")
+
+
+def test_no_descriptor_is_left_open(tmp_path: Path) -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(5):
+        PtyPort().close()
+        with pytest.raises(PortError):
+            PtyPort(tmp_path / "nowhere" / "link")
+    assert len(os.listdir("/proc/self/fd")) == before
