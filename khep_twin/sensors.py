@@ -24,6 +24,9 @@ from numpy.typing import NDArray
 from khep_twin.calibration import AmbientCalibration, Calibration
 from khep_twin.units import BULB_RADIUS, COUNTS_LIMIT, Sensor
 
+_SLACK = 1e-6
+"""So much longer a ray may be when it is cast again [m]."""
+
 _LENGTH_AND_NORMAL = 4
 """Numbers per ray that the rangefinders of assets/khepera.xml give."""
 
@@ -74,10 +77,11 @@ class InfraredScan:
         offset = calibration.offset_mm * 1e-3
         # Most of the time nothing near enough is in view; what cannot pass the threshold is not summed up.
         if gain * sensor.brightest / (nearest + offset) ** 2 > -level:
+            directions = sensor.directions()
             level += gain * reflected(
                 lengths,
-                sensor.incidences(),
-                sensor.reflectances(),
+                sensor.incidences(directions),
+                sensor.reflectances(directions, max(lengths)),
                 self._weights,
                 offset,
                 calibration.incidence_exponent,
@@ -157,8 +161,10 @@ class _Sensor:
         self._model, self._data, self._body, self._lamps = model, data, body, lamps
         self._rays = data.sensordata[first : first + size].reshape(n_rays, _LENGTH_AND_NORMAL)
         self._lengths = self._rays[:, 0]
+        self._normals = self._rays[:, 1:]
         self._position: NDArray[np.float64] = data.cam_xpos[camera.id]
         self._frame: NDArray[np.float64] = data.cam_xmat[camera.id]
+        self._rotation = self._frame.reshape(3, 3)
         # Rays go through the middles of the camera's pixels, left to right.
         width, height = model.cam_resolution[camera.id].tolist()
         half_width = math.tan(math.radians(float(camera.fovy[0])) / 2) * width / height
@@ -180,21 +186,26 @@ class _Sensor:
             nearest = min([length for length in lengths if length >= 0], default=math.inf)
         return nearest, lengths
 
-    def incidences(self) -> list[float]:
-        """Cosine between each ray and the normal of what it hits."""
-        facing = self._rays[:, 1:] @ self._frame.reshape(3, 3)
-        return (-(facing * self._directions).sum(axis=1)).tolist()
+    def directions(self) -> NDArray[np.float64]:
+        """Where each ray goes in the world (n_rays, 3)."""
+        return self._directions @ self._rotation.T
 
-    def reflectances(self) -> list[float]:
-        """Of what each ray hits; rangefinders do not tell, so where it matters the rays are cast again."""
+    def incidences(self, directions: NDArray[np.float64]) -> list[float]:
+        """Cosine between each ray and the normal of what it hits."""
+        return (-np.vecdot(self._normals, directions)).tolist()
+
+    def reflectances(self, directions: NDArray[np.float64], reach: float) -> list[float]:
+        """Of what each ray hits within `reach` [m].
+
+        Rangefinders do not tell what they hit, so where it matters the rays are cast again.
+        """
         if self._uniform is not None:
             return self._uniform
-        directions = (self._directions @ self._frame.reshape(3, 3).T).ravel()
         mujoco.mj_multiRay(
             self._model,
             self._data,
             self._position,
-            directions,
+            directions.ravel(),
             None,
             True,
             self._body,
@@ -202,7 +213,7 @@ class _Sensor:
             self._hit_lengths,
             None,
             len(self._hit_geoms),
-            mujoco.mjMAXVAL,
+            reach + _SLACK,
         )
         # A ray that hits nothing has geom -1; its length keeps it out of the sum.
         return self._reflectances[self._hit_geoms].tolist()
@@ -214,7 +225,7 @@ class _Sensor:
         total = 0.0
         for (lamp_x, lamp_y, lamp_z), power in self._lamps:
             dx, dy, dz = lamp_x - x, lamp_y - y, lamp_z - z
-            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz) or _SLACK
             # A camera looks along the negative z axis of its frame.
             cosine = -(dx * frame[2] + dy * frame[5] + dz * frame[8]) / distance
             counts = illuminance(distance, cosine, power, calibration)

@@ -1,0 +1,188 @@
+"""A served twin, as a host program finds it: another process behind a pseudo-terminal."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import serial
+
+from khep_twin.host import Khepera
+from khep_twin.log.reader import read
+
+
+@contextmanager
+def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`khep-twin serve`, and the path that it prints."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "khep_twin", "serve", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert select.select([process.stdout], [], [], 30)[0], "nothing was served"
+        yield process, process.stdout.readline().strip()
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def stop(process: subprocess.Popen[str], how: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
+    """Ends it; returns its exit code and what it said."""
+    process.send_signal(how)
+    _, errors = process.communicate(timeout=5)
+    return process.returncode, errors
+
+
+@pytest.fixture(scope="module")
+def path() -> Iterator[str]:
+    with served("default", "--noise", "off") as (_, path):
+        yield path
+
+
+@pytest.mark.parametrize("ending", [b"\n", b"\r", b"\r\n"])
+def test_a_host_in_pyserial_gets_its_reply(path: str, ending: bytes) -> None:
+    with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+        port.write(b"B" + ending)
+        assert port.readline() == b"b,5.02,5.01\r\n"
+
+
+def test_the_reply_takes_its_time_on_the_line(path: str) -> None:
+    with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+        start = time.monotonic()
+        port.write(b"N\n")
+        reply = port.readline()
+        took = time.monotonic() - start
+    assert reply.count(b",") == 8
+    assert took >= (2 + len(reply)) * 11 / 9600 * 0.95
+    assert took < 0.5
+
+
+def test_a_host_may_set_another_speed_or_one_stop_bit(path: str) -> None:
+    with serial.Serial(path, 57600, stopbits=1, timeout=1, rtscts=True) as port:
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+
+
+def test_single_bytes_and_bursts_are_answered_in_order(path: str) -> None:
+    with serial.Serial(path, 9600, timeout=1) as port:
+        for byte in b"G,5,6\n":
+            port.write(bytes((byte,)))
+            time.sleep(0.002)
+        port.write(b"H\nhello\nD,1\nB\nE\nK\nG,0,0\n")
+        replies = [port.readline() for _ in range(8)]
+    assert replies[:5] == [b"g\r\n", b"h,5,6\r\n", b"Command not found\r\n", b"z,Protocol error\r\n", b"b,5.02,5.01\r\n"]
+    assert replies[7] == b"g\r\n"
+
+
+def test_a_host_in_c_style_reads_and_writes_a_descriptor(path: str) -> None:
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        os.write(descriptor, b"B\r")
+        data = b""
+        while not data.endswith(b"\n"):
+            assert select.select([descriptor], [], [], 2)[0]
+            data += os.read(descriptor, 100)
+    finally:
+        os.close(descriptor)
+    assert data == b"b,5.02,5.01\r\n"
+
+
+def test_our_own_host_drives_it_in_real_time(path: str) -> None:
+    with Khepera(path) as robot:
+        robot.set_position(0, 0)
+        robot.set_speed(5, 5)
+        start = time.monotonic()
+        time.sleep(1.0)
+        left, right = robot.position()
+        took = time.monotonic() - start
+        robot.set_speed(0, 0)
+    # 500 pulses a second, less the start.
+    assert left == pytest.approx(500 * took, rel=0.15)
+    assert right == pytest.approx(left, abs=5)
+
+
+def test_rubbish_at_full_speed_is_survived(path: str) -> None:
+    with serial.Serial(path, 9600, timeout=0.2, write_timeout=5) as port:
+        port.write(bytes(range(256)) * 8)
+        deadline = time.monotonic() + 10
+        while port.read(1000) and time.monotonic() < deadline:
+            pass
+        port.write(b"\nB\n")
+        assert port.read_until(b"5.01\r\n").endswith(b"b,5.02,5.01\r\n")
+
+
+def test_the_example_runs_unchanged_on_a_pty(path: str) -> None:
+    example = Path(__file__).parents[2] / "examples" / "01_braitenberg.py"
+    subprocess.run([sys.executable, str(example), path, "20"], check=True, timeout=60)
+
+
+def test_at_full_speed_without_line_time_answers_come_at_once() -> None:
+    with (
+        served("default", "--speed", "max", "--unpaced") as (_, path),
+        serial.Serial(path, 9600, timeout=1) as port,
+    ):
+        start = time.monotonic()
+        for _ in range(100):
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+        assert time.monotonic() - start < 2
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp_path: Path) -> None:
+    log, link = tmp_path / "run.mcap", tmp_path / "khepera"
+    with served("default", "--log", str(log), "--link", str(link)) as (process, path):
+        assert path == str(link)
+        with serial.Serial(path, 9600, timeout=1) as port:
+            port.write(b"B\n")
+            port.readline()
+        code, errors = stop(process, how)
+    assert code == 0
+    assert "s served" in errors
+    assert not os.path.lexists(link)
+    transcript = [line.text for line in read(log).robots["khepera0"].serial]
+    assert transcript == ["B", "b,5.02,5.01"]
+
+
+def test_a_killed_server_loses_less_than_a_second_and_is_announced_next_time(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with served("default", "--log", str(log)) as (process, _):
+        time.sleep(2.5)
+        process.kill()
+    assert not log.exists()
+    part = tmp_path / "run.mcap.part"
+    assert part.stat().st_size > 20_000
+    with served("default", "--log", str(log)) as (process, _):
+        code, errors = stop(process)
+    assert code == 0
+    assert "an unfinished log of an earlier run is kept as" in errors
+    assert (tmp_path / "run.mcap.part.1").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "khep-twin: nowhere: no such file"),
+        (["--speed", "fast"], "khep-twin: --speed fast: right is a number above 0, or max"),
+        (["--speed", "-1"], "khep-twin: --speed -1: right is a number above 0, or max"),
+        (["--mode", "9"], "khep-twin: mode = 9: speaks no protocol; (choices: 1, 2, 3)"),
+        (["--link", "/nowhere/link"], "khep-twin: /nowhere/link: cannot make this link"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_no_trace(arguments: list[str], message: str) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "khep_twin", "serve", *arguments], capture_output=True, text=True, timeout=60
+    )
+    assert result.returncode in (1, 2)
+    assert result.stderr.startswith(message)
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""

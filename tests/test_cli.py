@@ -1,0 +1,160 @@
+"""The command line, as a user types it."""
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from khep_twin import __version__, playpen
+
+GOOD = (playpen.toml_files.folder("playpens") / "obstacles.toml").read_text()
+
+
+def khep_twin(
+    *arguments: str | Path, before: Callable[[], None] | None = None, cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "khep_twin", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        preexec_fn=before,
+        cwd=cwd,
+    )
+
+
+def complaint(*arguments: str | Path, before: Callable[[], None] | None = None) -> str:
+    """The one line that a mistake gets."""
+    result = khep_twin(*arguments, before=before)
+    assert result.returncode in (1, 2), result.stderr
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert result.stderr.startswith("khep-twin: ")
+    return result.stderr.removeprefix("khep-twin: ").rstrip("\n")
+
+
+def test_the_version_and_the_help_come_at_once() -> None:
+    assert khep_twin("--version").stdout == f"khep-twin {__version__}\n"
+    assert "Runs a controller on a twin or a robot." in khep_twin("--help").stdout
+    program = "import sys, khep_twin.cli; print([m for m in ('mujoco', 'rerun', 'matplotlib') if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert result.stdout == "[]\n"
+
+
+def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path) -> None:
+    logs = [tmp_path / "one.mcap", tmp_path / "sub" / "other-name.mcap", tmp_path / "third.mcap"]
+    logs[1].parent.mkdir()
+    for log, seed, salt in zip(logs, (7, 7, 8), ("1", "2", "1"), strict=True):
+        result = subprocess.run(
+            [sys.executable, "-m", "khep_twin", "run", "--playpen", "obstacles"]
+            + ["--seconds", "7", "--seed", str(seed), "--log", str(log)],
+            env={**os.environ, "PYTHONHASHSEED": salt},
+            capture_output=True,
+            text=True,
+        )
+        assert result.returncode == 0, result.stderr
+        assert f"look at it: khep-twin view {log}" in result.stdout
+    first, second, third = (log.read_bytes() for log in logs)
+    assert first == second
+    assert first != third
+
+
+def test_a_run_draws_its_picture_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+    log, picture = tmp_path / "run.mcap", tmp_path / "run.png"
+    result = khep_twin("run", "--seconds", "2", "--log", log, "--picture", picture)
+    assert result.returncode == 0, result.stderr
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap", "run.png"]
+
+
+def test_an_own_controller_is_run_for_its_cycles(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def turn(robot):\n    robot.set_speed(3, -3)\n    robot.sleep(0.1)\n")
+    result = khep_twin("run", "mine.py:turn", "--cycles", "5", cwd=tmp_path)
+    assert result.stdout == "5 cycles in 0.6 s\n"
+
+
+def test_a_log_becomes_a_rerun_recording(tmp_path: Path) -> None:
+    log, recording = tmp_path / "run.mcap", tmp_path / "run.rrd"
+    khep_twin("run", "--seconds", "2", "--log", log)
+    result = khep_twin("view", log, "--save", recording)
+    assert result.returncode == 0, result.stderr
+    assert recording.read_bytes().startswith(b"RRF2")
+
+
+def test_a_playpen_is_checked_compiled_and_drawn(tmp_path: Path) -> None:
+    assert khep_twin("playpen", "check", "obstacles").stdout.startswith("obstacles: 8 blocks, 3 cylinders")
+    scene = tmp_path / "scene.xml"
+    assert khep_twin("playpen", "compile", "obstacles", "--output", scene).returncode == 0
+    model = mujoco.MjModel.from_xml_path(str(scene))
+    assert khep_twin("playpen", "compile", "obstacles").stdout == scene.read_text()
+    assert model.body("khepera0/base").id > 0
+    for name in ("arena.png", "arena.svg"):
+        assert khep_twin("playpen", "draw", "obstacles", "-o", tmp_path / name).returncode == 0
+    assert (tmp_path / "arena.svg").read_text().startswith("<?xml")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arena.png", "arena.svg", "scene.xml"]
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (("radius_mm", "radios_mm"), "radios_mm"),
+        (("x_mm = 120", "x_mm = nan"), "x_mm = nan: right is a number from 0 to 10000"),
+        (("x_mm = 120", "x_mm = 20"), "overlaps the left wall"),
+        (("version = 1", "version = 1\n[arena"), "not TOML"),
+    ],
+)
+def test_a_wrong_playpen_is_told_file_table_key_and_value(change: tuple[str, str], line: str, tmp_path: Path) -> None:
+    file = tmp_path / "arena.toml"
+    assert change[0] in GOOD
+    file.write_text(GOOD.replace(*change, 1))
+    for command in (["playpen", "compile", file, "-o", tmp_path / "scene.xml"], ["run", "--playpen", file]):
+        result = khep_twin(*command)
+        assert result.returncode == 1
+        for each in result.stderr.splitlines():
+            assert each.startswith(f"khep-twin: {file}: ")
+        assert line in result.stderr
+    assert not (tmp_path / "scene.xml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["run", "--playpen", "obstacle"], "obstacle: no such file; right is the path of a file or a shipped name; did"),
+        (["run", "--port", "/dev/nope", "--seconds", "1"], "/dev/nope: cannot open this port: "),
+        (["run", "--port", "/dev/nope", "--log", "x.mcap"], "--log records a twin in this process"),
+        (["run", "--picture", "x.png"], "--picture draws the path from the log"),
+        (["run", "--seconds", "0"], "--seconds and --cycles are above 0"),
+        (["run", "--seed", "-1"], "seed = -1: right is a whole number from 0 to 2**63-1"),
+        (["run", "--robot", "1"], "robot = 1: not in playpen 'default'; (choices: 0)"),
+        (["run", "--log", "/nowhere/run.mcap"], "/nowhere/run.mcap: cannot write a log here: "),
+        (["run", "nobody.py"], "nobody.py: no such file"),
+        (["run", "nobody"], "nobody: no such controller"),
+        (["view", "nothing.mcap"], "nothing.mcap: "),
+        (["playpen", "compile", "default", "-o", "/nowhere/x.xml"], "/nowhere/x.xml: cannot be written: No such file"),
+        (["playpen", "draw", "default", "-o", "x.jpeg"], "x.jpeg: right is a name that ends in .png or .svg"),
+    ],
+)
+def test_a_mistake_is_one_line_that_says_what_is_right(arguments: list[str], line: str) -> None:
+    assert complaint(*arguments).startswith(line)
+
+
+def test_a_full_disk_ends_the_run_and_keeps_what_was_written(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    line = complaint(
+        *("run", "--seconds", "60", "--log", log),
+        before=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000)),
+    )
+    assert line.startswith(f"{log}: the log cannot be written any more at ")
+    assert "File too large" in line
+    assert line.endswith(f"what came before is kept in {log}.part")
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap.part"]
+
+
+def test_unknown_options_are_refused_with_help() -> None:
+    result = khep_twin("run", "--sed", "1")
+    assert result.returncode == 2
+    assert "No such option: --sed" in result.stderr
