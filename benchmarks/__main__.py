@@ -68,9 +68,8 @@ def main() -> None:
             for name, measure in rows.items():
                 times[name].append(measure())
     floor = statistics.median(times["bare mj_step loop (floor)"])
-    print(
-        f"{PLAYPEN}, {SECONDS} s, {ROUNDS} rounds; mujoco {mujoco.__version__}, Python {platform.python_version()}"
-    )
+    versions = f"mujoco {mujoco.__version__}, Python {platform.python_version()}"
+    print(f"{PLAYPEN}, {SECONDS} s, {ROUNDS} rounds; {versions}")
     print(f"{'':36}{'median':>10}{'best':>10}{'ratio':>8}   [simulated s per s]")
     for name, taken in times.items():
         median = statistics.median(taken)

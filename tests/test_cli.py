@@ -40,7 +40,9 @@ def complaint(*arguments: str | Path, before: Callable[[], None] | None = None) 
 def test_the_version_and_the_help_come_at_once() -> None:
     assert khep_twin("--version").stdout == f"khep-twin {__version__}\n"
     assert "Runs a controller on a twin or a robot." in khep_twin("--help").stdout
-    program = "import sys, khep_twin.cli; print([m for m in ('mujoco', 'rerun', 'matplotlib') if m in sys.modules])"
+    program = (
+        "import sys, khep_twin.cli; print([m for m in ('mujoco', 'rerun', 'matplotlib') if m in sys.modules])"
+    )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert result.stdout == "[]\n"
 
@@ -50,8 +52,10 @@ def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path
     logs[1].parent.mkdir()
     for log, seed, salt in zip(logs, (7, 7, 8), ("1", "2", "1"), strict=True):
         result = subprocess.run(
-            [sys.executable, "-m", "khep_twin", "run", "--playpen", "obstacles"]
-            + ["--seconds", "7", "--seed", str(seed), "--log", str(log)],
+            [
+                *(sys.executable, "-m", "khep_twin", "run", "--playpen", "obstacles"),
+                *("--seconds", "7", "--seed", str(seed), "--log", str(log)),
+            ],
             env={**os.environ, "PYTHONHASHSEED": salt},
             capture_output=True,
             text=True,
@@ -107,7 +111,9 @@ def test_a_playpen_is_checked_compiled_and_drawn(tmp_path: Path) -> None:
         (("version = 1", "version = 1\n[arena"), "not TOML"),
     ],
 )
-def test_a_wrong_playpen_is_told_file_table_key_and_value(change: tuple[str, str], line: str, tmp_path: Path) -> None:
+def test_a_wrong_playpen_is_told_file_table_key_and_value(
+    change: tuple[str, str], line: str, tmp_path: Path
+) -> None:
     file = tmp_path / "arena.toml"
     assert change[0] in GOOD
     file.write_text(GOOD.replace(*change, 1))
@@ -123,7 +129,10 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(change: tuple[str, str
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["run", "--playpen", "obstacle"], "obstacle: no such file; right is the path of a file or a shipped name; did"),
+        (
+            ["run", "--playpen", "obstacle"],
+            "obstacle: no such file; right is the path of a file or a shipped name; did",
+        ),
         (["run", "--port", "/dev/nope", "--seconds", "1"], "/dev/nope: cannot open this port: "),
         (["run", "--port", "/dev/nope", "--log", "x.mcap"], "--log records a twin in this process"),
         (["run", "--picture", "x.png"], "--picture draws the path from the log"),
@@ -134,7 +143,10 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(change: tuple[str, str
         (["run", "nobody.py"], "nobody.py: no such file"),
         (["run", "nobody"], "nobody: no such controller"),
         (["view", "nothing.mcap"], "nothing.mcap: "),
-        (["playpen", "compile", "default", "-o", "/nowhere/x.xml"], "/nowhere/x.xml: cannot be written: No such file"),
+        (
+            ["playpen", "compile", "default", "-o", "/nowhere/x.xml"],
+            "/nowhere/x.xml: cannot be written: No such file",
+        ),
         (["playpen", "draw", "default", "-o", "x.jpeg"], "x.jpeg: right is a name that ends in .png or .svg"),
     ],
 )

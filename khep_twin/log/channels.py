@@ -161,11 +161,11 @@ class ArrayFrame:
         self._frame = frame.message()
         self._type = _layout(len(self._frame), {"values": (f"({length},)<{kind}", values)})
 
-    def messages(self, values: NDArray[Any]) -> list[bytes]:
-        """One message per row of values (n, length)."""
+    def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
+        """One message per row of values (n, length), as rows of bytes (n,)."""
         filled = _copies(self._frame, len(values), self._type)
         filled["values"] = values
-        return _rows(filled)
+        return filled
 
 
 class TransformFrame:
@@ -191,15 +191,21 @@ class TransformFrame:
 
     def messages(
         self, times_ns: NDArray[np.int64], positions: NDArray[np.float64], quaternions: NDArray[np.float64]
-    ) -> list[bytes]:
-        """One message per time (n,): positions [m] (n, bodies, 3), quaternions w, x, y, z (n, bodies, 4)."""
+    ) -> NDArray[np.void]:
+        """One message per time (n,), as rows of bytes (n,).
+
+        Args:
+            times_ns: of the messages (n,) [ns].
+            positions: of the bodies (n, bodies, 3) [m].
+            quaternions: of the bodies, w, x, y, z (n, bodies, 4).
+        """
         filled = _copies(self._frame, len(times_ns), self._type)
         stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
         for index in range(self._size):
             filled[f"stamp {index}"] = stamps
             filled[f"position {index}"] = positions[:, index]
             filled[f"rotation {index}"] = quaternions[:, index, [1, 2, 3, 0]]
-        return _rows(filled)
+        return filled
 
 
 def _layout(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
@@ -211,11 +217,6 @@ def _layout(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
 def _copies(frame: bytes, count: int, layout: np.dtype[np.void]) -> NDArray[np.void]:
     """`count` copies of a message, to be filled in."""
     return np.frombuffer(bytearray(frame * count), layout)
-
-
-def _rows(filled: NDArray[np.void]) -> list[bytes]:
-    data, size = filled.tobytes(), filled.itemsize
-    return [data[place : place + size] for place in range(0, len(data), size)]
 
 
 def text_message(text: str) -> bytes:

@@ -13,11 +13,11 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self, cast
+from typing import Self
 
 import mujoco
 import numpy as np
-from mcap.writer import Writer
+from numpy.typing import NDArray
 
 from khep_twin import __version__, calibration
 from khep_twin import playpen as playpens
@@ -25,6 +25,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS
 from khep_twin.log import channels
+from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.channels import ArrayFrame, Level, Line, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.part_file import PartFile, set_aside, undisturbed
@@ -35,7 +36,6 @@ FLUSH_NS = 5 * NS_PER_S
 
 _BATCH = FLUSH_NS // SAMPLE_NS
 
-_CHUNK_SIZE = 2**20
 _LINE_ENDS = re.compile(rb"[\r\n]")
 _LINE_LIMIT = 1024
 
@@ -61,7 +61,6 @@ class Recorder:
         self.path = path
         self.part = path.with_name(path.name + ".part")
         self._world = world
-        self._channels: dict[str, int] = {}
         self._wire: list[tuple[int, int, bool, bytes]] = []
         self._rests: dict[tuple[int, bool], bytes] = {}
         self._open = True
@@ -74,7 +73,6 @@ class Recorder:
             self._file = PartFile(self.part)
         except OSError as error:
             raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
-        self._writer = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_SIZE)
         # What moves is shown at every sample, what stands only once.
         model = world.model
         self._moving: list[int] = np.flatnonzero(model.body_weldid != 0).tolist()
@@ -143,9 +141,7 @@ class Recorder:
         with self._guarded():
             self._write_samples()
             self._write_lines()
-            for (robot, to_robot), rest in self._rests.items():
-                if rest:
-                    self._add_line(self._world.time_ns, robot, to_robot, rest)
+            self._write_rests()
             self._writer.finish()
             os.replace(self.part, self.path)
             self._open = False
@@ -155,27 +151,41 @@ class Recorder:
         rows, self._rows = self._rows, 0
         times_ns = self._times_ns[:rows]
         poses = self._transforms.messages(times_ns, self._positions[:rows], self._quaternions[:rows])
-        batches = [("/tf", "tf2_msgs/msg/TFMessage", poses)]
+        self._writer.add_rows(self._channel("/tf", "tf2_msgs/msg/TFMessage"), times_ns, poses)
         for stream in self._streams:
-            batches += stream.messages(rows)
-        for topic, schema, messages in batches:
-            for time_ns, message in zip(times_ns.tolist(), messages, strict=True):
-                self._add(topic, schema, time_ns, message)
+            for topic, schema, messages in stream.messages(rows):
+                self._writer.add_rows(self._channel(topic, schema), times_ns, messages)
 
     def _write_lines(self) -> None:
         """Writes the lines that the noted bytes complete."""
+        lines: dict[int, list[tuple[int, bytes]]] = {}
         for time_ns, robot, to_robot, data in self._wire:
-            *lines, rest = _LINE_ENDS.split(self._rests.get((robot, to_robot), b"") + data)
+            *whole, rest = _LINE_ENDS.split(self._rests.get((robot, to_robot), b"") + data)
             if len(rest) > _LINE_LIMIT:  # noise, or a host that knows no line ends
-                lines, rest = [*lines, rest], b""
+                whole, rest = [*whole, rest], b""
             self._rests[robot, to_robot] = rest
-            for line in filter(None, lines):
-                self._add_line(time_ns, robot, to_robot, line)
+            lines.setdefault(robot, []).extend(
+                (time_ns, _line_message(time_ns, to_robot, line)) for line in whole if line
+            )
         self._wire.clear()
+        for robot, messages in lines.items():
+            self._write_transcript(robot, messages)
+
+    def _write_rests(self) -> None:
+        """Writes lines that were begun and never ended."""
+        time_ns = self._world.time_ns
+        for (robot, to_robot), rest in self._rests.items():
+            if rest:
+                self._write_transcript(robot, [(time_ns, _line_message(time_ns, to_robot, rest))])
+
+    def _write_transcript(self, robot: int, messages: list[tuple[int, bytes]]) -> None:
+        topic = f"/{self._world.robots[robot].name}/serial"
+        times_ns, lines = [time_ns for time_ns, _ in messages], [line for _, line in messages]
+        self._writer.add_lines(self._channel(topic, "rcl_interfaces/msg/Log"), times_ns, lines)
 
     def _begin(self, settings: Mapping[str, object]) -> None:
         world = self._world
-        self._writer.start(profile="ros2", library=f"khep_twin {__version__}")
+        self._writer = BatchWriter(self._file, "ros2", f"khep_twin {__version__}")
         robots = world.playpen.robots
         attachments = {
             "playpen.toml": playpens.dump(world.playpen),
@@ -187,7 +197,7 @@ class Recorder:
             },
         }
         for name, text in attachments.items():
-            self._writer.add_attachment(0, 0, name, "text/plain", text.encode("utf-8"))
+            self._writer.attach(name, text)
         facts = {
             "playpen": world.playpen.name,
             "robots": ",".join(robot.name for robot in world.robots),
@@ -195,7 +205,7 @@ class Recorder:
             "mujoco": mujoco.__version__,
             "numpy": version("numpy"),
         }
-        self._writer.add_metadata("run", {**facts, **{key: str(value) for key, value in settings.items()}})
+        self._writer.describe("run", {**facts, **{key: str(value) for key, value in settings.items()}})
         message = channels.text_message(urdf(world.model))
         self._add("/robot_description", "std_msgs/msg/String", 0, message)
         self._add_standing()
@@ -207,22 +217,14 @@ class Recorder:
         if standing:
             frame = TransformFrame([body_name(model, body) for body in standing])
             start = np.zeros(1, np.int64)
-            (poses,) = frame.messages(start, data.xpos[None, standing], data.xquat[None, standing])
-            self._add("/tf", "tf2_msgs/msg/TFMessage", 0, poses)
-
-    def _add_line(self, time_ns: int, robot: int, to_robot: bool, line: bytes) -> None:
-        # Readable and whole: control characters and noise on the line become \n, \x00, \xff.
-        text = line.decode("latin-1").encode("unicode_escape").decode("ascii")
-        message = channels.line_message(Line(time_ns, Level.INFO, "host" if to_robot else "robot", text))
-        topic = f"/{self._world.robots[robot].name}/serial"
-        self._add(topic, "rcl_interfaces/msg/Log", time_ns, message)
+            poses = frame.messages(start, data.xpos[None, standing], data.xquat[None, standing])
+            self._writer.add_rows(self._channel("/tf", "tf2_msgs/msg/TFMessage"), start, poses)
 
     def _add(self, topic: str, schema: str, time_ns: int, message: bytes) -> None:
-        channel = self._channels.get(topic)
-        if channel is None:
-            known = self._writer.register_schema(schema, "ros2msg", channels.SCHEMAS[schema].encode("ascii"))
-            channel = self._channels[topic] = self._writer.register_channel(topic, "cdr", known)
-        self._writer.add_message(channel, time_ns, message, time_ns)
+        self._writer.add(self._channel(topic, schema), time_ns, message)
+
+    def _channel(self, topic: str, schema: str) -> int:
+        return self._writer.channel(topic, schema, channels.SCHEMAS[schema])
 
     @contextmanager
     def _guarded(self) -> Generator[None, None, None]:
@@ -239,6 +241,12 @@ class Recorder:
                 f"{self.path}: the log cannot be written any more at {seconds:.2f} s: {error.strerror}; "
                 f"what came before is kept in {self.part}"
             ) from error
+
+
+def _line_message(time_ns: int, to_robot: bool, line: bytes) -> bytes:
+    # Readable and whole: control characters and noise on the line become \n, \x00, \xff.
+    text = line.decode("latin-1").encode("unicode_escape").decode("ascii")
+    return channels.line_message(Line(time_ns, Level.INFO, "host" if to_robot else "robot", text))
 
 
 class _RobotStream:
@@ -264,7 +272,7 @@ class _RobotStream:
         """Keeps the board's state as a row of the batch."""
         self._noted[row] = self._registers
 
-    def messages(self, rows: int) -> list[tuple[str, str, list[bytes]]]:
+    def messages(self, rows: int) -> list[tuple[str, str, NDArray[np.void]]]:
         """Topic, message type and messages of each channel, for the first rows of the batch."""
         return [
             (topic, schema, frame.messages(self._noted[:rows, columns]))

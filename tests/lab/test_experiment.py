@@ -44,7 +44,9 @@ def test_the_motors_stop_when_a_controller_fails() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_vehicle_wanders_for_two_minutes_and_never_stands_for_five_seconds(seed: int, tmp_path: Path) -> None:
+def test_the_vehicle_wanders_for_two_minutes_and_never_stands_for_five_seconds(
+    seed: int, tmp_path: Path
+) -> None:
     log = tmp_path / "run.mcap"
     with Khepera(f"khep://obstacles?seed={seed}&log={log}") as robot:
         run(braitenberg, robot, seconds=120)
@@ -72,7 +74,11 @@ def test_a_controller_is_found_by_name_or_in_a_file(tmp_path: Path) -> None:
         ("", "braitenburg", r"braitenburg: no such controller; .*did you mean 'braitenberg'\?"),
         ("", "{folder}/none.py", "none.py: no such file"),
         ("x = (", "{file}", r"mine.py:1: SyntaxError"),
-        ("import nothing_like_it", "{file}", r"mine.py:1: ModuleNotFoundError: No module named 'nothing_like_it'"),
+        (
+            "import nothing_like_it",
+            "{file}",
+            r"mine.py:1: ModuleNotFoundError: No module named 'nothing_like_it'",
+        ),
         ("\n1 / 0", "{file}", r"mine.py:2: ZeroDivisionError"),
         ("def f(robot): ...", "{file}:g", r"no function 'g' that takes a robot; .*choices: f"),
         ("def f(r): ...\ndef g(r): ...", "{file}", r"no function 'controller' .*choices: f, g"),

@@ -39,10 +39,16 @@ class Cdr:
         return self.place == len(self.message)
 
 
+def rows(messages: np.ndarray) -> list[bytes]:
+    """Messages of one size, one by one."""
+    data, size = messages.tobytes(), messages.itemsize
+    return [data[place : place + size] for place in range(0, len(data), size)]
+
+
 @pytest.mark.parametrize("label", ["", "a", "abc", "counts", "speed [pulses/10 ms]"])
 @pytest.mark.parametrize(("kind", "code"), [("f8", "d"), ("i8", "q")])
 def test_an_array_decodes_by_the_rules_of_cdr(label: str, kind: str, code: str) -> None:
-    first, second = ArrayFrame(3, kind, label).messages(np.array([[1, -2, 1023], [4, 5, 6]]))
+    first, second = rows(ArrayFrame(3, kind, label).messages(np.array([[1, -2, 1023], [4, 5, 6]])))
     assert len(first) == len(second)
     for message, values in ((first, [1, -2, 1023]), (second, [4, 5, 6])):
         cdr = Cdr(message)
@@ -59,7 +65,7 @@ def test_transforms_decode_by_the_rules_of_cdr() -> None:
     positions, quaternions = random.normal(size=(2, 3, 3)), random.normal(size=(2, 3, 4))
     times_ns = np.array([0, 12_345_678_901])
     messages = TransformFrame(names).messages(times_ns, positions, quaternions)
-    for row, message in enumerate(messages):
+    for row, message in enumerate(rows(messages)):
         cdr = Cdr(message)
         assert cdr.take("I") == 3
         for body, name in enumerate(names):
@@ -85,8 +91,9 @@ def test_what_is_encoded_can_be_read_back() -> None:
     line = Line(5_000_000_123, Level.INFO, "robot", "n,1,2,3")
     assert channels.read_line(channels.line_message(line)) == line
     values = [[1.0, 2.5, -3.0]]
-    assert list(channels.read_array(ArrayFrame(3, "f8", "x").messages(np.array(values))[0], "d")) == values[0]
-    (message,) = TransformFrame(["a"]).messages(
-        np.zeros(1, np.int64), np.ones((1, 1, 3)), np.eye(4)[None, :1]
+    (message,) = rows(ArrayFrame(3, "f8", "x").messages(np.array(values)))
+    assert list(channels.read_array(message, "d")) == values[0]
+    (message,) = rows(
+        TransformFrame(["a"]).messages(np.zeros(1, np.int64), np.ones((1, 1, 3)), np.eye(4)[None, :1])
     )
     assert channels.read_transforms(message) == {"a": (1, 1, 1, 0, 0, 0, 1)}

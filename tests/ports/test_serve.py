@@ -79,7 +79,13 @@ def test_single_bytes_and_bursts_are_answered_in_order(path: str) -> None:
             time.sleep(0.002)
         port.write(b"H\nhello\nD,1\nB\nE\nK\nG,0,0\n")
         replies = [port.readline() for _ in range(8)]
-    assert replies[:5] == [b"g\r\n", b"h,5,6\r\n", b"Command not found\r\n", b"z,Protocol error\r\n", b"b,5.02,5.01\r\n"]
+    assert replies[:5] == [
+        b"g\r\n",
+        b"h,5,6\r\n",
+        b"Command not found\r\n",
+        b"z,Protocol error\r\n",
+        b"b,5.02,5.01\r\n",
+    ]
     assert replies[7] == b"g\r\n"
 
 

@@ -1,0 +1,262 @@
+"""Writing MCAP in batches: many messages of one size become a chunk's bytes in one go.
+
+The mcap package defines the records and writes all that is rare; messages, which are many, are laid out by
+numpy, several times faster than one by one.
+"""
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_INDEX_HEAD = struct.Struct("<BQHI")
+
+
+class Sink(Protocol):
+    """Where the bytes go."""
+
+    def write(self, data: bytes) -> int:
+        """Appends bytes, all or none."""
+        ...
+
+    def tell(self) -> int:
+        """How many bytes there are."""
+        ...
+
+
+class BatchWriter:
+    """An MCAP file in the making.
+
+    Args:
+        sink: where it goes.
+        profile: of the messages, such as "ros2".
+        library: what wrote it.
+    """
+
+    def __init__(self, sink: Sink, profile: str, library: str) -> None:
+        self._sink = sink
+        self._compressor = zstandard.ZstdCompressor()
+        self._schemas: dict[str, Schema] = {}
+        self._channels: dict[str, Channel] = {}
+        self._pieces: list[bytes] = []
+        self._size = 0
+        self._index: dict[int, list[NDArray[np.uint64]]] = {}
+        self._counts: Counter[int] = Counter()
+        self._span: tuple[int, int] | None = None
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        sink.write(MCAP0_MAGIC + _record(Header(profile, library)))
+
+    def attach(self, name: str, text: str) -> None:
+        """Adds a text file."""
+        data = text.encode("utf-8")
+        offset = self._sink.tell()
+        record = Attachment(create_time=0, log_time=0, name=name, media_type="text/plain", data=data)
+        length = self._sink.write(_record(record))
+        self._attachments.append(
+            AttachmentIndex(
+                offset=offset,
+                length=length,
+                create_time=0,
+                log_time=0,
+                data_size=len(data),
+                name=name,
+                media_type="text/plain",
+            )
+        )
+
+    def describe(self, name: str, facts: Mapping[str, str]) -> None:
+        """Adds a table of facts about the run."""
+        offset = self._sink.tell()
+        length = self._sink.write(_record(Metadata(name=name, metadata=dict(facts))))
+        self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
+
+    def channel(self, topic: str, schema: str, definition: str) -> int:
+        """The number of a topic's channel, made at its first use."""
+        if topic not in self._channels:
+            if schema not in self._schemas:
+                data = definition.encode("ascii")
+                known = Schema(id=len(self._schemas) + 1, name=schema, encoding="ros2msg", data=data)
+                self._schemas[schema] = known
+                self._append(_record(known))
+            channel = Channel(
+                id=len(self._channels) + 1,
+                topic=topic,
+                message_encoding="cdr",
+                metadata={},
+                schema_id=self._schemas[schema].id,
+            )
+            self._channels[topic] = channel
+            self._append(_record(channel))
+        return self._channels[topic].id
+
+    def add(self, channel: int, time_ns: int, message: bytes) -> None:
+        """Adds one message."""
+        head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, 22 + len(message), channel, 0, time_ns, time_ns)
+        self._note(channel, np.array([[time_ns, self._size]], np.uint64))
+        self._append(head + message)
+
+    def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
+        """Adds messages of different sizes, at these times in their order."""
+        places: list[tuple[int, int]] = []
+        size = self._size
+        pieces: list[bytes] = []
+        for time_ns, message in zip(times_ns, messages, strict=True):
+            length = 22 + len(message)
+            pieces += _MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns), message
+            places.append((time_ns, size))
+            size += 9 + length
+        if places:
+            self._note(channel, np.array(places, np.uint64))
+            self._append(b"".join(pieces))
+
+    def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        """Adds messages of one size, a row each, at these times (n,), rising."""
+        size = messages.itemsize
+        rows = np.zeros(
+            len(messages),
+            [
+                ("opcode", "u1"),
+                ("length", "<u8"),
+                ("channel", "<u2"),
+                ("sequence", "<u4"),
+                ("log_time", "<u8"),
+                ("publish_time", "<u8"),
+                ("data", f"V{size}"),
+            ],
+        )
+        if not len(rows):
+            return
+        rows["opcode"] = Opcode.MESSAGE
+        rows["length"] = 22 + size
+        rows["channel"] = channel
+        rows["log_time"] = times_ns
+        rows["publish_time"] = times_ns
+        rows["data"] = messages.view(f"V{size}")
+        places = self._size + rows.itemsize * np.arange(len(rows))
+        self._note(channel, np.column_stack([times_ns, places]).astype(np.uint64))
+        self._append(rows.tobytes())
+
+    def flush(self) -> None:
+        """Writes what was added as one chunk."""
+        if not self._index:
+            return
+        data = b"".join(self._pieces)
+        packed = self._compressor.compress(data)
+        times = np.concatenate([place[:, 0] for places in self._index.values() for place in places])
+        start_ns, end_ns = int(times.min()), int(times.max())
+        first, last = self._span or (start_ns, end_ns)
+        self._span = min(first, start_ns), max(last, end_ns)
+        chunk = Chunk(
+            compression="zstd",
+            data=packed,
+            message_start_time=start_ns,
+            message_end_time=end_ns,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+        chunk_start = self._sink.tell()
+        records = _record(chunk)
+        chunk_length = len(records)
+        offsets: dict[int, int] = {}
+        for channel, places in sorted(self._index.items()):
+            entries = np.concatenate(places).astype("<u8").tobytes()
+            offsets[channel] = chunk_start + len(records)
+            head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries))
+            records += head + entries
+            self._counts[channel] += len(entries) // 16
+        self._sink.write(records)
+        self._chunks.append(
+            ChunkIndex(
+                message_start_time=start_ns,
+                message_end_time=end_ns,
+                chunk_start_offset=chunk_start,
+                chunk_length=chunk_length,
+                message_index_offsets=offsets,
+                message_index_length=len(records) - chunk_length,
+                compression="zstd",
+                compressed_size=len(packed),
+                uncompressed_size=len(data),
+            )
+        )
+        self._pieces.clear()
+        self._index.clear()
+        self._size = 0
+
+    def finish(self) -> None:
+        """Writes the summary; the file is whole then."""
+        self.flush()
+        self._sink.write(_record(DataEnd(data_section_crc=0)))
+        start_ns, end_ns = self._span or (0, 0)
+        statistics = Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(sorted(self._counts.items())),
+            chunk_count=len(self._chunks),
+            message_count=self._counts.total(),
+            metadata_count=len(self._metadata),
+            message_start_time=start_ns,
+            message_end_time=end_ns,
+            schema_count=len(self._schemas),
+        )
+        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
+            (Opcode.SCHEMA, list(self._schemas.values())),
+            (Opcode.CHANNEL, list(self._channels.values())),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ]
+        summary_start = self._sink.tell()
+        summary, offsets = b"", b""
+        for opcode, records in groups:
+            group = b"".join(map(_record, records))
+            start = summary_start + len(summary)
+            offsets += _record(SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(group)))
+            summary += group
+        offset_start = summary_start + len(summary)
+        footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)
+        crc = zlib.crc32(summary + offsets + footer_head)
+        footer = Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc)
+        self._sink.write(summary + offsets + _record(footer) + MCAP0_MAGIC)
+
+    def _append(self, data: bytes) -> None:
+        self._pieces.append(data)
+        self._size += len(data)
+
+    def _note(self, channel: int, places: NDArray[np.uint64]) -> None:
+        """Remembers times and places within the chunk of a channel's messages (n, 2)."""
+        self._index.setdefault(channel, []).append(places)
+
+
+def _record(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    write: Callable[[RecordBuilder], None] = record.write
+    write(builder)
+    return builder.end()

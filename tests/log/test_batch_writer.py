@@ -1,0 +1,133 @@
+"""MCAP in batches, read back by the mcap package."""
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+
+from khep_twin.log.batch_writer import BatchWriter
+
+
+class Buffer:
+    """A file in memory."""
+
+    def __init__(self) -> None:
+        self.data = b""
+
+    def write(self, data: bytes) -> int:
+        self.data += data
+        return len(data)
+
+    def tell(self) -> int:
+        return len(self.data)
+
+
+def rows(count: int, size: int) -> np.ndarray:
+    """Messages of one size that tell themselves apart."""
+    return np.frombuffer(np.random.default_rng(size).bytes(count * size), f"V{size}")
+
+
+@pytest.fixture
+def written() -> tuple[Buffer, list[tuple[str, int, bytes]]]:
+    """A finished file, and what it must hold as (topic, time, message)."""
+    buffer = Buffer()
+    writer = BatchWriter(buffer, "ros2", "a library")
+    writer.attach("note.txt", "hällo")
+    writer.describe("run", {"seed": "7"})
+    wanted: list[tuple[str, int, bytes]] = []
+    for chunk in range(3):
+        times_ns = np.arange(5) * 20 + 100 * chunk
+        for topic, size in (("/a", 12), ("/b", 301)):
+            batch = rows(5, size)
+            writer.add_rows(writer.channel(topic, f"type{size}", "int8 x"), times_ns, batch)
+            wanted += [(topic, int(t), row.tobytes()) for t, row in zip(times_ns, batch, strict=True)]
+        lines = [b"x" * k for k in range(4)]
+        writer.add_lines(
+            writer.channel("/lines", "type12", "int8 x"), [100 * chunk + k for k in range(4)], lines
+        )
+        wanted += [("/lines", 100 * chunk + k, line) for k, line in enumerate(lines)]
+        writer.add(writer.channel("/one", "type12", "int8 x"), 100 * chunk, b"single")
+        wanted.append(("/one", 100 * chunk, b"single"))
+        writer.flush()
+        writer.flush()
+    writer.finish()
+    return buffer, wanted
+
+
+def test_every_message_comes_back_by_the_index(written: tuple[Buffer, list[tuple[str, int, bytes]]]) -> None:
+    buffer, wanted = written
+    reader = make_reader(BytesIO(buffer.data), validate_crcs=True)
+    found = [
+        (channel.topic, message.log_time, message.data) for _, channel, message in reader.iter_messages()
+    ]
+    assert sorted(found) == sorted(wanted)
+    assert [time_ns for _, time_ns, _ in found] == sorted(time_ns for _, time_ns, _ in wanted)
+    only = [message.data for _, _, message in reader.iter_messages(topics=["/b"])]
+    assert only == [data for topic, _, data in wanted if topic == "/b"]
+
+
+def test_every_message_comes_back_without_the_index(
+    written: tuple[Buffer, list[tuple[str, int, bytes]]],
+) -> None:
+    buffer, wanted = written
+    reader = NonSeekingReader(BytesIO(buffer.data), validate_crcs=True)
+    found = [
+        (channel.topic, message.log_time, message.data) for _, channel, message in reader.iter_messages()
+    ]
+    assert sorted(found) == sorted(wanted)
+
+
+def test_the_summary_counts_what_is_there(written: tuple[Buffer, list[tuple[str, int, bytes]]]) -> None:
+    buffer, wanted = written
+    reader = make_reader(BytesIO(buffer.data), validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    statistics = summary.statistics
+    assert (statistics.message_count, statistics.chunk_count) == (len(wanted), 3)
+    assert (statistics.channel_count, statistics.schema_count) == (4, 2)
+    assert (statistics.message_start_time, statistics.message_end_time) == (0, 280)
+    assert statistics.channel_message_counts == {1: 15, 2: 15, 3: 12, 4: 3}
+    assert [(each.name, each.data.decode()) for each in reader.iter_attachments()] == [("note.txt", "hällo")]
+    assert [(each.name, each.metadata) for each in reader.iter_metadata()] == [("run", {"seed": "7"})]
+    assert reader.get_header().library == "a library"
+
+
+def test_what_was_flushed_can_be_read_from_a_torn_file() -> None:
+    buffer = Buffer()
+    writer = BatchWriter(buffer, "ros2", "a library")
+    channel = writer.channel("/a", "type12", "int8 x")
+    for chunk in range(3):
+        writer.add_rows(channel, np.arange(10) + 10 * chunk, rows(10, 12))
+        writer.flush()
+    # Nothing was finished, and of the last chunk the end is missing.
+    read: list[int] = []
+    with pytest.raises(McapError):
+        read.extend(_times(buffer.data[:-200]))
+    read += _times_until_torn(buffer.data[:-200])
+    assert read == list(range(20))
+
+
+def _times(data: bytes) -> list[int]:
+    return [record.log_time for record in StreamReader(BytesIO(data)).records if isinstance(record, Message)]
+
+
+def _times_until_torn(data: bytes) -> list[int]:
+    times: list[int] = []
+    try:
+        for record in StreamReader(BytesIO(data)).records:
+            if isinstance(record, Message):
+                times.append(record.log_time)
+    except McapError:
+        pass
+    return times
+
+
+def test_an_empty_file_is_whole() -> None:
+    buffer = Buffer()
+    BatchWriter(buffer, "", "").finish()
+    assert list(make_reader(BytesIO(buffer.data), validate_crcs=True).iter_messages()) == []
