@@ -1,0 +1,38 @@
+"""What the README shows works as it stands."""
+
+import re
+from pathlib import Path
+
+from khep_twin import playpen
+from khep_twin.host import Khepera
+
+README = (Path(__file__).parents[1] / "README.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+
+
+def test_the_ten_lines_drive_a_twin_and_are_the_same_for_a_robot() -> None:
+    twin, robot, _ = blocks("python")
+    assert twin.replace("khep://obstacles?seed=1", "/dev/ttyUSB0") == robot
+    assert len(twin.splitlines()) <= 10
+    exec(compile(twin, "README.md", "exec"), {})
+
+
+def test_the_controller_runs() -> None:
+    names: dict[str, object] = {}
+    exec(compile(blocks("python")[2], "README.md", "exec"), names)
+    controller = names["controller"]
+    assert callable(controller)
+    with Khepera("khep://default") as robot:
+        controller(robot)
+
+
+def test_the_playpen_is_right() -> None:
+    assert playpen.parse(blocks("toml")[0], "README.md").name == "mine"
+
+
+def test_the_two_commands_are_the_makefiles() -> None:
+    commands = [line.split("#")[0].strip() for line in blocks("sh")[0].splitlines()]
+    assert commands == ["make run", "make test"]
