@@ -4,6 +4,7 @@ What a command needs is imported inside it, so that `khep-twin --help` comes at 
 """
 
 import math
+import shutil
 import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -134,7 +135,7 @@ def run(
         _draw_log(log, picture)
         typer.echo(f"picture  {picture}")
     if log is not None:
-        typer.echo(f"log      {log}      look at it: khep-twin view {log}")
+        typer.echo(f"log      {log}      look at it: {_program()} view {log}")
 
 
 @app.command()
@@ -262,6 +263,13 @@ def _speed(text: str) -> float:
     if not 0 < speed < math.inf:
         raise _usage(f"--speed {text}: right is a number above 0, or max")
     return speed
+
+
+def _program() -> str:
+    """How this command is called here: by its name where the shell finds it, else as it was typed."""
+    typed = sys.argv[0]
+    found = shutil.which("khep-twin")
+    return typed if Path(typed).name == "khep-twin" and found != typed else "khep-twin"
 
 
 def _tell_kept(twin: "Twin") -> None:
