@@ -117,10 +117,6 @@ class Firmware:
         self._lines.clear()
         return b"".join(line.encode("ascii") + END for line in self.rom.banner)
 
-    def forget_line(self) -> None:
-        """Drops a line begun and not ended, as when the host goes away in the middle of one."""
-        self._lines.clear()
-
     def _answer(self, request: Request) -> bytes:
         match request:
             case Malformed():

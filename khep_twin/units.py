@@ -140,11 +140,6 @@ BITS_PER_BYTE = 11
 # Conversions -------------------------------------------------------------------------------------------
 
 
-def pulses(distance: float) -> float:
-    """A wheel's way [m] in encoder pulses."""
-    return distance / PULSE_LENGTH
-
-
 def speed(speed_pulses: float) -> float:
     """A speed in pulses per 10 ms as the protocol counts it, in [m/s]."""
     return speed_pulses * PULSE_LENGTH / (TICK_NS * 1e-9)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import calibration, kernel, units
+from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
 from khep_twin.firmware import BAUD_BY_MODE, ROMS, Firmware
 from khep_twin.kernel import DUTIES, LEFT, RIGHT, Wheel
@@ -26,8 +27,8 @@ from khep_twin.uart import Uart
 SAMPLE_NS = units.SCAN_NS
 """How often taps are shown the world [ns]."""
 
-_STEPS_PER_TICK = units.TICK_NS // units.STEP_NS
-_STEPS_PER_SAMPLE = SAMPLE_NS // units.STEP_NS
+_STEPS_PER_TICK = n_steps(units.TICK_NS, units.STEP_NS)
+_STEPS_PER_SAMPLE = n_steps(SAMPLE_NS, units.STEP_NS)
 _FASTEST = 1000.0
 """What no joint in a playpen exceeds [m/s or rad/s]; beyond it the simulation has diverged."""
 
@@ -68,6 +69,8 @@ class World:
     """
 
     def __init__(self, playpen: Playpen, *, seed: int = 0, noise: bool = True, unpaced: bool = False) -> None:
+        # MuJoCo would write its warnings into a file where the user happens to be; they are checked here.
+        mujoco.set_mju_user_warning(_keep_quiet)
         self.playpen = playpen
         self.spec = to_spec(playpen)
         self.model = self.spec.compile()
@@ -154,20 +157,22 @@ class World:
         """Refuses to go on after MuJoCo has warned."""
         if self._warnings.any():
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
-            raise DivergedError(
-                f"the simulation failed at {self.time_ns / 1e9:.4f} s: MuJoCo warns of {kind}"
-            )
+            raise self._diverged(f"MuJoCo warns of {kind}")
 
     def _check_state(self) -> None:
         """Refuses to go on with a state that is no physics any more."""
         # Sums of squares, because they are the quickest look that also meets what is not a number.
         places, speeds, joints = self._places, self.data.qvel, self.data.qpos
-        fits = places.dot(places) < len(places) * self._limit**2
-        if not (fits and speeds.dot(speeds) < len(speeds) * _FASTEST**2 and joints.dot(joints) < math.inf):
-            raise DivergedError(
-                f"the simulation failed at {self.time_ns / 1e9:.4f} s: something is "
-                f"{np.abs(places).max():g} m off, at {np.abs(speeds).max():g} m/s or rad/s"
+        fits = places.dot(places) <= len(places) * self._limit**2
+        if not (fits and speeds.dot(speeds) <= len(speeds) * _FASTEST**2 and joints.dot(joints) < math.inf):
+            raise self._diverged(
+                f"something is {np.abs(places).max():g} m off, at {np.abs(speeds).max():g} m/s or rad/s"
             )
+
+    def _diverged(self, reason: str) -> DivergedError:
+        text = f"the simulation failed at {self.time_ns / 1e9:.4f} s: {reason}"
+        self.tell(None, text)
+        return DivergedError(text)
 
 
 class Robot:
@@ -247,6 +252,10 @@ class Robot:
     def _tap(self, time_ns: int, to_robot: bool, data: bytes) -> None:
         for tap in self._world.taps:
             tap.wire(time_ns, self._index, to_robot, data)
+
+
+def _keep_quiet(warning: str) -> None:
+    """Leaves a warning to the check of MuJoCo's counters."""
 
 
 _LEFT_DUTY, _RIGHT_DUTY = DUTIES

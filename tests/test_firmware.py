@@ -133,12 +133,6 @@ def test_restart_puts_all_back_and_shows_the_banner(firmware: Firmware) -> None:
     assert firmware.cells[LEFT + Wheel.SPEED_SETPOINT] == 0
 
 
-def test_a_line_begun_is_forgotten_when_the_host_goes(firmware: Firmware) -> None:
-    firmware.receive(b"D,1")
-    firmware.forget_line()
-    assert firmware.receive(b"B\n") == b"b,5.02,5.01\r\n"
-
-
 @given(st.lists(st.binary(max_size=60), max_size=30))
 def test_rubbish_is_answered_line_by_line_in_plain_ascii(chunks: list[bytes]) -> None:
     firmware = Firmware(ROMS["5.02"])

@@ -1,6 +1,7 @@
 """The world as a whole: physics against closed form, time, order, determinism."""
 
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -167,12 +168,16 @@ def test_time_cannot_go_back(field: Playpen) -> None:
         world.advance_to(999)
 
 
-def test_a_simulation_that_diverges_is_an_error_and_no_silent_restart(field: Playpen) -> None:
+def test_a_simulation_that_diverges_is_an_error_and_no_silent_restart(
+    field: Playpen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     world = World(field)
     advance(world, 0.1)
     world.data.qvel[0] = math.nan
     with pytest.raises(DivergedError, match=r"failed at 0\.1\d+ s"):
         advance(world, 0.1)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_several_robots_see_each_other_and_keep_their_own_noise() -> None:
@@ -203,3 +208,9 @@ def test_the_steps_agree_with_the_compiled_model(field: Playpen) -> None:
     assert world.model.opt.timestep == units.STEP_NS * 1e-9
     assert world.model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     assert world.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+
+def test_a_playpen_without_robots_is_a_world_too() -> None:
+    world = World(playpen.parse('version = 1\nname = "x"\n[arena]\nwidth_mm = 500\nheight_mm = 500\n', "x"))
+    advance(world, 0.1)
+    assert world.robots == ()

@@ -1,6 +1,6 @@
 """The part of MuJoCo's Python interface that khep_twin uses; MuJoCo ships no types of its own."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Any
 
@@ -147,6 +147,7 @@ class MjSpec:
     def delete(self, element: MjsKey) -> None: ...
     def to_xml(self) -> str: ...
 
+def set_mju_user_warning(handler: Callable[[str], None]) -> None: ...
 def mj_step(model: MjModel, data: MjData, nstep: int = 1) -> None: ...
 def mj_ray(
     model: MjModel,
