@@ -187,6 +187,27 @@ def view(
         typer.echo(f"recording  {save}      look at it: rerun {save}")
 
 
+@app.command()
+def conform(
+    port: Annotated[str, typer.Argument(help="Port of a robot or a twin, such as khep://default.")],
+    move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
+    baudrate: Annotated[int, typer.Option(help="Speed of the line.")] = 9600,
+    report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
+) -> None:
+    """Checks whether what is at a port speaks the robot's protocol; ends with 1 if it does not."""
+    from khep_twin.lab import conformance
+
+    if move:
+        ways = dict.fromkeys(check.moves for check in conformance.checks(True) if check.moves)
+        typer.echo(f"the robot {', '.join(ways)}", err=True)
+    outcome = conformance.conform(port, move=move, baudrate=baudrate)
+    typer.echo(outcome.text())
+    if report is not None:
+        write_whole(report, outcome.json().encode("utf-8"))
+    if not outcome.passed:
+        raise typer.Exit(1)
+
+
 @playpen_app.command()
 def check(playpen: PlaypenName) -> None:
     """Checks a playpen; one line per problem."""

@@ -24,3 +24,9 @@ heading_deg = 0
 def field() -> Playpen:
     """A robot on a wide floor, 1.5 m from the nearest wall, looking along x."""
     return playpen.parse(FIELD, "field")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`pytest tests/conformance --port URL` checks a robot or a served twin instead of twins of its own."""
+    parser.addoption("--port", help="port of a robot or twin to check; its robot moves about 10 cm")
+    parser.addoption("--baudrate", type=int, default=9600, help="speed of that port's line")

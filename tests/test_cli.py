@@ -1,5 +1,6 @@
 """The command line, as a user types it."""
 
+import json
 import os
 import resource
 import subprocess
@@ -164,6 +165,15 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_written(tmp_path: Path) -> 
     assert "File too large" in line
     assert line.endswith(f"what came before is kept in {log}.part")
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap.part"]
+
+
+def test_a_twin_conforms_and_says_so(tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    result = khep_twin("conform", "khep://default", "--report", report)
+    assert result.returncode == 0, result.stdout
+    assert "khep://default: 25 passed, 0 failed" in result.stdout
+    assert result.stdout.count("skip  ") == 5
+    assert json.loads(report.read_text())["passed"] is True
 
 
 def test_unknown_options_are_refused_with_help() -> None:

@@ -1,0 +1,336 @@
+"""The checks of `conformance`, in the order in which they run."""
+
+import re
+from collections.abc import Callable
+
+from khep_twin.lab.conformance import Check, Deviation, Line
+from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, N_SENSORS
+
+ALL: list[Check] = []
+"""Every check; `check` adds to it."""
+
+FIRST_BYTE = 0.010
+"""Longest wait for a reply's first byte, behind the command's time on the line [s] (what hosts bear)."""
+
+SETTLE = 0.2
+"""Silence after which a banner is over [s]."""
+
+
+def check(name: str, section: str, moves: str = "") -> Callable[[Callable[[Line], None]], None]:
+    """Adds a function to the checks."""
+
+    def add(body: Callable[[Line], None]) -> None:
+        ALL.append(Check(name, section, moves, body))
+
+    return add
+
+
+def _within(request: str, values: list[int], low: int, high: int) -> None:
+    for value in values:
+        if not low <= value <= high:
+            raise Deviation(f"{request!r} gave {value}; right is {low} to {high}")
+
+
+# Grammar -------------------------------------------------------------------------------------------------
+
+
+@check("a command may end in LF, CR or CR LF, and CR LF is one ending", "3.2, A")
+def _endings(line: Line) -> None:
+    for end in ("\n", "\r", "\r\n"):
+        answer = line.ask("B", end)
+        if not answer.startswith("b,"):
+            raise Deviation(f"{'B' + end!r} was answered {answer!r}")
+        line.silent(f"after the reply to {'B' + end!r}")
+
+
+@check("an empty line gets no reply", "3.2")
+def _empty_lines(line: Line) -> None:
+    line.send("\n\r\n\r")
+    line.silent("after empty lines")
+
+
+@check("bytes that come one at a time are as good as a line", "3.2")
+def _single_bytes(line: Line) -> None:
+    for byte in "G,12,-34\n":
+        line.send(byte)
+        line.sleep(0.002)
+    if (answer := line.reply("G,12,-34")) != "g":
+        raise Deviation(f"'G,12,-34' was answered {answer!r}; right is 'g'")
+
+
+@check("a burst of seven commands is answered in order", "3.2")
+def _burst(line: Line) -> None:
+    line.send("E\nH\nN\nO\nK\nB\nE\n")
+    heads = "".join(line.reply("a command of a burst").split(",")[0] for _ in range(7))
+    if heads != "ehnokbe":
+        raise Deviation(f"E H N O K B E was answered in the order {' '.join(heads)}")
+
+
+@check("what is no command is not found", "3.2")
+def _unknown_words(line: Line) -> None:
+    for word in ("hello", "d,5,5", "Q", "M", "XY", " ", "\x01", "?"):
+        line.expect(word, "Command not found")
+
+
+@check("missing, surplus or wrong parameters are a protocol error", "A")
+def _wrong_parameters(line: Line) -> None:
+    for request in ("D", "D,1", "D,1,2,3", "D,a,b", "D,,", "C,1", "G,1", "A,1,2", "F,1,2", "P,1"):
+        line.expect(request, "z,Protocol error")
+    for request in ("J,20,64", "J,1,2,3", "I", "L,0", "R", "W,1", "N,1", "T"):
+        line.expect(request, "z,Protocol error")
+
+
+@check("numbers may carry a sign and leading zeros", "A")
+def _signs(line: Line) -> None:
+    line.expect("G,+5,-005", "g")
+    if (numbers := line.numbers("H", "h", 2)) != [5, -5]:
+        raise Deviation(f"G,+5,-005 set the counters to {numbers}")
+
+
+@check("a line that is far too long gets one answer and does no harm", "3.2")
+def _long_line(line: Line) -> None:
+    line.send("D," + "1" * 600 + "\n")
+    line.reply("a line of 602 bytes")
+    line.silent("after the answer to an over-long line")
+    line.expect("G,3,4", "g")
+
+
+@check("after rubbish the line is in step again", "3.2")
+def _rubbish(line: Line) -> None:
+    line.send(bytes(byte for byte in range(256) if byte not in b"\r\n").decode("latin-1") + "\n")
+    line.reply("binary rubbish")
+    line.expect("G,1,2", "g")
+    if (numbers := line.numbers("H", "h", 2)) != [1, 2]:
+        raise Deviation(f"after rubbish H gave {numbers}; right is [1, 2]")
+
+
+# Commands ------------------------------------------------------------------------------------------------
+
+
+@check("B tells the versions of BIOS and protocol", "A, command B")
+def _versions(line: Line) -> None:
+    answer = line.ask("B")
+    if not re.fullmatch(r"b,\d+\.\d+,\d+\.\d+", answer):
+        raise Deviation(f"'B' was answered {answer!r}; right is like 'b,5.02,5.01'")
+
+
+@check("A and F take the gains of a reset", "A, commands A and F")
+def _gains(line: Line) -> None:
+    line.expect("A,3800,800,100", "a")
+    line.expect("F,3000,20,4000", "f")
+
+
+@check("J takes the trapezoid of a reset, four numbers", "A, command J")
+def _profile(line: Line) -> None:
+    line.expect("J,20,64,20,64", "j")
+
+
+@check("G sets the counters that H reads, all 32 bits of them", "A, commands G and H")
+def _counters(line: Line) -> None:
+    for left, right in ((0, 0), (1000, -1000), (2**31 - 1, -(2**31)), (0, 0)):
+        line.expect(f"G,{left},{right}", "g")
+        if (numbers := line.numbers("H", "h", 2)) != [left, right]:
+            raise Deviation(f"after G,{left},{right} H gave {numbers}")
+
+
+@check("E reads two speeds, and a robot at rest has none", "A, command E")
+def _speeds(line: Line) -> None:
+    line.expect("D,0,0", "d")
+    line.sleep(0.3)
+    _within("E", line.numbers("E", "e", 2), -1, 1)
+
+
+@check("D and C and P are acknowledged", "A, commands C, D and P")
+def _setters(line: Line) -> None:
+    line.expect("D,0,0", "d")
+    line.expect("P,0,0", "p")
+    line.expect("G,0,0", "g")
+    line.expect("C,0,0", "c")
+    line.expect("D,0,0", "d")
+
+
+@check("K tells target, mode and error of both wheels", "A, command K")
+def _status(line: Line) -> None:
+    modes: list[int] = []
+    for request, reply in (("D,0,0", "d"), ("G,0,0", "g"), ("C,0,0", "c"), ("P,0,0", "p")):
+        line.expect(request, reply)
+        if reply == "g":
+            continue
+        line.sleep(0.05)
+        status = line.numbers("K", "k", 6)
+        _within("K", [status[0], status[3]], 0, 1)
+        if status[1] != status[4]:
+            raise Deviation(f"after {request} K gave two modes: {status}")
+        modes.append(status[1])
+    line.expect("D,0,0", "d")
+    # Speed, position, PWM are 0, 1, 2; versions of the ROM before 5 have speed and position exchanged.
+    if modes not in ([0, 1, 2], [1, 0, 2]):
+        raise Deviation(f"in speed, position and PWM mode K told {modes}; right is 0, 1, 2")
+
+
+@check("N reads eight proximity values of 10 bits", "A, command N")
+def _proximity(line: Line) -> None:
+    _within("N", line.numbers("N", "n", N_SENSORS), 0, COUNTS_LIMIT)
+
+
+@check("O reads eight ambient light values of 10 bits", "A, command O")
+def _ambient(line: Line) -> None:
+    _within("O", line.numbers("O", "o", N_SENSORS), 0, COUNTS_LIMIT)
+
+
+@check("I reads the six channels of the converter", "A, command I")
+def _converter(line: Line) -> None:
+    for channel in range(6):
+        _within(f"I,{channel}", line.numbers(f"I,{channel}", "i", 1), 0, COUNTS_LIMIT)
+
+
+@check("L switches both LEDs off, on and over", "A, command L")
+def _leds(line: Line) -> None:
+    for led in (0, 1):
+        for action in (1, 2, 0):
+            line.expect(f"L,{led},{action}", "l")
+
+
+@check("an LED that does not exist is refused", "A, command L")
+def _no_led(line: Line) -> None:
+    for request in ("L,5,0", "L,0,7"):
+        answer = line.ask(request)
+        if not answer.startswith("z,"):
+            raise Deviation(f"{request!r} was answered {answer!r}; right is a line that starts with 'z,'")
+
+
+@check("W writes and R reads a byte of the extension bus", "A, commands R and W")
+def _bus(line: Line) -> None:
+    line.expect("W,0,63", "w")
+    _within("R,0", line.numbers("R,0", "r", 1), 0, 255)
+
+
+@check("a turret answers under its number, an absent one is refused, none is silent", "A, command T")
+def _turrets(line: Line) -> None:
+    for turret in (1, 2, 4, 31):
+        answer = line.ask(f"T,{turret},B")
+        if not answer.startswith((f"t,{turret},b", "z,")):
+            raise Deviation(f"'T,{turret},B' was answered {answer!r}; right is 't,{turret},b,…' or 'z,…'")
+
+
+# Time ----------------------------------------------------------------------------------------------------
+
+
+@check("a reply begins within 10 ms and takes its bytes' time on the line", "3.2")
+def _pace(line: Line) -> None:
+    byte_time = BITS_PER_BYTE / line.port.baudrate
+    start = line.time()
+    line.send("N\n")
+    first: bytes = line.port.read(1)
+    begun = line.time() - start
+    rest: bytes = line.port.read_until(b"\n")
+    done = line.time() - start
+    if not first:
+        raise Deviation("no reply to 'N'")
+    # Real time has a scheduler's delays on top.
+    slack = 0.0 if hasattr(line.port, "time_ns") else 0.02
+    if begun > 3 * byte_time + FIRST_BYTE + slack:
+        raise Deviation(f"the first byte came after {begun * 1000:.1f} ms")
+    if done > (2 + len(first + rest)) * byte_time + FIRST_BYTE + 2 * slack:
+        raise Deviation(f"a reply of {len(first + rest)} bytes took {done * 1000:.1f} ms")
+
+
+# Reset ---------------------------------------------------------------------------------------------------
+
+
+@check("restart shows the banner within half a second and resets everything", "3.2, tool restart")
+def _restart(line: Line) -> None:
+    line.expect("G,55,66", "g")
+    line.expect("J,5,5,5,5", "j")
+    line.send("restart\n")
+    banner = line.read_for(0.5)
+    # A longer banner takes its own time on the line.
+    while more := line.read_for(SETTLE):
+        banner += more
+    if not any(b"ROM of minirobot KHEPERA" in text for text in banner.split(b"\r\n")):
+        raise Deviation(f"'restart' was answered {banner!r}; right is a line with 'ROM of minirobot KHEPERA'")
+    if (numbers := line.numbers("H", "h", 2)) != [0, 0]:
+        raise Deviation(f"after a restart H gave {numbers}; right is [0, 0]")
+    if (numbers := line.numbers("E", "e", 2)) != [0, 0]:
+        raise Deviation(f"after a restart E gave {numbers}; right is [0, 0]")
+
+
+# Motion --------------------------------------------------------------------------------------------------
+
+FORWARD = "drives about 80 mm forwards and as far back"
+SPIN = "turns on the spot, about a quarter turn each way"
+
+
+@check("D drives both wheels at the speed asked for, forwards", "A, command D", FORWARD)
+def _drive(line: Line) -> None:
+    for sign in (1, -1):
+        line.expect("G,0,0", "g")
+        line.expect(f"D,{10 * sign},{10 * sign}", "d")
+        start = line.time()
+        line.sleep(1.0)
+        speeds = line.numbers("E", "e", 2)
+        counts = line.numbers("H", "h", 2)
+        took = line.time() - start
+        line.expect("D,0,0", "d")
+        line.sleep(0.5)
+        _within("E", [sign * speed for speed in speeds], 7, 13)
+        # 10 pulses per 10 ms are 1000 a second, less the start.
+        _within("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
+
+
+@check("left is left and right is right", "A, command D", SPIN)
+def _sides(line: Line) -> None:
+    line.expect("G,0,0", "g")
+    for left, right in ((5, -5), (-5, 5)):
+        before = line.numbers("H", "h", 2)
+        line.expect(f"D,{left},{right}", "d")
+        line.sleep(0.7)
+        after = line.numbers("H", "h", 2)
+        line.expect("D,0,0", "d")
+        line.sleep(0.3)
+        ways = [now - then for then, now in zip(before, after, strict=True)]
+        if ways[0] * left <= 100 or ways[1] * right <= 100:
+            raise Deviation(f"D,{left},{right} moved the counters by {ways}")
+
+
+@check("C goes to a position along the trapezoid and says when it is there", "A, commands C and J", FORWARD)
+def _position(line: Line) -> None:
+    line.expect("J,20,64,20,64", "j")
+    line.expect("G,0,0", "g")
+    for target in (1000, 0):
+        line.expect(f"C,{target},{target}", "c")
+        start = line.time()
+        while (status := line.numbers("K", "k", 6))[0] + status[3] < 2:
+            if line.time() - start > 5:
+                raise Deviation(f"C,{target},{target} was not on target after 5 s: K gave {status}")
+        took = line.time() - start
+        # From rest over 1000 pulses at 0.25 pulses per tick^2: 2 sqrt(1000 / 0.25) ticks are 1.26 s.
+        if not 1.1 < took < 2.0:
+            raise Deviation(f"1000 pulses took {took:.2f} s; right is 1.26 s and some settling")
+        _within("H", [count - target for count in line.numbers("H", "h", 2)], -3, 3)
+
+
+@check("P drives the motors open loop", "A, command P", FORWARD)
+def _open_loop(line: Line) -> None:
+    line.expect("G,0,0", "g")
+    for duty in (40, -40):
+        before = line.numbers("H", "h", 2)
+        line.expect(f"P,{duty},{duty}", "p")
+        line.sleep(0.4)
+        after = line.numbers("H", "h", 2)
+        line.expect("P,0,0", "p")
+        line.sleep(0.3)
+        ways = [(now - then) * duty for then, now in zip(before, after, strict=True)]
+        if min(ways) <= 0:
+            raise Deviation(f"P,{duty},{duty} moved the counters from {before} to {after}")
+    line.expect("D,0,0", "d")
+
+
+@check("a faster command stops at the range and does not fail", "A, command D", FORWARD)
+def _saturation(line: Line) -> None:
+    line.expect("P,0,0", "p")
+    line.expect("D,0,0", "d")
+    line.expect("G,0,0", "g")
+    for request, reply in (("P,999,999", "p"), ("D,0,0", "d")):
+        line.expect(request, reply)
+    line.sleep(0.5)

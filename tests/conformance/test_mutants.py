@@ -1,0 +1,196 @@
+"""Boards that are broken on purpose: the conformance checks catch every one of them."""
+
+import re
+from collections.abc import Callable
+
+import pytest
+
+from khep_twin.host import Khepera
+from khep_twin.kernel import LEFT, RIGHT, Wheel
+from khep_twin.lab.conformance import Line, examine
+from khep_twin.ports.twin import Twin
+
+Mutation = Callable[[bytes, bytes], bytes]
+"""From a whole command line and its replies to what the broken board answers."""
+
+
+def replies(pattern: str, replacement: str) -> Mutation:
+    """Every reply that matches is changed."""
+    return lambda line, reply: re.sub(pattern.encode(), replacement.encode(), reply)
+
+
+def to(command: str, answer: Callable[[bytes], bytes]) -> Mutation:
+    """Replies to lines that match are changed."""
+    return lambda line, reply: answer(reply) if re.fullmatch(command.encode(), line.strip()) else reply
+
+
+def swap(reply: bytes, first: int, second: int) -> bytes:
+    """Exchanges two fields of a reply."""
+    fields = reply.rstrip(b"\r\n").split(b",")
+    fields[first], fields[second] = fields[second], fields[first]
+    return b",".join(fields) + b"\r\n"
+
+
+ANSWERS: dict[str, Mutation] = {
+    "replies end in LF only": replies("\r\n", "\n"),
+    "replies end in CR only": replies("\r\n", "\r"),
+    "an empty line behind each reply": replies("\r\n$", "\r\n\r\n"),
+    "a prompt behind each reply": replies("\r\n$", "\r\n> "),
+    "a blank after each comma": replies(",", ", "),
+    "upper-case replies": lambda line, reply: reply.upper(),
+    "the command is echoed": lambda line, reply: line.strip() + b"\r\n" + reply if reply else reply,
+    "nine sensors": to("[NO]", lambda reply: reply.replace(b"\r\n", b",0\r\n")),
+    "seven sensors": to("[NO]", lambda reply: reply.rpartition(b",")[0] + b"\r\n"),
+    "O answers with n": replies("^o,", "n,"),
+    "eleven-bit sensors": to("N", lambda reply: b"n,1500,0,0,0,0,0,0,0\r\n"),
+    "negative light": to("O", lambda reply: b"o,-5,0,0,0,0,0,0,0\r\n"),
+    "B has two fields": replies("^b,5.02,5.01", "b,5.02"),
+    "B has a blank": replies("^b,5.02,5.01", "b,5.02,5.01 "),
+    "unknown words get z": replies("^Command not found", "z,Command not found"),
+    "unknown words are ignored": lambda line, reply: b"" if reply.startswith(b"Command") else reply,
+    "protocol errors with a dot": replies("^z,Protocol error\r", "z,Protocol error.\r"),
+    "protocol errors are ignored": lambda line, reply: b"" if reply.startswith(b"z,Prot") else reply,
+    "J with two arguments": to(r"J,\d+,\d+", lambda reply: b"j\r\n"),
+    "silent on an empty turret": to("T,.*", lambda reply: b""),
+    "a turret without its number": to("T,1,B", lambda reply: b"t,b,1,2\r\n"),
+    "K with three fields": replies(r"^k,(\d),(\d),(-?\d+),.*", r"k,\1,\2,\3\r\n"),
+    "K with a mode of its own": replies(r"^k,(\d),\d", r"k,\1,7"),
+    "speeds as decimals": replies(r"^e,(-?\d+),(-?\d+)", r"e,\1.0,\2.0"),
+    "hexadecimal counters": to("H", lambda reply: b"h,0x0,0x0\r\n"),
+    "left and right counters exchanged": to("H", lambda reply: swap(reply, 1, 2)),
+    "an LED that does not exist is switched": to("L,5,0", lambda reply: b"l\r\n"),
+    "no LED 1": to("L,1,.*", lambda reply: b"z,Protocol error\r\n"),
+    "no converter channel 5": to("I,5", lambda reply: b"z,Protocol error\r\n"),
+    "extra parameters are ignored": to(r"D,1,2,3", lambda reply: b"d\r\n"),
+    "restart without a banner": to("restart", lambda reply: b"ok\r\n"),
+    "a reply in eight bits": replies("^c\r\n", "c\xff\r\n"),
+    "lower-case commands are accepted": to("d,5,5", lambda reply: b"d\r\n"),
+    "sensor values in two lines": to("N", lambda reply: reply.replace(b",", b"\r\n", 4)),
+}
+
+
+def break_answers(twin: Twin, mutation: Mutation) -> None:
+    """Lets what the firmware answers pass through a mutation."""
+    firmware, pending = twin.robot.firmware, bytearray()
+    whole = firmware.receive
+
+    def receive(data: bytes) -> bytes:
+        pending.extend(data)
+        reply = whole(data)
+        if data.endswith((b"\r", b"\n")):
+            line = bytes(pending)
+            pending.clear()
+            return mutation(line, reply) if line.strip(b"\r\n") else reply
+        return reply
+
+    firmware.receive = receive  # type: ignore[method-assign]
+
+
+def late(twin: Twin) -> None:
+    """Thinks for 60 ms before each reply."""
+    put = twin.robot.uart.tx.put
+    twin.robot.uart.tx.put = lambda data, time_ns: put(data, time_ns + 60_000_000)  # type: ignore[method-assign]
+
+
+def slow_line(twin: Twin) -> None:
+    """Sends at a quarter of the line's speed."""
+    twin.robot.uart.tx.baud //= 4
+
+
+def deaf_to_cr(twin: Twin) -> None:
+    """Knows LF only."""
+    receive = twin.robot.firmware.receive
+    twin.robot.firmware.receive = lambda data: receive(data.replace(b"\r", b" "))  # type: ignore[method-assign]
+
+
+def crossed_wheels(twin: Twin) -> None:
+    """Drives the left motor for the right one."""
+    motors = twin.robot._left_motor, twin.robot._right_motor
+    twin.robot._right_motor, twin.robot._left_motor = motors
+
+
+def backwards(twin: Twin) -> None:
+    """Counts the encoders the wrong way round, and drives so too."""
+    twin.world.model.actuator_gear[:] *= -1
+
+
+def lame(twin: Twin) -> None:
+    """Has no current for its motors."""
+    twin.world.model.actuator_gear[:] = 1e-9
+
+
+def keeps_settings(twin: Twin) -> None:
+    """Shows the banner at a restart, and resets nothing."""
+    firmware = twin.robot.firmware
+    firmware.reset = lambda: b"ROM of minirobot KHEPERA\r\n"  # type: ignore[method-assign]
+
+
+def counts_in_sixteen_bits(twin: Twin) -> None:
+    """Has counters of sixteen bits."""
+    cells, receive = twin.robot.firmware.cells, twin.robot.firmware.receive
+
+    def narrow(data: bytes) -> bytes:
+        for wheel in (LEFT, RIGHT):
+            position = cells[wheel + Wheel.POSITION]
+            cells[wheel + Wheel.POSITION] = (position + 2**15) % 2**16 - 2**15
+        return receive(data)
+
+    twin.robot.firmware.receive = narrow  # type: ignore[method-assign]
+
+
+def never_there(twin: Twin) -> None:
+    """Never says that a target is reached."""
+    cells, receive = twin.robot.firmware.cells, twin.robot.firmware.receive
+
+    def on_the_way(data: bytes) -> bytes:
+        cells[LEFT + Wheel.ON_TARGET] = 0
+        return receive(data)
+
+    twin.robot.firmware.receive = on_the_way  # type: ignore[method-assign]
+
+
+def without_trapezoid(twin: Twin) -> None:
+    """Goes to its targets at full speed."""
+    receive, cells = twin.robot.firmware.receive, twin.robot.firmware.cells
+
+    def rush(data: bytes) -> bytes:
+        reply = receive(data)
+        for wheel in (LEFT, RIGHT):
+            cells[wheel + Wheel.MAX_SPEED], cells[wheel + Wheel.ACCELERATION] = 100, 10_000
+        return reply
+
+    twin.robot.firmware.receive = rush  # type: ignore[method-assign]
+
+
+BOARDS = [
+    late,
+    slow_line,
+    deaf_to_cr,
+    crossed_wheels,
+    backwards,
+    lame,
+    keeps_settings,
+    counts_in_sixteen_bits,
+    never_there,
+    without_trapezoid,
+]
+
+
+def is_caught(breaking: Callable[[Twin], None]) -> bool:
+    with Khepera("khep://default?noise=off") as robot:
+        breaking(robot.port.twin)
+        return not examine(Line(robot.port), "a broken board", move=True).passed
+
+
+def test_a_sound_board_passes() -> None:
+    assert not is_caught(lambda twin: None)
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_board_that_answers_wrongly_is_caught(name: str) -> None:
+    assert is_caught(lambda twin: break_answers(twin, ANSWERS[name]))
+
+
+@pytest.mark.parametrize("breaking", BOARDS, ids=lambda breaking: breaking.__name__)
+def test_a_board_that_is_broken_inside_is_caught(breaking: Callable[[Twin], None]) -> None:
+    assert is_caught(breaking)

@@ -1,0 +1,45 @@
+"""The conformance checks on khep:// and a pty at three speeds, or on the port given by --port."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from khep_twin.host import Khepera
+from khep_twin.lab.conformance import Check, Line, checks, run_check
+
+TWINS = [f"{kind}-{baudrate}" for kind in ("khep", "pty") for baudrate in (9600, 19200, 38400)]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    given = metafunc.config.getoption("--port")
+    metafunc.parametrize("line", [given] if given else TWINS, indirect=True, scope="module")
+    metafunc.parametrize("check", list(checks(True)), ids=lambda check: check.name)
+
+
+@pytest.fixture(scope="module")
+def line(request: pytest.FixtureRequest) -> Iterator[Line]:
+    """An open line to what is checked."""
+    if request.param not in TWINS:
+        with Khepera(request.param, baudrate=request.config.getoption("--baudrate")) as robot:
+            yield Line(robot.port)
+        return
+    kind, baudrate = request.param.split("-")
+    mode = {"9600": "1", "19200": "2", "38400": "3"}[baudrate]
+    if kind == "khep":
+        with Khepera(f"khep://default?mode={mode}", baudrate=int(baudrate)) as robot:
+            yield Line(robot.port)
+        return
+    command = [sys.executable, "-m", "khep_twin", "serve", "default", "--mode", mode]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            with Khepera(process.stdout.readline().strip(), baudrate=int(baudrate)) as robot:
+                yield Line(robot.port)
+        finally:
+            process.terminate()
+
+
+def test_the_port_conforms(line: Line, check: Check) -> None:
+    assert run_check(check, line).deviation == ""
