@@ -45,7 +45,9 @@ PlaypenName = Annotated[str, typer.Argument(help="Name of a shipped playpen, or 
 Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]
 Noise = Annotated[Switch, typer.Option(help="Noisy sensors, as on the robot.")]
 RobotIndex = Annotated[int, typer.Option(help="Which of the playpen's robots, counted from 0.")]
-Mode = Annotated[int | None, typer.Option(help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud.")]
+Mode = Annotated[
+    str | None, typer.Option(help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud; 0 demo; 7 self-test.")
+]
 RomVersion = Annotated[str | None, typer.Option(help="Version of the firmware, such as 5.02.")]
 Log = Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")]
@@ -162,7 +164,7 @@ def serve(
 
     factor = _speed(speed)
     log_name = None if log is None else str(log)
-    options = TwinOptions(seed, robot, noise is Switch.ON, rom, mode, unpaced, log_name)
+    options = TwinOptions(seed, robot, noise is Switch.ON, rom, _mode(mode), unpaced, log_name)
     with stopping() as stop, open_twin(playpen, options) as twin, PtyPort(link) as pty:
         _tell_kept(twin)
         typer.echo(pty.path)
@@ -272,6 +274,13 @@ def _progress() -> Generator[Callable[[float], None] | None, None, None]:
             bar.update(int(part * 1000) - bar.pos)
 
         yield show
+
+
+def _mode(digit: str | None) -> int | None:
+    """A running mode as its jumpers have it, one hexadecimal digit."""
+    if digit is not None and (len(digit) != 1 or digit.upper() not in "0123456789ABCDEF"):
+        raise _usage(f"--mode {digit}: right is one digit, 0 to F")
+    return None if digit is None else int(digit, 16)
 
 
 def _speed(text: str) -> float:

@@ -11,25 +11,25 @@ calls it. What the manual leaves open is decided so that a host survives it:
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
-from khep_twin import kernel
-from khep_twin.kernel import LEFT, RIGHT, Board, Mode, Wheel
+from khep_twin import bios, kernel
+from khep_twin.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.protocol import (
-    COMMAND_NOT_FOUND,
     END,
     PROTOCOL_ERROR,
     Command,
     LineReader,
     Malformed,
     Request,
+    Tool,
     TurretMessage,
     parse,
     refusal,
     reply,
 )
+from khep_twin.rom import DEMO, MODES, SELF_TEST, Rom
 from khep_twin.units import DUTY_LIMIT, N_SENSORS
 
 SPEED_LIMIT_PULSES = 127
@@ -44,78 +44,50 @@ GAIN_LIMIT = 32767
 ACCELERATION_LIMIT = 65535
 """Largest acceleration of command J [pulses/256 per (10 ms)^2] (assumed: a 16-bit word)."""
 
-BAUD_BY_MODE: Mapping[int, int] = {1: 9600, 2: 19200, 3: 38400}
-"""Line speed of the running modes that speak the protocol (manual, appendix E)."""
-
 N_ADC_CHANNELS = 6
 """Channels of command I: 0 to 2 internal, 3 to 5 free (manual, appendix A)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rom:
-    """What differs between versions of the firmware.
-
-    Attributes:
-        bios: version of the BIOS, the first field of the reply to B.
-        protocol: version of the serial protocol, the second.
-        banner: lines shown after a reset.
-        mode_codes: how command K names each motor mode.
-    """
-
-    bios: str
-    protocol: str
-    banner: tuple[str, ...]
-    mode_codes: Mapping[Mode, int]
-
-
-ROMS: Mapping[str, Rom] = {
-    # Banner and versions as in K-Team's FAQ; its line breaks are a guess.
-    "5.02": Rom(
-        bios="5.02",
-        protocol="5.01",
-        banner=(
-            "ROM of minirobot KHEPERA, Edoardo Franzi",
-            "K-Team S.A.",
-            "October 22, 1998 Rev. 5.01",
-            "Serial Communication Protocol",
-        ),
-        mode_codes={Mode.SPEED: 0, Mode.POSITION: 1, Mode.PWM: 2},
-    ),
-    # The mode codes are those of the toolbox's reference to the manual 4.06; the rest is assumed.
-    "4.06": Rom(
-        bios="4.06",
-        protocol="4.06",
-        banner=("ROM of minirobot KHEPERA, Edoardo Franzi", "Rev. 4.06", "Serial Communication Protocol"),
-        mode_codes={Mode.SPEED: 1, Mode.POSITION: 0, Mode.PWM: 2},
-    ),
-}
 
 
 class Firmware:
     """The command interpreter of one robot.
 
+    Args:
+        rom: the version that it speaks.
+        mode: its running mode.
+
     Attributes:
         registers: the board's state (N_REGISTERS,).
         cells: the same memory, as `kernel` likes to index it.
-        rom: the version that it speaks.
+        baud: speed that the serial line has to have.
+        running: function of the ROM that runs, empty for none.
     """
 
-    def __init__(self, rom: Rom) -> None:
-        self.rom = rom
+    def __init__(self, rom: Rom, mode: int = 1) -> None:
         self.registers = np.zeros(kernel.N_REGISTERS, np.int64)
         self.cells = self.registers.data
+        self._rom = rom
+        self._mode = MODES[mode]
         self._lines = LineReader()
-        kernel.reset(self.cells)
+        self.reset()
 
     def receive(self, data: bytes) -> bytes:
         """Takes bytes from the line; returns the replies to the commands that they complete."""
         return b"".join(self._answer(parse(line)) for line in self._lines.feed(data))
 
+    def tick(self, left_pulses: int, right_pulses: int) -> None:
+        """One control period of 10 ms, with what the encoders have counted since power-up [pulses]."""
+        kernel.tick(self.cells, left_pulses, right_pulses)
+        if self.running == DEMO and self.cells[Board.SCAN] == 0:
+            kernel.wander(self.cells)
+
     def reset(self) -> bytes:
-        """Puts everything to its reset state, as at power-up; returns the banner."""
+        """Puts everything to its reset state, as at power-up; returns what the robot shows then."""
         kernel.reset(self.cells)
         self._lines.clear()
-        return b"".join(line.encode("ascii") + END for line in self.rom.banner)
+        self.baud = self._mode.baud
+        self.running = ""
+        banner = b"".join(line.encode("ascii") + END for line in self._rom.banner)
+        return banner + self._start(self._mode.function)
 
     def _answer(self, request: Request) -> bytes:
         match request:
@@ -125,10 +97,22 @@ class Firmware:
                 return _HANDLERS[request.letter](self, *request.arguments)
             case TurretMessage():
                 return refusal("Turret order not supported")
-            case _ if request.word == b"restart" and not request.arguments:
-                return self.reset()
-            case _:
-                return COMMAND_NOT_FOUND
+            case Tool():
+                return self._use(request)
+
+    def _use(self, tool: Tool) -> bytes:
+        outcome = bios.use(tool, self._rom, self.running)
+        if outcome.restart:
+            return self.reset()
+        self.baud = outcome.baud or self.baud
+        return outcome.reply + self._start(outcome.function)
+
+    def _start(self, function: str) -> bytes:
+        """Starts a function of the ROM; returns what it shows."""
+        if function == SELF_TEST:
+            return bios.self_test(sensors_alive=any(self.cells[register] for register in kernel.AMBIENT))
+        self.running = function or self.running
+        return b""
 
     def _both(self, register: Wheel) -> tuple[int, int]:
         """A register of the left and of the right wheel."""
@@ -143,7 +127,7 @@ class Firmware:
         return reply("A")
 
     def _b_versions(self) -> bytes:
-        return reply("B", self.rom.bios, self.rom.protocol)
+        return reply("B", self._rom.bios, self._rom.protocol)
 
     def _c_go_to_position(self, left: int, right: int) -> bytes:
         kernel.set_target(self.cells, LEFT, kernel.clip(left, TARGET_LIMIT_PULSES))
@@ -190,9 +174,9 @@ class Firmware:
     def _k_read_status(self) -> bytes:
         status: list[int] = []
         for wheel in (LEFT, RIGHT):
-            mode = Mode(self.cells[wheel + Wheel.MODE])
+            mode = self.cells[wheel + Wheel.MODE]
             on_target = self.cells[wheel + Wheel.ON_TARGET]
-            status += [on_target, self.rom.mode_codes[mode], self.cells[wheel + Wheel.ERROR]]
+            status += [on_target, self._rom.mode_codes[mode], self.cells[wheel + Wheel.ERROR]]
         return reply("K", *status)
 
     def _l_set_led(self, led: int, action: int) -> bytes:

@@ -96,6 +96,15 @@ DUTIES = [LEFT + Wheel.DUTY, RIGHT + Wheel.DUTY]
 PROXIMITY = [Board.PROXIMITY + sensor for sensor in range(N_SENSORS)]
 AMBIENT = [Board.AMBIENT + sensor for sensor in range(N_SENSORS)]
 
+DEMO_WEIGHTS = ((4, -5), (4, -15), (6, -18), (-18, 6), (-15, 4), (-5, 4), (5, 3), (3, 5))
+"""What each proximity sensor adds to the left and the right speed in the ROM's demonstration (toolbox)."""
+
+DEMO_DIVISOR = 400
+"""What the weighted counts are divided by, to give pulses/10 ms (toolbox)."""
+
+DEMO_SPEED_PULSES = 10
+"""Speed with nothing in view [pulses/10 ms] (toolbox)."""
+
 RESET_VALUES: dict[int, int] = {
     Board.SPEED_KP: 3800,
     Board.SPEED_KI: 800,
@@ -114,8 +123,8 @@ RESET_VALUES: dict[int, int] = {
 
 
 def reset(registers: Registers) -> None:
-    """Puts every register to its reset value; the encoders keep turning where they are."""
-    for register in range(N_REGISTERS):
+    """Puts every register to its reset value, but for encoders and sensor scan, which go on as they are."""
+    for register in range(Board.SCAN):
         if register not in (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER):
             registers[register] = RESET_VALUES.get(register, 0)
 
@@ -138,6 +147,15 @@ def convert(registers: Registers, proximity: int, ambient: int) -> None:
     registers[_PROXIMITY + channel] = proximity
     registers[_AMBIENT + channel] = ambient
     registers[_SCAN] = (channel + 1) % _CHANNELS
+
+
+def wander(registers: Registers) -> None:
+    """One step of the ROM's demonstration, a Braitenberg vehicle: speed = proximity x weights / 400 + 10."""
+    for side in range(2):
+        drive = 0
+        for sensor in range(N_SENSORS):
+            drive += DEMO_WEIGHTS[sensor][side] * registers[_PROXIMITY + sensor]
+        set_speed(registers, side * RIGHT, divide(drive, DEMO_DIVISOR) + DEMO_SPEED_PULSES)
 
 
 def set_speed(registers: Registers, wheel: int, speed: int) -> None:

@@ -30,6 +30,7 @@ from khep_twin import toml_files
 from khep_twin.errors import PlaypenError, choices
 from khep_twin.footprint import Circle, Rectangle
 from khep_twin.placement import Thing, label, placement_problems
+from khep_twin.rom import MODES_WISH, refused
 from khep_twin.surfaces import BUILT_IN_SURFACES, Surface
 from khep_twin.toml_files import NAME_WISH, PROBLEM_LIMIT, Name, Table
 from khep_twin.units import BODY_HEIGHT, BODY_RADIUS, BULB_RADIUS
@@ -40,6 +41,12 @@ BULB_RADIUS_MM = BULB_RADIUS * 1000
 
 def _no_turret(turret: str) -> str:
     raise ValueError(f"no turret named {turret}")
+
+
+def _had(mode: int) -> int:
+    if reason := refused(mode):
+        raise ValueError(reason)
+    return mode
 
 
 def _driven(mode: object) -> object:
@@ -134,7 +141,8 @@ class Robot(Table):
 
     Attributes:
         calibration: of its sensors: a name in assets/calibration, or the path of a file.
-        mode: its running mode, 1 to 3: the serial line at 9600, 19200 or 38400 baud.
+        mode: its running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
+            demonstration that drives by itself, 7 for the self-test.
         rom: the version of its firmware.
         turrets: what is plugged on top.
     """
@@ -148,7 +156,7 @@ class Robot(Table):
         str,
         Field(min_length=1, max_length=1024, description="the name of a calibration, or the path of a file"),
     ] = "khepera1"
-    mode: Annotated[int, Field(ge=1, le=3, description="1, 2 or 3, the modes that speak the protocol")] = 1
+    mode: Annotated[int, AfterValidator(_had), Field(description=MODES_WISH)] = 1
     rom: Literal["5.02", "4.06"] = "5.02"
     turrets: Annotated[
         tuple[Annotated[str, AfterValidator(_no_turret)], ...],

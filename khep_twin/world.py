@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from khep_twin import calibration, kernel, units
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
-from khep_twin.firmware import BAUD_BY_MODE, ROMS, Firmware
+from khep_twin.firmware import Firmware
 from khep_twin.kernel import DUTIES, LEFT, RIGHT, Wheel
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.protocol import LINE_ENDS
 from khep_twin.randomness import stream
+from khep_twin.rom import ROMS
 from khep_twin.sensors import InfraredScan
 from khep_twin.uart import Uart
 
@@ -189,10 +190,11 @@ class Robot:
         model, data = world.model, world.data
         entry = world.playpen.robots[index]
         self.name = f"khepera{index}"
-        self.firmware = Firmware(ROMS[entry.rom])
+        self.firmware = Firmware(ROMS[entry.rom], entry.mode)
         self.registers = self.firmware.registers
         self._cells = self.firmware.cells
-        self.uart = Uart(0 if unpaced else BAUD_BY_MODE[entry.mode])
+        self.uart = Uart(0 if unpaced else self.firmware.baud)
+        self._unpaced = unpaced
         self._world = world
         self._index = index
         self._left_angle, self._right_angle = (
@@ -227,6 +229,9 @@ class Robot:
             answer = self.firmware.receive(line)
             if answer:
                 self._tap(self.uart.tx.put(answer, end_ns), False, answer)
+            if not self._unpaced and self.firmware.baud != self.uart.tx.baud:
+                # The tool `serial`, or a restart after it: from the next byte on.
+                self.uart.rx.baud = self.uart.tx.baud = self.firmware.baud
         if begun := rx.read(time_ns):
             self._tap(time_ns, True, begun)
             self.firmware.receive(begun)
@@ -240,7 +245,7 @@ class Robot:
         qpos, ctrl, cells = self._qpos, self._ctrl, self._cells
         left = units.wheel_pulses(qpos[self._left_angle])
         right = units.wheel_pulses(qpos[self._right_angle])
-        kernel.tick(cells, left, right)
+        self.firmware.tick(left, right)
         ctrl[self._left_motor] = units.duty_voltage(cells[_LEFT_DUTY])
         ctrl[self._right_motor] = units.duty_voltage(cells[_RIGHT_DUTY])
 

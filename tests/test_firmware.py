@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from khep_twin.firmware import ROMS, Firmware
-from khep_twin.kernel import LEFT, RIGHT, Board, Mode, Wheel
+from khep_twin.firmware import Firmware
+from khep_twin.kernel import LEFT, RIGHT, Board, Wheel
+from khep_twin.rom import ROMS
 
 
 @pytest.fixture
@@ -121,7 +122,6 @@ def test_the_rom_says_how_modes_are_counted(rom: str, speed: int, position: int,
         ask(firmware, line)
         modes.append(int(ask(firmware, "K").split(",")[2]))
     assert modes == [speed, position, pwm]
-    assert set(ROMS[rom].mode_codes) == set(Mode)
 
 
 def test_restart_puts_all_back_and_shows_the_banner(firmware: Firmware) -> None:
@@ -140,6 +140,7 @@ def test_rubbish_is_answered_line_by_line_in_plain_ascii(chunks: list[bytes]) ->
     replies = b"".join(firmware.receive(chunk) for chunk in chunks)
     assert replies.isascii()
     lines = [line for line in stream.replace(b"\r", b"\n").split(b"\n")[:-1] if line]
-    if b"restart" not in stream:
+    tools = (b"restart", b"help", b"list", b"k-team", b"memory", b"process", b"run")
+    if not any(tool in stream for tool in tools):
         assert replies.count(b"\r\n") == len(lines)
     assert firmware.receive(b"\nB\n").endswith(b"b,5.02,5.01\r\n")

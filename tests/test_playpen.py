@@ -224,11 +224,11 @@ WRONG = {
     HEAD
     + ARENA
     + ROBOT
-    + "mode = 4\n": "robot 1: mode = 4: right is 1, 2 or 3, the modes that speak the protocol",
+    + "mode = 4\n": "robot 1: mode = 4: right is a running mode that the twin has (0, 1, 2, 3, 7)",
     HEAD
     + ARENA
     + ROBOT
-    + 'mode = "1"\n': 'robot 1: mode = "1": right is 1, 2 or 3, the modes that speak the protocol',
+    + 'mode = "1"\n': 'robot 1: mode = "1": right is a running mode that the twin has (0, 1, 2, 3, 7)',
     HEAD
     + ARENA
     + ROBOT

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from khep_twin import calibration, playpen, sensors
-from khep_twin.kernel import AMBIENT, PROXIMITY
-from khep_twin.lab.controllers import BRAITENBERG_SPEED_PULSES, BRAITENBERG_WEIGHTS
+from khep_twin.kernel import AMBIENT, DEMO_SPEED_PULSES, DEMO_WEIGHTS, PROXIMITY
 from khep_twin.sensors import illuminance, lobe_weights, reflected
 from khep_twin.units import BODY_RADIUS
 from khep_twin.world import World
@@ -101,8 +100,8 @@ def test_among_mixed_surfaces_each_ray_takes_that_of_what_it_hits() -> None:
 def test_the_vehicle_turns_round_where_the_sampled_robot_does() -> None:
     # The sum of both motors changes sign head-on to a wall at about 23 mm.
     def drive(distance_mm: float) -> float:
-        turning = facing_wall(distance_mm) @ np.array(BRAITENBERG_WEIGHTS).sum(axis=1) / 400
-        return float(turning) + 2 * BRAITENBERG_SPEED_PULSES
+        turning = facing_wall(distance_mm) @ np.array(DEMO_WEIGHTS).sum(axis=1) / 400
+        return float(turning) + 2 * DEMO_SPEED_PULSES
 
     assert drive(20.5) < 0 < drive(26)
 

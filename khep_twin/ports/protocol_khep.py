@@ -20,9 +20,9 @@ from serial.serialutil import SerialBase
 
 from khep_twin.clock import to_ns
 from khep_twin.errors import KhepTwinError, PortError, choices
-from khep_twin.firmware import BAUD_BY_MODE
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.protocol import LINE_ENDS
+from khep_twin.rom import MODES_WISH
 
 _POLL_NS = 1_000_000
 """What a poll costs on a line that takes no time [ns]."""
@@ -234,6 +234,6 @@ _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
     "robot": (int, "the number of a robot in the playpen, counted from 0"),
     "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
     "rom": (str, "a version of the firmware, such as 5.02"),
-    "mode": (int, f"a running mode that speaks the protocol ({', '.join(map(str, BAUD_BY_MODE))})"),
+    "mode": (lambda digit: int(digit, 16), MODES_WISH),
     "log": (str, "the name of the log to write"),
 }

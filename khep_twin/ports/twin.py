@@ -11,10 +11,10 @@ from typing import Self
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PortError, choices
-from khep_twin.firmware import BAUD_BY_MODE, ROMS
 from khep_twin.log.recorder import Recorder
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import SEED_LIMIT
+from khep_twin.rom import ROMS, refused
 from khep_twin.world import Robot, World
 
 
@@ -46,8 +46,8 @@ class TwinOptions:
             raise PortError(f"seed = {self.seed}: right is a whole number from 0 to 2**63-1")
         if self.rom is not None and self.rom not in ROMS:
             raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
-        if self.mode is not None and self.mode not in BAUD_BY_MODE:
-            raise PortError(f"mode = {self.mode}: speaks no protocol; {choices(self.mode, BAUD_BY_MODE)}")
+        if self.mode is not None and (reason := refused(self.mode)):
+            raise PortError(f"mode = {self.mode}: {reason}")
 
 
 class Twin:

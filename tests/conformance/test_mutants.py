@@ -94,7 +94,7 @@ def late(twin: Twin) -> None:
 
 def slow_line(twin: Twin) -> None:
     """Sends at a quarter of the line's speed."""
-    twin.robot.uart.tx.baud //= 4
+    twin.robot.firmware.baud //= 4
 
 
 def deaf_to_cr(twin: Twin) -> None:

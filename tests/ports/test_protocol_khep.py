@@ -178,7 +178,7 @@ def test_a_url_is_taken_apart() -> None:
         ("khep://default?seed=1&seed=2", "option 'seed' is given twice"),
         ("khep://default?robot=3", "robot = 3: not in playpen 'default'; (choices: 0)"),
         ("khep://default?rom=6", "rom = '6': unknown;"),
-        ("khep://default?mode=7", "mode = 7: speaks no protocol;"),
+        ("khep://default?mode=5", "mode = 5: mode 5 waits for a program in S-records"),
         ("khep://nowhere", "nowhere: no such file"),
         ("khep://default?log=/no/such/place/run.mcap", "/no/such/place/run.mcap: cannot write a log here"),
     ],
