@@ -81,6 +81,7 @@ def common(
 
 @app.command()
 def run(
+    context: typer.Context,
     controller: Annotated[
         str, typer.Argument(help="A built-in controller (braitenberg), or FILE.py[:FUNCTION].")
     ] = "braitenberg",
@@ -104,40 +105,45 @@ def run(
     from khep_twin.host import Khepera
     from khep_twin.lab import experiment
     from khep_twin.ports.protocol_khep import Serial
+    from khep_twin.ports.serve import stopping
     from khep_twin.ports.twin import TwinOptions, open_twin
 
-    if port is not None and log is not None:
-        raise _usage("--log records a twin in this process; of a served one, `khep-twin serve --log` does")
-    if picture is not None and log is None:
-        raise _usage("--picture draws the path from the log; right is to give --log FILE.mcap too")
+    if port is not None and (ignored := _given(context) & _OF_A_TWIN):
+        raise _usage(f"--{min(ignored)} is for a twin in this process, not for one behind --port")
+    if picture is not None:
+        _check_picture(picture, log)
     if (seconds is not None and not seconds > 0) or (cycles is not None and cycles < 1):
         raise _usage("--seconds and --cycles are above 0")
     function = experiment.find_controller(controller)
     if seconds is None and cycles is None:
         seconds = 60.0
+    port_or_twin: str | Serial
     if port is None:
-        options = TwinOptions(
-            seed, robot, noise is Switch.ON, rom, mode, log=None if log is None else str(log)
-        )
+        log_name = None if log is None else str(log)
+        options = TwinOptions(seed, robot, noise is Switch.ON, rom, _mode(mode), log=log_name)
         twin = open_twin(playpen, options)
         _tell_kept(twin)
         port_or_twin = Serial.of(twin, timeout=1.0)
     else:
         port_or_twin = port
-    with Khepera(port_or_twin) as khepera, _progress() as progress:
-        try:
-            outcome = experiment.run(function, khepera, cycles=cycles, seconds=seconds, progress=progress)
-        except KeyboardInterrupt:
-            outcome = None
-    if outcome is None:
-        typer.echo("khep-twin: stopped by the keyboard; the log is complete up to there", err=True)
-        raise typer.Exit(130)
+    with (
+        stopping() as stop,
+        Khepera(port_or_twin) as khepera,
+        _progress() as progress,
+    ):
+        outcome = experiment.run(
+            function, khepera, cycles=cycles, seconds=seconds, progress=progress, stop=stop
+        )
+        stopped = stop()
     typer.echo(f"{outcome.cycles} cycles in {outcome.duration:.1f} s")
     if log is not None and picture is not None:
         _draw_log(log, picture)
         typer.echo(f"picture  {picture}")
     if log is not None:
         typer.echo(f"log      {log}      look at it: {_program()} view {log}")
+    if stopped:
+        typer.echo("khep-twin: stopped before its end", err=True)
+        raise typer.Exit(130)
 
 
 @app.command()
@@ -165,7 +171,7 @@ def serve(
     factor = _speed(speed)
     log_name = None if log is None else str(log)
     options = TwinOptions(seed, robot, noise is Switch.ON, rom, _mode(mode), unpaced, log_name)
-    with stopping() as stop, open_twin(playpen, options) as twin, PtyPort(link) as pty:
+    with stopping() as stop, PtyPort(link) as pty, open_twin(playpen, options) as twin:
         _tell_kept(twin)
         typer.echo(pty.path)
         pacer = serve_twin(twin, pty, factor, stop=stop)
@@ -213,9 +219,12 @@ def conform(
 @playpen_app.command()
 def check(playpen: PlaypenName) -> None:
     """Checks a playpen; one line per problem."""
+    from khep_twin import calibration
     from khep_twin import playpen as playpens
 
     found = playpens.load(playpen)
+    for robot in found.robots:
+        calibration.read(robot.calibration)
     typer.echo(
         f"{found.name}: {len(found.blocks)} blocks, {len(found.cylinders)} cylinders, "
         f"{len(found.lamps)} lamps, {len(found.robots)} robots: no problem"
@@ -233,6 +242,7 @@ def compile_playpen(playpen: PlaypenName, output: Output = None) -> None:
         typer.echo(mjcf, nl=False)
     else:
         write_whole(output, mjcf.encode("utf-8"))
+        typer.echo(f"scene    {output}")
 
 
 @playpen_app.command()
@@ -276,6 +286,27 @@ def _progress() -> Generator[Callable[[float], None] | None, None, None]:
         yield show
 
 
+_OF_A_TWIN = {"playpen", "seed", "noise", "robot", "mode", "rom", "log", "picture"}
+
+
+def _given(context: typer.Context) -> set[str]:
+    """The options that the user has typed."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def _check_picture(picture: Path, log: Path | None) -> None:
+    """Refuses a picture that could not be drawn at the end of the run."""
+    if log is None:
+        raise _usage("--picture draws the path from the log; right is to give --log FILE.mcap too")
+    if picture.suffix.lower() not in (".png", ".svg"):
+        raise _usage(f"--picture {picture}: right is a name that ends in .png or .svg")
+    if picture.resolve() == log.resolve():
+        raise _usage(f"--picture {picture}: this is the log; right is a file of its own")
+    if not picture.parent.is_dir():
+        raise _usage(f"--picture {picture}: there is no directory {picture.parent}")
+
+
 def _mode(digit: str | None) -> int | None:
     """A running mode as its jumpers have it, one hexadecimal digit."""
     if digit is not None and (len(digit) != 1 or digit.upper() not in "0123456789ABCDEF"):
@@ -290,8 +321,8 @@ def _speed(text: str) -> float:
         speed = float(text)
     except ValueError:
         speed = math.nan
-    if not 0 < speed < math.inf:
-        raise _usage(f"--speed {text}: right is a number above 0, or max")
+    if not 0.001 <= speed <= 1000:
+        raise _usage(f"--speed {text}: right is a number from 0.001 to 1000, or max")
     return speed
 
 

@@ -58,10 +58,10 @@ class Line:
         """When the `count`-th byte under way arrives [ns], None if there are fewer."""
         return self._arrivals[count - 1] if 0 < count <= len(self._arrivals) else None
 
-    def arrival_of(self, *wanted: int) -> int | None:
-        """When the first of these bytes under way arrives [ns], None if there is none."""
+    def count_to(self, *wanted: int) -> int | None:
+        """How many bytes it is up to and with the first of these under way, None if there is none."""
         places = [place for byte in wanted if (place := self._bytes.find(byte)) >= 0]
-        return self._arrivals[min(places)] if places else None
+        return min(places) + 1 if places else None
 
     def read(self, time_ns: int, limit: int | None = None) -> bytes:
         """Takes what has arrived by `time_ns`, at most `limit` bytes."""
@@ -72,11 +72,12 @@ class Line:
         self.next_ns = self._arrivals[0] if self._arrivals else None
         return data
 
-    def clear(self) -> None:
-        """Drops what is under way."""
-        self._bytes.clear()
-        self._arrivals.clear()
-        self.next_ns = None
+    def take_back(self, time_ns: int) -> None:
+        """Drops what has not arrived by `time_ns`; the line is free then."""
+        count = self.arrived(time_ns)
+        del self._bytes[count:], self._arrivals[count:]
+        self.next_ns = self._arrivals[0] if self._arrivals else None
+        self._free_ns = min(self._free_ns, time_ns)
 
 
 class Uart:
@@ -90,8 +91,3 @@ class Uart:
     def room(self) -> int:
         """How many more bytes the host may send before the line pushes back."""
         return QUEUE_LIMIT - len(self.rx)
-
-    def next_ns(self) -> int | None:
-        """When the next byte arrives at either end [ns], None when nothing is under way."""
-        times = [line.next_ns for line in (self.rx, self.tx) if line.next_ns is not None]
-        return min(times, default=None)

@@ -30,6 +30,9 @@ SAMPLE_NS = units.SCAN_NS
 
 _STEPS_PER_TICK = n_steps(units.TICK_NS, units.STEP_NS)
 _STEPS_PER_SAMPLE = n_steps(SAMPLE_NS, units.STEP_NS)
+REPLY_LIMIT = 256
+"""Bytes of replies that wait to be sent before the firmware takes no more commands (assumed)."""
+
 _FASTEST = 1000.0
 """What no joint in a playpen exceeds [m/s or rad/s]; beyond it the simulation has diverged."""
 
@@ -53,7 +56,7 @@ class Tap(Protocol):
 class World:
     """A playpen brought to life.
 
-    The robots are switched on one scan before time 0, so that every register holds a conversion.
+    The robots are switched on a scan and a step before time 0, so that every register holds a conversion.
 
     Args:
         playpen: the scene.
@@ -82,6 +85,7 @@ class World:
         self.taps: list[Tap] = []
         self.time_ns = 0
         self._steps = 0
+        self._failure: DivergedError | None = None
         self._warnings: NDArray[np.int32] = self.data.warning.number
         self._places = self.data.xpos.ravel()
         self._limit = 1.0 + max(units.metres(playpen.arena.width_mm), units.metres(playpen.arena.height_mm))
@@ -90,6 +94,7 @@ class World:
     def add_tap(self, tap: Tap) -> None:
         """Lets `tap` watch from now on; it is shown the world at once."""
         self.taps.append(tap)
+        mujoco.mj_kinematics(self.model, self.data)
         tap.sample(self)
 
     def advance_to(self, time_ns: int) -> None:
@@ -106,8 +111,10 @@ class World:
 
         Raises:
             ValueError: `time_ns` lies in the past.
-            DivergedError: the physics left its bounds.
+            DivergedError: the physics left its bounds, now or before.
         """
+        if self._failure is not None:
+            raise self._failure
         if time_ns < self.time_ns:
             raise ValueError(f"time cannot go back from {self.time_ns} to {time_ns} ns")
         while (end_ns := (self._steps + 1) * units.STEP_NS) <= time_ns:
@@ -151,6 +158,12 @@ class World:
                 robot.tick()
         if self._steps % _STEPS_PER_SAMPLE == 0:
             self._check_warnings()
+            self._show()
+
+    def _show(self) -> None:
+        if self.taps:
+            # A step leaves the bodies' places as of its start; the taps are shown them as of its end.
+            mujoco.mj_kinematics(self.model, self.data)
             for tap in self.taps:
                 tap.sample(self)
 
@@ -171,9 +184,10 @@ class World:
             )
 
     def _diverged(self, reason: str) -> DivergedError:
-        text = f"the simulation failed at {self.time_ns / 1e9:.4f} s: {reason}"
+        text = f"the simulation failed at {self.time_ns / 1e9:.4f} s, step {self._steps}: {reason}"
         self.tell(None, text)
-        return DivergedError(text)
+        self._failure = DivergedError(text)
+        return self._failure
 
 
 class Robot:
@@ -205,35 +219,50 @@ class Robot:
         )
         self._qpos: NDArray[np.float64] = data.qpos
         self._ctrl: NDArray[np.float64] = data.ctrl
-        self.base = model.body(f"{self.name}/base").id
+        self._pose = int(model.joint(f"{self.name}/pose").qposadr[0])
         noise = None if noise_seed is None else partial(stream, noise_seed, "robot", index)
         self._scan = InfraredScan(model, data, f"{self.name}/", calibration.read(entry.calibration)[0], noise)
 
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad] in the playpen."""
-        x, y = self._world.data.xpos[self.base, :2].tolist()
-        frame = self._world.data.xmat[self.base]
-        return x, y, math.atan2(frame[3], frame[0])
+        x, y, _, qw, qx, qy, qz = self._qpos[self._pose : self._pose + 7].tolist()
+        return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
 
     def send(self, data: bytes) -> None:
         """Puts bytes of the host on the line, now."""
         self.uart.rx.put(data, self._world.time_ns)
 
+    def next_command_ns(self) -> int | None:
+        """When the firmware takes the next whole command [ns], None if there is none on the line.
+
+        That is when it has arrived, and the replies before it have all but left.
+        """
+        rx, tx = self.uart.rx, self.uart.tx
+        count = rx.count_to(*LINE_ENDS)
+        arrival_ns = None if count is None else rx.arrival(count)
+        if arrival_ns is None:
+            return None
+        return max(arrival_ns, tx.arrival(len(tx) - REPLY_LIMIT) or 0)
+
     def exchange(self, time_ns: int) -> None:
         """Lets the firmware take what arrives by `time_ns` and puts its answers on the line."""
         rx = self.uart.rx
-        while (end_ns := rx.arrival_of(*LINE_ENDS)) is not None and end_ns <= time_ns:
-            line = rx.read(end_ns)
-            self._tap(end_ns, True, line)
+        while (taken_ns := self.next_command_ns()) is not None and taken_ns <= time_ns:
+            line = rx.read(taken_ns, rx.count_to(*LINE_ENDS))
+            self._tap(taken_ns, True, line)
             answer = self.firmware.receive(line)
             if answer:
-                self._tap(self.uart.tx.put(answer, end_ns), False, answer)
+                self._tap(self.uart.tx.put(answer, taken_ns), False, answer)
             if not self._unpaced and self.firmware.baud != self.uart.tx.baud:
                 # The tool `serial`, or a restart after it: from the next byte on.
                 self.uart.rx.baud = self.uart.tx.baud = self.firmware.baud
-        if begun := rx.read(time_ns):
-            self._tap(time_ns, True, begun)
+        # Of a line that has not ended, what is there is taken at once; a whole one that waits stays whole.
+        count = rx.arrived(time_ns)
+        if taken_ns is None and count:
+            arrival_ns = rx.arrival(count) or time_ns
+            begun = rx.read(time_ns)
+            self._tap(arrival_ns, True, begun)
             self.firmware.receive(begun)
 
     def convert(self, channel: int) -> None:

@@ -135,7 +135,7 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
             "obstacle: no such file; right is the path of a file or a shipped name; did",
         ),
         (["run", "--port", "/dev/nope", "--seconds", "1"], "/dev/nope: cannot open this port: "),
-        (["run", "--port", "/dev/nope", "--log", "x.mcap"], "--log records a twin in this process"),
+        (["run", "--port", "/dev/nope", "--log", "x.mcap"], "--log is for a twin in this process"),
         (["run", "--picture", "x.png"], "--picture draws the path from the log"),
         (["run", "--seconds", "0"], "--seconds and --cycles are above 0"),
         (["run", "--seed", "-1"], "seed = -1: right is a whole number from 0 to 2**63-1"),

@@ -37,9 +37,9 @@ def test_only_what_has_arrived_can_be_read() -> None:
 def test_a_byte_under_way_is_found() -> None:
     line = Line(9600)
     line.put(b"N\r\n", 0)
-    assert line.arrival_of(10) == line.arrival(3)
-    assert line.arrival_of(10, 13) == line.arrival(2)
-    assert line.arrival_of(7) is None
+    assert line.count_to(10) == 3
+    assert line.count_to(10, 13) == 2
+    assert line.count_to(7) is None
 
 
 def test_a_line_without_speed_takes_no_time() -> None:
@@ -48,15 +48,16 @@ def test_a_line_without_speed_takes_no_time() -> None:
     assert line.read(5) == b"abc"
 
 
-def test_clearing_drops_what_is_under_way() -> None:
+def test_what_is_taken_back_frees_the_line() -> None:
     line = Line(9600)
     line.put(b"abc", 0)
-    line.clear()
-    assert line.read(10**9) == b""
+    now_ns = line.arrival(1) or 0
+    line.take_back(now_ns)
+    assert line.put(b"d", now_ns) == now_ns + 11_000_000_000 // 9600
+    assert line.read(10**9) == b"ad"
 
 
 def test_the_queue_to_the_robot_is_bounded() -> None:
     uart = Uart(9600)
     uart.rx.put(bytes(QUEUE_LIMIT), 0)
     assert uart.room == 0
-    assert uart.next_ns() == uart.rx.next_ns

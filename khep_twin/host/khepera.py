@@ -20,10 +20,11 @@ from typing import Any, Self
 import serial
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import PortError, PortTimeout, ProtocolError
+from khep_twin.errors import KhepTwinError, PortError, PortTimeout, ProtocolError
+from khep_twin.units import N_SENSORS
 
-N_SENSORS = 8
-_LINE_LIMIT = 512
+QUIET = 0.15
+"""Silence after which no late reply is expected any more [s]: a long reply at 9600 baud takes 0.05 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,7 @@ class Khepera:
                 raise PortError(_why_not_opened(url, error)) from error
         else:
             self.port = url
+        self._unanswered = False
         self.name: str = url if isinstance(url, str) else str(url.name)
 
     def __enter__(self) -> Self:
@@ -79,8 +81,8 @@ class Khepera:
             return
         try:
             self.set_speed(0, 0)
-        except (PortError, ProtocolError):
-            pass  # the line is dead: there is nobody left to stop
+        except KhepTwinError:
+            pass  # the line or the twin is dead: there is nobody left to stop
         finally:
             self.port.close()
 
@@ -193,6 +195,9 @@ class Khepera:
             PortError: the port failed or went away.
         """
         try:
+            if self._unanswered:
+                self._resynchronise()
+            self._unanswered = True
             self.port.write(request.encode("ascii") + b"\n")
             line: bytes = self.port.read_until(b"\n", None)
         except (serial.SerialException, OSError) as error:
@@ -203,7 +208,18 @@ class Khepera:
                 + (f", only {line!r}" if line else "")
                 + f"; is the robot on, in a serial mode of {self.port.baudrate} baud?"
             )
+        self._unanswered = False
         return line.decode("latin-1").rstrip("\r\n")
+
+    def _resynchronise(self) -> None:
+        """After an exchange that was broken off: ends the line begun and lets pass what still comes."""
+        before, self.port.timeout = self.port.timeout, QUIET
+        try:
+            self.port.write(b"\n")
+            while self.port.read_until(b"\n", None):
+                pass
+        finally:
+            self.port.timeout = before
 
     def _fields(self, letter: str, count: int, *arguments: int) -> list[str]:
         request = ",".join([letter, *map(str, arguments)])

@@ -11,6 +11,7 @@ give the same run.
 # pyserial is not typed.
 # pyright: reportUnknownMemberType=false, reportAttributeAccessIssue=false
 
+import re
 from collections.abc import Callable
 from typing import Any, Self
 from urllib.parse import parse_qsl, unquote, urlsplit
@@ -21,7 +22,6 @@ from serial.serialutil import SerialBase
 from khep_twin.clock import to_ns
 from khep_twin.errors import KhepTwinError, PortError, choices
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.protocol import LINE_ENDS
 from khep_twin.rom import MODES_WISH
 
 _POLL_NS = 1_000_000
@@ -47,6 +47,7 @@ class Serial(SerialBase):
     def of(cls, twin: Twin, timeout: float | None = None) -> Self:
         """A port to a twin that is there already."""
         port = cls(timeout=timeout)
+        port.port = f"khep://{twin.world.playpen.name}"
         port._connect(twin)
         return port
 
@@ -99,17 +100,17 @@ class Serial(SerialBase):
     def out_waiting(self) -> int:
         """How many bytes have been written and not yet reached the robot."""
         self._check_open()
-        return len(self._uart.rx)
+        return len(self._uart.rx) - self._uart.rx.arrived(self.time_ns)
 
     def read(self, size: int = 1) -> bytes:
         """Reads up to `size` bytes, waiting for them in simulated time up to the timeout."""
-        return self._read(lambda: self._uart.tx.arrival(size), size)
+        return self._read(lambda: size if len(self._uart.tx) >= size else None, size)
 
     def read_until(self, expected: bytes = b"\n", size: int | None = None) -> bytes:
         """Reads up to and with `expected`, or `size` bytes, or until the timeout."""
         if len(expected) != 1 or size is not None:
             return super().read_until(expected, size)
-        return self._read(lambda: self._uart.tx.arrival_of(expected[0]), None)
+        return self._read(lambda: self._uart.tx.count_to(expected[0]), None)
 
     def readline(self, size: int | None = -1, /) -> bytes:
         """Reads a line with its line feed, or until the timeout."""
@@ -121,18 +122,19 @@ class Serial(SerialBase):
         rest = bytes(data)
         while rest:
             room = self._uart.room
-            if not room:
-                self.twin.advance_to(self._uart.rx.next_ns or self.time_ns)
-                continue
-            self.twin.robot.send(rest[:room])
-            rest = rest[room:]
+            if room:
+                self.twin.robot.send(rest[:room])
+                rest = rest[room:]
+            else:
+                next_ns = self.twin.robot.next_command_ns() or self._uart.rx.next_ns or 0
+                self.twin.advance_to(max(next_ns, self.time_ns))
         return len(data)
 
     def flush(self) -> None:
         """Waits until everything written has reached the robot."""
         self._check_open()
-        while (last_ns := self._uart.rx.arrival(len(self._uart.rx))) is not None:
-            self.twin.advance_to(last_ns)
+        last_ns = self._uart.rx.arrival(len(self._uart.rx)) or 0
+        self.twin.advance_to(max(last_ns, self.time_ns))
 
     def reset_input_buffer(self) -> None:
         """Forgets what has arrived and was not read."""
@@ -142,29 +144,35 @@ class Serial(SerialBase):
     def reset_output_buffer(self) -> None:
         """Takes back what has not reached the robot yet."""
         self._check_open()
-        self._uart.rx.clear()
+        self._uart.rx.take_back(self.time_ns)
 
     def _read(self, wanted: Callable[[], int | None], limit: int | None) -> bytes:
-        """Waits until `wanted` says that a byte under way has arrived, then takes all up to that byte."""
+        """Waits until as many bytes as `wanted` says have arrived, and takes them."""
         self._check_open()
-        start_ns = self.time_ns
+        if limit is not None and limit <= 0:
+            return b""
+        tx, start_ns = self._uart.tx, self.time_ns
         deadline_ns = None if self._timeout is None else start_ns + to_ns(self._timeout)
-        while (goal_ns := wanted()) is None:
-            # Nothing comes but in answer to a line that has reached the robot.
-            next_ns = self._uart.rx.arrival_of(*LINE_ENDS)
+        while (count := wanted()) is None:
+            # Nothing comes but in answer to a command that has reached the robot.
+            next_ns = self.twin.robot.next_command_ns()
             if next_ns is None or (deadline_ns is not None and next_ns > deadline_ns):
                 break
-            self.twin.advance_to(next_ns)
+            self.twin.advance_to(max(next_ns, self.time_ns))
+        goal_ns = None if count is None else tx.arrival(count)
         if goal_ns is None and deadline_ns is None:
             raise TwinPortError(
                 f"{self._port}: waiting for ever: no timeout is set and no answer is under way "
                 "(every command ends with a line feed or carriage return)"
             )
-        if goal_ns is None or (deadline_ns is not None and goal_ns > deadline_ns):
-            goal_ns = deadline_ns if self._timeout else start_ns + self._poll_ns
-        assert goal_ns is not None
-        self.twin.advance_to(max(goal_ns, self.time_ns))
-        return self._uart.tx.read(goal_ns, limit)
+        if goal_ns is not None and (deadline_ns is None or goal_ns <= deadline_ns):
+            self.twin.advance_to(max(goal_ns, self.time_ns))
+            return tx.read(self.time_ns, count)
+        if self._timeout:
+            self.twin.advance_to(max(deadline_ns or 0, self.time_ns))
+        elif not tx.arrived(self.time_ns):
+            self.twin.advance_to(self.time_ns + self._poll_ns)
+        return tx.read(self.time_ns, limit)
 
     def _check_open(self) -> None:
         if not self.is_open:
@@ -209,7 +217,12 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
     Raises:
         TwinPortError: the URL has another scheme, no playpen, or an option that is unknown or wrong.
     """
-    parts = urlsplit(url)
+    try:
+        parts = urlsplit(url)
+    except ValueError as error:
+        raise TwinPortError(f"{url}: no URL: {error}") from None
+    if parts.fragment:
+        raise TwinPortError(f"{url}: '#' ends a URL; right is %23 in its place")
     if parts.scheme != "khep":
         raise TwinPortError(f"{url}: the URL of a twin starts with khep://, such as khep://default")
     playpen = unquote(parts.netloc + parts.path)
@@ -225,15 +238,29 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
         try:
             values[key] = convert(value)
         except (KeyError, ValueError):
-            raise TwinPortError(f"{url}: {key} = {value!r}: right is {wish}") from None
+            raise TwinPortError(f"{url[:200]}: {key} = {value[:40]!r}: right is {wish}") from None
     return playpen, TwinOptions(**values)
 
 
+def _whole(text: str) -> int:
+    """A whole number in plain digits, of sensible length."""
+    if not re.fullmatch("-?[0-9]{1,20}", text):
+        raise ValueError(text)
+    return int(text)
+
+
+def _digit(text: str) -> int:
+    """One hexadecimal digit."""
+    if not re.fullmatch("[0-9A-Fa-f]", text):
+        raise ValueError(text)
+    return int(text, 16)
+
+
 _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
-    "seed": (int, "a whole number from 0 to 2**63-1"),
-    "robot": (int, "the number of a robot in the playpen, counted from 0"),
+    "seed": (_whole, "a whole number from 0 to 2**63-1"),
+    "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
     "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
     "rom": (str, "a version of the firmware, such as 5.02"),
-    "mode": (lambda digit: int(digit, 16), MODES_WISH),
+    "mode": (_digit, MODES_WISH),
     "log": (str, "the name of the log to write"),
 }

@@ -13,6 +13,9 @@ from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
 
+LONGEST_WAIT = 0.1
+"""After so much wall time the loop looks up, however slow the twin is [s]."""
+
 FLUSH_NS = NS_PER_S // 2
 """Wall time after which the log is on disk at the latest [ns]."""
 
@@ -29,25 +32,22 @@ def serve(twin: Twin, port: PtyPort, speed: float, *, stop: Callable[[], bool]) 
     Returns:
         The pacer, which knows how often and how much time had to be given up.
     """
-    world, uart = twin.world, twin.robot.uart
-    pacer = Pacer(speed if math.isfinite(speed) else 1.0, world.time_ns)
+    world, robot, uart = twin.world, twin.robot, twin.robot.uart
+    paced = math.isfinite(speed)
+    pacer = Pacer(speed if paced else 1.0, world.time_ns)
     flushed_ns = time.monotonic_ns()
     while not stop():
-        # Wait for the host's next byte, the robot's next byte or the next control tick, whatever is first.
-        next_ns = min(world.time_ns + TICK_NS, uart.next_ns() or math.inf)
-        wait = max(pacer.wait(int(next_ns)), 0.0) if math.isfinite(speed) else 0.0
-        listening = [port.descriptor] if uart.room else []
-        readable = bool(select.select(listening, [], [], wait)[0])
-        now_ns = int(next_ns)
-        if math.isfinite(speed):
-            now_ns = max(min(pacer.due_ns(), now_ns), world.time_ns)
-        twin.advance_to(now_ns)
+        # On to the next command, the robot's next byte or the next control tick, whatever is first.
+        events_ns = (world.time_ns + TICK_NS, robot.next_command_ns(), uart.tx.next_ns)
+        next_ns = max(min(event_ns for event_ns in events_ns if event_ns is not None), world.time_ns)
+        wait = min(max(pacer.wait(next_ns), 0.0), LONGEST_WAIT) if paced else 0.0
+        readable = bool(select.select([port.descriptor] if uart.room else [], [], [], wait)[0])
+        twin.advance_to(max(min(pacer.due_ns(), next_ns), world.time_ns) if paced else next_ns)
         if readable:
-            twin.robot.send(port.read(uart.room))
-        reply = uart.tx.read(world.time_ns)
-        if reply:
+            robot.send(port.read(uart.room))
+        if reply := uart.tx.read(world.time_ns):
             port.write(reply)
-        if math.isfinite(speed) and (late_ns := pacer.slip(world.time_ns)):
+        if paced and (late_ns := pacer.slip(world.time_ns)):
             world.tell(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
         if twin.recorder is not None and time.monotonic_ns() - flushed_ns > FLUSH_NS:
             twin.recorder.flush()
@@ -57,14 +57,19 @@ def serve(twin: Twin, port: PtyPort, speed: float, *, stop: Callable[[], bool]) 
 
 @contextmanager
 def stopping() -> Generator[Callable[[], bool], None, None]:
-    """Says whether the process was asked to end, by SIGINT or SIGTERM."""
+    """Says whether the process was asked to end, by SIGINT, SIGTERM or SIGHUP.
+
+    Asked once, it is left to come to an end by itself; asked again by SIGINT, it is interrupted.
+    """
     asked = False
 
     def ask(number: int, frame: FrameType | None) -> None:
         nonlocal asked
+        if asked and number == signal.SIGINT:
+            raise KeyboardInterrupt
         asked = True
 
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         yield lambda: asked
     finally:

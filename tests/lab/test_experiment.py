@@ -39,7 +39,7 @@ def test_the_motors_stop_when_a_controller_fails() -> None:
         raise RuntimeError("of its own")
 
     with Khepera("khep://default") as robot:
-        with pytest.raises(RuntimeError, match="of its own"):
+        with pytest.raises(ControllerError, match=r"test_experiment.py:\d+: RuntimeError: of its own"):
             run(fails, robot, cycles=5)
         assert robot.port.twin.robot.registers[SETPOINTS].tolist() == [0, 0]
 
