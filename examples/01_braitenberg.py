@@ -8,12 +8,13 @@ import sys
 
 import serial
 
-if sys.argv[1].startswith("khep://"):
+url = sys.argv[1] if len(sys.argv) > 1 else "khep://obstacles"
+if url.startswith("khep://"):
     import khep_twin  # noqa: F401  (teaches pyserial this kind of port)
 
 WEIGHTS = [(4, -5), (4, -15), (6, -18), (-18, 6), (-15, 4), (-5, 4), (5, 3), (3, 5)]
 
-port = serial.serial_for_url(sys.argv[1], baudrate=9600, stopbits=2, timeout=1)
+port = serial.serial_for_url(url, baudrate=9600, stopbits=2, timeout=1)
 cycles = int(sys.argv[2]) if len(sys.argv) > 2 else 1000
 for _ in range(cycles):
     port.write(b"N\n")

@@ -11,10 +11,10 @@ from pydantic import Field
 from khep_twin import toml_files
 from khep_twin.errors import CalibrationError
 from khep_twin.toml_files import Name, Table
-from khep_twin.units import N_SENSORS
+from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 _Gain = Annotated[float, Field(gt=0, le=1e8)]
-_Counts = Annotated[float, Field(ge=0, le=4095)]
+_Counts = Annotated[float, Field(ge=0, le=COUNTS_LIMIT)]
 _Exponent = Annotated[float, Field(ge=0, le=20)]
 _Offset = Annotated[float, Field(ge=0, le=50)]
 _Heading = Annotated[float, Field(ge=-360, le=360)]
@@ -39,8 +39,8 @@ class AmbientCalibration(Table):
     """Light of lamps."""
 
     dark_counts: _Counts
-    floor_counts: Annotated[int, Field(ge=0, le=4095)]
-    ceiling_counts: Annotated[int, Field(ge=0, le=4095)]
+    floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)]
+    ceiling_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)]
     gain_counts_mm2_per_w: _Gain
     offset_mm: _Offset
     noise_counts: _Counts

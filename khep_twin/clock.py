@@ -25,8 +25,8 @@ class Pacer:
     """Simulated time against the wall clock, by absolute deadlines.
 
     Simulated time t is due at `start + (t - origin) / speed`, so rounding never adds up. A loop that falls
-    further behind than `tolerance` slips: the origin moves, the slip is counted, and nothing is made up for
-    by sprinting.
+    further behind than the tolerance slips: the origin moves, the slip is counted, and nothing of it is made
+    up for by sprinting. What is within the tolerance is made up for.
 
     Attributes:
         slips: how often the loop fell behind.
@@ -44,7 +44,7 @@ class Pacer:
         self._time_ns = time_ns
 
     def due_ns(self) -> int:
-        """The simulated time that is due now [ns]; slips when the loop is too far behind."""
+        """The simulated time that is due now [ns]."""
         return self._time_ns + round((time.monotonic_ns() - self._wall_ns) * self.speed)
 
     def wait(self, time_ns: int) -> float:

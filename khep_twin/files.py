@@ -6,17 +6,37 @@ from pathlib import Path
 from khep_twin.errors import KhepTwinError
 
 
+def unusable(path: Path) -> str:
+    """Why nothing can be written under a name; empty if it can.
+
+    Devices, pipes and directories are left alone: giving a file their name would take them away.
+    """
+    try:
+        if not path.name or path.is_dir():
+            return "this is a directory; right is the name of a file"
+        if not path.parent.is_dir():
+            return f"there is no directory {path.parent}"
+        if path.exists() and not path.is_file():
+            return "this is no regular file; right is the name of a file"
+    except (OSError, ValueError) as error:
+        return error.strerror or str(error) if isinstance(error, OSError) else str(error)
+    return ""
+
+
 def write_whole(path: Path, data: bytes) -> None:
-    """Writes a file beside `path` and gives it its name when it is whole.
+    """Writes a file beside `path` and gives it its name when it is whole; a link is followed.
 
     Raises:
         KhepTwinError: that is not possible; what was there before is untouched.
     """
-    part = path.with_name(f".{path.name}.part")
+    if reason := unusable(path):
+        raise KhepTwinError(f"{path}: cannot be written: {reason}")
+    target = path.resolve()
+    part = target.with_name(f".{target.name}.part")
     try:
         try:
             part.write_bytes(data)
-            os.replace(part, path)
+            os.replace(part, target)
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:

@@ -3,8 +3,9 @@
 Bytes in, bytes out: no clock, file or thread. The control loop itself is `kernel`; whoever owns the time
 calls it. What the manual leaves open is decided so that a host survives it:
 
-    - numbers out of range are cut to the range: speed +-127, duty +-255, target +-(2^23 - 2), gains 0 to
-      32767, trapezoid speed 0 to 127 and acceleration 1 to 65535, counters to 32 bits by wrapping;
+    - numbers of up to ten digits that are out of range are cut to the range: speed +-127, duty +-255, target
+      +-(2^23 - 2), gains 0 to 32767, trapezoid speed 0 to 127 and acceleration 1 to 65535, counters to 32
+      bits by wrapping;
     - an LED, converter channel or bus address that does not exist is a protocol error;
     - nothing sits on the extension bus, so it reads as 255, and on a turret's place, so a message to one
       is answered `z,Turret order not supported`.
@@ -45,7 +46,7 @@ ACCELERATION_LIMIT = 65535
 """Largest acceleration of command J [pulses/256 per (10 ms)^2] (assumed: a 16-bit word)."""
 
 N_ADC_CHANNELS = 6
-"""Channels of command I: 0 to 2 internal, 3 to 5 free (manual, appendix A)."""
+"""Channels of command I: 0 to 2 internal, 3 to 5 free (manual II, appendix A; the manual names none)."""
 
 
 class Firmware:
@@ -73,6 +74,10 @@ class Firmware:
     def receive(self, data: bytes) -> bytes:
         """Takes bytes from the line; returns the replies to the commands that they complete."""
         return b"".join(self._answer(parse(line)) for line in self._lines.feed(data))
+
+    def forget_line(self) -> None:
+        """Drops a line begun and not ended."""
+        self._lines.clear()
 
     def tick(self, left_pulses: int, right_pulses: int) -> None:
         """One control period of 10 ms, with what the encoders have counted since power-up [pulses]."""

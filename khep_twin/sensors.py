@@ -3,10 +3,11 @@
 Proximity is reflected light less the ambient light, cut off at both ends (the form is fitted to a real robot,
 the numbers are in assets/calibration):
 
-    counts = clip(gain sum_i w_i rho_i cos(phi_i)^m / (d_i + offset)^2 - threshold + noise, 0, 1023)
+    counts = clip(gain sum_i w_i rho_i cos(phi_i)^m / (d_i + offset)^2 - threshold + noise, idle, 1023)
 
 over the rays i of a sensor's cone: length d_i, incidence phi_i, reflectance rho_i of what it hits and weight
-w_i = cos(theta_i)^n / sum, theta_i off the axis. Ambient light is dark at high counts:
+w_i = cos(theta_i)^n / sum, theta_i off the axis; idle is the noise left with nothing in reach. Ambient light
+is dark at high counts:
 
     counts = clip(dark - sum_lamps gain P cos(theta)^2 / (r - offset)^2 + noise, floor, ceiling)
 

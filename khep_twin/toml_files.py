@@ -73,7 +73,7 @@ def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, 
     if len(data) > SIZE_LIMIT:
         raise error(f"{source}: larger than {SIZE_LIMIT} bytes, the most that is read")
     try:
-        return data.decode("utf-8"), source
+        return data.decode("utf-8-sig"), source
     except UnicodeDecodeError as trouble:
         raise error(f"{source}: byte {trouble.start} is no UTF-8 text") from None
 
@@ -88,8 +88,10 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
         raise error(f"{source}: a key has more than 32 parts")
     try:
         data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, ValueError) as trouble:
+    except tomllib.TOMLDecodeError as trouble:
         raise error(f"{source}: not TOML: {trouble}") from None
+    except ValueError:
+        raise error(f"{source}: not TOML that can be read: a number has thousands of digits") from None
     except RecursionError:
         raise error(f"{source}: not TOML that can be read: nested too deeply") from None
     try:
@@ -110,8 +112,12 @@ def show(value: object) -> str:
     """A value as it stands in a message: short, and as TOML writes it."""
     if isinstance(value, bool):
         return str(value).lower()
-    text = f'"{value}"' if isinstance(value, str) else str(value)
-    text = text.encode("unicode_escape").decode("ascii")
+    return _plain(f'"{value}"' if isinstance(value, str) else str(value))
+
+
+def _plain(text: str) -> str:
+    """Text without control characters, and not too long for a line."""
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -142,7 +148,7 @@ def _place(location: Sequence[str | int]) -> tuple[str, str]:
         if isinstance(part, int) and words:
             words[-1] += f" {part + 1}"
         elif part != "[key]":
-            words.append(str(part))
+            words.append(_plain(str(part)))
     *tables, key = words
     return " ".join(tables) + (": " if tables else ""), key
 

@@ -233,6 +233,18 @@ class Robot:
         """Puts bytes of the host on the line, now."""
         self.uart.rx.put(data, self._world.time_ns)
 
+    def hang_up(self) -> None:
+        """The host has gone: its whole commands are carried out unanswered, one that it began is forgotten."""
+        time_ns = self._world.time_ns
+        rx, tx = self.uart.rx, self.uart.tx
+        if sent := rx.read(rx.arrival(len(rx)) or time_ns):
+            self._tap(time_ns, True, sent)
+            self.firmware.receive(sent)
+        self.firmware.forget_line()
+        tx.read(time_ns)
+        for line in (rx, tx):
+            line.take_back(time_ns)
+
     def next_command_ns(self) -> int | None:
         """When the firmware takes the next whole command [ns], None if there is none on the line.
 

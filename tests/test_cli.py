@@ -3,8 +3,10 @@
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import mujoco
 import pytest
 
 from khep_twin import __version__, playpen
+from khep_twin.log.reader import read
 
 GOOD = (playpen.toml_files.folder("playpens") / "obstacles.toml").read_text()
 
@@ -146,7 +149,7 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
         (["view", "nothing.mcap"], "nothing.mcap: "),
         (
             ["playpen", "compile", "default", "-o", "/nowhere/x.xml"],
-            "/nowhere/x.xml: cannot be written: No such file",
+            "/nowhere/x.xml: cannot be written: there is no directory /nowhere",
         ),
         (["playpen", "draw", "default", "-o", "x.jpeg"], "x.jpeg: right is a name that ends in .png or .svg"),
     ],
@@ -165,6 +168,53 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_written(tmp_path: Path) -> 
     assert "File too large" in line
     assert line.endswith(f"what came before is kept in {log}.part")
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap.part"]
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_that_is_asked_to_end_ends_with_its_log_whole(how: signal.Signals, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    command = [sys.executable, "-m", "khep_twin", "run", "--seconds", "5000", "--log", str(log)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not (tmp_path / "run.mcap.part").exists():
+            time.sleep(0.05)
+        time.sleep(1)
+        process.send_signal(how)
+        output, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert errors == "khep-twin: stopped before its end\n"
+    assert "look at it" in output
+    assert read(log).robots["khepera0"].times_ns[-1] > 10**9
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("def controller(robot): raise ValueError('mine')", "mine.py:1: ValueError: mine"),
+        ("def controller(robot): import sys; sys.exit(3)", "mine.py:1: SystemExit: 3"),
+        ("def controller(robot): pass", "a cycle lets no time pass"),
+        ("def controller(robot): yield", "'controller' is no plain function"),
+        ("async def controller(robot): ...", "'controller' is no plain function"),
+        ("def controller(): ...", "'controller' takes ()"),
+        ("def controller(robot): controller(robot)", "mine.py:1: RecursionError"),
+    ],
+)
+def test_a_controller_that_fails_is_one_line(text: str, line: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(text + "\n")
+    assert line in complaint("run", file, "--seconds", "1")
+
+
+def test_options_of_a_twin_are_refused_for_a_port() -> None:
+    for option in (["--seed", "3"], ["--playpen", "default"], ["--mode", "2"]):
+        text = complaint("run", "--port", "khep://default", "--seconds", "1", *option)
+        assert text == f"{option[0]} is for a twin in this process, not for one behind --port"
+
+
+def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    for picture in (tmp_path / "run.gif", tmp_path / "no" / "run.png"):
+        complaint("run", "--seconds", "5000", "--log", log, "--picture", picture)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_twin_conforms_and_says_so(tmp_path: Path) -> None:

@@ -207,7 +207,7 @@ def test_another_suffix_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
-    with pytest.raises(KhepTwinError, match=r"scene\.png: cannot be written: No such file or directory"):
+    with pytest.raises(KhepTwinError, match=r"scene\.png: cannot be written: there is no directory"):
         save(draw(SCENE), tmp_path / "missing" / "scene.png")
 
 

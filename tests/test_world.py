@@ -180,6 +180,18 @@ def test_a_simulation_that_diverges_is_an_error_and_no_silent_restart(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_world_that_has_diverged_stays_stopped(field: Playpen) -> None:
+    world = World(field)
+    world.data.qvel[0] = math.nan
+    messages = []
+    for _ in range(2):
+        with pytest.raises(DivergedError) as caught:
+            advance(world, 0.1)
+        messages.append(str(caught.value))
+    assert messages[0] == messages[1]
+    assert "step 4" in messages[0]
+
+
 def test_several_robots_see_each_other_and_keep_their_own_noise() -> None:
     two = playpen.dump(playpen.load("default")) + ("\n[[robot]]\nx_mm = 300\ny_mm = 318\nheading_deg = -90\n")
     alone, together = World(playpen.load("default"), seed=5), World(playpen.parse(two, "two"), seed=5)

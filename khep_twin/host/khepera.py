@@ -32,7 +32,7 @@ class WheelStatus:
     """One wheel's motion control, as command K tells it.
 
     Attributes:
-        on_target: whether a target was set and is reached.
+        on_target: whether the target is reached; after a reset, too.
         mode: of the motor, as the robot's ROM counts (5.02: 0 speed, 1 position, 2 PWM).
         error: of the controller [pulses in position mode, pulses/10 ms in speed mode].
     """

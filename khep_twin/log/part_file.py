@@ -46,9 +46,6 @@ class PartFile:
         """How much has been written [bytes]."""
         return self._size
 
-    def flush(self) -> None:
-        """Nothing waits here."""
-
     def close(self) -> None:
         """Ends the file."""
         if not self._closed:

@@ -17,12 +17,14 @@ from typing import Self
 
 import mujoco
 import numpy as np
+from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from khep_twin import __version__, calibration
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
+from khep_twin.files import unusable
 from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS
 from khep_twin.log import channels
 from khep_twin.log.batch_writer import BatchWriter
@@ -58,22 +60,22 @@ class Recorder:
     """
 
     def __init__(self, path: Path, world: World, settings: Mapping[str, object]) -> None:
+        if reason := unusable(path) or _no_log(path):
+            raise LogError(f"{path}: cannot write a log here: {reason}")
         self.path = path
-        self.part = path.with_name(path.name + ".part")
+        # A link is followed, so that it stays a link.
+        self._target = path.resolve() if path.is_symlink() else path
+        self.part = self._target.with_name(self._target.name + ".part")
         self._world = world
         self._wire: list[tuple[int, int, bool, bytes]] = []
         self._rests: dict[tuple[int, bool], bytes] = {}
         self._open = True
-        if path.is_dir():
-            raise LogError(f"{path}: this is a directory; right is the name of a file, such as run.mcap")
-        if not path.parent.is_dir():
-            raise LogError(f"{path}: cannot write a log here: there is no directory {path.parent}")
         try:
             self.kept = set_aside(self.part)
             self._file = PartFile(self.part)
         except OSError as error:
             raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
-        # What moves is shown at every sample, what stands only once.
+        # What moves is shown at every sample, what stands is part of the description.
         model = world.model
         self._moving: list[int] = np.flatnonzero(model.body_weldid != 0).tolist()
         self._transforms = TransformFrame([body_name(model, body) for body in self._moving])
@@ -143,7 +145,7 @@ class Recorder:
             self._write_lines()
             self._write_rests()
             self._writer.finish()
-            os.replace(self.part, self.path)
+            os.replace(self.part, self._target)
             self._open = False
             self._file.close()
 
@@ -192,8 +194,8 @@ class Recorder:
             "scene.xml": world.spec.to_xml(),
             "configuration.json": json.dumps(dict(settings), indent=2, sort_keys=True) + "\n",
             **{
-                f"calibration/{Path(name).stem}.toml": calibration.read(name)[1]
-                for name in dict.fromkeys(robot.calibration for robot in robots)
+                f"calibration/{robot.name}.toml": calibration.read(entry.calibration)[1]
+                for robot, entry in zip(world.robots, robots, strict=True)
             },
         }
         for name, text in attachments.items():
@@ -208,17 +210,7 @@ class Recorder:
         self._writer.describe("run", {**facts, **{key: str(value) for key, value in settings.items()}})
         message = channels.text_message(urdf(world.model))
         self._add("/robot_description", "std_msgs/msg/String", 0, message)
-        self._add_standing()
         self._writer.flush()
-
-    def _add_standing(self) -> None:
-        model, data = self._world.model, self._world.data
-        standing: list[int] = (1 + np.flatnonzero(model.body_weldid[1:] == 0)).tolist()
-        if standing:
-            frame = TransformFrame([body_name(model, body) for body in standing])
-            start = np.zeros(1, np.int64)
-            poses = frame.messages(start, data.xpos[None, standing], data.xquat[None, standing])
-            self._writer.add_rows(self._channel("/tf", "tf2_msgs/msg/TFMessage"), start, poses)
 
     def _add(self, topic: str, schema: str, time_ns: int, message: bytes) -> None:
         self._writer.add(self._channel(topic, schema), time_ns, message)
@@ -241,6 +233,21 @@ class Recorder:
                 f"{self.path}: the log cannot be written any more at {seconds:.2f} s: {error.strerror}; "
                 f"what came before is kept in {self.part}"
             ) from error
+
+
+def _no_log(path: Path) -> str:
+    """Why a file that is there must not be replaced by a log; empty if it may."""
+    try:
+        if not path.exists() or path.stat().st_size == 0:
+            return ""
+        with path.open("rb") as file:
+            return (
+                ""
+                if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+                else "this file is no log; right is another name"
+            )
+    except OSError as error:
+        return error.strerror or str(error)
 
 
 def _line_message(time_ns: int, to_robot: bool, line: bytes) -> bytes:

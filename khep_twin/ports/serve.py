@@ -41,11 +41,17 @@ def serve(twin: Twin, port: PtyPort, speed: float, *, stop: Callable[[], bool]) 
         events_ns = (world.time_ns + TICK_NS, robot.next_command_ns(), uart.tx.next_ns)
         next_ns = max(min(event_ns for event_ns in events_ns if event_ns is not None), world.time_ns)
         wait = min(max(pacer.wait(next_ns), 0.0), LONGEST_WAIT) if paced else 0.0
-        readable = bool(select.select([port.descriptor] if uart.room else [], [], [], wait)[0])
+        readable = port.descriptor in select.select(port.descriptors if uart.room else [], [], [], wait)[0]
         twin.advance_to(max(min(pacer.due_ns(), next_ns), world.time_ns) if paced else next_ns)
+        gone = port.last_host_left()
         if readable:
             robot.send(port.read(uart.room))
-        if reply := uart.tx.read(world.time_ns):
+        if gone:
+            # What it has sent still reaches the robot, as on a cable; what it has left behind is cleared.
+            port.clear()
+            robot.hang_up()
+        reply = uart.tx.read(world.time_ns)
+        if reply and port.hosts != 0:
             port.write(reply)
         if paced and (late_ns := pacer.slip(world.time_ns)):
             world.tell(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")

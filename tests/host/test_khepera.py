@@ -60,6 +60,15 @@ def test_closing_stops_the_motors() -> None:
     robot.close()
 
 
+def test_after_a_broken_exchange_the_next_one_is_right(robot: Khepera) -> None:
+    robot.set_position(5, 6)
+    robot.port.timeout = 0.01
+    with pytest.raises(PortTimeout):
+        robot.proximity()
+    robot.port.timeout = 1.0
+    assert robot.position() == (5, 6)
+
+
 class Silent(serial.SerialBase):
     """A port whose robot answers with fixed bytes, or not at all."""
 

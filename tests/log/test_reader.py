@@ -64,7 +64,7 @@ def test_the_label_is_read_without_the_run(log: Path) -> None:
     assert label.metadata["seed"] == "3"
     assert 'name = "obstacles"' in label.attachments["playpen.toml"]
     assert "<mujoco" in label.attachments["scene.xml"]
-    assert {"configuration.json", "calibration/khepera1.toml"} < set(label.attachments)
+    assert {"configuration.json", "calibration/khepera0.toml"} < set(label.attachments)
 
 
 @pytest.mark.parametrize("content", [b"", b"PNG", b"\x89MCAP0\r\n", b"\x00" * 1000])

@@ -15,6 +15,7 @@ from driving import SECOND, drive
 from mcap.reader import make_reader
 from mcap.records import Attachment, Header, Message, Metadata
 from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
 from khep_twin.log.reader import read
@@ -55,7 +56,7 @@ def test_what_describes_the_run_comes_before_its_first_message(log: Path) -> Non
         "playpen.toml",
         "scene.xml",
         "configuration.json",
-        "calibration/khepera1.toml",
+        "calibration/khepera0.toml",
     ]
     for kind in (Attachment, Metadata):
         assert all(place < first for place, other in enumerate(kinds) if other is kind)
@@ -148,11 +149,27 @@ def test_ctrl_c_in_the_middle_of_a_write_waits_for_its_end(
 
 def test_a_finished_log_is_replaced_only_by_a_finished_one(tmp_path: Path, start: Start) -> None:
     path = tmp_path / "run.mcap"
-    path.write_text("an older log")
+    path.write_bytes(MCAP0_MAGIC + b"an older log")
     with start(path) as twin:
         drive(twin)
-        assert path.read_text() == "an older log"
+        assert path.read_bytes() == MCAP0_MAGIC + b"an older log"
     assert len(read(path).events) == 0
+
+
+@pytest.mark.parametrize("kind", ["source", "pipe", "directory"])
+def test_what_is_no_log_is_left_alone(tmp_path: Path, start: Start, kind: str) -> None:
+    path = tmp_path / "precious.py"
+    if kind == "source":
+        path.write_text("print('mine')\n")
+    elif kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.mkdir()
+    before = path.stat().st_mode
+    with pytest.raises(LogError, match=r"precious.py: cannot write a log here: this (file is no log|is )"):
+        start(path).__enter__()
+    assert path.stat().st_mode == before
+    assert [each.name for each in tmp_path.iterdir()] == ["precious.py"]
 
 
 def test_what_a_crash_left_behind_is_kept(tmp_path: Path, start: Start) -> None:

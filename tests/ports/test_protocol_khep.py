@@ -128,6 +128,41 @@ def test_a_host_that_writes_more_than_the_line_holds_is_made_to_wait() -> None:
         assert set(replies) == {b"e,0,0\r\n"}
 
 
+def test_reading_nothing_costs_nothing() -> None:
+    with connect() as port:
+        assert port.read(0) == b""
+        assert port.time_ns == 0
+
+
+def test_a_look_that_finds_something_costs_nothing() -> None:
+    with connect() as port:
+        port.write(b"B\n")
+        port.sleep(0.1)
+        port.timeout, before = 0, port.time_ns
+        assert port.read(100) == b"b,5.02,5.01\r\n"
+        assert port.time_ns == before
+
+
+def test_while_replies_wait_no_more_commands_are_taken() -> None:
+    with connect() as port:
+        port.write(b"N\n" * 400)
+        port.sleep(0.8)
+        tx = port.twin.robot.uart.tx
+        assert len(tx) - tx.arrived(port.time_ns) <= 256 + 45
+        replies = [port.readline() for _ in range(400)]
+        assert all(reply.count(b",") == 8 for reply in replies)
+
+
+def test_what_is_taken_back_leaves_the_line_free() -> None:
+    with connect() as port:
+        port.write(b"x" * 1000)
+        port.reset_output_buffer()
+        start = port.time_ns
+        port.write(b"\nB\n")
+        port.readline()
+        assert port.time_ns - start < 40_000_000
+
+
 def test_the_ports_of_pyserial_are_all_there() -> None:
     with connect() as port:
         port.dtr, port.rts, port.break_condition = True, False, False
@@ -180,6 +215,10 @@ def test_a_url_is_taken_apart() -> None:
         ("khep://default?rom=6", "rom = '6': unknown;"),
         ("khep://default?mode=5", "mode = 5: mode 5 waits for a program in S-records"),
         ("khep://nowhere", "nowhere: no such file"),
+        ("khep://[", "khep://[: no URL: "),
+        ("khep://default?log=a#b", "'#' ends a URL; right is %23 in its place"),
+        ("khep://default?seed=1_0", "seed = '1_0': right is a whole number"),
+        ("khep://default?log=", ": cannot write a log here: this is a directory"),
         ("khep://default?log=/no/such/place/run.mcap", "/no/such/place/run.mcap: cannot write a log here"),
     ],
 )

@@ -5,6 +5,7 @@ import select
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -129,6 +130,58 @@ def test_rubbish_at_full_speed_is_survived(path: str) -> None:
 def test_the_example_runs_unchanged_on_a_pty(path: str) -> None:
     example = Path(__file__).parents[2] / "examples" / "01_braitenberg.py"
     subprocess.run([sys.executable, str(example), path, "20"], check=True, timeout=60)
+
+
+def reply_of_the_next_host(path: str) -> bytes:
+    """What a plain host in C style gets first, a moment after the one before has gone."""
+    time.sleep(0.2)
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        os.write(descriptor, b"B\n")
+        data = b""
+        while not data.endswith(b"\n") and select.select([descriptor], [], [], 2)[0]:
+            data += os.read(descriptor, 100)
+        return data
+    finally:
+        os.close(descriptor)
+
+
+def test_a_host_that_leaves_replies_and_half_a_command_behind_does_not_spoil_the_next(path: str) -> None:
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    os.write(descriptor, b"N\n" * 20 + b"C,12")
+    time.sleep(0.2)
+    os.close(descriptor)
+    assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
+
+
+def test_a_host_that_is_killed_does_not_spoil_the_next(path: str) -> None:
+    program = (
+        "import os, sys, time; port = os.open(sys.argv[1], os.O_RDWR)\n"
+        "while True: os.write(port, b'N\\n'); time.sleep(0.01)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, path]) as host:
+        time.sleep(1)
+        host.kill()
+    assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
+
+
+def test_settings_that_a_host_leaves_behind_are_put_right(path: str) -> None:
+    subprocess.run(["stty", "-F", path, "sane"], check=True)
+    assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    termios.tcflow(descriptor, termios.TCOOFF)
+    os.close(descriptor)
+    assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
+
+
+def test_the_last_command_of_a_host_that_closes_at_once_is_carried_out(path: str) -> None:
+    for number in range(3):
+        descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        os.write(descriptor, b"G,%d,7\n" % number)
+        os.close(descriptor)
+        time.sleep(0.3)
+        with Khepera(path) as robot:
+            assert robot.position() == (number, 7)
 
 
 def test_at_full_speed_without_line_time_answers_come_at_once() -> None:
