@@ -234,7 +234,7 @@ class Robot:
         self.uart.rx.put(data, self._world.time_ns)
 
     def hang_up(self) -> None:
-        """The host has gone: its whole commands are carried out unanswered, one that it began is forgotten."""
+        """The host has gone: its whole commands are carried out unanswered, one just begun is forgotten."""
         time_ns = self._world.time_ns
         rx, tx = self.uart.rx, self.uart.tx
         if sent := rx.read(rx.arrival(len(rx)) or time_ns):
