@@ -97,7 +97,9 @@ class PtyPort:
         fcntl.ioctl(self._host_side, termios.TIOCNXCL)
         tty.setraw(self._host_side)
         termios.tcflow(self._host_side, termios.TCOON)
-        termios.tcflush(self._host_side, termios.TCIOFLUSH)
+        # Either end has a buffer of its own.
+        for descriptor in (self._host_side, self.descriptor):
+            termios.tcflush(descriptor, termios.TCIOFLUSH)
 
     def write(self, data: bytes) -> None:
         """Sends to the host; what a host that never reads leaves no room for is dropped and counted."""

@@ -44,7 +44,7 @@ def serve(twin: Twin, port: PtyPort, speed: float, *, stop: Callable[[], bool]) 
         readable = port.descriptor in select.select(port.descriptors if uart.room else [], [], [], wait)[0]
         twin.advance_to(max(min(pacer.due_ns(), next_ns), world.time_ns) if paced else next_ns)
         gone = port.last_host_left()
-        if readable:
+        if readable or gone:
             robot.send(port.read(uart.room))
         if gone:
             # What it has sent still reaches the robot, as on a cable; what it has left behind is cleared.

@@ -2,6 +2,7 @@
 
 import os
 import termios
+import time
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,22 @@ def test_a_host_that_never_reads_loses_bytes_and_blocks_nobody() -> None:
         for _ in range(100):
             port.write(bytes(1000))
         assert port.dropped > 50_000
+
+
+def test_what_a_host_left_behind_is_cleared_away() -> None:
+    with PtyPort() as port:
+        with serial.Serial(port.path, 9600, timeout=1) as host:
+            assert not port.last_host_left()
+            host.write(bytes(3000))
+            time.sleep(0.05)
+            assert len(port.read(1000)) == 1000
+            port.write(b"unread\r\n")
+        assert port.last_host_left()
+        port.clear()
+        assert port.read(5000) == b""
+        with open(port.path, "rb", buffering=0) as next_host:
+            os.set_blocking(next_host.fileno(), False)
+            assert next_host.read(100) is None
 
 
 def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
