@@ -19,7 +19,7 @@ def unusable(path: Path) -> str:
         if path.exists() and not path.is_file():
             return "this is no regular file; right is the name of a file"
     except (OSError, ValueError) as error:
-        return error.strerror or str(error) if isinstance(error, OSError) else str(error)
+        return getattr(error, "strerror", None) or str(error)
     return ""
 
 
@@ -31,13 +31,22 @@ def write_whole(path: Path, data: bytes) -> None:
     """
     if reason := unusable(path):
         raise KhepTwinError(f"{path}: cannot be written: {reason}")
+    try:
+        put_whole(path, data)
+    except OSError as error:
+        raise KhepTwinError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def put_whole(path: Path, data: bytes) -> None:
+    """What `write_whole` does, for those who tell of trouble in their own words.
+
+    Raises:
+        OSError: that is not possible; what was there before is untouched.
+    """
     target = path.resolve()
     part = target.with_name(f".{target.name}.part")
     try:
-        try:
-            part.write_bytes(data)
-            os.replace(part, target)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise KhepTwinError(f"{path}: cannot be written: {error.strerror}") from error
+        part.write_bytes(data)
+        os.replace(part, target)
+    finally:
+        part.unlink(missing_ok=True)

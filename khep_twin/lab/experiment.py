@@ -117,16 +117,16 @@ def find_controller(name: str) -> Controller:
     if not function:
         function = "controller" if "controller" in functions or len(functions) != 1 else next(iter(functions))
     found = functions.get(function)
-    if inspect.isgeneratorfunction(found) or inspect.iscoroutinefunction(found):
-        raise ControllerError(
-            f"{path}: {function!r} is no plain function; right is one that returns each cycle"
-        )
-    if found is not None and len(inspect.signature(found).parameters) != 1:
-        raise ControllerError(f"{path}: {function!r} takes {inspect.signature(found)}; right is one robot")
     if found is None:
         raise ControllerError(
             f"{path}: no function {function!r} that takes a robot; {choices(function, functions)}"
         )
+    if inspect.isgeneratorfunction(found) or inspect.iscoroutinefunction(found):
+        raise ControllerError(
+            f"{path}: {function!r} is no plain function; right is one that returns each cycle"
+        )
+    if len(inspect.signature(found).parameters) != 1:
+        raise ControllerError(f"{path}: {function!r} takes {inspect.signature(found)}; right is one robot")
     return found
 
 
@@ -145,10 +145,8 @@ def _functions_of(path: Path) -> dict[str, Any]:
         sys.path.insert(0, folder)
     try:
         spec.loader.exec_module(module)
-    except (
-        Exception,
-        SystemExit,
-    ) as error:  # a user's file may fail in any way; the place and the reason are told
+    except (Exception, SystemExit) as error:
+        # A user's file may fail in any way; the place and the reason are told.
         line = _line_in(error, path)
         raise ControllerError(f"{path}{line}: {type(error).__name__}: {error}") from error
     return {

@@ -12,11 +12,11 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from khep_twin.errors import LogError
+from khep_twin.files import put_whole
 from khep_twin.log.reader import Label, read_label
 from khep_twin.units import Sensor
 
@@ -73,13 +73,9 @@ def _save(path: Path, label: Label, save: Path) -> None:
         what = "a directory" if save.is_dir() else "the log itself"
         raise LogError(f"{save}: this is {what}; right is the name of a file, such as {path.stem}.rrd")
     recording = _recording(path, label)
-    part = save.with_name(save.name + ".part")
     try:
-        part.write_bytes(recording)
-        os.replace(part, save)
+        put_whole(save, recording)
     except OSError as error:
-        with suppress(OSError):
-            part.unlink()
         raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
 
 

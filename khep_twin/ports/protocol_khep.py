@@ -151,8 +151,8 @@ class Serial(SerialBase):
         self._check_open()
         if limit is not None and limit <= 0:
             return b""
-        tx, start_ns = self._uart.tx, self.time_ns
-        deadline_ns = None if self._timeout is None else start_ns + to_ns(self._timeout)
+        tx = self._uart.tx
+        deadline_ns = None if self._timeout is None else self.time_ns + to_ns(self._timeout)
         while (count := wanted()) is None:
             # Nothing comes but in answer to a command that has reached the robot.
             next_ns = self.twin.robot.next_command_ns()
