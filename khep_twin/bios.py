@@ -8,6 +8,22 @@ from dataclasses import dataclass
 
 from khep_twin.protocol import COMMAND_NOT_FOUND, END, Tool, refusal
 from khep_twin.rom import BAUD_RATES, DEMO, SELF_TEST, Rom
+from khep_twin.turrets import TurretKind
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """What tools can tell of a board.
+
+    Attributes:
+        rom: the version of the firmware.
+        running: function of the ROM that runs, empty for none.
+        turrets: what is plugged on top.
+    """
+
+    rom: Rom
+    running: str
+    turrets: tuple[TurretKind, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +66,13 @@ COMMANDS: Mapping[str, str] = {
 """The protocol's commands and what they do, as `help` and `list` tell it."""
 
 
-def use(tool: Tool, rom: Rom, running: str) -> Outcome:
-    """Carries out a tool.
-
-    Args:
-        tool: the word and what follows it.
-        rom: the version of the firmware.
-        running: function of the ROM that runs, empty for none.
-    """
+def use(tool: Tool, board: Board) -> Outcome:
+    """Carries out a tool: the word and what follows it."""
     entry = _TOOLS.get(tool.word.decode("ascii"))
     if entry is None:
         return Outcome(COMMAND_NOT_FOUND)
     arguments = tuple(argument.decode("latin-1") for argument in tool.arguments)
-    return entry[1](arguments, rom, running)
+    return entry[1](arguments, board)
 
 
 def self_test(sensors_alive: bool) -> bytes:
@@ -79,7 +89,7 @@ def _lines(*lines: str) -> bytes:
     return b"".join(line.encode("ascii", "backslashreplace") + END for line in lines)
 
 
-def _help(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
+def _help(arguments: tuple[str, ...], board: Board) -> Outcome:
     if not arguments:
         return Outcome(
             _lines(
@@ -93,57 +103,59 @@ def _help(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
     return Outcome(_lines(f"{name}  {text}") if text else refusal("No such item"))
 
 
-def _list(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
-    tools = [f"TO  {name:8}  {text}  {rom.bios}" for name, (text, _) in _TOOLS.items()]
-    functions = [f"FU  {name:8}  ROM function  {rom.bios}" for name in (DEMO, SELF_TEST)]
-    commands = [f"PR  {name:8}  {text}  {rom.protocol}" for name, text in COMMANDS.items()]
+def _list(arguments: tuple[str, ...], board: Board) -> Outcome:
+    tools = [f"TO  {name:8}  {text}  {board.rom.bios}" for name, (text, _) in _TOOLS.items()]
+    functions = [f"FU  {name:8}  ROM function  {board.rom.bios}" for name in (DEMO, SELF_TEST)]
+    commands = [f"PR  {name:8}  {text}  {board.rom.protocol}" for name, text in COMMANDS.items()]
     return Outcome(_lines(*tools, *functions, *commands))
 
 
-def _k_team(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
+def _k_team(arguments: tuple[str, ...], board: Board) -> Outcome:
     return Outcome(_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
 
 
-def _net(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
-    return Outcome(_lines("no intelligent turret"))
+def _net(arguments: tuple[str, ...], board: Board) -> Outcome:
+    turrets = [
+        f"{kind.number}  {kind.name}  {kind.description}  revision {kind.revision}" for kind in board.turrets
+    ]
+    return Outcome(_lines(*(turrets or ["no intelligent turret"])))
 
 
-def _memory(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
-    # The Khepera 1 has 256 kbytes of RAM (manual, specification); nothing is loaded into the twin's.
-    return Outcome(_lines("RAM  262144 bytes", "used by loaded programs  0 bytes"))
+def _memory(arguments: tuple[str, ...], board: Board) -> Outcome:
+    return Outcome(_lines(f"RAM  {board.rom.memory} bytes", "used by loaded programs  0 bytes"))
 
 
-def _process(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
+def _process(arguments: tuple[str, ...], board: Board) -> Outcome:
     processes = ["serial communication protocol", "motor controllers", "sensor scan"]
-    return Outcome(_lines(*processes, *([running] if running else [])))
+    return Outcome(_lines(*processes, *([board.running] if board.running else [])))
 
 
-def _restart(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
+def _restart(arguments: tuple[str, ...], board: Board) -> Outcome:
     return Outcome(restart=True)
 
 
-def _run(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
+def _run(arguments: tuple[str, ...], board: Board) -> Outcome:
     if arguments == (DEMO,):
         return Outcome(_lines(f"run {DEMO}"), function=DEMO)
     if arguments == (SELF_TEST,):
         return Outcome(function=SELF_TEST)
     if arguments == ("sloader",):
-        return _sfill(arguments, rom, running)
+        return _sfill(arguments, board)
     return Outcome(refusal(f"Function not found, right is {DEMO} or {SELF_TEST}"))
 
 
-def _serial(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
+def _serial(arguments: tuple[str, ...], board: Board) -> Outcome:
     speeds = {str(baud): baud for baud in BAUD_RATES}
     if len(arguments) != 1 or arguments[0] not in speeds:
         return Outcome(refusal(f"Baud rate not possible, right is one of {' '.join(speeds)}"))
     return Outcome(_lines(f"serial {arguments[0]}"), baud=speeds[arguments[0]])
 
 
-def _sfill(arguments: tuple[str, ...], rom: Rom, running: str) -> Outcome:
+def _sfill(arguments: tuple[str, ...], board: Board) -> Outcome:
     return Outcome(refusal("No S-record loader, the twin runs no machine code"))
 
 
-_Handler = Callable[[tuple[str, ...], Rom, str], Outcome]
+_Handler = Callable[[tuple[str, ...], Board], Outcome]
 _TOOLS: dict[str, tuple[str, _Handler]] = {
     "help": ("shows what a tool or command does", _help),
     "k-team": ("shows the members of K-Team", _k_team),

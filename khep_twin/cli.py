@@ -46,9 +46,19 @@ Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]
 Noise = Annotated[Switch, typer.Option(help="Noisy sensors, as on the robot.")]
 RobotIndex = Annotated[int, typer.Option(help="Which of the playpen's robots, counted from 0.")]
 Mode = Annotated[
-    str | None, typer.Option(help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud; 0 demo; 7 self-test.")
+    str | None,
+    typer.Option(
+        help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud, with rom khepera2 also 8, 9 for "
+        "57600, 115200; 0 demo; 7 self-test."
+    ),
 ]
-RomVersion = Annotated[str | None, typer.Option(help="Version of the firmware, such as 5.02.")]
+RomVersion = Annotated[str | None, typer.Option(help="Version of the firmware: 5.02, 4.06 or khepera2.")]
+Battery = Annotated[
+    float | None,
+    typer.Option(
+        min=0, max=1000, help="Run on cells that were used so many minutes; without, on the charger."
+    ),
+]
 Log = Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")]
 
@@ -96,6 +106,7 @@ def run(
     robot: RobotIndex = 0,
     mode: Mode = None,
     rom: RomVersion = None,
+    battery_used_min: Battery = None,
     log: Log = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw playpen and driven path in this PNG or SVG file; needs --log.")
@@ -109,7 +120,8 @@ def run(
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     if port is not None and (ignored := _given(context) & _OF_A_TWIN):
-        raise _usage(f"--{min(ignored)} is for a twin in this process, not for one behind --port")
+        option = min(ignored).replace("_", "-")
+        raise _usage(f"--{option} is for a twin in this process, not for one behind --port")
     if picture is not None:
         _check_picture(picture, log)
     if (seconds is not None and not seconds > 0) or (cycles is not None and cycles < 1):
@@ -120,7 +132,9 @@ def run(
     port_or_twin: str | Serial
     if port is None:
         log_name = None if log is None else str(log)
-        options = TwinOptions(seed, robot, noise is Switch.ON, rom, _mode(mode), log=log_name)
+        options = TwinOptions(
+            seed, robot, noise is Switch.ON, rom, _mode(mode), battery_used_min, log=log_name
+        )
         twin = open_twin(playpen, options)
         _tell_kept(twin)
         port_or_twin = Serial.of(twin, timeout=1.0)
@@ -157,6 +171,7 @@ def serve(
     robot: RobotIndex = 0,
     mode: Mode = None,
     rom: RomVersion = None,
+    battery_used_min: Battery = None,
     log: Log = None,
 ) -> None:
     """Serves a twin behind a pseudo-terminal, in real time, until it is stopped.
@@ -170,7 +185,9 @@ def serve(
 
     factor = _speed(speed)
     log_name = None if log is None else str(log)
-    options = TwinOptions(seed, robot, noise is Switch.ON, rom, _mode(mode), unpaced, log_name)
+    options = TwinOptions(
+        seed, robot, noise is Switch.ON, rom, _mode(mode), battery_used_min, unpaced, log_name
+    )
     with stopping() as stop, PtyPort(link) as pty, open_twin(playpen, options) as twin:
         _tell_kept(twin)
         typer.echo(pty.path)
@@ -286,7 +303,7 @@ def _progress() -> Generator[Callable[[float], None] | None, None, None]:
         yield show
 
 
-_OF_A_TWIN = {"playpen", "seed", "noise", "robot", "mode", "rom", "log", "picture"}
+_OF_A_TWIN = {"playpen", "seed", "noise", "robot", "mode", "rom", "battery_used_min", "log", "picture"}
 
 
 def _given(context: typer.Context) -> set[str]:

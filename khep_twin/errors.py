@@ -8,6 +8,8 @@
     │   └── PortTimeout   a port that stayed silent
     ├── ControllerError   a control program that cannot be found or started
     ├── LogError          a log that cannot be written or read
+    ├── TurretError       a turret that cannot be plugged on
+    ├── MissingExtraError a part of khep_twin that needs a package which is not installed
     └── DivergedError     a simulation that left the bounds of physics
 
 Each message names the place, the value found there and what would be right. Mistakes of the calling
@@ -48,6 +50,17 @@ class ControllerError(KhepTwinError):
 
 class LogError(KhepTwinError):
     """A log that cannot be written or read."""
+
+
+class TurretError(KhepTwinError):
+    """A turret that cannot be plugged on."""
+
+
+class MissingExtraError(KhepTwinError):
+    """A part of khep_twin that needs a package which is not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"{package} is not installed; right is: pip install 'khep-twin[{extra}]'")
 
 
 class DivergedError(KhepTwinError):

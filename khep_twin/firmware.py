@@ -7,8 +7,11 @@ calls it. What the manual leaves open is decided so that a host survives it:
       +-(2^23 - 2), gains 0 to 32767, trapezoid speed 0 to 127 and acceleration 1 to 65535, counters to 32
       bits by wrapping;
     - an LED, converter channel or bus address that does not exist is a protocol error;
-    - nothing sits on the extension bus, so it reads as 255, and on a turret's place, so a message to one
-      is answered `z,Turret order not supported`.
+    - nothing sits on the extension bus, so it reads as 255; a message to a turret that is not there, or that
+      the turret does not know, is answered `z,Turret order not supported`;
+    - a processor without power is silent, and its motors keep the duty that they had.
+
+docs/protocol.md lists all such decisions.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,6 +23,7 @@ from khep_twin.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.protocol import (
     END,
     PROTOCOL_ERROR,
+    TURRET_REFUSAL,
     Command,
     LineReader,
     Malformed,
@@ -27,10 +31,10 @@ from khep_twin.protocol import (
     Tool,
     TurretMessage,
     parse,
-    refusal,
     reply,
 )
-from khep_twin.rom import DEMO, MODES, SELF_TEST, Rom
+from khep_twin.rom import DEMO, SELF_TEST, Rom
+from khep_twin.turrets import Turret, TurretKind
 from khep_twin.units import DUTY_LIMIT, N_SENSORS
 
 SPEED_LIMIT_PULSES = 127
@@ -45,8 +49,8 @@ GAIN_LIMIT = 32767
 ACCELERATION_LIMIT = 65535
 """Largest acceleration of command J [pulses/256 per (10 ms)^2] (assumed: a 16-bit word)."""
 
-N_ADC_CHANNELS = 6
-"""Channels of command I: 0 to 2 internal, 3 to 5 free (manual II, appendix A; the manual names none)."""
+N_CONVERTER_CHANNELS = 7
+"""Of command I (manual II, appendix A; the manual names none)."""
 
 
 class Firmware:
@@ -55,24 +59,32 @@ class Firmware:
     Args:
         rom: the version that it speaks.
         mode: its running mode.
+        turrets: what is plugged on top.
 
     Attributes:
         registers: the board's state (N_REGISTERS,).
         cells: the same memory, as `kernel` likes to index it.
+        turrets: what is plugged on top.
         baud: speed that the serial line has to have.
         running: function of the ROM that runs, empty for none.
+        powered: whether the processor has the voltage that it needs.
     """
 
-    def __init__(self, rom: Rom, mode: int = 1) -> None:
+    def __init__(self, rom: Rom, mode: int = 1, turrets: Mapping[TurretKind, Turret] | None = None) -> None:
         self.registers = np.zeros(kernel.N_REGISTERS, np.int64)
         self.cells = self.registers.data
         self._rom = rom
-        self._mode = MODES[mode]
+        self._mode = rom.modes[mode]
         self._lines = LineReader()
+        self.turrets = turrets or {}
+        self._by_number = {kind.number: turret for kind, turret in self.turrets.items()}
+        self.powered = True
         self.reset()
 
     def receive(self, data: bytes) -> bytes:
         """Takes bytes from the line; returns the replies to the commands that they complete."""
+        if not self.powered:
+            return b""
         return b"".join(self._answer(parse(line)) for line in self._lines.feed(data))
 
     def forget_line(self) -> None:
@@ -81,14 +93,28 @@ class Firmware:
 
     def tick(self, left_pulses: int, right_pulses: int) -> None:
         """One control period of 10 ms, with what the encoders have counted since power-up [pulses]."""
+        if not self.powered:
+            return
         kernel.tick(self.cells, left_pulses, right_pulses)
         if self.running == DEMO and self.cells[Board.SCAN] == 0:
             kernel.wander(self.cells)
+        for turret in self.turrets.values():
+            turret.tick()
+
+    def brown_out(self) -> None:
+        """The supply falls too low for the processor: it is reset and stands still, its motors do not."""
+        duties = [self.cells[register] for register in kernel.DUTIES]
+        self.reset()
+        for register, duty in zip(kernel.DUTIES, duties, strict=True):
+            self.cells[register] = duty
+        self.powered = False
 
     def reset(self) -> bytes:
         """Puts everything to its reset state, as at power-up; returns what the robot shows then."""
         kernel.reset(self.cells)
         self._lines.clear()
+        for turret in self.turrets.values():
+            turret.reset()
         self.baud = self._mode.baud
         self.running = ""
         banner = b"".join(line.encode("ascii") + END for line in self._rom.banner)
@@ -101,12 +127,13 @@ class Firmware:
             case Command():
                 return _HANDLERS[request.letter](self, *request.arguments)
             case TurretMessage():
-                return refusal("Turret order not supported")
+                turret = self._by_number.get(request.turret)
+                return TURRET_REFUSAL if turret is None else turret.receive(request.message)
             case Tool():
                 return self._use(request)
 
     def _use(self, tool: Tool) -> bytes:
-        outcome = bios.use(tool, self._rom, self.running)
+        outcome = bios.use(tool, bios.Board(self._rom, self.running, tuple(self.turrets)))
         if outcome.restart:
             return self.reset()
         self.baud = outcome.baud or self.baud
@@ -160,12 +187,17 @@ class Firmware:
         return reply("H", *self._both(Wheel.POSITION))
 
     def _i_read_converter(self, channel: int) -> bytes:
-        # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to the others.
-        last = (self.cells[Board.SCAN] - 1) % N_SENSORS
-        values = {1: self.cells[Board.PROXIMITY + last], 2: self.cells[Board.AMBIENT + last]}
-        if not 0 <= channel < N_ADC_CHANNELS:
+        if not 0 <= channel < N_CONVERTER_CHANNELS:
             return PROTOCOL_ERROR
-        return reply("I", values.get(channel, 0))
+        # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to 3, 4 and 5.
+        last = (self.cells[Board.SCAN] - 1) % N_SENSORS
+        sources = {
+            0: Board.SUPPLY,
+            1: Board.PROXIMITY + last,
+            2: Board.AMBIENT + last,
+            6: Board.CURRENT,
+        }
+        return reply("I", self.cells[sources[channel]] if channel in sources else 0)
 
     def _j_configure_profile(
         self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int

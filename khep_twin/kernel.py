@@ -85,9 +85,11 @@ class Board(IntEnum):
     SCAN = 2 * RIGHT + 8  # the sensor that is converted next
     PROXIMITY = 2 * RIGHT + 9  # eight counts, in the order of N
     AMBIENT = 2 * RIGHT + 9 + N_SENSORS  # eight counts, in the order of O
+    SUPPLY = 2 * RIGHT + 9 + 2 * N_SENSORS  # half the supply voltage, as converted [counts]
+    CURRENT = 2 * RIGHT + 10 + 2 * N_SENSORS  # drawn by the whole robot [mA]
 
 
-N_REGISTERS = Board.AMBIENT + N_SENSORS
+N_REGISTERS = Board.CURRENT + 1
 
 # Registers that are read together, left before right and sensors in the order of N.
 SPEEDS = [LEFT + Wheel.SPEED, RIGHT + Wheel.SPEED]
@@ -105,28 +107,30 @@ DEMO_DIVISOR = 400
 DEMO_SPEED_PULSES = 10
 """Speed with nothing in view [pulses/10 ms] (toolbox)."""
 
-RESET_VALUES: dict[int, int] = {
-    Board.SPEED_KP: 3800,
-    Board.SPEED_KI: 800,
-    Board.SPEED_KD: 100,
-    Board.POSITION_KP: 3000,
-    Board.POSITION_KI: 20,
-    Board.POSITION_KD: 4000,
-    LEFT + Wheel.MAX_SPEED: 20,
-    LEFT + Wheel.ACCELERATION: 64,
-    LEFT + Wheel.ON_TARGET: 1,
-    RIGHT + Wheel.MAX_SPEED: 20,
-    RIGHT + Wheel.ACCELERATION: 64,
-    RIGHT + Wheel.ON_TARGET: 1,
-}
-"""Of all registers that are not 0 after a reset (manual, appendix A)."""
+RESET_VALUES = (
+    (int(Board.SPEED_KP), 3800),
+    (int(Board.SPEED_KI), 800),
+    (int(Board.SPEED_KD), 100),
+    (int(Board.POSITION_KP), 3000),
+    (int(Board.POSITION_KI), 20),
+    (int(Board.POSITION_KD), 4000),
+    (LEFT + Wheel.MAX_SPEED, 20),
+    (LEFT + Wheel.ACCELERATION, 64),
+    (LEFT + Wheel.ON_TARGET, 1),
+    (RIGHT + Wheel.MAX_SPEED, 20),
+    (RIGHT + Wheel.ACCELERATION, 64),
+    (RIGHT + Wheel.ON_TARGET, 1),
+)
+"""Registers that are not 0 after a reset, and what they are then (manual, appendix A)."""
 
 
 def reset(registers: Registers) -> None:
-    """Puts every register to its reset value, but for encoders and sensor scan, which go on as they are."""
-    for register in range(Board.SCAN):
-        if register not in (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER):
-            registers[register] = RESET_VALUES.get(register, 0)
+    """Puts every register to its reset value, but for encoders and conversions, which go on as they are."""
+    for register in range(_SCAN):
+        if register not in (LEFT + _ENCODER, RIGHT + _ENCODER):
+            registers[register] = 0
+    for register, value in RESET_VALUES:
+        registers[register] = value
 
 
 def tick(registers: Registers, left_pulses: int, right_pulses: int) -> None:
@@ -147,6 +151,12 @@ def convert(registers: Registers, proximity: int, ambient: int) -> None:
     registers[_PROXIMITY + channel] = proximity
     registers[_AMBIENT + channel] = ambient
     registers[_SCAN] = (channel + 1) % _CHANNELS
+
+
+def measure(registers: Registers, supply: int, current_ma: int) -> None:
+    """Stores what is measured of the supply: half its voltage [counts] and the current drawn [mA]."""
+    registers[_SUPPLY] = supply
+    registers[_CURRENT] = current_ma
 
 
 def wander(registers: Registers) -> None:
@@ -218,6 +228,7 @@ _ERROR, _ERROR_SUM, _ON_TARGET, _DUTY = 10, 11, 12, 13
 _SPEED_MODE, _POSITION_MODE, _PWM_MODE = 0, 1, 2
 _SPEED_GAINS, _POSITION_GAINS = int(Board.SPEED_KP), int(Board.POSITION_KP)
 _SCAN, _PROXIMITY, _AMBIENT, _CHANNELS = int(Board.SCAN), int(Board.PROXIMITY), int(Board.AMBIENT), N_SENSORS
+_SUPPLY, _CURRENT = int(Board.SUPPLY), int(Board.CURRENT)
 
 
 def _control(registers: Registers, wheel: int, pulses: int) -> None:

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
-    AfterValidator,
     BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
@@ -27,26 +26,17 @@ from pydantic import (
 )
 
 from khep_twin import toml_files
-from khep_twin.errors import PlaypenError, choices
+from khep_twin.errors import PlaypenError, TurretError, choices
 from khep_twin.footprint import Circle, Rectangle
 from khep_twin.placement import Thing, label, placement_problems
-from khep_twin.rom import MODES_WISH, refused
+from khep_twin.rom import ROMS
 from khep_twin.surfaces import BUILT_IN_SURFACES, Surface
 from khep_twin.toml_files import NAME_WISH, PROBLEM_LIMIT, Name, Table
+from khep_twin.turrets import find, installed
 from khep_twin.units import BODY_HEIGHT, BODY_RADIUS, BULB_RADIUS
 
 BULB_RADIUS_MM = BULB_RADIUS * 1000
 """Of a lamp [mm]."""
-
-
-def _no_turret(turret: str) -> str:
-    raise ValueError(f"no turret named {turret}")
-
-
-def _had(mode: int) -> int:
-    if reason := refused(mode):
-        raise ValueError(reason)
-    return mode
 
 
 def _driven(mode: object) -> object:
@@ -142,9 +132,11 @@ class Robot(Table):
     Attributes:
         calibration: of its sensors: a name in assets/calibration, or the path of a file.
         mode: its running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
-            demonstration that drives by itself, 7 for the self-test.
+            demonstration that drives by itself, 7 for the self-test, with rom khepera2 also 8 and 9 for
+            57600 and 115200 baud.
         rom: the version of its firmware.
         turrets: what is plugged on top.
+        battery_used_min: minutes that it has run on its cells at start; without it, it is on the charger.
     """
 
     name: ObjectName = None
@@ -156,17 +148,17 @@ class Robot(Table):
         str,
         Field(min_length=1, max_length=1024, description="the name of a calibration, or the path of a file"),
     ] = "khepera1"
-    mode: Annotated[int, AfterValidator(_had), Field(description=MODES_WISH)] = 1
-    rom: Literal["5.02", "4.06"] = "5.02"
-    turrets: Annotated[
-        tuple[Annotated[str, AfterValidator(_no_turret)], ...],
-        Field(description="an empty list: there is no turret in this version yet"),
-    ] = ()
+    mode: Annotated[int, Field(ge=0, le=15)] = 1
+    rom: Literal["5.02", "4.06", "khepera2"] = "5.02"
+    turrets: Annotated[tuple[str, ...], Field(max_length=32, description='names, such as ["gripper"]')] = ()
+    battery_used_min: Annotated[float | None, Field(ge=0, le=1000)] = None
 
     @property
     def footprint(self) -> Circle:
-        """What it covers of the floor."""
-        return Circle(self.x_mm, self.y_mm, BODY_RADIUS * 1000)
+        """What it covers of the floor, with the turrets that there are."""
+        known = installed()
+        reaches = [known[name].reach for name in self.turrets if name in known]
+        return Circle(self.x_mm, self.y_mm, max(BODY_RADIUS, *reaches, 0.0) * 1000)
 
 
 class Playpen(Table):
@@ -195,7 +187,9 @@ class Playpen(Table):
     def _is_a_place(self) -> Self:
         arena = self.arena
         placement = placement_problems(list(_things(self)), arena.width_mm, arena.height_mm)
-        problems = list(islice(chain(_surface_problems(self), placement), PROBLEM_LIMIT + 1))
+        problems = list(
+            islice(chain(_surface_problems(self), _robot_problems(self), placement), PROBLEM_LIMIT + 1)
+        )
         if problems:
             raise ValueError("\n".join(problems))
         return self
@@ -245,6 +239,18 @@ def _surface_problems(playpen: Playpen) -> Iterator[str]:
     for place, item in users.items():
         if item.surface not in known:
             yield f'{place}: surface = "{item.surface}": unknown; {choices(item.surface, known)}'
+
+
+def _robot_problems(playpen: Playpen) -> Iterator[str]:
+    """What of a robot's keys does not go together."""
+    for number, robot in enumerate(playpen.robots, 1):
+        place = label("robot", number, robot.name)
+        if reason := ROMS[robot.rom].refused(robot.mode):
+            yield f"{place}: mode = {robot.mode}: {reason}"
+        try:
+            find(robot.turrets)
+        except TurretError as error:
+            yield f"{place}: turrets = {list(robot.turrets)}: {error}"
 
 
 def _things(playpen: Playpen) -> Iterator[Thing]:

@@ -6,7 +6,7 @@ values, parted by commas, ended by CR LF (manual, 3.2 and appendix A).
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 LINE_LIMIT = 128
@@ -18,6 +18,8 @@ LINE_ENDS = b"\r\n"
 END = b"\r\n"
 COMMAND_NOT_FOUND = b"Command not found" + END
 PROTOCOL_ERROR = b"z,Protocol error" + END
+TURRET_REFUSAL = b"z,Turret order not supported" + END
+"""Of an order that a turret does not know, and of a turret that is not there."""
 
 ARGUMENT_COUNTS: dict[str, int] = {
     "A": 3,
@@ -119,15 +121,25 @@ def parse(line: bytes) -> Request:
     if letter == "T":
         return _parse_turret_message(rest)
     if letter in ARGUMENT_COUNTS:
-        arguments = [_parse_number(field) for field in rest]
-        numbers = tuple(number for number in arguments if number is not None)
-        if len(numbers) != len(arguments) or len(numbers) != ARGUMENT_COUNTS[letter]:
-            return Malformed(PROTOCOL_ERROR)
-        return Command(letter, numbers)
+        return _parse_order(letter, rest, ARGUMENT_COUNTS[letter])
     words = text.split()
     if words and _TOOL.fullmatch(words[0]):
         return Tool(words[0], tuple(words[1:]))
     return Malformed(COMMAND_NOT_FOUND)
+
+
+def parse_turret_order(message: bytes, argument_counts: Mapping[str, int]) -> Command | Malformed:
+    """What the message to a turret asks for.
+
+    Args:
+        message: a letter and numbers, parted by commas, e.g. b"D,0".
+        argument_counts: numbers that each of the turret's orders takes.
+    """
+    head, *rest = message.split(b",")
+    letter = head.strip(_BLANKS).decode("latin-1")
+    if letter not in argument_counts:
+        return Malformed(TURRET_REFUSAL)
+    return _parse_order(letter, rest, argument_counts[letter])
 
 
 def reply(letter: str, *values: int | str) -> bytes:
@@ -135,9 +147,23 @@ def reply(letter: str, *values: int | str) -> bytes:
     return ",".join([letter.lower(), *map(str, values)]).encode("ascii") + END
 
 
+def turret_reply(turret: int, letter: str, *values: int | str) -> bytes:
+    """The reply of a turret with its ending, e.g. t,1,g,255 for turret 1, G and the value 255."""
+    return reply("T", turret, letter.lower(), *values)
+
+
 def refusal(text: str) -> bytes:
     """The reply to a command that is understood and cannot be carried out, e.g. b"z,Protocol error"."""
     return b"z," + text.encode("ascii") + END
+
+
+def _parse_order(letter: str, fields: Sequence[bytes], count: int) -> Command | Malformed:
+    """A letter and its numbers, of which there must be `count`."""
+    arguments = [_parse_number(field) for field in fields]
+    numbers = tuple(number for number in arguments if number is not None)
+    if len(numbers) != len(arguments) or len(numbers) != count:
+        return Malformed(PROTOCOL_ERROR)
+    return Command(letter, numbers)
 
 
 def _parse_number(field: bytes) -> int | None:

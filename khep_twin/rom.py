@@ -5,7 +5,7 @@ the board reads them at a reset (manual, appendix E; manual II, appendix C).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 DEMO = "demo"
 """Name of the Braitenberg demonstration among the ROM's functions."""
@@ -15,46 +15,6 @@ SELF_TEST = "test"
 
 BAUD_RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 """Speeds that the tool `serial` sets (assumed: the usual ones up to what any host asks for)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rom:
-    """What differs between versions of the firmware.
-
-    Attributes:
-        bios: version of the BIOS, the first field of the reply to B.
-        protocol: version of the serial protocol, the second.
-        banner: lines shown after a reset.
-        mode_codes: how command K names speed, position and PWM mode.
-    """
-
-    bios: str
-    protocol: str
-    banner: tuple[str, ...]
-    mode_codes: tuple[int, int, int]
-
-
-ROMS: Mapping[str, Rom] = {
-    # Banner and versions as in K-Team's FAQ; its line breaks are a guess.
-    "5.02": Rom(
-        bios="5.02",
-        protocol="5.01",
-        banner=(
-            "ROM of minirobot KHEPERA, Edoardo Franzi",
-            "K-Team S.A.",
-            "October 22, 1998 Rev. 5.01",
-            "Serial Communication Protocol",
-        ),
-        mode_codes=(0, 1, 2),
-    ),
-    # The mode codes are those of the toolbox's reference to the manual 4.06; the rest is assumed.
-    "4.06": Rom(
-        bios="4.06",
-        protocol="4.06",
-        banner=("ROM of minirobot KHEPERA, Edoardo Franzi", "Rev. 4.06", "Serial Communication Protocol"),
-        mode_codes=(1, 0, 2),
-    ),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +34,11 @@ class RunningMode:
 
 _LOADER = "waits for a program in S-records, and the twin runs no machine code"
 _USER = "runs a user's program from the robot's memory, and the twin runs no machine code"
-_SECOND = "is a mode of the Khepera II, which is not modelled"
+_SERVICE = "rewrites the robot's memory, and the twin runs no machine code"
+_SECOND = "is a mode of the Khepera II; the twin has it with rom khepera2"
+_RESERVED = "is reserved"
 
-MODES: Mapping[int, RunningMode] = {
+_COMMON_MODES: Mapping[int, RunningMode] = {
     0: RunningMode(function=DEMO),
     1: RunningMode(9600),
     2: RunningMode(19200),
@@ -85,19 +47,81 @@ MODES: Mapping[int, RunningMode] = {
     5: RunningMode(refusal=_LOADER),
     6: RunningMode(refusal=_LOADER),
     7: RunningMode(function=SELF_TEST),
+}
+"""Modes that both robots have. In modes 0 and 7 the twin answers the protocol, too (assumed)."""
+
+KHEPERA_1_MODES: Mapping[int, RunningMode] = {
+    **_COMMON_MODES,
     **{mode: RunningMode(refusal=_SECOND) for mode in range(8, 16)},
 }
-"""All running modes. In modes 0 and 7 the twin answers the protocol, too (assumed)."""
+"""The Khepera 1 has three jumpers; the modes beyond are named only to say where they are."""
 
-MODES_WISH = (
-    f"a running mode that the twin has ({', '.join(str(m) for m, mode in MODES.items() if not mode.refusal)})"
-)
-"""What a running mode must be, in words."""
+KHEPERA_2_MODES: Mapping[int, RunningMode] = {
+    **_COMMON_MODES,
+    8: RunningMode(57600),
+    9: RunningMode(115200),
+    10: RunningMode(refusal=_LOADER),
+    11: RunningMode(refusal=_USER),
+    12: RunningMode(refusal=_RESERVED),
+    13: RunningMode(refusal=_RESERVED),
+    14: RunningMode(refusal=_SERVICE),
+    15: RunningMode(refusal=_SERVICE),
+}
 
 
-def refused(mode: int) -> str:
-    """Why a running mode cannot be had; empty if it can."""
-    if mode not in MODES:
-        return f"there is no such mode; right is {MODES_WISH}"
-    refusal = MODES[mode].refusal
-    return f"mode {mode:X} {refusal}; right is {MODES_WISH}" if refusal else ""
+@dataclass(frozen=True, slots=True)
+class Rom:
+    """What differs between versions of the firmware.
+
+    Attributes:
+        bios: version of the BIOS, the first field of the reply to B.
+        protocol: version of the serial protocol, the second.
+        banner: lines shown after a reset.
+        mode_codes: how command K names speed, position and PWM mode.
+        memory: RAM of the robot [bytes] (manual and manual II, specification).
+        modes: its running modes.
+    """
+
+    bios: str
+    protocol: str
+    banner: tuple[str, ...]
+    mode_codes: tuple[int, int, int] = (0, 1, 2)
+    memory: int = 256 * 1024
+    modes: Mapping[int, RunningMode] = field(default_factory=lambda: KHEPERA_1_MODES)
+
+    def refused(self, mode: int) -> str:
+        """Why a running mode cannot be had; empty if it can."""
+        had = ", ".join(f"{number:X}" for number, entry in self.modes.items() if not entry.refusal)
+        wish = f"a running mode that the twin has ({had})"
+        if mode not in self.modes:
+            return f"there is no such mode; right is {wish}"
+        refusal = self.modes[mode].refusal
+        return f"mode {mode:X} {refusal}; right is {wish}" if refusal else ""
+
+
+_AUTHOR = "ROM of minirobot KHEPERA, Edoardo Franzi"
+_PROTOCOL = "Serial Communication Protocol"
+
+ROMS: Mapping[str, Rom] = {
+    # Banner and versions as in K-Team's FAQ; its line breaks are a guess.
+    "5.02": Rom(
+        bios="5.02",
+        protocol="5.01",
+        banner=(_AUTHOR, "K-Team S.A.", "October 22, 1998 Rev. 5.01", _PROTOCOL),
+    ),
+    # The mode codes are those of the toolbox's reference to the manual 4.06; the rest is assumed.
+    "4.06": Rom(
+        bios="4.06",
+        protocol="4.06",
+        banner=(_AUTHOR, "Rev. 4.06", _PROTOCOL),
+        mode_codes=(1, 0, 2),
+    ),
+    # Modes and memory: manual II. No source tells its version numbers or its banner: assumed.
+    "khepera2": Rom(
+        bios="6.01",
+        protocol="5.01",
+        banner=(_AUTHOR, "K-Team S.A.", "Khepera II Rev. 6.01", _PROTOCOL),
+        memory=512 * 1024,
+        modes=KHEPERA_2_MODES,
+    ),
+}

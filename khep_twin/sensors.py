@@ -53,9 +53,8 @@ class InfraredScan:
     ) -> None:
         lamps = _lamps(model)
         reflectances: NDArray[np.float64] = model.geom_user[:, 0]
-        body = model.body(prefix + "base").id
         self._sensors = [
-            _Sensor(model, data, prefix + sensor.name.lower(), body, lamps, reflectances) for sensor in Sensor
+            _Sensor(model, data, prefix, sensor.name.lower(), lamps, reflectances) for sensor in Sensor
         ]
         self._calibration = calibration
         self._proximity_noise = _draws(noise("proximity").standard_normal if noise else None)
@@ -150,16 +149,17 @@ class _Sensor:
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
+        prefix: str,
         name: str,
-        body: int,
         lamps: list[tuple[tuple[float, float, float], float]],
         reflectances: NDArray[np.float64],
     ) -> None:
-        camera = model.camera(name)
-        rays = model.sensor(name + "_rays")
+        camera = model.camera(prefix + name)
+        rays = model.sensor(prefix + name + "_rays")
         first, size = int(rays.adr[0]), int(rays.dim[0])
         n_rays = size // _LENGTH_AND_NORMAL
-        self._model, self._data, self._body, self._lamps = model, data, body, lamps
+        self._model, self._data, self._lamps = model, data, lamps
+        self._body = model.body(prefix + "base").id
         self._rays = data.sensordata[first : first + size].reshape(n_rays, _LENGTH_AND_NORMAL)
         self._lengths = self._rays[:, 0]
         self._normals = self._rays[:, 1:]
@@ -173,7 +173,7 @@ class _Sensor:
         directions = np.column_stack([self.tangents, np.zeros(n_rays), -np.ones(n_rays)])
         self._directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
         self._reflectances = reflectances
-        seen = reflectances[_visible_geoms(model, body)]
+        seen = reflectances[_visible_geoms(model, prefix)]
         self.brightest = float(seen.max(initial=0.0))
         self._uniform = [self.brightest] * n_rays if bool(np.all(seen == self.brightest)) else None
         self._hit_geoms = np.zeros(n_rays, np.int32)
@@ -249,12 +249,15 @@ def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]
         yield from draw(256).tolist()
 
 
-def _visible_geoms(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
-    """Which geoms the rays of a robot may meet: shown, not the floor, not its own (n_geoms,)."""
+def _visible_geoms(model: mujoco.MjModel, prefix: str) -> NDArray[np.bool_]:
+    """Which geoms the rays of a robot may meet (n_geoms,).
+
+    Those that are shown, but for the floor and the robot's own parts; its turrets may be met.
+    """
     shown = model.geom_rgba[:, 3] > 0
     upright = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
-    foreign = model.body_rootid[model.geom_bodyid] != body
-    return shown & upright & foreign
+    own = [model.body(prefix + name).id for name in ("base", "left_wheel", "right_wheel")]
+    return shown & upright & ~np.isin(model.geom_bodyid, own)
 
 
 def _lamps(model: mujoco.MjModel) -> list[tuple[tuple[float, float, float], float]]:

@@ -17,10 +17,17 @@ class Surface(Table):
     Attributes:
         reflectance: infrared, relative to the calibration's reference wall.
         rgb: its colour, for looks only.
+        resistance_ohm: between two fingers that grip it [ohm]; without it, it does not conduct.
     """
 
     reflectance: Annotated[float, Field(ge=0, le=2)]
     rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three whole numbers from 0 to 255")]
+    resistance_ohm: Annotated[float | None, Field(ge=1, le=1e9)] = None
+
+    @property
+    def conductance(self) -> float:
+        """Between two fingers [S]."""
+        return 0.0 if self.resistance_ohm is None else 1 / self.resistance_ohm
 
 
 BUILT_IN_SURFACES: Mapping[str, Surface] = MappingProxyType(
@@ -29,7 +36,9 @@ BUILT_IN_SURFACES: Mapping[str, Surface] = MappingProxyType(
         "grey": Surface(reflectance=0.15, rgb=(138, 141, 145)),
         "black": Surface(reflectance=0.024, rgb=(38, 38, 42)),
         "lego": Surface(reflectance=0.8, rgb=(196, 62, 48)),
+        "copper": Surface(reflectance=0.77, rgb=(190, 110, 64), resistance_ohm=1),
     }
 )
-"""White is the calibration's reference by definition. Grey and black plastic, beside white plastic: from the
-counts over distance in the manual's figure 11. Lego bricks of mixed colours: assumed."""
+"""White is the calibration's reference by definition. Grey and black plastic and copper, beside white
+plastic: from the counts over distance in the manual's figure 11. Lego bricks of mixed colours: assumed.
+Copper conducts as well as a surface can."""

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from itertools import islice
 from pathlib import Path
+from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import tomlkit
@@ -204,7 +205,7 @@ def _wish(field: FieldInfo | None) -> str:
         return "a key of this table"
     if field.description:
         return field.description
-    annotation = field.annotation
+    annotation = _given_type(field.annotation)
     if literals := _literals(annotation):
         return " or ".join(show(literal) for literal in literals)
     if annotation is int or annotation is float:
@@ -217,6 +218,12 @@ def _wish(field: FieldInfo | None) -> str:
     if get_origin(annotation) is tuple:
         return f"[[{field.alias}]], in two brackets each" if _table_of(annotation) else "a list of values"
     return "a table"
+
+
+def _given_type(annotation: Any) -> Any:
+    """The type of what is given where a key may be left out: `float` of `float | None`."""
+    parts = [part for part in get_args(annotation) if part is not NoneType]
+    return parts[0] if len(parts) == 1 and NoneType in get_args(annotation) else annotation
 
 
 def _range(field: FieldInfo) -> str:

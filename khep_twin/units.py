@@ -64,7 +64,8 @@ WHEEL_BASE = 0.052
 # Motors ------------------------------------------------------------------------------------------------
 
 SUPPLY_VOLTAGE = 5.0
-"""Four NiCd cells, or the charger [V] (manual, figure 14)."""
+"""On the charger, and at which the motors' figures hold [V] (assumed: four NiCd cells give 5.3 to 4.2 V over
+most of the manual's figure 14)."""
 
 MOTOR_NO_LOAD_SPEED = 150.0
 """Wheel speed at full duty without load [rad/s] (assumed: so that the manual's maximum of 127 pulses per
@@ -72,6 +73,9 @@ MOTOR_NO_LOAD_SPEED = 150.0
 
 MOTOR_STALL_TORQUE = 0.010
 """Torque at a blocked wheel at full duty [N m] (assumed: well above the 2.4 mN m at which a tyre slips)."""
+
+MOTOR_CONSTANT = SUPPLY_VOLTAGE / MOTOR_NO_LOAD_SPEED
+"""Torque at the wheel per current [N m/A], which is also voltage per speed [V s/rad]."""
 
 ROTOR_INERTIA = 1e-6
 """Of the motor's rotor, seen at the wheel through the gear [kg m^2] (assumed: with the robot's mass the
@@ -132,6 +136,17 @@ BULB_RADIUS = 0.010
 COUNTS_LIMIT = 1023
 """Largest count of the 10-bit converter (manual, 3.1.5)."""
 
+# Supply ------------------------------------------------------------------------------------------------
+
+CONVERTER_COUNTS_PER_VOLT = 1024 / 4.096
+"""Of the 10-bit converter (manual, appendix A, command I: 1024 is 4.09 V)."""
+
+PROCESSOR_VOLTAGE = 4.0
+"""Below it the processor fails and the motors still turn [V] (manual, 2.3 on the battery)."""
+
+IDLE_CURRENT = 0.2
+"""Of the robot with its motors at rest [A] (assumed: 180 mAh that last 45 minutes are 240 mA, driving)."""
+
 # Serial line -------------------------------------------------------------------------------------------
 
 BITS_PER_BYTE = 11
@@ -150,9 +165,19 @@ def wheel_pulses(angle: float) -> int:
     return math.floor(angle * (PULSES_PER_TURN / (2 * math.pi)) + 0.5)
 
 
-def duty_voltage(duty: int) -> float:
+def duty_voltage(duty: int, supply_voltage: float) -> float:
     """Mean motor voltage [V] of a duty of -255 to 255."""
-    return duty * (SUPPLY_VOLTAGE / DUTY_LIMIT)
+    return duty * (supply_voltage / DUTY_LIMIT)
+
+
+def supply_current(duty: int, motor_current: float) -> float:
+    """What a motor's current [A] takes from the supply at a duty [A]; braking gives nothing back."""
+    return max(duty * motor_current / DUTY_LIMIT, 0.0)
+
+
+def supply_counts(supply_voltage: float) -> int:
+    """What the converter reads of a supply voltage [V]: half of it (assumed)."""
+    return round(supply_voltage / 2 * CONVERTER_COUNTS_PER_VOLT)
 
 
 def metres(length_mm: float) -> float:

@@ -23,6 +23,8 @@ from khep_twin.protocol import LINE_ENDS
 from khep_twin.randomness import stream
 from khep_twin.rom import ROMS
 from khep_twin.sensors import InfraredScan
+from khep_twin.supply import Supply
+from khep_twin.turrets import find
 from khep_twin.uart import Uart
 
 SAMPLE_NS = units.SCAN_NS
@@ -138,6 +140,7 @@ class World:
                 robot.convert(channel)
         for robot in self.robots:
             robot.zero_encoders()
+            robot.measure_supply()
         self._check_state()
         self._check_warnings()
 
@@ -204,7 +207,13 @@ class Robot:
         model, data = world.model, world.data
         entry = world.playpen.robots[index]
         self.name = f"khepera{index}"
-        self.firmware = Firmware(ROMS[entry.rom], entry.mode)
+        turrets = {kind: kind.make() for kind in find(entry.turrets)}
+        self.firmware = Firmware(ROMS[entry.rom], entry.mode, turrets)
+        self._turret_bodies = [
+            kind.fit(model, data, f"{self.name}/{kind.name}/", turret.registers)
+            for kind, turret in turrets.items()
+            if kind.fit is not None
+        ]
         self.registers = self.firmware.registers
         self._cells = self.firmware.cells
         self.uart = Uart(0 if unpaced else self.firmware.baud)
@@ -217,6 +226,8 @@ class Robot:
         self._left_motor, self._right_motor = (
             model.actuator(f"{self.name}/{side}_motor").id for side in ("left", "right")
         )
+        self._supply = Supply(entry.battery_used_min)
+        self._force: NDArray[np.float64] = data.actuator_force
         self._qpos: NDArray[np.float64] = data.qpos
         self._ctrl: NDArray[np.float64] = data.ctrl
         self._pose = int(model.joint(f"{self.name}/pose").qposadr[0])
@@ -286,14 +297,37 @@ class Robot:
         qpos, ctrl, cells = self._qpos, self._ctrl, self._cells
         left = units.wheel_pulses(qpos[self._left_angle])
         right = units.wheel_pulses(qpos[self._right_angle])
+        voltage = self.measure_supply()
+        if voltage < units.PROCESSOR_VOLTAGE and self.firmware.powered:
+            self._brown_out(voltage)
+        for body in self._turret_bodies:
+            body.sense()
         self.firmware.tick(left, right)
-        ctrl[self._left_motor] = units.duty_voltage(cells[_LEFT_DUTY])
-        ctrl[self._right_motor] = units.duty_voltage(cells[_RIGHT_DUTY])
+        for body in self._turret_bodies:
+            body.drive()
+        ctrl[self._left_motor] = units.duty_voltage(cells[_LEFT_DUTY], voltage)
+        ctrl[self._right_motor] = units.duty_voltage(cells[_RIGHT_DUTY], voltage)
 
     def zero_encoders(self) -> None:
         """Makes the encoders start from where the wheels stand."""
         self.registers[LEFT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._left_angle])
         self.registers[RIGHT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._right_angle])
+
+    def measure_supply(self) -> float:
+        """Measures what feeds the robot and what it draws; returns the voltage [V]."""
+        cells = self._cells
+        voltage = self._supply.voltage(self._world.time_ns)
+        current = units.IDLE_CURRENT
+        for duty, motor in ((_LEFT_DUTY, self._left_motor), (_RIGHT_DUTY, self._right_motor)):
+            current += units.supply_current(cells[duty], self._force[motor] / units.MOTOR_CONSTANT)
+        kernel.measure(cells, units.supply_counts(voltage), round(current * 1000))
+        return voltage
+
+    def _brown_out(self, voltage: float) -> None:
+        self.firmware.brown_out()
+        self.uart.tx.take_back(self._world.time_ns)
+        text = f"the supply fell to {voltage:.2f} V: the processor stands still, the motors keep their duty"
+        self._world.tell(self._index, text)
 
     def _tap(self, time_ns: int, to_robot: bool, data: bytes) -> None:
         for tap in self._world.taps:

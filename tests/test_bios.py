@@ -8,7 +8,8 @@ from khep_twin.firmware import Firmware
 from khep_twin.host import Khepera
 from khep_twin.kernel import AMBIENT, DEMO_SPEED_PULSES, LEFT, PROXIMITY, SETPOINTS
 from khep_twin.protocol import Tool, parse
-from khep_twin.rom import MODES, ROMS, refused
+from khep_twin.rom import ROMS
+from khep_twin.turrets import find
 from khep_twin.world import World
 
 
@@ -105,9 +106,25 @@ def test_mode_7_reports_a_self_test_at_a_reset() -> None:
     assert "Self test" in told
 
 
-def test_every_mode_is_there_or_refused_with_a_reason() -> None:
-    assert sorted(MODES) == list(range(16))
-    assert [mode for mode in MODES if not refused(mode)] == [0, 1, 2, 3, 7]
-    assert refused(4).startswith("mode 4 runs a user's program")
-    assert refused(10).startswith("mode A is a mode of the Khepera II")
-    assert refused(99).startswith("there is no such mode")
+@pytest.mark.parametrize(("rom", "had"), [("5.02", [0, 1, 2, 3, 7]), ("khepera2", [0, 1, 2, 3, 7, 8, 9])])
+def test_every_mode_is_there_or_refused_with_a_reason(rom: str, had: list[int]) -> None:
+    assert sorted(ROMS[rom].modes) == list(range(16))
+    assert [mode for mode in range(16) if not ROMS[rom].refused(mode)] == had
+
+
+def test_a_refusal_says_why_and_what_is_right() -> None:
+    assert ROMS["5.02"].refused(4).startswith("mode 4 runs a user's program")
+    assert ROMS["5.02"].refused(9).startswith("mode 9 is a mode of the Khepera II; the twin has it with rom")
+    assert ROMS["khepera2"].refused(14).startswith("mode E rewrites the robot's memory")
+    assert ROMS["khepera2"].refused(99).endswith("a running mode that the twin has (0, 1, 2, 3, 7, 8, 9)")
+
+
+@pytest.mark.parametrize(("mode", "baud"), [(1, 9600), (2, 19200), (3, 38400), (8, 57600), (9, 115200)])
+def test_a_running_mode_sets_the_speed_of_the_line(mode: int, baud: int) -> None:
+    assert Firmware(ROMS["khepera2"], mode).baud == baud
+
+
+def test_net_lists_the_turrets() -> None:
+    turrets = {kind: kind.make() for kind in find(["gripper"])}
+    told = lines(Firmware(ROMS["5.02"], 1, turrets).receive(b"net\n"))
+    assert told == ["1  gripper  arm with two fingers  revision 1.00"]

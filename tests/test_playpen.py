@@ -93,7 +93,7 @@ def test_whole_numbers_are_lengths_too() -> None:
 
 def test_white_is_the_reference_and_black_hardly_reflects() -> None:
     reflectances = {name: surface.reflectance for name, surface in BUILT_IN_SURFACES.items()}
-    assert reflectances == {"white": 1.0, "grey": 0.15, "black": 0.024, "lego": 0.8}
+    assert reflectances == {"white": 1.0, "grey": 0.15, "black": 0.024, "lego": 0.8, "copper": 0.77}
     assert parse().surface("lego") is BUILT_IN_SURFACES["lego"]
 
 
@@ -138,7 +138,7 @@ def test_no_lane_between_the_obstacles_is_narrower_than_90_mm() -> None:
 
 # Wrong files ---------------------------------------------------------------------------------------------
 
-SURFACES = "(choices: white, grey, black, lego)"
+SURFACES = "(choices: white, grey, black, lego, copper)"
 PLACE = "right is a number from 0 to 10000"
 
 WRONG = {
@@ -221,25 +221,28 @@ WRONG = {
     "-360 to 360",
     HEAD + ARENA + ROBOT + 'model = "khepera2"\n': 'robot 1: model = "khepera2": unknown; did you mean '
     "'khepera1'? (choices: khepera1)",
+    HEAD + ARENA + ROBOT + "mode = 4\n": "robot 1: mode = 4: mode 4 runs a user's program from the "
+    "robot's memory, and the twin runs no machine code; right is a running mode that the twin has "
+    "(0, 1, 2, 3, 7)",
+    HEAD + ARENA + ROBOT + 'mode = "1"\n': 'robot 1: mode = "1": right is a whole number from 0 to 15',
     HEAD
     + ARENA
     + ROBOT
-    + "mode = 4\n": "robot 1: mode = 4: right is a running mode that the twin has (0, 1, 2, 3, 7)",
+    + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? (choices: 5.02, 4.06, khepera2)",
     HEAD
     + ARENA
     + ROBOT
-    + 'mode = "1"\n': 'robot 1: mode = "1": right is a running mode that the twin has (0, 1, 2, 3, 7)',
+    + 'turrets = ["griper"]\n': "robot 1: turrets = ['griper']: unknown turret 'griper'; "
+    "did you mean 'gripper'? (choices: gripper)",
     HEAD
     + ARENA
     + ROBOT
-    + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? (choices: 5.02, 4.06)",
-    HEAD
-    + ARENA
-    + ROBOT
-    + 'turrets = ["gripper"]\n': 'robot 1: turrets 1 = "gripper": right is an empty list: '
-    "there is no turret in this version yet",
-    HEAD + ARENA + ROBOT + 'turrets = "gripper"\n': 'robot 1: turrets = "gripper": right is an empty list: '
-    "there is no turret in this version yet",
+    + 'turrets = ["gripper", "gripper"]\n': "robot 1: turrets = ['gripper', 'gripper']: turret 'gripper' and "
+    "'gripper' are both number 1",
+    HEAD + ARENA + ROBOT + "battery_used_min = -1\n": "robot 1: battery_used_min = -1: right is a number "
+    "from 0 to 1000",
+    HEAD + ARENA + ROBOT + 'turrets = "gripper"\n': 'robot 1: turrets = "gripper": right is names, '
+    'such as ["gripper"]',
     HEAD
     + ARENA
     + ROBOT
@@ -248,7 +251,7 @@ WRONG = {
     HEAD
     + ARENA
     + CARDBOARD.replace("cardboard", "white"): "surfaces white: built in; right is a name other than "
-    "white, grey, black, lego",
+    "white, grey, black, lego, copper",
     HEAD
     + ARENA
     + CARDBOARD.replace("0.6", "2.5"): "surfaces cardboard: reflectance = 2.5: right is a number from 0 to 2",

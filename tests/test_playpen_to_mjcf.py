@@ -50,7 +50,7 @@ def test_a_motor_reaches_its_no_load_speed_and_its_stall_torque(robot: mujoco.Mj
     spec.option.gravity = [0, 0, 0]
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.ctrl[:] = units.duty_voltage(units.DUTY_LIMIT)
+    data.ctrl[:] = units.duty_voltage(units.DUTY_LIMIT, units.SUPPLY_VOLTAGE)
     mujoco.mj_step(model, data)
     assert data.actuator_force[0] == pytest.approx(units.MOTOR_STALL_TORQUE)
     # Until the wheels turn freely; the body turns the other way, so it is held.
@@ -173,9 +173,9 @@ def test_the_walls_stand_around_the_arena() -> None:
 
 def test_reflectance_and_power_travel_inside_the_mjcf() -> None:
     model = mujoco.MjModel.from_xml_string(to_mjcf(playpen.parse(SCENE, "scene")))
-    assert model.geom("block0").user == pytest.approx(0.024)
-    assert model.geom("wall_left").user == pytest.approx(0.15)
-    assert model.geom("khepera0/base").user == pytest.approx(0.17)
+    assert model.geom("block0").user == pytest.approx([0.024, 0])
+    assert model.geom("wall_left").user == pytest.approx([0.15, 0])
+    assert model.geom("khepera0/base").user == pytest.approx([0.17, 0])
     assert model.site("lamp0").user == pytest.approx(7)
 
 

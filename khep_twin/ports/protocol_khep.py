@@ -1,6 +1,7 @@
 """khep://PLAYPEN: a twin in the host's own process, opened like any port of pyserial, in lock-step.
 
     khep://default?seed=1&robot=0&noise=off&rom=5.02&mode=1&log=run.mcap
+    khep://default?battery_used_min=40
 
 Time passes only while the host waits: in a read until its bytes have arrived or its timeout is over, in a
 flush until all is sent, in `sleep`. A poll that finds nothing (`in_waiting`, a read with timeout 0) costs one
@@ -22,7 +23,6 @@ from serial.serialutil import SerialBase
 from khep_twin.clock import to_ns
 from khep_twin.errors import KhepTwinError, PortError, choices
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.rom import MODES_WISH
 
 _POLL_NS = 1_000_000
 """What a poll costs on a line that takes no time [ns]."""
@@ -249,6 +249,14 @@ def _whole(text: str) -> int:
     return int(text)
 
 
+def _minutes(text: str) -> float:
+    """A plain number of minutes."""
+    minutes = float(text) if re.fullmatch(r"[0-9]{1,4}(\.[0-9]{1,9})?", text) else 1001.0
+    if minutes > 1000:
+        raise ValueError(text)
+    return minutes
+
+
 def _digit(text: str) -> int:
     """One hexadecimal digit."""
     if not re.fullmatch("[0-9A-Fa-f]", text):
@@ -261,6 +269,7 @@ _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
     "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
     "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
     "rom": (str, "a version of the firmware, such as 5.02"),
-    "mode": (_digit, MODES_WISH),
+    "mode": (_digit, "a running mode, one digit from 0 to F"),
+    "battery_used_min": (_minutes, "a number of minutes from 0 to 1000"),
     "log": (str, "the name of the log to write"),
 }

@@ -14,7 +14,7 @@ from khep_twin.errors import PortError, choices
 from khep_twin.log.recorder import Recorder
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import SEED_LIMIT
-from khep_twin.rom import ROMS, refused
+from khep_twin.rom import ROMS
 from khep_twin.world import Robot, World
 
 
@@ -28,6 +28,7 @@ class TwinOptions:
         noise: whether sensors are noisy.
         rom: version of the robot's firmware.
         mode: its running mode, which sets the line's speed.
+        battery_used_min: minutes that it has run on its cells at start [min].
         unpaced: lets bytes cross the line in no time.
         log: file to record the run in.
     """
@@ -37,6 +38,7 @@ class TwinOptions:
     noise: bool = True
     rom: str | None = None
     mode: int | None = None
+    battery_used_min: float | None = None
     unpaced: bool = False
     log: str | None = None
 
@@ -46,8 +48,6 @@ class TwinOptions:
             raise PortError(f"seed = {self.seed}: right is a whole number from 0 to 2**63-1")
         if self.rom is not None and self.rom not in ROMS:
             raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
-        if self.mode is not None and (reason := refused(self.mode)):
-            raise PortError(f"mode = {self.mode}: {reason}")
 
 
 class Twin:
@@ -97,11 +97,15 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
             f"robot = {options.robot}: not in playpen {chosen.name!r}; "
             f"{choices(options.robot, range(len(chosen.robots)))}"
         )
-    changes = {key: value for key in ("rom", "mode") if (value := getattr(options, key)) is not None}
+    keys = ("rom", "mode", "battery_used_min")
+    changes = {key: value for key in keys if (value := getattr(options, key)) is not None}
     robots = tuple(
         robot.model_copy(update=changes) if index == options.robot else robot
         for index, robot in enumerate(chosen.robots)
     )
+    changed = robots[options.robot]
+    if reason := ROMS[changed.rom].refused(changed.mode):
+        raise PortError(f"mode = {changed.mode} with rom = {changed.rom!r}: {reason}")
     chosen = chosen.model_copy(update={"robots": robots})
     world = World(chosen, seed=options.seed, noise=options.noise, unpaced=options.unpaced)
     recorder = None

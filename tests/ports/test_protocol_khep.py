@@ -213,7 +213,7 @@ def test_a_url_is_taken_apart() -> None:
         ("khep://default?seed=1&seed=2", "option 'seed' is given twice"),
         ("khep://default?robot=3", "robot = 3: not in playpen 'default'; (choices: 0)"),
         ("khep://default?rom=6", "rom = '6': unknown;"),
-        ("khep://default?mode=5", "mode = 5: mode 5 waits for a program in S-records"),
+        ("khep://default?mode=5", "mode = 5 with rom = '5.02': mode 5 waits for a program in S-records"),
         ("khep://nowhere", "nowhere: no such file"),
         ("khep://[", "khep://[: no URL: "),
         ("khep://default?log=a#b", "'#' ends a URL; right is %23 in its place"),

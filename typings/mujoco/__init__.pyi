@@ -29,6 +29,9 @@ class mjtEnableBit(IntEnum):
 class mjtLightType(IntEnum):
     mjLIGHT_DIRECTIONAL = ...
 
+class mjtCone(IntEnum):
+    mjCONE_ELLIPTIC = ...
+
 class mjtWarning(IntEnum): ...
 
 class _Named:
@@ -80,9 +83,14 @@ class MjModel:
 class _Warnings:
     number: NDArray[np.int32]
 
+class _Contacts:
+    geom: NDArray[np.int32]
+
 class MjData:
+    actuator_force: NDArray[np.float64]
     cam_xmat: NDArray[np.float64]
     cam_xpos: NDArray[np.float64]
+    contact: _Contacts
     ctrl: NDArray[np.float64]
     cvel: NDArray[np.float64]
     qpos: NDArray[np.float64]
@@ -98,6 +106,9 @@ class MjData:
 class MjsOption:
     timestep: float
     integrator: int
+    cone: int
+    impratio: float
+    noslip_iterations: int
     disableflags: int
     enableflags: int
 
@@ -141,6 +152,7 @@ class MjSpec:
     @staticmethod
     def from_file(filename: str) -> MjSpec: ...
     def add_pair(self, **attributes: Any) -> None: ...
+    def body(self, name: str) -> MjsBody: ...
     def attach(self, child: MjSpec, *, prefix: str, frame: MjsFrame) -> MjsFrame: ...
     def camera(self, name: str) -> MjsCamera: ...
     def compile(self) -> MjModel: ...
