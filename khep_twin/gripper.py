@@ -10,7 +10,8 @@
     J        jumpers                               j,0
 
 Orders and places as public host programs and simulators have them; its own manual is not at hand. Fingers
-and arm run at a fixed speed towards where they are sent. A reset leaves them where they are.
+and arm run at a fixed speed towards where they are sent; an order beyond 152 to 255 sends the arm to the
+nearer end. A reset leaves them where they are.
 """
 
 from enum import IntEnum
@@ -19,21 +20,10 @@ import numpy as np
 
 from khep_twin.kernel import clip
 from khep_twin.protocol import PROTOCOL_ERROR, Malformed, parse_turret_order, turret_reply
-
-NUMBER = 1
-"""On the T bus (public host programs)."""
+from khep_twin.units import ARM_DOWN, ARM_UP, FINGERS_OPEN, GRIPPER_NUMBER
 
 REVISION = "1.00"
 """As B tells it (assumed)."""
-
-ARM_UP = 152
-"""Highest place of the arm (public host programs keep to 152 to 255); an order beyond it goes here."""
-
-ARM_DOWN = 255
-"""The arm's place with the fingers at the floor."""
-
-FINGERS_OPEN = 200
-"""The fingers' place with the widest gap (a simulator's model of the turret)."""
 
 FRACTION = 256
 """Parts of a place in which setpoints move."""
@@ -118,4 +108,4 @@ class Gripper:
         cells[setpoint] += clip(cells[target] * FRACTION - cells[setpoint], speed)
 
     def _reply(self, letter: str, *values: int | str) -> bytes:
-        return turret_reply(NUMBER, letter, *values)
+        return turret_reply(GRIPPER_NUMBER, letter, *values)

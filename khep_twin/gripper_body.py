@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.gripper import FINGERS_OPEN, FRACTION, NUMBER, REVISION, Gripper, Register
+from khep_twin.gripper import FRACTION, REVISION, Gripper, Register
 from khep_twin.turrets import TurretKind
+from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
 ARM_DEGREES_PER_PLACE = 200 / 255
 """Of the arm, whose place 255 is 10 degrees below level: elevation = 190 - 200 place / 255 [deg] (a
@@ -99,7 +100,7 @@ def resistivity(conductance: float) -> int:
 
 GRIPPER = TurretKind(
     name="gripper",
-    number=NUMBER,
+    number=GRIPPER_NUMBER,
     description="arm with two fingers",
     revision=REVISION,
     make=Gripper,

@@ -75,13 +75,18 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
             userdata=[lamp.power_w],
         )
     shells: list[str] = []
+    hands: list[list[str]] = []
     for index, robot in enumerate(playpen.robots):
         prefix = f"khepera{index}/"
-        _add_robot(spec, prefix, robot)
+        hands.append(_add_robot(spec, prefix, robot))
         shell = prefix + "shell"
         for obstacle in [*obstacles, *shells]:
             _add_contact(spec, shell, obstacle, SHELL_FRICTION)
         shells.append(shell)
+    for owner, names in enumerate(hands):
+        for name in names:
+            for shell in [*shells[:owner], *shells[owner + 1 :]]:
+                _add_contact(spec, name, shell, SHELL_FRICTION)
     return spec
 
 
@@ -195,7 +200,8 @@ def _paint(geom: mujoco.MjsGeom, playpen: Playpen, surface_name: str, movable: b
     geom.solimp = _SOLIMP
 
 
-def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> None:
+def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
+    """Puts a robot with its turrets into the scene; returns the parts of turrets that touch things."""
     child = mujoco.MjSpec.from_file(str(ROBOT_FILE))
     for key in list(child.keys):
         child.delete(key)  # the scene's own start pose stands for it
@@ -204,9 +210,11 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> None:
         heading = units.radians(heading_deg)
         camera = child.camera(sensor.name.lower())
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
+    hands: list[str] = []
     for kind in find(robot.turrets):
         if kind.scene is not None:
             turret = mujoco.MjSpec.from_file(str(kind.scene))
+            hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
             child.attach(turret, prefix=f"{kind.name}/", frame=child.body("base").add_frame())
     heading = units.radians(robot.heading_deg)
     frame = spec.worldbody.add_frame(
@@ -219,6 +227,7 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> None:
     for support in ("front_support", "back_support"):
         # Polished balls: without friction, which also keeps odometry clean.
         _add_contact(spec, prefix + support, "floor", 0.0)
+    return hands
 
 
 def _add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> None:

@@ -147,6 +147,20 @@ PROCESSOR_VOLTAGE = 4.0
 IDLE_CURRENT = 0.2
 """Of the robot with its motors at rest [A] (assumed: 180 mAh that last 45 minutes are 240 mA, driving)."""
 
+# Gripper -----------------------------------------------------------------------------------------------
+
+GRIPPER_NUMBER = 1
+"""On the T bus (public host programs)."""
+
+ARM_UP = 152
+"""Highest place of the gripper's arm (public host programs keep to 152 to 255)."""
+
+ARM_DOWN = 255
+"""The arm's place with the fingers at the floor (public host programs)."""
+
+FINGERS_OPEN = 200
+"""The fingers' place with the widest gap, 55 mm; 0 is closed (simulators)."""
+
 # Serial line -------------------------------------------------------------------------------------------
 
 BITS_PER_BYTE = 11

@@ -16,7 +16,7 @@ from khep_twin import calibration, kernel, units
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
 from khep_twin.firmware import Firmware
-from khep_twin.kernel import DUTIES, LEFT, RIGHT, Wheel
+from khep_twin.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.protocol import LINE_ENDS
@@ -161,6 +161,8 @@ class World:
                 robot.tick()
         if self._steps % _STEPS_PER_SAMPLE == 0:
             self._check_warnings()
+            for robot in self.robots:
+                robot.show_leds()
             self._show()
 
     def _show(self) -> None:
@@ -230,6 +232,7 @@ class Robot:
         self._force: NDArray[np.float64] = data.actuator_force
         self._qpos: NDArray[np.float64] = data.qpos
         self._ctrl: NDArray[np.float64] = data.ctrl
+        self._lights = [_Light(model, f"{self.name}/led_{led}") for led in range(len(_LEDS))]
         self._pose = int(model.joint(f"{self.name}/pose").qposadr[0])
         noise = None if noise_seed is None else partial(stream, noise_seed, "robot", index)
         self._scan = InfraredScan(model, data, f"{self.name}/", calibration.read(entry.calibration)[0], noise)
@@ -308,6 +311,11 @@ class Robot:
         ctrl[self._left_motor] = units.duty_voltage(cells[_LEFT_DUTY], voltage)
         ctrl[self._right_motor] = units.duty_voltage(cells[_RIGHT_DUTY], voltage)
 
+    def show_leds(self) -> None:
+        """Brings the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
+        for led, light in zip(_LEDS, self._lights, strict=True):
+            light.show(bool(self._cells[led]))
+
     def zero_encoders(self) -> None:
         """Makes the encoders start from where the wheels stand."""
         self.registers[LEFT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._left_angle])
@@ -334,8 +342,25 @@ class Robot:
             tap.wire(time_ns, self._index, to_robot, data)
 
 
+class _Light:
+    """The light of one LED in the scene: a body without mass."""
+
+    def __init__(self, model: mujoco.MjModel, led: str) -> None:
+        self._position: NDArray[np.float64] = model.body_pos[model.body(led + "_light").id]
+        self._hidden = self._position.copy()
+        self._place: NDArray[np.float64] = model.site_pos[model.site(led).id]
+        self._lit = False
+
+    def show(self, lit: bool) -> None:
+        """Puts it to its place or away."""
+        if lit != self._lit:
+            self._position[:] = self._place if lit else self._hidden
+            self._lit = lit
+
+
 def _keep_quiet(warning: str) -> None:
     """Leaves a warning to the check of MuJoCo's counters."""
 
 
 _LEFT_DUTY, _RIGHT_DUTY = DUTIES
+_LEDS = (int(Board.LED_0), int(Board.LED_1))

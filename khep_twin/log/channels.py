@@ -6,7 +6,9 @@
     /khepera0/ambient           std_msgs/Float64MultiArray  eight counts, in the order of O
     /khepera0/speed             std_msgs/Float64MultiArray  left, right; setpoint left, right [pulses/10 ms]
     /khepera0/duty              std_msgs/Float64MultiArray  left, right, -255 to 255
+    /khepera0/leds              std_msgs/Float64MultiArray  LED 0 (lateral), 1 (frontal), 1 when lit
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
+    /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
     /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
     /events                     rcl_interfaces/Log          notes
 

@@ -25,7 +25,7 @@ from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files import unusable
-from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS
+from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS, Board
 from khep_twin.log import channels
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.channels import ArrayFrame, Level, Line, TransformFrame
@@ -257,11 +257,13 @@ def _line_message(time_ns: int, to_robot: bool, line: bytes) -> bytes:
 
 
 class _RobotStream:
-    """One robot's sampled channels: all of them are parts of its board's registers."""
+    """One robot's sampled channels: all of them are parts of the registers of its board and its turrets."""
 
     def __init__(self, robot: Robot) -> None:
-        self._registers = robot.registers
-        self._noted = np.zeros((_BATCH, N_REGISTERS), np.int64)
+        turrets = robot.firmware.turrets
+        self._sources = [robot.registers, *(turret.registers for turret in turrets.values())]
+        starts = np.cumsum([0, *(len(source) for source in self._sources)])
+        self._noted = np.zeros((_BATCH, starts[-1]), np.int64)
         floats, integers = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Int64MultiArray"
         speeds = "left, right, setpoint left, setpoint right [pulses/10 ms]"
         self._channels = [
@@ -271,13 +273,18 @@ class _RobotStream:
                 ("ambient", floats, "f8", "counts", AMBIENT),
                 ("speed", floats, "f8", speeds, [*SPEEDS, *SETPOINTS]),
                 ("duty", floats, "f8", "left, right [-255 to 255]", DUTIES),
+                ("leds", floats, "f8", "lateral, frontal", [int(Board.LED_0), int(Board.LED_1)]),
                 ("registers", integers, "i8", "registers", list(range(N_REGISTERS))),
+                *(
+                    (kind.name, integers, "i8", "registers", list(range(start, end)))
+                    for kind, start, end in zip(turrets, starts[1:], starts[2:], strict=False)
+                ),
             )
         ]
 
     def note(self, row: int) -> None:
         """Keeps the board's state as a row of the batch."""
-        self._noted[row] = self._registers
+        self._noted[row] = np.concatenate(self._sources) if len(self._sources) > 1 else self._sources[0]
 
     def messages(self, rows: int) -> list[tuple[str, str, NDArray[np.void]]]:
         """Topic, message type and messages of each channel, for the first rows of the batch."""

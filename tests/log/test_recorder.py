@@ -81,7 +81,7 @@ def test_every_channel_has_its_messages_at_simulated_times(log: Path) -> None:
     samples = list(range(0, 2 * SECOND + 1, 20_000_000))
     for topic in (
         "tf",
-        *(f"khepera0/{name}" for name in ("proximity", "ambient", "speed", "duty", "registers")),
+        *(f"khepera0/{name}" for name in ("proximity", "ambient", "speed", "duty", "leds", "registers")),
     ):
         assert times.pop(f"/{topic}") == samples
     assert times.pop("/robot_description") == [0]

@@ -48,6 +48,7 @@ class MjModel:
     nbody: int
     nuser_site: int
     names: bytes
+    body_pos: NDArray[np.float64]
     body_mass: NDArray[np.float64]
     body_rootid: NDArray[np.int32]
     body_weldid: NDArray[np.int32]
@@ -113,6 +114,7 @@ class MjsOption:
     enableflags: int
 
 class MjsGeom:
+    name: str
     conaffinity: int
     contype: int
     mass: float
@@ -147,6 +149,7 @@ class MjSpec:
     option: MjsOption
     visual: Any
     worldbody: MjsBody
+    geoms: Sequence[MjsGeom]
     keys: Sequence[MjsKey]
 
     @staticmethod
