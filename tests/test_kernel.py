@@ -169,3 +169,69 @@ def test_wrapping_keeps_the_low_32_bits(value: int) -> None:
     wrapped = kernel.wrap(value)
     assert -(2**31) <= wrapped < 2**31
     assert (wrapped - value) % 2**32 == 0
+
+
+@pytest.mark.parametrize("setpoint", [1, 5, 20, -7])
+def test_a_blocked_wheel_gets_the_duty_of_the_closed_form(registers: kernel.Registers, setpoint: int) -> None:
+    kernel.set_speed(registers, LEFT, setpoint)
+    for tick in range(1, 400):
+        kernel.tick(registers, 0, 0)
+        # The error stays e: P gives Kp e, I grows by Ki e a tick, D acts on the first tick only.
+        drive = 3800 * setpoint + 800 * setpoint * tick + (100 * setpoint if tick == 1 else 0)
+        expected = min(abs(drive) // kernel.SPEED_GAIN_SCALE, DUTY_LIMIT) * (1 if setpoint > 0 else -1)
+        assert registers[LEFT + Wheel.DUTY] == expected, tick
+    assert registers[LEFT + Wheel.ERROR] == setpoint
+
+
+@pytest.mark.parametrize("blocked_ticks", [100, 10_000])
+def test_a_wheel_let_loose_finds_its_speed_however_long_it_was_blocked(
+    registers: kernel.Registers, blocked_ticks: int
+) -> None:
+    kernel.set_speed(registers, LEFT, 20)
+    for _ in range(blocked_ticks):
+        kernel.tick(registers, 0, 0)
+    speeds = drive(registers, 200)
+    # The sum stops at what full duty needs, so that it is worked off within a second.
+    assert registers[LEFT + Wheel.ERROR_SUM] <= DUTY_LIMIT * kernel.SPEED_GAIN_SCALE // 800
+    assert speeds[100:] == pytest.approx([20] * 100, abs=2)
+
+
+def test_a_setpoint_beyond_the_motor_is_full_duty_and_the_error_tells(registers: kernel.Registers) -> None:
+    registers[LEFT + Wheel.ENCODER] = 0
+    kernel.set_speed(registers, LEFT, 127)
+    pulses = 0
+    for _ in range(500):
+        pulses += 100  # as fast as it gets
+        kernel.tick(registers, pulses, 0)
+    assert registers[LEFT + Wheel.DUTY] == DUTY_LIMIT
+    assert registers[LEFT + Wheel.ERROR] == 27
+
+
+def test_a_wheel_blocked_on_its_way_never_arrives_and_the_error_is_the_way_left(
+    registers: kernel.Registers,
+) -> None:
+    kernel.set_target(registers, LEFT, 1000)
+    for _ in range(300):
+        kernel.tick(registers, 0, 0)
+    assert registers[LEFT + Wheel.ON_TARGET] == 0
+    assert registers[LEFT + Wheel.ERROR] == 1000
+    assert registers[LEFT + Wheel.DUTY] == DUTY_LIMIT
+
+
+@pytest.mark.parametrize(
+    ("target", "speed", "acceleration"), [(1000, 20, 64), (3000, 20, 64), (-1000, 20, 64), (5000, 50, 128)]
+)
+def test_the_trapezoid_takes_the_time_of_the_closed_form(
+    registers: kernel.Registers, target: int, speed: int, acceleration: int
+) -> None:
+    registers[LEFT + Wheel.MAX_SPEED], registers[LEFT + Wheel.ACCELERATION] = speed, acceleration
+    kernel.set_target(registers, LEFT, target)
+    ticks, peak = 0, 0
+    while registers[LEFT + Wheel.PROFILE_POSITION] != target * 256:
+        kernel.tick(registers, registers[LEFT + Wheel.PROFILE_POSITION] // 256, 0)
+        ticks, peak = ticks + 1, max(peak, abs(registers[LEFT + Wheel.PROFILE_SPEED]))
+    a, way = acceleration / 256, abs(target)
+    top = min(speed, (way * a) ** 0.5)
+    assert peak / 256 == pytest.approx(top, abs=a + 0.01)
+    # Up and down at a, the rest at the top speed [ticks].
+    assert ticks == pytest.approx(2 * top / a + (way - top * top / a) / top, abs=4)

@@ -72,9 +72,12 @@ class Report:
     def text(self) -> str:
         """A page that a person can read."""
         failed = [result for result in self.results if result.deviation]
-        lines = [f"{'FAIL' if result.deviation else 'ok  '}  {result.name}" for result in self.results]
+        lines = [
+            f"{'FAIL' if result.deviation else 'ok  '}  {result.name} [{result.section}]"
+            for result in self.results
+        ]
         lines += [f"skip  {name} (moves the robot; asked for by --move)" for name in self.skipped]
-        lines += [f"\n{result.name} [{result.section}]\n    {result.deviation}" for result in failed]
+        lines += [f"\n{result.name}\n    {result.deviation}" for result in failed]
         lines.append(f"\n{self.port}: {len(self.results) - len(failed)} passed, {len(failed)} failed")
         return "\n".join(lines)
 
@@ -185,9 +188,10 @@ def examine(
 
 def checks(move: bool) -> Iterator[Check]:
     """All checks, with or without those that move the robot."""
-    from khep_twin.lab import conformance_checks
+    # Those that move the robot come behind the others, in one list.
+    from khep_twin.lab.conformance_motion import ALL
 
-    return (check for check in conformance_checks.ALL if move or not check.moves)
+    return (check for check in ALL if move or not check.moves)
 
 
 def run_check(check: Check, line: Line) -> Result:

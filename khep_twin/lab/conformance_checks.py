@@ -1,4 +1,4 @@
-"""The checks of `conformance`, in the order in which they run."""
+"""The checks of `conformance` that leave the robot where it is, in the order in which they run."""
 
 import re
 from collections.abc import Callable
@@ -25,7 +25,8 @@ def check(name: str, section: str, moves: str = "") -> Callable[[Callable[[Line]
     return add
 
 
-def _within(request: str, values: list[int], low: int, high: int) -> None:
+def within(request: str, values: list[int], low: int, high: int) -> None:
+    """Checks that numbers of a reply lie in a range."""
     for value in values:
         if not low <= value <= high:
             raise Deviation(f"{request!r} gave {value}; right is {low} to {high}")
@@ -137,7 +138,7 @@ def _counters(line: Line) -> None:
 def _speeds(line: Line) -> None:
     line.expect("D,0,0", "d")
     line.sleep(0.3)
-    _within("E", line.numbers("E", "e", 2), -1, 1)
+    within("E", line.numbers("E", "e", 2), -1, 1)
 
 
 @check("D and C and P are acknowledged", "A, commands C, D and P")
@@ -158,7 +159,7 @@ def _status(line: Line) -> None:
             continue
         line.sleep(0.05)
         status = line.numbers("K", "k", 6)
-        _within("K", [status[0], status[3]], 0, 1)
+        within("K", [status[0], status[3]], 0, 1)
         if status[1] != status[4]:
             raise Deviation(f"after {request} K gave two modes: {status}")
         modes.append(status[1])
@@ -170,18 +171,18 @@ def _status(line: Line) -> None:
 
 @check("N reads eight proximity values of 10 bits", "A, command N")
 def _proximity(line: Line) -> None:
-    _within("N", line.numbers("N", "n", N_SENSORS), 0, COUNTS_LIMIT)
+    within("N", line.numbers("N", "n", N_SENSORS), 0, COUNTS_LIMIT)
 
 
 @check("O reads eight ambient light values of 10 bits", "A, command O")
 def _ambient(line: Line) -> None:
-    _within("O", line.numbers("O", "o", N_SENSORS), 0, COUNTS_LIMIT)
+    within("O", line.numbers("O", "o", N_SENSORS), 0, COUNTS_LIMIT)
 
 
 @check("I reads the six channels of the converter", "A, command I")
 def _converter(line: Line) -> None:
     for channel in range(6):
-        _within(f"I,{channel}", line.numbers(f"I,{channel}", "i", 1), 0, COUNTS_LIMIT)
+        within(f"I,{channel}", line.numbers(f"I,{channel}", "i", 1), 0, COUNTS_LIMIT)
 
 
 @check("L switches both LEDs off, on and over", "A, command L")
@@ -202,7 +203,7 @@ def _no_led(line: Line) -> None:
 @check("W writes and R reads a byte of the extension bus", "A, commands R and W")
 def _bus(line: Line) -> None:
     line.expect("W,0,63", "w")
-    _within("R,0", line.numbers("R,0", "r", 1), 0, 255)
+    within("R,0", line.numbers("R,0", "r", 1), 0, 255)
 
 
 @check("a turret answers under its number, an absent one is refused, none is silent", "A, command T")
@@ -253,84 +254,3 @@ def _restart(line: Line) -> None:
         raise Deviation(f"after a restart H gave {numbers}; right is [0, 0]")
     if (numbers := line.numbers("E", "e", 2)) != [0, 0]:
         raise Deviation(f"after a restart E gave {numbers}; right is [0, 0]")
-
-
-# Motion --------------------------------------------------------------------------------------------------
-
-FORWARD = "drives about 80 mm forwards and as far back"
-SPIN = "turns on the spot, about a quarter turn each way"
-
-
-@check("D drives both wheels at the speed asked for, forwards", "A, command D", FORWARD)
-def _drive(line: Line) -> None:
-    for sign in (1, -1):
-        line.expect("G,0,0", "g")
-        line.expect(f"D,{10 * sign},{10 * sign}", "d")
-        start = line.time()
-        line.sleep(1.0)
-        speeds = line.numbers("E", "e", 2)
-        counts = line.numbers("H", "h", 2)
-        took = line.time() - start
-        line.expect("D,0,0", "d")
-        line.sleep(0.5)
-        _within("E", [sign * speed for speed in speeds], 7, 13)
-        # 10 pulses per 10 ms are 1000 a second, less the start.
-        _within("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
-
-
-@check("left is left and right is right", "A, command D", SPIN)
-def _sides(line: Line) -> None:
-    line.expect("G,0,0", "g")
-    for left, right in ((5, -5), (-5, 5)):
-        before = line.numbers("H", "h", 2)
-        line.expect(f"D,{left},{right}", "d")
-        line.sleep(0.7)
-        after = line.numbers("H", "h", 2)
-        line.expect("D,0,0", "d")
-        line.sleep(0.3)
-        ways = [now - then for then, now in zip(before, after, strict=True)]
-        if ways[0] * left <= 100 or ways[1] * right <= 100:
-            raise Deviation(f"D,{left},{right} moved the counters by {ways}")
-
-
-@check("C goes to a position along the trapezoid and says when it is there", "A, commands C and J", FORWARD)
-def _position(line: Line) -> None:
-    line.expect("J,20,64,20,64", "j")
-    line.expect("G,0,0", "g")
-    for target in (1000, 0):
-        line.expect(f"C,{target},{target}", "c")
-        start = line.time()
-        while (status := line.numbers("K", "k", 6))[0] + status[3] < 2:
-            if line.time() - start > 5:
-                raise Deviation(f"C,{target},{target} was not on target after 5 s: K gave {status}")
-        took = line.time() - start
-        # From rest over 1000 pulses at 0.25 pulses per tick^2: 2 sqrt(1000 / 0.25) ticks are 1.26 s.
-        if not 1.1 < took < 2.0:
-            raise Deviation(f"1000 pulses took {took:.2f} s; right is 1.26 s and some settling")
-        _within("H", [count - target for count in line.numbers("H", "h", 2)], -3, 3)
-
-
-@check("P drives the motors open loop", "A, command P", FORWARD)
-def _open_loop(line: Line) -> None:
-    line.expect("G,0,0", "g")
-    for duty in (40, -40):
-        before = line.numbers("H", "h", 2)
-        line.expect(f"P,{duty},{duty}", "p")
-        line.sleep(0.4)
-        after = line.numbers("H", "h", 2)
-        line.expect("P,0,0", "p")
-        line.sleep(0.3)
-        ways = [(now - then) * duty for then, now in zip(before, after, strict=True)]
-        if min(ways) <= 0:
-            raise Deviation(f"P,{duty},{duty} moved the counters from {before} to {after}")
-    line.expect("D,0,0", "d")
-
-
-@check("a faster command stops at the range and does not fail", "A, command D", FORWARD)
-def _saturation(line: Line) -> None:
-    line.expect("P,0,0", "p")
-    line.expect("D,0,0", "d")
-    line.expect("G,0,0", "g")
-    for request, reply in (("P,999,999", "p"), ("D,0,0", "d")):
-        line.expect(request, reply)
-    line.sleep(0.5)

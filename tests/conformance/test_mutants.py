@@ -31,6 +31,12 @@ def swap(reply: bytes, first: int, second: int) -> bytes:
     return b",".join(fields) + b"\r\n"
 
 
+def order_of_sensors(reply: bytes, order: list[int]) -> bytes:
+    """A reply to N with its values in another order."""
+    head, *values = reply.rstrip(b"\r\n").split(b",")
+    return b",".join([head, *(values[index] for index in order)]) + b"\r\n"
+
+
 ANSWERS: dict[str, Mutation] = {
     "replies end in LF only": replies("\r\n", "\n"),
     "replies end in CR only": replies("\r\n", "\r"),
@@ -65,6 +71,15 @@ ANSWERS: dict[str, Mutation] = {
     "restart without a banner": to("restart", lambda reply: b"ok\r\n"),
     "a reply in eight bits": replies("^c\r\n", "c\xff\r\n"),
     "lower-case commands are accepted": to("d,5,5", lambda reply: b"d\r\n"),
+    "sensors from right to left": to("N", lambda reply: order_of_sensors(reply, [7, 6, 5, 4, 3, 2, 1, 0])),
+    "sensors from the front": to("N", lambda reply: order_of_sensors(reply, [2, 3, 4, 5, 6, 7, 0, 1])),
+    "left and right sensors exchanged": to(
+        "N", lambda reply: order_of_sensors(reply, [5, 4, 3, 2, 1, 0, 7, 6])
+    ),
+    "front and back sensors exchanged": to(
+        "N", lambda reply: order_of_sensors(reply, [0, 1, 6, 7, 4, 5, 2, 3])
+    ),
+    "K with an error out of the air": replies(r"^k,(\d),1,-?\d+", r"k,\1,1,4711"),
     "sensor values in two lines": to("N", lambda reply: reply.replace(b",", b"\r\n", 4)),
 }
 
@@ -162,7 +177,23 @@ def without_trapezoid(twin: Twin) -> None:
     twin.robot.firmware.receive = rush  # type: ignore[method-assign]
 
 
+def keeps_its_trapezoid(twin: Twin) -> None:
+    """Resets everything but the trapezoid."""
+    firmware, cells = twin.robot.firmware, twin.robot.firmware.cells
+    reset = firmware.reset
+
+    def keep() -> bytes:
+        kept = [cells[wheel + of] for wheel in (LEFT, RIGHT) for of in (Wheel.MAX_SPEED, Wheel.ACCELERATION)]
+        banner = reset()
+        for wheel, speed, acceleration in ((LEFT, *kept[:2]), (RIGHT, *kept[2:])):
+            cells[wheel + Wheel.MAX_SPEED], cells[wheel + Wheel.ACCELERATION] = speed, acceleration
+        return banner
+
+    firmware.reset = keep  # type: ignore[method-assign]
+
+
 BOARDS = [
+    keeps_its_trapezoid,
     late,
     slow_line,
     deaf_to_cr,
@@ -174,6 +205,24 @@ BOARDS = [
     never_there,
     without_trapezoid,
 ]
+
+
+GRIPPERS: dict[str, Mutation] = {
+    "a gripper without its number": to("T,1,H.*", lambda reply: reply.replace(b"t,1,", b"t,")),
+    "a gripper that repeats what was asked": to("T,1,H,1", lambda reply: reply.replace(b"h,", b"h,1,")),
+    "a gripper that does not know its barrier": to("T,1,G", lambda reply: b"z,Protocol error\r\n"),
+    "a gripper with a stuck arm": to("T,1,H,1", lambda reply: b"t,1,h,152\r\n"),
+    "a gripper that is silent": to("T,1,D,1", lambda reply: b""),
+}
+
+
+@pytest.mark.parametrize("name", [*GRIPPERS, "sound"])
+def test_a_gripper_that_answers_wrongly_is_caught(name: str) -> None:
+    with Khepera("khep://gripper?noise=off") as robot:
+        if name in GRIPPERS:
+            break_answers(robot.port.twin, GRIPPERS[name])
+        report = examine(Line(robot.port), "a gripper", move=True)
+        assert report.passed == (name == "sound"), report.text()
 
 
 def is_caught(breaking: Callable[[Twin], None]) -> bool:

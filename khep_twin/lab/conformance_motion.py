@@ -1,0 +1,172 @@
+"""The checks of `conformance` that move the robot, in the order in which they run."""
+
+import re
+
+from khep_twin.lab.conformance import Deviation, Line
+from khep_twin.lab.conformance_checks import ALL as ALL
+from khep_twin.lab.conformance_checks import SETTLE, check, within
+from khep_twin.units import N_SENSORS
+
+FORWARD = "drives about 80 mm forwards and as far back"
+SPIN = "turns on the spot, about a quarter turn each way"
+TO_A_WALL = "drives forwards until it is before something light, up to 40 cm, turns there and comes back"
+ARM = "moves the arm and the fingers of its gripper, if it has one"
+
+NEAR = 600
+"""Proximity counts at which the robot is near enough to a wall."""
+
+TIME_TO_A_WALL = 5.0
+"""Longest time to it, at 80 mm/s [s]."""
+
+QUARTER_PULSES = 510
+"""Of each wheel for a quarter turn on the spot: wheels 52 mm apart, 0.08 mm per pulse."""
+
+
+def _drive_to(line: Line, left: int, right: int) -> float:
+    """Sends the wheels to a target; returns the time until both are there [s]."""
+    line.expect(f"C,{left},{right}", "c")
+    start = line.time()
+    limit = 5 + max(abs(left), abs(right)) / 1000
+    while (status := line.numbers("K", "k", 6))[0] + status[3] < 2:
+        if line.time() - start > limit:
+            raise Deviation(f"C,{left},{right} was not on target after {limit:.0f} s: K gave {status}")
+    return line.time() - start
+
+
+def _took_its_time(took: float) -> None:
+    # From rest over 1000 pulses at 0.25 pulses per tick^2: 2 sqrt(1000 / 0.25) ticks are 1.26 s.
+    if not 1.1 < took < 2.0:
+        raise Deviation(f"1000 pulses took {took:.2f} s; right is 1.26 s and some settling")
+
+
+@check("D drives both wheels at the speed asked for, forwards", "A, command D", FORWARD)
+def _drive(line: Line) -> None:
+    for sign in (1, -1):
+        line.expect("G,0,0", "g")
+        line.expect(f"D,{10 * sign},{10 * sign}", "d")
+        start = line.time()
+        line.sleep(1.0)
+        speeds = line.numbers("E", "e", 2)
+        counts = line.numbers("H", "h", 2)
+        took = line.time() - start
+        line.expect("D,0,0", "d")
+        line.sleep(0.5)
+        within("E", [sign * speed for speed in speeds], 7, 13)
+        # 10 pulses per 10 ms are 1000 a second, less the start.
+        within("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
+
+
+@check("left is left and right is right", "A, command D", SPIN)
+def _sides(line: Line) -> None:
+    line.expect("G,0,0", "g")
+    for left, right in ((5, -5), (-5, 5)):
+        before = line.numbers("H", "h", 2)
+        line.expect(f"D,{left},{right}", "d")
+        line.sleep(0.7)
+        after = line.numbers("H", "h", 2)
+        line.expect("D,0,0", "d")
+        line.sleep(0.3)
+        ways = [now - then for then, now in zip(before, after, strict=True)]
+        if ways[0] * left <= 100 or ways[1] * right <= 100:
+            raise Deviation(f"D,{left},{right} moved the counters by {ways}")
+
+
+@check("C goes to a position along the trapezoid and says when it is there", "A, commands C and J", FORWARD)
+def _position(line: Line) -> None:
+    line.expect("J,20,64,20,64", "j")
+    line.expect("G,0,0", "g")
+    for target in (1000, 0):
+        took = _drive_to(line, target, target)
+        _took_its_time(took)
+        within("H", [count - target for count in line.numbers("H", "h", 2)], -3, 3)
+        within("K", line.numbers("K", "k", 6)[2::3], -3, 3)
+
+
+@check("a restart sets the trapezoid to 20 and 64", "A, command J", FORWARD)
+def _profile_of_a_reset(line: Line) -> None:
+    line.expect("J,5,5,5,5", "j")
+    line.send("restart\n")
+    while line.read_for(SETTLE):
+        pass
+    for target in (1000, 0):
+        _took_its_time(_drive_to(line, target, target))
+
+
+@check("the sensors come in the manual's order, clockwise from the left", "A, command N", TO_A_WALL)
+def _sensor_order(line: Line) -> None:
+    line.expect("D,0,0", "d")
+    line.expect("G,0,0", "g")
+    line.expect("D,10,10", "d")
+    start = line.time()
+    while max(line.numbers("N", "n", N_SENSORS)[2:4]) < NEAR:
+        if line.time() - start > TIME_TO_A_WALL:
+            line.expect("D,0,0", "d")
+            _drive_to(line, 0, 0)
+            raise Deviation(
+                "nothing came into the view of the front sensors on 40 cm; a light wall is needed"
+            )
+    line.expect("D,0,0", "d")
+    line.sleep(0.3)
+    here = line.numbers("H", "h", 2)[0]
+    seen: list[int] = []
+    for turn in (0, QUARTER_PULSES, -QUARTER_PULSES, -2 * QUARTER_PULSES):
+        _drive_to(line, here + turn, here - turn)
+        line.sleep(0.1)
+        counts = line.numbers("N", "n", N_SENSORS)
+        seen.append(counts.index(max(counts)))
+    _drive_to(line, here, here)
+    _drive_to(line, 0, 0)
+    line.expect("D,0,0", "d")
+    sides = ({2, 3}, {0, 1}, {4, 5}, {6, 7})
+    if not all(index in side for index, side in zip(seen, sides, strict=True)):
+        raise Deviation(
+            f"with a wall ahead, left, right and behind the sensors {seen} of N saw most of it; "
+            "right is 2 or 3, 0 or 1, 4 or 5, 6 or 7"
+        )
+
+
+@check("P drives the motors open loop", "A, command P", FORWARD)
+def _open_loop(line: Line) -> None:
+    line.expect("G,0,0", "g")
+    for duty in (40, -40):
+        before = line.numbers("H", "h", 2)
+        line.expect(f"P,{duty},{duty}", "p")
+        line.sleep(0.4)
+        after = line.numbers("H", "h", 2)
+        line.expect("P,0,0", "p")
+        line.sleep(0.3)
+        ways = [(now - then) * duty for then, now in zip(before, after, strict=True)]
+        if min(ways) <= 0:
+            raise Deviation(f"P,{duty},{duty} moved the counters from {before} to {after}")
+    line.expect("D,0,0", "d")
+
+
+@check("a faster command stops at the range and does not fail", "A, command D", FORWARD)
+def _saturation(line: Line) -> None:
+    line.expect("P,0,0", "p")
+    line.expect("D,0,0", "d")
+    line.expect("G,0,0", "g")
+    for request, reply in (("P,999,999", "p"), ("D,0,0", "d")):
+        line.expect(request, reply)
+    line.sleep(0.5)
+
+
+@check("a gripper, if there is one, opens, closes and moves its arm", "gripper manual", ARM)
+def _gripper(line: Line) -> None:
+    if line.ask("T,1,B").startswith("z,"):
+        return
+    for order in ("D,0", "E,255", "D,1", "E,190", "D,0", "E,152"):
+        line.expect(f"T,1,{order}", f"t,1,{order[0].lower()}")
+        line.sleep(1.5)
+        what = "H,1" if order[0] == "E" else "H,0"
+        answer = line.ask(f"T,1,{what}")
+        if not re.fullmatch(r"t,1,h,\d+", answer):
+            raise Deviation(f"'T,1,{what}' was answered {answer!r}; right is 't,1,h' and one number")
+        if order[0] == "E":
+            within(f"T,1,{what}", [int(answer[6:]) - int(order[2:])], -10, 10)
+    for order in "FGJ":
+        answer = line.ask(f"T,1,{order}")
+        if not re.fullmatch(rf"t,1,{order.lower()},\d+", answer):
+            raise Deviation(
+                f"'T,1,{order}' was answered {answer!r}; right is 't,1,{order.lower()}' and a number"
+            )
