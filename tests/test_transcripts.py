@@ -1,0 +1,89 @@
+"""Golden transcripts: what is said on the line, word for word, on every kind of port."""
+
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import pytest
+import serial
+
+import khep_twin  # noqa: F401  (teaches pyserial khep://)
+
+TRANSCRIPTS = sorted((Path(__file__).parent / "data" / "transcripts").glob("*.txt"))
+BAUD_RATES = {"1": 9600, "8": 57600}
+
+
+def url_of(transcript: Path) -> str:
+    return transcript.read_text().splitlines()[0].removeprefix("# ")
+
+
+@contextmanager
+def in_process(url: str) -> Iterator[Any]:
+    with serial.serial_for_url(url, timeout=1) as port:
+        yield port
+
+
+@contextmanager
+def behind_a_pty(url: str) -> Iterator[Any]:
+    parts = urlsplit(url)
+    options = [word for key, value in parse_qsl(parts.query) for word in (f"--{key}", value)]
+    command = [sys.executable, "-m", "khep_twin", "serve", parts.netloc, *options]
+    mode = dict(parse_qsl(parts.query)).get("mode", "1")
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            path = process.stdout.readline().strip()
+            with serial.Serial(path, BAUD_RATES[mode], stopbits=2, timeout=1) as port:
+                yield port
+        finally:
+            process.terminate()
+
+
+def play(transcript: Path, port: Any) -> None:
+    wait = getattr(port, "sleep", time.sleep)
+    for number, line in enumerate(transcript.read_text().splitlines(), 1):
+        kind, _, text = line.partition(" ")
+        place = f"{transcript.name}, line {number}: {line}"
+        match kind:
+            case "#" | "":
+                pass
+            case ">":
+                port.write(text.encode() + b"\n")
+            case ">>":
+                port.write(text.encode().decode("unicode_escape").encode("latin-1"))
+            case "<":
+                reply = port.read_until(b"\n")
+                pattern = re.escape(text).replace(r"\*", "[^,]*") + "\r\n"
+                assert re.fullmatch(pattern, reply.decode("ascii")), f"{place}: came {reply!r}"
+            case "~":
+                wait(float(text))
+            case ".":
+                before, port.timeout = port.timeout, float(text)
+                assert port.read(1) == b"", place
+                port.timeout = before
+            case _:
+                raise ValueError(place)
+
+
+@pytest.mark.parametrize("transcript", TRANSCRIPTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("way_in", [in_process, behind_a_pty])
+def test_what_is_said_is_what_is_written(transcript: Path, way_in: Any) -> None:
+    with way_in(url_of(transcript)) as port:
+        play(transcript, port)
+
+
+def test_there_are_transcripts_of_every_command_and_error() -> None:
+    sent = {
+        line[2:].split(",")[0].split()[0]
+        for transcript in TRANSCRIPTS
+        for line in transcript.read_text().splitlines()
+        if line.startswith("> ")
+    }
+    assert set("ABCDEFGHIJKLNOPRTW") <= sent
+    assert {"restart", "serial", "net", "run", "sfill"} <= sent
