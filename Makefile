@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format bench lock build clean
+.PHONY: help run test check format fuzz bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -26,6 +26,9 @@ check: $(VENV)/dev.stamp ## style and types
 format: $(VENV)/dev.stamp ## put the code into its layout
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
+
+fuzz: $(VENV)/dev.stamp ## a million inputs for the board; four minutes
+	@$(BIN)/python tests/fuzz_board.py -runs=1000000
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
 	@$(BIN)/python -m benchmarks

@@ -171,6 +171,7 @@ def wander(registers: Registers) -> None:
 def set_speed(registers: Registers, wheel: int, speed: int) -> None:
     """Drives a wheel at a speed [pulses/10 ms], with no limit to its acceleration."""
     if registers[wheel + _MODE] != _SPEED_MODE:
+        registers[wheel + _ERROR] = 0
         registers[wheel + _ERROR_SUM] = 0
     registers[wheel + _MODE] = _SPEED_MODE
     registers[wheel + _SPEED_SETPOINT] = speed

@@ -1,0 +1,53 @@
+"""A share of `make fuzz`: arbitrary bytes never crash, hang or confuse the board."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from fuzz_board import check, seeds
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from khep_twin.firmware import Firmware
+
+SHARE = 20_000
+
+
+@pytest.mark.skipif(find_spec("atheris") is None, reason="atheris is not installed")
+def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
+    program = Path(__file__).with_name("fuzz_board.py")
+    done = subprocess.run(
+        [sys.executable, str(program), f"-runs={SHARE}", "-seed=1"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert f"Done {SHARE} runs" in done.stderr
+
+
+@settings(max_examples=500, derandomize=True, database=None)
+@given(st.binary(max_size=200))
+def test_any_bytes_are_answered(data: bytes) -> None:
+    check(data)
+
+
+def test_the_seeds_are_what_the_transcripts_say(tmp_path: Path) -> None:
+    seeds(tmp_path)
+    said = [path.read_bytes() for path in tmp_path.iterdir()]
+    assert len(said) > 80
+    for data in said:
+        check(data)
+
+
+@pytest.mark.parametrize(
+    "wrong", [b"", b"b,5.02,5.01\n", b"\xe9\r\n", b"\r\nb,5.02,5.01\r\n", b"b,5.02,5.01\r\nx"]
+)
+def test_a_board_that_answers_wrongly_is_noticed(monkeypatch: pytest.MonkeyPatch, wrong: bytes) -> None:
+    monkeypatch.setattr(Firmware, "receive", lambda self, data: wrong if data else b"")
+    with pytest.raises((AssertionError, UnicodeDecodeError)):
+        check(b"\x00B\n")
