@@ -175,7 +175,7 @@ def test_the_firmware_agrees_with_the_model_on_fifty_thousand_commands() -> None
     run_state_machine_as_test(
         Session,
         settings=settings(
-            max_examples=450,
+            max_examples=650,
             stateful_step_count=60,
             derandomize=True,
             deadline=None,
@@ -183,6 +183,7 @@ def test_the_firmware_agrees_with_the_model_on_fifty_thousand_commands() -> None
             suppress_health_check=list(HealthCheck),
         ),
     )
+    # How many there are depends on what hypothesis draws: 60,000 to 90,000 in 650 sessions.
     assert Session.n_commands >= COMMANDS_WANTED, Session.n_commands
 
 
