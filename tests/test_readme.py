@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 from khep_twin import playpen
 from khep_twin.host import Khepera
@@ -14,15 +15,21 @@ def blocks(language: str) -> list[str]:
 
 
 def test_the_ten_lines_drive_a_twin_and_are_the_same_for_a_robot() -> None:
-    twin, robot, _ = blocks("python")
+    twin, robot, *_ = blocks("python")
     assert twin.replace("khep://obstacles?seed=1", "/dev/ttyUSB0") == robot
     assert len(twin.splitlines()) <= 10
     exec(compile(twin, "README.md", "exec"), {})
 
 
+def test_the_gripper_grips() -> None:
+    names: dict[str, Any] = {}
+    exec(compile(blocks("python")[2], "README.md", "exec"), names)
+    assert names["robot"].port.twin.world.data.body("cylinder0").xpos[2] > 0.06
+
+
 def test_the_controller_runs() -> None:
     names: dict[str, object] = {}
-    exec(compile(blocks("python")[2], "README.md", "exec"), names)
+    exec(compile(blocks("python")[3], "README.md", "exec"), names)
     controller = names["controller"]
     assert callable(controller)
     with Khepera("khep://default") as robot:
