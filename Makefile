@@ -27,7 +27,7 @@ format: $(VENV)/dev.stamp ## put the code into its layout
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
-fuzz: $(VENV)/dev.stamp ## a million inputs for the board; four minutes
+fuzz: $(VENV)/dev.stamp ## a million inputs for the board; about ten minutes
 	@$(BIN)/python tests/fuzz_board.py -runs=1000000
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run

@@ -31,7 +31,8 @@ from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.channels import ArrayFrame, Level, Line, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.part_file import PartFile, set_aside, undisturbed
-from khep_twin.world import SAMPLE_NS, Robot, World
+from khep_twin.robot import Robot
+from khep_twin.world import SAMPLE_NS, World
 
 FLUSH_NS = 5 * NS_PER_S
 """Simulated time after which everything is handed to the file system [ns]."""

@@ -14,8 +14,9 @@ from khep_twin.errors import PortError, choices
 from khep_twin.log.recorder import Recorder
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import SEED_LIMIT
+from khep_twin.robot import Robot
 from khep_twin.rom import ROMS
-from khep_twin.world import Robot, World
+from khep_twin.world import World
 
 
 @dataclass(frozen=True, slots=True)
