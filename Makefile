@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format fuzz bench lock build clean
+.PHONY: help run test check format fuzz soak bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -29,6 +29,9 @@ format: $(VENV)/dev.stamp ## put the code into its layout
 
 fuzz: $(VENV)/dev.stamp ## a million inputs for the board; about ten minutes
 	@$(BIN)/python tests/fuzz_board.py -runs=1000000
+
+soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each
+	@KHEP_RUBBISH_SECONDS=60 $(BIN)/python -m pytest tests/ports/test_chaos.py
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
 	@$(BIN)/python -m benchmarks

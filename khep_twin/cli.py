@@ -41,6 +41,13 @@ class Switch(StrEnum):
     OFF = "off"
 
 
+class Clock(StrEnum):
+    """What makes time pass for a served twin."""
+
+    REAL = "real"
+    WIRE = "wire"
+
+
 PlaypenName = Annotated[str, typer.Argument(help="Name of a shipped playpen, or path of a playpen file.")]
 Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]
 Noise = Annotated[Switch, typer.Option(help="Noisy sensors, as on the robot.")]
@@ -57,6 +64,14 @@ Battery = Annotated[
     float | None,
     typer.Option(
         min=0, max=1000, help="Run on cells that were used so many minutes; without, on the charger."
+    ),
+]
+Faults = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        help="Let this go wrong, as often as wanted: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SIDE or "
+        "brown-out, with @SECONDS to begin later.",
     ),
 ]
 Log = Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")]
@@ -107,6 +122,7 @@ def run(
     mode: Mode = None,
     rom: RomVersion = None,
     battery_used_min: Battery = None,
+    fault: Faults = None,
     log: Log = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw playpen and driven path in this PNG or SVG file; needs --log.")
@@ -133,7 +149,14 @@ def run(
     if port is None:
         log_name = None if log is None else str(log)
         options = TwinOptions(
-            seed, robot, noise is Switch.ON, rom, _mode(mode), battery_used_min, log=log_name
+            seed,
+            robot,
+            noise is Switch.ON,
+            rom,
+            _mode(mode),
+            battery_used_min,
+            faults=tuple(fault or ()),
+            log=log_name,
         )
         twin = open_twin(playpen, options)
         _tell_kept(twin)
@@ -163,40 +186,73 @@ def run(
 @app.command()
 def serve(
     playpen: PlaypenName = "default",
-    link: Annotated[Path | None, typer.Option(help="Make this link to the pseudo-terminal.")] = None,
+    link: Annotated[
+        Path | None,
+        typer.Option(help="Make this link to the pseudo-terminal; a bare name lies in a private directory."),
+    ] = None,
+    tcp: Annotated[
+        str | None, typer.Option(help="Serve on TCP at HOST:PORT instead, for socket://HOST:PORT.")
+    ] = None,
+    rfc2217: Annotated[
+        str | None, typer.Option(help="Serve by RFC 2217 at HOST:PORT instead, for rfc2217://HOST:PORT.")
+    ] = None,
+    expose: Annotated[
+        bool, typer.Option("--expose", help="Let other machines reach --tcp or --rfc2217, too.")
+    ] = False,
+    clock: Annotated[
+        Clock, typer.Option(help="real: with the clock on the wall; wire: only bytes on the line take time.")
+    ] = Clock.REAL,
     speed: Annotated[str, typer.Option(help="Simulated per real second: a number, or max.")] = "1",
     unpaced: Annotated[bool, typer.Option("--unpaced", help="Let bytes cross the line in no time.")] = False,
+    strict_line: Annotated[
+        bool, typer.Option("--strict-line", help="Garble the bytes of a host at another speed.")
+    ] = False,
+    ready_fd: Annotated[
+        int | None, typer.Option(min=1, help="Write what hosts open to this descriptor, too, and close it.")
+    ] = None,
     seed: Seed = 0,
     noise: Noise = Switch.ON,
-    robot: RobotIndex = 0,
+    robot: Annotated[
+        int | None, typer.Option(help="Serve only this robot of the playpen, counted from 0.")
+    ] = None,
     mode: Mode = None,
     rom: RomVersion = None,
     battery_used_min: Battery = None,
+    fault: Faults = None,
     log: Log = None,
 ) -> None:
-    """Serves a twin behind a pseudo-terminal, in real time, until it is stopped.
+    """Serves a twin behind pseudo-terminals or on the network, until it is stopped.
 
-    The only line on standard output is the path that a host opens.
+    Standard output has one line for each robot: what its host opens.
     """
-    from khep_twin.ports.pty import PtyPort
+    from khep_twin.ports.far_ends import far_ends
+    from khep_twin.ports.serve import WIRE, stopping
     from khep_twin.ports.serve import serve as serve_twin
-    from khep_twin.ports.serve import stopping
     from khep_twin.ports.twin import TwinOptions, open_twin
 
-    factor = _speed(speed)
-    log_name = None if log is None else str(log)
+    factor = WIRE if clock is Clock.WIRE else _speed(speed)
     options = TwinOptions(
-        seed, robot, noise is Switch.ON, rom, _mode(mode), battery_used_min, unpaced, log_name
+        seed, robot, noise is Switch.ON, rom, _mode(mode), battery_used_min, unpaced, tuple(fault or ())
     )
-    with stopping() as stop, PtyPort(link) as pty, open_twin(playpen, options) as twin:
-        _tell_kept(twin)
-        typer.echo(pty.path)
-        pacer = serve_twin(twin, pty, factor, stop=stop)
+    with (
+        stopping() as stop,
+        open_twin(playpen, options) as twin,
+        far_ends(twin.robots, link=link, tcp=tcp, rfc2217=rfc2217, expose=expose) as cables,
+    ):
+        if log is not None:
+            twin.record(log)
+            _tell_kept(twin)
+        paths = "".join(f"{cable.path}\n" for cable in cables)
+        typer.echo(paths, nl=False)
+        if ready_fd is not None:
+            _announce(ready_fd, paths)
+        pacer = serve_twin(twin, cables, factor, stop=stop, tell=_complain, strict=strict_line)
+        dropped = sum(cable.dropped for cable in cables)
     typer.echo(f"{twin.world.time_ns / 1e9:.1f} s served", err=True)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
-    if pty.dropped:
-        typer.echo(f"{pty.dropped} bytes dropped that no host took", err=True)
+    if dropped:
+        typer.echo(f"{dropped} bytes dropped that no host took", err=True)
 
 
 @app.command()
@@ -303,7 +359,18 @@ def _progress() -> Generator[Callable[[float], None] | None, None, None]:
         yield show
 
 
-_OF_A_TWIN = {"playpen", "seed", "noise", "robot", "mode", "rom", "battery_used_min", "log", "picture"}
+_OF_A_TWIN = {
+    "playpen",
+    "seed",
+    "noise",
+    "robot",
+    "mode",
+    "rom",
+    "battery_used_min",
+    "fault",
+    "log",
+    "picture",
+}
 
 
 def _given(context: typer.Context) -> set[str]:
@@ -356,6 +423,20 @@ def _tell_kept(twin: "Twin") -> None:
         typer.echo(
             f"khep-twin: an unfinished log of an earlier run is kept as {twin.recorder.kept}", err=True
         )
+
+
+def _complain(text: str) -> None:
+    """One line on standard error."""
+    typer.echo(f"khep-twin: {text}", err=True)
+
+
+def _announce(descriptor: int, paths: str) -> None:
+    """Tells whoever waits at a descriptor that hosts may come."""
+    try:
+        with open(descriptor, "w") as file:
+            file.write(paths)
+    except OSError as error:
+        raise _usage(f"--ready-fd {descriptor}: cannot be written: {error.strerror}") from None
 
 
 def _usage(text: str) -> typer.Exit:

@@ -51,6 +51,10 @@ class Pacer:
         """How long until simulated `time_ns` is due [s of wall time]; 0 or less when it is overdue."""
         return ((time_ns - self._time_ns) / self.speed - (time.monotonic_ns() - self._wall_ns)) / NS_PER_S
 
+    def wall_ns(self, time_ns: int) -> int:
+        """When simulated `time_ns` is due on the wall clock, `time.monotonic_ns` [ns]."""
+        return self._wall_ns + round((time_ns - self._time_ns) / self.speed)
+
     def slip(self, time_ns: int) -> int:
         """Tell that the loop has reached `time_ns`; returns the wall time given up, 0 if in time [ns]."""
         late_ns = -round(self.wait(time_ns) * NS_PER_S)

@@ -8,6 +8,7 @@
     │   └── PortTimeout   a port that stayed silent
     ├── ControllerError   a control program that cannot be found or started
     ├── LogError          a log that cannot be written or read
+    ├── FaultError        a fault to inject that there is not
     ├── TurretError       a turret that cannot be plugged on
     ├── MissingExtraError a part of khep_twin that needs a package which is not installed
     └── DivergedError     a simulation that left the bounds of physics
@@ -54,6 +55,10 @@ class LogError(KhepTwinError):
 
 class TurretError(KhepTwinError):
     """A turret that cannot be plugged on."""
+
+
+class FaultError(KhepTwinError):
+    """A fault to inject that there is not, or that is written in another way."""
 
 
 class MissingExtraError(KhepTwinError):

@@ -1,6 +1,7 @@
 """One robot of a world: its board, its line, its turrets, its supply, and its place in the physics."""
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import Protocol
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import calibration, kernel, units
+from khep_twin.faults import Fault, Injector
 from khep_twin.firmware import Firmware
 from khep_twin.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
 from khep_twin.playpen import Playpen
@@ -45,13 +47,16 @@ class Robot:
     """One robot of a world: its board, its line and its place in the physics.
 
     Attributes:
+        index: its place among the playpen's robots.
         name: e.g. "khepera0".
         firmware: its command interpreter.
         uart: its serial line.
         registers: the board's state (N_REGISTERS,).
     """
 
-    def __init__(self, stage: Stage, index: int, noise_seed: int | None, unpaced: bool) -> None:
+    def __init__(
+        self, stage: Stage, index: int, *, seed: int, noise: bool, unpaced: bool, faults: Sequence[Fault]
+    ) -> None:
         model, data = stage.model, stage.data
         entry = stage.playpen.robots[index]
         self.name = f"khepera{index}"
@@ -67,7 +72,7 @@ class Robot:
         self.uart = Uart(0 if unpaced else self.firmware.baud)
         self._unpaced = unpaced
         self._stage = stage
-        self._index = index
+        self.index = index
         self._left_angle, self._right_angle = (
             int(model.joint(f"{self.name}/{side}_axle").qposadr[0]) for side in ("left", "right")
         )
@@ -78,11 +83,21 @@ class Robot:
         self._voltage = units.SUPPLY_VOLTAGE
         self._force: NDArray[np.float64] = data.actuator_force
         self._qpos: NDArray[np.float64] = data.qpos
+        self._qvel: NDArray[np.float64] = data.qvel
+        self._left_speed, self._right_speed = (
+            int(model.joint(f"{self.name}/{side}_axle").dofadr[0]) for side in ("left", "right")
+        )
         self._ctrl: NDArray[np.float64] = data.ctrl
         self._lights = [_Light(model, f"{self.name}/led_{led}") for led in range(len(_LEDS))]
         self._pose = int(model.joint(f"{self.name}/pose").qposadr[0])
-        noise = None if noise_seed is None else partial(stream, noise_seed, "robot", index)
-        self._scan = InfraredScan(model, data, f"{self.name}/", calibration.read(entry.calibration)[0], noise)
+        chance = partial(stream, seed, "robot", index)
+        self._faults = None
+        if faults:
+            tell = partial(stage.tell, index)
+            self._faults = Injector(faults, partial(stream, seed, "robot", index, "fault"), tell)
+        self._scan = InfraredScan(
+            model, data, f"{self.name}/", calibration.read(entry.calibration)[0], chance if noise else None
+        )
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -90,16 +105,19 @@ class Robot:
         x, y, _, qw, qx, qy, qz = self._qpos[self._pose : self._pose + 7].tolist()
         return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
 
-    def send(self, data: bytes) -> None:
-        """Puts bytes of the host on the line, now."""
-        self.uart.rx.put(data, self._stage.time_ns)
+    def send(self, data: bytes, time_ns: int = 0) -> None:
+        """Puts bytes of the host on the line, now or at a later time [ns]."""
+        time_ns = max(time_ns, self._stage.time_ns)
+        if self._faults is not None:
+            data = self._faults.over_the_line(data, time_ns)
+        self.uart.rx.put(data, time_ns)
 
     def hang_up(self) -> None:
         """The host has gone: its whole commands are carried out unanswered, one just begun is forgotten."""
         time_ns = self._stage.time_ns
         rx, tx = self.uart.rx, self.uart.tx
         if sent := rx.read(rx.arrival(len(rx)) or time_ns):
-            self._stage.hear(time_ns, self._index, True, sent)
+            self._stage.hear(time_ns, self.index, True, sent)
             self.firmware.receive(sent)
         self.firmware.forget_line()
         tx.read(time_ns)
@@ -123,10 +141,10 @@ class Robot:
         rx = self.uart.rx
         while (taken_ns := self.next_command_ns()) is not None and taken_ns <= time_ns:
             line = rx.read(taken_ns, rx.count_to(*LINE_ENDS))
-            self._stage.hear(taken_ns, self._index, True, line)
+            self._stage.hear(taken_ns, self.index, True, line)
             answer = self.firmware.receive(line)
             if answer:
-                self._stage.hear(self.uart.tx.put(answer, taken_ns), self._index, False, answer)
+                self._reply(answer, taken_ns)
             if not self._unpaced and self.firmware.baud != self.uart.tx.baud:
                 # The tool `serial`, or a restart after it: from the next byte on.
                 self.uart.rx.baud = self.uart.tx.baud = self.firmware.baud
@@ -135,12 +153,15 @@ class Robot:
         if taken_ns is None and count:
             arrival_ns = rx.arrival(count) or time_ns
             begun = rx.read(time_ns)
-            self._stage.hear(arrival_ns, self._index, True, begun)
+            self._stage.hear(arrival_ns, self.index, True, begun)
             self.firmware.receive(begun)
 
     def convert(self, channel: int) -> None:
         """Converts one sensor of the scan."""
-        kernel.convert(self._cells, *self._scan.convert(channel))
+        proximity, ambient = self._scan.convert(channel)
+        if self._faults is not None and self._faults.stuck(channel, self._stage.time_ns):
+            proximity, ambient = self._cells[_PROXIMITY + channel], self._cells[_AMBIENT + channel]
+        kernel.convert(self._cells, proximity, ambient)
 
     def tick(self) -> None:
         """One control period: from encoders to motor voltages."""
@@ -154,6 +175,8 @@ class Robot:
             body.drive()
         ctrl[self._left_motor] = units.duty_voltage(cells[_LEFT_DUTY], self._voltage)
         ctrl[self._right_motor] = units.duty_voltage(cells[_RIGHT_DUTY], self._voltage)
+        if self._faults is not None:
+            self._fail(self._faults)
 
     def show_leds(self) -> None:
         """Brings the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
@@ -164,6 +187,24 @@ class Robot:
         """Makes the encoders start from where the wheels stand."""
         self.registers[LEFT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._left_angle])
         self.registers[RIGHT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._right_angle])
+
+    def _reply(self, answer: bytes, time_ns: int) -> None:
+        """Puts a reply on the line."""
+        if self._faults is not None:
+            time_ns += self._faults.delay_ns(time_ns)
+            answer = self._faults.over_the_line(answer, time_ns)
+        self._stage.hear(self.uart.tx.put(answer, time_ns), self.index, False, answer)
+
+    def _fail(self, faults: Injector) -> None:
+        """Lets the faults of a control period happen."""
+        time_ns = self._stage.time_ns
+        wheels = ((self._left_motor, self._left_speed), (self._right_motor, self._right_speed))
+        for side, (motor, speed) in enumerate(wheels):
+            if faults.dead(side, time_ns):
+                # Its own voltage as a generator: no current, no torque.
+                self._ctrl[motor] = units.MOTOR_CONSTANT * self._qvel[speed]
+        if faults.brown_out(time_ns):
+            self._reply(self.firmware.reset(), time_ns)
 
     def measure_supply(self) -> None:
         """Measures the supply's voltage and the current drawn from it."""
@@ -184,7 +225,7 @@ class Robot:
                 f"the supply fell to {self._voltage:.2f} V: the processor stands still, "
                 "the motors keep their duty"
             )
-            self._stage.tell(self._index, text)
+            self._stage.tell(self.index, text)
 
 
 class _Light:
@@ -203,5 +244,6 @@ class _Light:
             self._lit = lit
 
 
+_PROXIMITY, _AMBIENT = int(Board.PROXIMITY), int(Board.AMBIENT)
 _LEFT_DUTY, _RIGHT_DUTY = DUTIES
 _LEDS = (int(Board.LED_0), int(Board.LED_1))

@@ -5,6 +5,7 @@ fall between them. `World.advance_to` is the only way in which time passes.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Protocol
 
 import mujoco
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
+from khep_twin.faults import Fault
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.robot import Robot
@@ -53,6 +55,7 @@ class World:
         seed: of every chance in the run.
         noise: whether sensors are noisy.
         unpaced: lets bytes cross the lines in no time.
+        faults: that happen to its robots.
 
     Attributes:
         time_ns: how far time has come [ns].
@@ -62,18 +65,27 @@ class World:
         taps: who watches.
     """
 
-    def __init__(self, playpen: Playpen, *, seed: int = 0, noise: bool = True, unpaced: bool = False) -> None:
+    def __init__(
+        self,
+        playpen: Playpen,
+        *,
+        seed: int = 0,
+        noise: bool = True,
+        unpaced: bool = False,
+        faults: Sequence[Fault] = (),
+    ) -> None:
         # MuJoCo would write its warnings into a file where the user happens to be; they are checked here.
         mujoco.set_mju_user_warning(_keep_quiet)
         self.playpen = playpen
+        self.taps: list[Tap] = []
+        self.time_ns = 0
         self.spec = to_spec(playpen)
         self.model = self.spec.compile()
         self.data = mujoco.MjData(self.model)
         self.robots = tuple(
-            Robot(self, index, seed if noise else None, unpaced) for index in range(len(playpen.robots))
+            Robot(self, index, seed=seed, noise=noise, unpaced=unpaced, faults=faults)
+            for index in range(len(playpen.robots))
         )
-        self.taps: list[Tap] = []
-        self.time_ns = 0
         self._steps = 0
         self._failure: DivergedError | None = None
         self._warnings: NDArray[np.int32] = self.data.warning.number

@@ -22,6 +22,7 @@ FLOORS = [
         "compiled_kernel",
         "uart",
         "supply",
+        "faults",
         "turrets",
     ],
     [

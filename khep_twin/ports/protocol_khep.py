@@ -232,11 +232,11 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key not in _OPTIONS:
             raise TwinPortError(f"{url}: unknown option {key!r}; {choices(key, _OPTIONS)}")
-        if key in values:
+        if _NAMES.get(key, key) in values:
             raise TwinPortError(f"{url}: option {key!r} is given twice")
         convert, wish = _OPTIONS[key]
         try:
-            values[key] = convert(value)
+            values[_NAMES.get(key, key)] = convert(value)
         except (KeyError, ValueError):
             raise TwinPortError(f"{url[:200]}: {key} = {value[:40]!r}: right is {wish}") from None
     return playpen, TwinOptions(**values)
@@ -264,6 +264,9 @@ def _digit(text: str) -> int:
     return int(text, 16)
 
 
+_NAMES = {"fault": "faults"}
+"""Options that the URL calls otherwise than `TwinOptions`."""
+
 _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
     "seed": (_whole, "a whole number from 0 to 2**63-1"),
     "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
@@ -271,5 +274,10 @@ _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
     "rom": (str, "a version of the firmware, such as 5.02"),
     "mode": (_digit, "a running mode, one digit from 0 to F"),
     "battery_used_min": (_minutes, "a number of minutes from 0 to 1000"),
+    "unpaced": ({"on": True, "off": False}.__getitem__, "on or off"),
+    "fault": (
+        lambda text: tuple(text.split(",")),
+        "faults with commas between them, such as drop:0.01,stuck:2@5",
+    ),
     "log": (str, "the name of the log to write"),
 }

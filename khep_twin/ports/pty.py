@@ -7,57 +7,63 @@ would. inotify tells of opening and closing, even when the host was killed; wher
 is cleared.
 """
 
-import ctypes
 import fcntl
 import os
-import struct
 import termios
 import tty
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from khep_twin.errors import PortError
+from khep_twin.ports.cable import LineSettings
+from khep_twin.ports.link import Link
+from khep_twin.ports.wakeups import Watch
 
-_IN_OPEN, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE = 0x20, 0x08, 0x10
-_EVENT = struct.Struct("iIII")
+_SPEEDS: dict[int, int] = {
+    getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
+}
+"""Bits per second of each of the system's own constants for them."""
+
+_INPUT, _OUTPUT, _CONTROL, _LOCAL, _IN_SPEED, _OUT_SPEED = range(6)
 
 
 class PtyPort:
-    """A pseudo-terminal, under its own name and, if wanted, a link.
+    """A `Cable`: a pseudo-terminal, under its own name and, if wanted, a link.
 
     Args:
-        link: path of a symbolic link to the terminal; one that leads nowhere is replaced, anything else is
-            left alone.
+        link: path of a symbolic link to the terminal; our own leftovers are replaced, anything else is left
+            alone.
+        baud: speed that the terminal has before a host sets its own.
 
     Attributes:
         name: the terminal's own name, such as /dev/pts/7.
         descriptor: this side of it, for `select`.
+        path: what a host opens: the link, or the terminal's own name.
         dropped: bytes that no host took in time.
-        hosts: how many hosts have it open, None where that cannot be known.
-        descriptors: what becomes readable when a host writes, opens or closes.
+        occupied: whether a host has it open; always where that cannot be known.
 
     Raises:
         PortError: the link cannot be made.
     """
 
-    def __init__(self, link: Path | None = None) -> None:
+    def __init__(self, link: Path | None = None, baud: int = 9600) -> None:
         self.descriptor, self._host_side = os.openpty()
-        tty.setraw(self._host_side)
+        self._baud = baud
+        self._make_raw()
         os.set_blocking(self.descriptor, False)
-        self.name = os.ttyname(self._host_side)
+        self.name = self.path = os.ttyname(self._host_side)
         self.dropped = 0
-        self._watch = _watch(self.name)
-        self.hosts = None if self._watch is None else 0
-        self.descriptors = [self.descriptor, *([] if self._watch is None else [self._watch])]
+        self._watch = Watch(self.name, own=1)
+        self._crowded = False
         self._link = None
         if link is not None:
             try:
-                self._make_link(link)
-            except PortError:
+                self._link = Link(link, self.name)
+            except BaseException:
                 self.close()
                 raise
+            self.path = str(self._link.path)
 
     def __enter__(self) -> Self:
         return self
@@ -68,9 +74,34 @@ class PtyPort:
         self.close()
 
     @property
-    def path(self) -> str:
-        """What a host opens: the link, or the terminal's own name."""
-        return str(self._link or self.name)
+    def occupied(self) -> bool:
+        """Whether a host has it open; always where that cannot be known."""
+        return self._watch.descriptor is None or self._watch.hosts > 0
+
+    def descriptors(self, room: bool) -> Sequence[int]:
+        """What becomes readable when a host comes, goes or, if there is room for it, writes."""
+        watch = self._watch.descriptor
+        return [*([self.descriptor] if room else []), *([] if watch is None else [watch])]
+
+    def settings(self) -> LineSettings | None:
+        """How the host has set its end; parity and data bits cannot be seen on a pseudo-terminal."""
+        flags = termios.tcgetattr(self.descriptor)
+        stop_bits = 2 if flags[_CONTROL] & termios.CSTOPB else 1
+        speed = int(flags[_OUT_SPEED])
+        return LineSettings(_SPEEDS.get(speed, speed), stop_bits)
+
+    def look(self) -> tuple[bool, Sequence[str]]:
+        """Whether the last host has left since the last look, and whether there were two at once."""
+        left, in_a_moment = self._watch.look()
+        told, self._crowded = self._crowded, self._watch.hosts > 1
+        notices: list[str] = []
+        if in_a_moment:
+            notices.append("a host came in the moment another left: it may find what that one left behind")
+        if self._crowded and not told:
+            notices.append(
+                f"{self._watch.hosts} hosts have the port open at once and take each other's bytes"
+            )
+        return left, notices
 
     def read(self, limit: int) -> bytes:
         """What the host has sent, at most `limit` bytes; empty when nothing is waiting."""
@@ -78,28 +109,6 @@ class PtyPort:
             return os.read(self.descriptor, limit)
         except BlockingIOError:
             return b""
-
-    def last_host_left(self) -> bool:
-        """Takes note of hosts that came and went; whether the last one has gone since the last look."""
-        if self._watch is None or self.hosts is None:
-            return False
-        left = False
-        with suppress(BlockingIOError):
-            events = os.read(self._watch, 65536)
-            for place in range(0, len(events), _EVENT.size):
-                _, mask, _, _ = _EVENT.unpack_from(events, place)
-                self.hosts += 1 if mask & _IN_OPEN else -1
-                left = left or self.hosts == 0
-        return left and self.hosts == 0
-
-    def clear(self) -> None:
-        """Puts the terminal back to how the first host found it, with nothing on the way."""
-        fcntl.ioctl(self._host_side, termios.TIOCNXCL)
-        tty.setraw(self._host_side)
-        termios.tcflow(self._host_side, termios.TCOON)
-        # Either end has a buffer of its own.
-        for descriptor in (self._host_side, self.descriptor):
-            termios.tcflush(descriptor, termios.TCIOFLUSH)
 
     def write(self, data: bytes) -> None:
         """Sends to the host; what a host that never reads leaves no room for is dropped and counted."""
@@ -109,43 +118,29 @@ class PtyPort:
             sent = 0
         self.dropped += len(data) - sent
 
+    def clear(self) -> None:
+        """Puts the terminal back to how the first host found it, with nothing on the way."""
+        fcntl.ioctl(self._host_side, termios.TIOCNXCL)
+        self._make_raw()
+        termios.tcflow(self._host_side, termios.TCOON)
+        # Either end has a buffer of its own.
+        for descriptor in (self._host_side, self.descriptor):
+            termios.tcflush(descriptor, termios.TCIOFLUSH)
+
     def close(self) -> None:
         """Takes the terminal away, and the link if it still is ours."""
-        if self._link is not None and self._points_here(self._link):
-            self._link.unlink()
-        self._link = None
-        for descriptor in (*self.descriptors, self._host_side):
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        self._watch.close()
+        for descriptor in (self.descriptor, self._host_side):
             os.close(descriptor)
 
-    def _make_link(self, link: Path) -> None:
-        if os.path.lexists(link) and not link.is_symlink():
-            raise PortError(f"{link}: there is something that is no link; name another path for --link")
-        if link.is_symlink() and os.readlink(link) != self.name and link.exists():
-            raise PortError(
-                f"{link}: this link leads to {os.readlink(link)}, which is there; name another path for "
-                "--link, or remove the link if it is left over"
-            )
-        beside = link.with_name(f".{link.name}.{os.getpid()}")
-        try:
-            beside.symlink_to(self.name)
-            os.replace(beside, link)
-        except OSError as error:
-            raise PortError(f"{link}: cannot make this link: {error.strerror}") from error
-        self._link = link
-
-    def _points_here(self, link: Path) -> bool:
-        return link.is_symlink() and os.readlink(link) == self.name
-
-
-def _watch(path: str) -> int | None:
-    """A descriptor that tells of opening and closing a file, None where the system has no such thing."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    if not hasattr(libc, "inotify_init1"):
-        return None
-    watch = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
-    if watch < 0:
-        return None
-    if libc.inotify_add_watch(watch, path.encode(), _IN_OPEN | _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE) < 0:
-        os.close(watch)
-        return None
-    return int(watch)
+    def _make_raw(self) -> None:
+        """Raw, at the robot's own speed: a host that sets none is taken to have the right one."""
+        tty.setraw(self._host_side)
+        flags = termios.tcgetattr(self._host_side)
+        flags[_CONTROL] |= termios.CSTOPB
+        speed = getattr(termios, f"B{self._baud}", termios.B9600)
+        flags[_IN_SPEED] = flags[_OUT_SPEED] = speed
+        termios.tcsetattr(self._host_side, termios.TCSANOW, flags)

@@ -1,16 +1,18 @@
-"""Serving a twin in real time: one loop between the wall clock, the world and a pseudo-terminal."""
+"""Serving a twin: one loop between a clock, the world and what its robots' hosts are connected to."""
 
 import math
 import select
 import signal
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
 from khep_twin.clock import NS_PER_S, Pacer
-from khep_twin.ports.pty import PtyPort
+from khep_twin.ports.cable import Cable
+from khep_twin.ports.connection import Connection
 from khep_twin.ports.twin import Twin
+from khep_twin.ports.wakeups import Timer
 from khep_twin.units import TICK_NS
 
 LONGEST_WAIT = 0.1
@@ -19,46 +21,118 @@ LONGEST_WAIT = 0.1
 FLUSH_NS = NS_PER_S // 2
 """Wall time after which the log is on disk at the latest [ns]."""
 
+WIRE = 0.0
+"""As a speed: time is what the bytes on the line cost, and nothing else."""
 
-def serve(twin: Twin, port: PtyPort, speed: float, *, stop: Callable[[], bool]) -> Pacer:
-    """Lets a host at `port` talk to the twin until `stop` says so.
+
+def serve(
+    twin: Twin,
+    cables: Sequence[Cable],
+    speed: float,
+    *,
+    stop: Callable[[], bool],
+    tell: Callable[[str], None],
+    strict: bool = False,
+) -> Pacer:
+    """Lets hosts talk to the twin until `stop` says so.
 
     Args:
         twin: what is served.
-        port: where the host is.
-        speed: simulated seconds per second of wall time; inf for as fast as it goes.
+        cables: where the hosts of its robots are, one for each.
+        speed: simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
         stop: asked once a turn.
+        tell: takes what somebody should see, such as a wrong speed of the line.
+        strict: garbles the bytes of a host whose speed is not the robot's.
 
     Returns:
         The pacer, which knows how often and how much time had to be given up.
     """
-    world, robot, uart = twin.world, twin.robot, twin.robot.uart
-    paced = math.isfinite(speed)
-    pacer = Pacer(speed if paced else 1.0, world.time_ns)
-    flushed_ns = time.monotonic_ns()
-    while not stop():
-        # On to the next command, the robot's next byte or the next control tick, whatever is first.
-        events_ns = (world.time_ns + TICK_NS, robot.next_command_ns(), uart.tx.next_ns)
-        next_ns = max(min(event_ns for event_ns in events_ns if event_ns is not None), world.time_ns)
-        wait = min(max(pacer.wait(next_ns), 0.0), LONGEST_WAIT) if paced else 0.0
-        readable = port.descriptor in select.select(port.descriptors if uart.room else [], [], [], wait)[0]
-        twin.advance_to(max(min(pacer.due_ns(), next_ns), world.time_ns) if paced else next_ns)
-        gone = port.last_host_left()
-        if readable or gone:
-            robot.send(port.read(uart.room))
-        if gone:
-            # What it has sent still reaches the robot, as on a cable; what it has left behind is cleared.
-            port.clear()
-            robot.hang_up()
-        reply = uart.tx.read(world.time_ns)
-        if reply and port.hosts != 0:
-            port.write(reply)
-        if paced and (late_ns := pacer.slip(world.time_ns)):
-            world.tell(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
-        if twin.recorder is not None and time.monotonic_ns() - flushed_ns > FLUSH_NS:
-            twin.recorder.flush()
-            flushed_ns = time.monotonic_ns()
+    connections = [
+        Connection(twin, robot, cable, tell, strict) for robot, cable in zip(twin.robots, cables, strict=True)
+    ]
+    timer = Timer()
+    pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
+    try:
+        if speed == WIRE:
+            _serve_by_wire(twin, connections, stop)
+        else:
+            _serve_by_clock(twin, connections, pacer if math.isfinite(speed) else None, timer, stop)
+    finally:
+        timer.close()
     return pacer
+
+
+def _serve_by_clock(
+    twin: Twin,
+    connections: Sequence[Connection],
+    pacer: Pacer | None,
+    timer: Timer,
+    stop: Callable[[], bool],
+) -> None:
+    """Time passes with the clock on the wall, or as fast as it can without a pacer."""
+    world = twin.world
+    flush = _Flush(twin)
+    while not stop():
+        # On to the next command, the robots' next byte or the next control tick, whatever is first.
+        next_ns = min(
+            [world.time_ns + TICK_NS, *(time_ns for each in connections for time_ns in each.events_ns())]
+        )
+        next_ns = max(next_ns, world.time_ns)
+        ready = _wait(connections, 0.0 if pacer is None else pacer.wait(next_ns), timer, pacer, next_ns)
+        due_ns = next_ns if pacer is None else pacer.due_ns()
+        twin.advance_to(max(min(due_ns, next_ns), world.time_ns))
+        for connection in connections:
+            connection.exchange(ready, None if pacer is None else pacer.due_ns)
+        if pacer is not None and (late_ns := pacer.slip(world.time_ns)):
+            world.tell(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
+        flush()
+
+
+def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
+    """Time stands still but for bytes: those of a command, and those of its reply, which comes at once."""
+    flush = _Flush(twin)
+    while not stop():
+        ready = _wait(connections, LONGEST_WAIT)
+        for connection in connections:
+            connection.exchange(ready)
+        while events := [time_ns for each in connections for time_ns in each.events_ns()]:
+            twin.advance_to(max(min(events), twin.world.time_ns))
+            for connection in connections:
+                connection.give()
+        flush()
+
+
+def _wait(
+    connections: Sequence[Connection],
+    duration: float,
+    timer: Timer | None = None,
+    pacer: Pacer | None = None,
+    next_ns: int = 0,
+) -> set[int]:
+    """Waits for bytes, for hosts that come or go, or until a simulated time is due."""
+    descriptors = [descriptor for each in connections for descriptor in each.descriptors()]
+    wait = min(max(duration, 0.0), LONGEST_WAIT)
+    if wait and timer is not None and pacer is not None and timer.descriptor is not None:
+        timer.set(min(pacer.wall_ns(next_ns), time.monotonic_ns() + int(LONGEST_WAIT * NS_PER_S)))
+        descriptors.append(timer.descriptor)
+        wait = 2 * LONGEST_WAIT
+    ready = set(select.select(descriptors, [], [], wait)[0])
+    if timer is not None and timer.descriptor in ready:
+        timer.clear()
+    return ready
+
+
+class _Flush:
+    """Hands the log to the file system each FLUSH_NS of wall time."""
+
+    def __init__(self, twin: Twin) -> None:
+        self._recorder = twin.recorder
+        self._flushed_ns = time.monotonic_ns()
+
+    def __call__(self) -> None:
+        if self._recorder is not None and time.monotonic_ns() - self._flushed_ns > FLUSH_NS:
+            self._recorder.flush()
+            self._flushed_ns = time.monotonic_ns()
 
 
 @contextmanager

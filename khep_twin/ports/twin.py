@@ -11,6 +11,7 @@ from typing import Self
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PortError, choices
+from khep_twin.faults import parse
 from khep_twin.log.recorder import Recorder
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import SEED_LIMIT
@@ -25,22 +26,24 @@ class TwinOptions:
 
     Attributes:
         seed: of every chance.
-        robot: which of the playpen's robots is on the line.
+        robot: which of the playpen's robots is on the line; None for all of them.
         noise: whether sensors are noisy.
         rom: version of the robot's firmware.
         mode: its running mode, which sets the line's speed.
         battery_used_min: minutes that it has run on its cells at start [min].
         unpaced: lets bytes cross the line in no time.
+        faults: that happen to the robots, in the words of `khep_twin.faults`.
         log: file to record the run in.
     """
 
     seed: int = 0
-    robot: int = 0
+    robot: int | None = 0
     noise: bool = True
     rom: str | None = None
     mode: int | None = None
     battery_used_min: float | None = None
     unpaced: bool = False
+    faults: tuple[str, ...] = ()
     log: str | None = None
 
     def __post_init__(self) -> None:
@@ -52,18 +55,22 @@ class TwinOptions:
 
 
 class Twin:
-    """A world with one robot on the line.
+    """A world with robots on the line.
 
     Attributes:
         world: all of it.
-        robot: the one on the line.
+        robots: those on the line.
+        robot: the first of them.
+        options: how it was brought to life.
         recorder: its log, None without.
     """
 
-    def __init__(self, world: World, robot: Robot, recorder: Recorder | None) -> None:
+    def __init__(self, world: World, robots: tuple[Robot, ...], options: TwinOptions) -> None:
         self.world = world
-        self.robot = robot
-        self.recorder = recorder
+        self.robots = robots
+        self.robot = robots[0]
+        self.options = options
+        self.recorder: Recorder | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -76,6 +83,17 @@ class Twin:
     def advance_to(self, time_ns: int) -> None:
         """Lets time pass until `time_ns`."""
         self.world.advance_to(time_ns)
+
+    def record(self, path: Path) -> None:
+        """Records the run from here on.
+
+        Raises:
+            LogError: the log cannot be written.
+        """
+        # The log's own name is no part of the run: the same run gives the same bytes under any name.
+        settings = {key: value for key, value in asdict(self.options).items() if key != "log"}
+        self.recorder = Recorder(path, self.world, settings)
+        self.world.add_tap(self.recorder)
 
     def close(self) -> None:
         """Completes the log."""
@@ -90,29 +108,26 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
         PlaypenError: the playpen cannot be used.
         CalibrationError: a robot's calibration cannot be used.
         PortError: the playpen has no such robot.
+        FaultError: there is no such fault.
         LogError: the log cannot be written.
     """
     chosen = playpen if isinstance(playpen, Playpen) else playpens.load(playpen)
-    if not 0 <= options.robot < len(chosen.robots):
-        raise PortError(
-            f"robot = {options.robot}: not in playpen {chosen.name!r}; "
-            f"{choices(options.robot, range(len(chosen.robots)))}"
-        )
+    count = len(chosen.robots)
+    if count == 0 or (options.robot is not None and not 0 <= options.robot < count):
+        number = 0 if options.robot is None else options.robot
+        raise PortError(f"robot = {number}: not in playpen {chosen.name!r}; {choices(number, range(count))}")
+    on_the_line = range(count) if options.robot is None else [options.robot]
     keys = ("rom", "mode", "battery_used_min")
     changes = {key: value for key in keys if (value := getattr(options, key)) is not None}
-    robots = tuple(
-        robot.model_copy(update=changes) if index == options.robot else robot
-        for index, robot in enumerate(chosen.robots)
-    )
-    changed = robots[options.robot]
-    if reason := ROMS[changed.rom].refused(changed.mode):
-        raise PortError(f"mode = {changed.mode} with rom = {changed.rom!r}: {reason}")
-    chosen = chosen.model_copy(update={"robots": robots})
-    world = World(chosen, seed=options.seed, noise=options.noise, unpaced=options.unpaced)
-    recorder = None
+    robots = list(chosen.robots)
+    for index in on_the_line:
+        robots[index] = changed = robots[index].model_copy(update=changes)
+        if reason := ROMS[changed.rom].refused(changed.mode):
+            raise PortError(f"mode = {changed.mode} with rom = {changed.rom!r}: {reason}")
+    chosen = chosen.model_copy(update={"robots": tuple(robots)})
+    faults = tuple(parse(fault) for fault in options.faults)
+    world = World(chosen, seed=options.seed, noise=options.noise, unpaced=options.unpaced, faults=faults)
+    twin = Twin(world, tuple(world.robots[index] for index in on_the_line), options)
     if options.log is not None:
-        # The log's own name is no part of the run: the same run gives the same bytes under any name.
-        settings = {key: value for key, value in asdict(options).items() if key != "log"}
-        recorder = Recorder(Path(options.log), world, settings)
-        world.add_tap(recorder)
-    return Twin(world, world.robots[options.robot], recorder)
+        twin.record(Path(options.log))
+    return twin

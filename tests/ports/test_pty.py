@@ -49,12 +49,12 @@ def test_a_host_that_never_reads_loses_bytes_and_blocks_nobody() -> None:
 def test_what_a_host_left_behind_is_cleared_away() -> None:
     with PtyPort() as port:
         with serial.Serial(port.path, 9600, timeout=1) as host:
-            assert not port.last_host_left()
+            assert not port.look()[0]
             host.write(bytes(3000))
             time.sleep(0.05)
             assert len(port.read(1000)) == 1000
             port.write(b"unread\r\n")
-        assert port.last_host_left()
+        assert port.look()[0]
         port.clear()
         assert port.read(5000) == b""
         with open(port.path, "rb", buffering=0) as next_host:

@@ -2,6 +2,7 @@
 
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -178,11 +179,11 @@ def test_settings_that_a_host_leaves_behind_are_put_right(path: str) -> None:
 def test_the_last_command_of_a_host_that_closes_at_once_is_carried_out(path: str) -> None:
     for number in range(3):
         descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
-        os.write(descriptor, b"G,%d,7\n" % number)
+        os.write(descriptor, b"G,%d,7\n" % (100 * number))
         os.close(descriptor)
         time.sleep(0.3)
         with Khepera(path) as robot:
-            assert robot.position() == (number, 7)
+            assert robot.position() == pytest.approx((100 * number, 7), abs=2)
         time.sleep(0.1)  # a host that comes in the very moment another goes may be taken for it
 
 
@@ -247,3 +248,92 @@ def test_wrong_usage_is_one_line_and_no_trace(arguments: list[str], message: str
     assert result.stderr.startswith(message)
     assert result.stderr.count("\n") == 1
     assert result.stdout == ""
+
+
+def test_after_a_kill_the_next_start_takes_the_link_again(tmp_path: Path) -> None:
+    link = tmp_path / "khepera"
+    with served("default", "--link", str(link)) as (process, path):
+        process.kill()
+        process.wait()
+    assert os.path.lexists(link)
+    with served("default", "--link", str(link)) as (_, path):
+        with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_in_use_is_not_taken(tmp_path: Path) -> None:
+    link = tmp_path / "khepera"
+    with served("default", "--link", str(link)):
+        done = subprocess.run(
+            [sys.executable, "-m", "khep_twin", "serve", "--link", str(link)],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert done.returncode == 1
+        assert "another khep-twin serves under this name" in done.stderr
+        assert link.is_symlink()
+
+
+def test_a_bare_link_lies_in_a_private_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with served("default", "--link", "khepera") as (_, path):
+        assert path == str(tmp_path / "khep_twin" / "khepera")
+        assert (tmp_path / "khep_twin").stat().st_mode & 0o777 == 0o700
+
+
+def test_whoever_waits_is_told_when_hosts_may_come() -> None:
+    reader, writer = os.pipe()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "khep_twin", "serve", "default", "--ready-fd", str(writer)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        pass_fds=[writer],
+        text=True,
+    )
+    os.close(writer)
+    with open(reader) as ready:
+        told = ready.read()
+    assert process.stdout is not None
+    assert told == process.stdout.readline()
+    process.terminate()
+    process.communicate(timeout=20)
+
+
+def test_stty_and_a_shell_get_a_reply(path: str) -> None:
+    subprocess.run(["stty", "-F", path, "9600", "cstopb", "raw", "-echo"], check=True)
+    time.sleep(0.2)
+    script = f"exec 3<>{path}; printf 'B\\n' >&3; read -r -t 2 line <&3; echo \"$line\""
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "b,5.02,5.01"
+
+
+@pytest.mark.parametrize("tool", ["socat", "picocom"])
+def test_terminal_programs_get_a_reply(path: str, tool: str) -> None:
+    if shutil.which(tool) is None:
+        pytest.skip(f"{tool} is not installed")
+    commands = {
+        "socat": ["socat", "-t", "0.5", "-", f"{path},b9600,cstopb=1,raw,echo=0"],
+        "picocom": ["picocom", "-q", "-b", "9600", "-p", "2", "-x", "2000", path],
+    }
+    done = subprocess.run(
+        commands[tool], input="B\n", capture_output=True, text=True, timeout=10, check=False
+    )
+    assert "b,5.02,5.01" in done.stdout
+
+
+def test_miniterm_gets_a_reply(path: str) -> None:
+    command = [sys.executable, "-m", "serial.tools.miniterm", "--raw", path, "9600"]
+    # It wants a terminal of its own to read keys from.
+    own, keys = os.openpty()
+    with subprocess.Popen(command, stdin=keys, stdout=keys, stderr=keys, close_fds=True) as process:
+        os.close(keys)
+        time.sleep(1)
+        os.write(own, b"B\n")
+        time.sleep(1)
+        assert b"b,5.02,5.01" in os.read(own, 4096)
+        process.kill()
+    os.close(own)

@@ -42,6 +42,7 @@ class _Named:
     adr: NDArray[np.int32]
     dim: NDArray[np.int32]
     fovy: NDArray[np.float64]
+    dofadr: NDArray[np.int32]
     qposadr: NDArray[np.int32]
 
 class MjModel:

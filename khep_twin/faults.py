@@ -1,0 +1,179 @@
+"""Faults that are injected on purpose: a bad cable, a stuck sensor, a dead motor, a supply that drops out.
+
+    drop:0.01            each byte on the line is lost with this probability
+    garble:0.01          each byte has one bit turned over with this probability
+    late:0.1:60          a reply begins 60 ms late with this probability
+    stuck:2              the sensor with this number (order of N) reads what it read last, for ever
+    dead:left            this motor gets no current: left or right
+    brown-out            the processor is reset once, for want of voltage, and starts anew
+
+Behind any of them `@5` lets it begin 5 simulated seconds after the start. Chance comes from a stream of its
+own for each fault, so that a fault changes nothing else in a run; what happens is told to the log.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import to_ns
+from khep_twin.errors import FaultError, choices
+from khep_twin.units import N_SENSORS
+
+_NUMBER = re.compile(r"[0-9]{1,6}(\.[0-9]{1,9})?")
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault, as it is asked for.
+
+    Attributes:
+        kind: its name.
+        text: all of it, as it was written.
+        probability: of each occasion; 1 for one that needs no chance.
+        delay_ns: of a late reply [ns].
+        which: number of the sensor, or 0 for the left and 1 for the right motor.
+        start_ns: when it begins [ns].
+    """
+
+    kind: str
+    text: str
+    probability: float = 1.0
+    delay_ns: int = 0
+    which: int = 0
+    start_ns: int = 0
+
+
+def parse(text: str) -> Fault:
+    """A fault in words, such as "drop:0.01@5".
+
+    Raises:
+        FaultError: there is no such fault, or it is written in another way.
+    """
+    what, at, start = text.partition("@")
+    kind, *values = what.split(":")
+    if kind not in _KINDS:
+        raise FaultError(f"fault {text!r}: unknown; {choices(kind, _KINDS)}")
+    read, wish = _KINDS[kind]
+    try:
+        start_ns = to_ns(_number(start, 0, 1e6)) if at else 0
+        return Fault(kind, text, start_ns=start_ns, **read(*values))
+    except (TypeError, ValueError):
+        raise FaultError(f"fault {text!r}: right is {wish}, and @SECONDS behind it if wanted") from None
+
+
+class Injector:
+    """Lets faults happen to one robot.
+
+    Args:
+        faults: what may happen.
+        chance: gives each fault its own stream, by its text.
+        tell: takes a note of what happens.
+    """
+
+    def __init__(
+        self,
+        faults: Iterable[Fault],
+        chance: Callable[[str], np.random.Generator],
+        tell: Callable[[str], None],
+    ) -> None:
+        self._faults = tuple(faults)
+        self._chance = {fault.text: chance(fault.text) for fault in self._faults}
+        self._tell = tell
+        self._begun: set[str] = set()
+
+    def over_the_line(self, data: bytes, time_ns: int) -> bytes:
+        """Bytes as they come out of a bad cable."""
+        for fault in self._active("drop", time_ns):
+            hit = self._draw(fault, len(data))
+            if hit.any():
+                self._tell(f"fault {fault.text}: {int(hit.sum())} of {data!r} dropped")
+                data = bytes(byte for byte, lost in zip(data, hit, strict=True) if not lost)
+        for fault in self._active("garble", time_ns):
+            hit = self._draw(fault, len(data))
+            if hit.any():
+                bits = self._chance[fault.text].integers(0, 8, len(data)).tolist()
+                self._tell(f"fault {fault.text}: {int(hit.sum())} of {data!r} garbled")
+                data = bytes(
+                    byte ^ (1 << bit if wrong else 0)
+                    for byte, bit, wrong in zip(data, bits, hit, strict=True)
+                )
+        return data
+
+    def delay_ns(self, time_ns: int) -> int:
+        """How late a reply begins [ns]."""
+        delay_ns = 0
+        for fault in self._active("late", time_ns):
+            if self._draw(fault, 1).any():
+                self._tell(f"fault {fault.text}: a reply is late")
+                delay_ns += fault.delay_ns
+        return delay_ns
+
+    def stuck(self, sensor: int, time_ns: int) -> bool:
+        """Whether a sensor reads what it read last."""
+        return any(fault.which == sensor for fault in self._lasting("stuck", time_ns))
+
+    def dead(self, motor: int, time_ns: int) -> bool:
+        """Whether the left (0) or right (1) motor gets no current."""
+        return any(fault.which == motor for fault in self._lasting("dead", time_ns))
+
+    def brown_out(self, time_ns: int) -> bool:
+        """Whether the supply drops out now; once for each such fault."""
+        begun = len(self._begun)
+        self._lasting("brown-out", time_ns)
+        return len(self._begun) > begun
+
+    def _active(self, kind: str, time_ns: int) -> list[Fault]:
+        return [fault for fault in self._faults if fault.kind == kind and time_ns >= fault.start_ns]
+
+    def _lasting(self, kind: str, time_ns: int) -> list[Fault]:
+        """Those that act without chance; the beginning of each is told."""
+        active = self._active(kind, time_ns)
+        for fault in active:
+            if fault.text not in self._begun:
+                self._begun.add(fault.text)
+                self._tell(f"fault {fault.text} begins")
+        return active
+
+    def _draw(self, fault: Fault, count: int) -> NDArray[np.bool_]:
+        return self._chance[fault.text].random(count) < fault.probability
+
+
+def _number(text: str, low: float, high: float) -> float:
+    number = float(text) if _NUMBER.fullmatch(text) else high + 1
+    if not low <= number <= high:
+        raise ValueError(text)
+    return number
+
+
+def _by_chance(probability: str) -> dict[str, Any]:
+    return {"probability": _number(probability, 0, 1)}
+
+
+def _late(probability: str, delay_ms: str) -> dict[str, Any]:
+    return {**_by_chance(probability), "delay_ns": to_ns(_number(delay_ms, 0, 10_000) / 1000)}
+
+
+def _stuck(sensor: str) -> dict[str, Any]:
+    return {"which": [str(number) for number in range(N_SENSORS)].index(sensor)}
+
+
+def _dead(side: str) -> dict[str, Any]:
+    return {"which": ("left", "right").index(side)}
+
+
+def _plain() -> dict[str, Any]:
+    return {}
+
+
+_KINDS: Mapping[str, tuple[Callable[..., dict[str, Any]], str]] = {
+    "drop": (_by_chance, "drop:PROBABILITY, such as drop:0.01"),
+    "garble": (_by_chance, "garble:PROBABILITY, such as garble:0.01"),
+    "late": (_late, "late:PROBABILITY:MILLISECONDS, such as late:0.1:60"),
+    "stuck": (_stuck, f"stuck:SENSOR, 0 to {N_SENSORS - 1}"),
+    "dead": (_dead, "dead:left or dead:right"),
+    "brown-out": (_plain, "brown-out alone"),
+}

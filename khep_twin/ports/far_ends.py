@@ -1,0 +1,46 @@
+"""The far ends of a served twin's cables, from what the user asks for."""
+
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+
+from khep_twin.errors import PortError
+from khep_twin.ports.cable import Cable
+from khep_twin.ports.network import TcpPort, is_loopback, parse_address
+from khep_twin.ports.pty import PtyPort
+from khep_twin.robot import Robot
+
+
+@contextmanager
+def far_ends(
+    robots: Sequence[Robot], *, link: Path | None, tcp: str | None, rfc2217: str | None, expose: bool
+) -> Generator[Sequence[Cable], None, None]:
+    """One cable for each robot: pseudo-terminals, or TCP servers at ports one after the other.
+
+    Of several robots the links end in the robot's number: khepera0, khepera1 …
+
+    Raises:
+        PortError: one cannot be made, or too much is asked for at once.
+    """
+    given = [option for option in (link, tcp, rfc2217) if option is not None]
+    if len(given) > 1:
+        raise PortError("--link, --tcp and --rfc2217 are one cable each; right is one of them")
+    address = tcp or rfc2217
+    with ExitStack() as stack:
+        cables: list[Cable] = []
+        for count, robot in enumerate(robots):
+            baud = robot.firmware.baud or 9600
+            if address is None:
+                name = link if link is None or len(robots) == 1 else Path(f"{link}{robot.index}")
+                cable: Cable = PtyPort(name, baud)
+            else:
+                host, port = parse_address(address)
+                if not is_loopback(host) and not expose:
+                    raise PortError(
+                        f"{address}: other machines could drive the robot from there; right is "
+                        f"127.0.0.1:{port}, or --expose if that is wanted"
+                    )
+                port += count if port else 0
+                cable = TcpPort(host, port, rfc2217=rfc2217 is not None, baud=baud)
+            cables.append(stack.enter_context(closing(cable)))
+        yield cables

@@ -1,0 +1,93 @@
+"""A stable name for a pseudo-terminal: a symbolic link that is only ever taken from ourselves.
+
+Numbers of terminals are given out anew at once, so that a link left over from a killed server soon leads to
+a stranger's terminal. Beside each link lies a lock file, held while the server lives, with the terminal in
+it: a link whose lock is free and whose terminal is the one in the file is our own and may be replaced.
+"""
+
+import fcntl
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+from khep_twin.errors import PortError
+
+
+class Link:
+    """A link to a terminal, for as long as this process wants it.
+
+    Args:
+        wish: its path; a bare name lies in a private directory of this user's.
+        target: the terminal.
+
+    Attributes:
+        path: of the link.
+
+    Raises:
+        PortError: there is something else under this name, or the link cannot be made.
+    """
+
+    def __init__(self, wish: Path, target: str) -> None:
+        self.path = wish if len(wish.parts) > 1 else _private_folder() / wish
+        self._target = target
+        self._lock_path = self.path.with_name(f".{self.path.name}.lock")
+        if os.path.lexists(self.path) and not self.path.is_symlink():
+            raise PortError(f"{wish}: there is something that is no link; name another path for --link")
+        try:
+            self._lock = os.open(
+                self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600
+            )
+        except OSError as error:
+            raise PortError(f"{wish}: cannot make this link: {error.strerror}") from error
+        try:
+            self._take(wish)
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def close(self) -> None:
+        """Takes the link away if it still is ours."""
+        if self.path.is_symlink() and os.readlink(self.path) == self._target:
+            self.path.unlink()
+        self._lock_path.unlink(missing_ok=True)
+        os.close(self._lock)
+
+    def _take(self, wish: Path) -> None:
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise PortError(
+                f"{wish}: another khep-twin serves under this name; name another path for --link"
+            ) from None
+        before = os.pread(self._lock, 4096, 0).decode("utf-8", "replace")
+        if self.path.is_symlink() and self.path.exists() and os.readlink(self.path) != before:
+            if not before:
+                self._lock_path.unlink(missing_ok=True)
+            raise PortError(
+                f"{wish}: this link leads to {os.readlink(self.path)}, which is there and not ours; name "
+                "another path for --link, or remove the link if it is left over"
+            )
+        beside = self.path.with_name(f".{self.path.name}.{os.getpid()}")
+        try:
+            os.ftruncate(self._lock, 0)
+            os.pwrite(self._lock, self._target.encode(), 0)
+            beside.symlink_to(self._target)
+            os.replace(beside, self.path)
+        except OSError as error:
+            raise PortError(f"{wish}: cannot make this link: {error.strerror}") from error
+
+
+def _private_folder() -> Path:
+    """A directory that nobody else can write to, made if need be."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    name = "khep_twin" if runtime else f"khep_twin-{os.getuid()}"
+    folder = Path(runtime or tempfile.gettempdir()) / name
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        raise PortError(f"{folder}: cannot make a directory for links: {error.strerror}") from error
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise PortError(f"{folder}: not a directory of this user's alone; right is a path with --link")
+    return folder

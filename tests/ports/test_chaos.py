@@ -1,0 +1,162 @@
+"""Hosts that come and go as they like, and what they leave behind."""
+
+import fcntl
+import os
+import select
+import signal
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+import serial
+
+from test_serve import served, stop  # isort: skip
+
+CONNECTS = 2000
+PAUSE = 0.02
+
+
+def exchange(path: str, request: bytes, expected: bytes, timeout: float = 1.0) -> bytes:
+    """What a plain host gets: opens, writes, reads until it has as much as it expects, closes."""
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        os.write(port, request)
+        reply, end = b"", time.monotonic() + timeout
+        while len(reply) < len(expected) and select.select([port], [], [], max(end - time.monotonic(), 0))[0]:
+            reply += os.read(port, 4096)
+        return reply
+    finally:
+        os.close(port)
+
+
+def killed(path: str, rubbish: str) -> None:
+    """A host that writes something, reads nothing and dies."""
+    script = f"exec 3<>{path}; printf '{rubbish}' >&3; kill -9 $$"
+    assert subprocess.run(["/bin/sh", "-c", script], check=False).returncode == -signal.SIGKILL
+
+
+def test_two_thousand_connects_get_no_wrong_or_stale_reply() -> None:
+    with served("default", "--unpaced") as (process, path):
+        folder = f"/proc/{process.pid}/fd"
+        exchange(path, b"B\n", b"b,5.02,5.01\r\n")
+        before = len(os.listdir(folder))
+        wrong = []
+        for number in range(CONNECTS):
+            if number % 5 == 4:
+                killed(path, "N\\nN\\nC,12" if number % 2 else "G,9")
+            else:
+                expected = b"g\r\nh,%d,7\r\n" % number
+                reply = exchange(path, b"G,%d,7\nH\n" % number, expected)
+                if reply != expected:
+                    wrong.append((number, reply))
+            time.sleep(PAUSE)
+        assert wrong == []
+        assert len(os.listdir(folder)) == before
+        assert stop(process)[0] == 0
+
+
+def leave_cooked(path: str) -> None:
+    """`stty sane`: echo, canonical lines, translated line ends."""
+    subprocess.run(["stty", "-F", path, "sane"], check=True)
+    exchange(path, b"B\n", b"b,5.02,5.01\r\n")
+
+
+def leave_exclusive(path: str) -> None:
+    """GNU screen's lock."""
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    fcntl.ioctl(port, termios.TIOCEXCL)
+    os.write(port, b"N\n")
+    os.close(port)
+
+
+def two_at_once(path: str) -> None:
+    """Two hosts that take each other's bytes."""
+    with subprocess.Popen(["/bin/sh", "-c", f"exec 3<>{path}; printf 'N\\nB\\n' >&3; exec sleep 0.3"]):
+        exchange(path, b"N\nB\n", bytes(200), timeout=0.2)
+
+
+def flow_control(path: str) -> None:
+    """A host that has asked for XON/XOFF and has said XOFF."""
+    with serial.Serial(path, 9600, xonxoff=True, timeout=0.2) as port:
+        port.write(b"N\n\x13")
+        port.read(10)
+
+
+def wrong_speed(path: str) -> None:
+    """A host at another speed."""
+    with serial.Serial(path, 38400, stopbits=1, timeout=0.2) as port:
+        port.write(b"B\nD,")
+        port.read(5)
+
+
+def rubbish(path: str) -> None:
+    """Noise at full speed for some seconds, from a host that is killed."""
+    program = (
+        "import os, sys\nport = os.open(sys.argv[1], os.O_RDWR)\n"
+        "os.set_blocking(port, False)\n"
+        "while True:\n    try: os.write(port, os.urandom(512))\n    except BlockingIOError: pass"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, path]) as host:
+        time.sleep(RUBBISH_SECONDS)
+        host.kill()
+
+
+def never_reads(path: str) -> None:
+    """A host that asks for ever and never reads."""
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    end = time.monotonic() + 2
+    while time.monotonic() < end:
+        try:
+            os.write(port, b"N\n" * 20)
+        except BlockingIOError:
+            time.sleep(0.01)
+    os.close(port)
+
+
+RUBBISH_SECONDS = float(os.environ.get("KHEP_RUBBISH_SECONDS", "5"))
+"""A minute takes a minute: `make soak` takes it."""
+
+
+@pytest.fixture(scope="module")
+def path() -> Iterator[str]:
+    with served("default") as (_, path):
+        yield path
+
+
+@pytest.mark.parametrize(
+    "misdeed",
+    [leave_cooked, leave_exclusive, two_at_once, flow_control, wrong_speed, rubbish, never_reads],
+    ids=lambda misdeed: misdeed.__name__,
+)
+def test_a_second_later_the_next_host_gets_its_first_reply(path: str, misdeed: Callable[[str], None]) -> None:
+    misdeed(path)
+    time.sleep(0.9)
+    with serial.Serial(path, 9600, stopbits=2, timeout=0.5) as port:
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+        port.write(b"E\n")
+        assert port.readline().startswith(b"e,")
+
+
+def test_two_hosts_at_once_are_told_of() -> None:
+    with served("default") as (process, path):
+        two_at_once(path)
+        time.sleep(0.1)
+        _, errors = stop(process)
+    assert "2 hosts have the port open at once" in errors
+
+
+def test_strict_lines_garble_what_comes_at_another_speed() -> None:
+    with served("default", "--strict-line") as (process, path):
+        with serial.Serial(path, 19200, stopbits=2, timeout=0.3) as port:
+            port.write(b"B\n")
+            assert b"5.02" not in port.read(50)
+        time.sleep(0.1)
+        with serial.Serial(path, 9600, stopbits=2, timeout=0.5) as port:
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+        _, errors = stop(process)
+    assert "19200 baud with 2 stop bits, the robot's has 9600 with 2; the bytes are garbled" in errors

@@ -1,0 +1,164 @@
+"""TCP and RFC 2217 as the far end of a robot's line, and several robots at once."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import serial
+
+from khep_twin.errors import PortError
+from khep_twin.ports.network import TcpPort, is_loopback, parse_address
+
+from test_serve import served, stop  # isort: skip
+
+TWO = """
+version = 1
+name = "two"
+[arena]
+width_mm = 600
+height_mm = 500
+[[robot]]
+x_mm = 150
+y_mm = 250
+heading_deg = 90
+[[robot]]
+x_mm = 450
+y_mm = 250
+heading_deg = 90
+mode = 2
+"""
+
+
+# pyserial's own client of RFC 2217 has not followed Python.
+@pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
+@pytest.mark.parametrize("kind", ["--tcp", "--rfc2217"])
+def test_a_host_over_the_network_gets_its_replies(kind: str) -> None:
+    with served("default", kind, "127.0.0.1:0") as (_, url):
+        assert url.startswith(("socket://127.0.0.1:", "rfc2217://127.0.0.1:"))
+        for _ in range(3):
+            with serial.serial_for_url(url, baudrate=9600, stopbits=2, timeout=1) as port:
+                port.write(b"B\nG,1,2\nH\n")
+                assert [port.readline() for _ in range(3)] == [b"b,5.02,5.01\r\n", b"g\r\n", b"h,1,2\r\n"]
+
+
+@pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
+def test_rfc2217_tells_of_a_wrong_speed_and_of_modem_lines() -> None:
+    with served("default", "--rfc2217", "127.0.0.1:0") as (process, url):
+        with serial.serial_for_url(url, baudrate=19200, timeout=1) as port:
+            port.dtr = False
+            port.rts = False
+            assert port.cts
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+        _, errors = stop(process)
+    assert "19200 baud with 1 stop bits, the robot's has 9600 with 2" in errors
+    assert errors.count("baud with") == 1
+
+
+def test_a_second_host_is_refused_and_told_of() -> None:
+    with served("default", "--tcp", "127.0.0.1:0") as (process, url):
+        with serial.serial_for_url(url, timeout=1) as port:
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+            host, _, number = url.removeprefix("socket://").rpartition(":")
+            with socket.create_connection((host, int(number)), timeout=2) as second:
+                assert second.recv(10) == b""
+            port.write(b"E\n")
+            assert port.readline() == b"e,0,0\r\n"
+        _, errors = stop(process)
+    assert "a second host, 127.0.0.1, was refused" in errors
+
+
+def test_a_host_that_goes_leaves_nothing_for_the_next() -> None:
+    with served("default", "--tcp", "127.0.0.1:0") as (_, url):
+        for _ in range(5):
+            with serial.serial_for_url(url, timeout=1) as port:
+                port.write(b"N\n" * 10 + b"C,12")
+            time.sleep(0.05)
+            with serial.serial_for_url(url, timeout=1) as port:
+                port.write(b"B\n")
+                assert port.readline() == b"b,5.02,5.01\r\n"
+            time.sleep(0.05)
+
+
+def test_several_robots_have_a_line_each(tmp_path: Path) -> None:
+    playpen = tmp_path / "two.toml"
+    playpen.write_text(TWO)
+    link = tmp_path / "khepera"
+    with served(str(playpen), "--link", str(link)) as (process, first):
+        assert process.stdout is not None
+        second = process.stdout.readline().strip()
+        assert [first, second] == [f"{link}0", f"{link}1"]
+        with (
+            serial.Serial(first, 9600, stopbits=2, timeout=1) as left,
+            serial.Serial(second, 19200, stopbits=2, timeout=1) as right,
+        ):
+            left.write(b"G,1,1\n")
+            right.write(b"G,2,2\n")
+            assert (left.readline(), right.readline()) == (b"g\r\n", b"g\r\n")
+            left.write(b"H\n")
+            right.write(b"H\n")
+            assert (left.readline(), right.readline()) == (b"h,1,1\r\n", b"h,2,2\r\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["two.toml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--tcp", "0.0.0.0:0"], "other machines could drive the robot from there; right is 127.0.0.1:0"),
+        (["--tcp", "nowhere"], "nowhere: right is HOST:PORT"),
+        (["--tcp", "127.0.0.1:99999"], "right is HOST:PORT"),
+        (["--tcp", ":0", "--rfc2217", ":0"], "one cable each; right is one of them"),
+        (["--tcp", "no.such.host.invalid:0", "--expose"], "cannot listen here"),
+        (["--fault", "nope"], "fault 'nope': unknown"),
+    ],
+)
+def test_what_cannot_be_served_is_one_line(arguments: list[str], line: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "khep_twin", "serve", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert line in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        number = server.getsockname()[1]
+        with pytest.raises(PortError, match="cannot listen here: Address already in use"):
+            TcpPort("127.0.0.1", number)
+
+
+def test_bytes_that_no_host_takes_are_counted() -> None:
+    port = TcpPort("127.0.0.1", 0)
+    host, _, number = port.path.removeprefix("socket://").rpartition(":")
+    with socket.create_connection((host, int(number))):
+        time.sleep(0.05)
+        port.look()
+        for _ in range(10_000):
+            port.write(bytes(1000))
+        assert port.dropped > 1_000_000
+    port.close()
+
+
+def test_addresses() -> None:
+    assert parse_address(":5000") == ("127.0.0.1", 5000)
+    assert parse_address("[::1]:0") == ("::1", 0)
+    assert is_loopback("::1")
+    assert is_loopback("localhost")
+    assert not is_loopback("0.0.0.0")
+
+
+def test_no_descriptor_is_left_open() -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(5):
+        TcpPort("127.0.0.1", 0, rfc2217=True).close()
+    assert len(os.listdir("/proc/self/fd")) == before

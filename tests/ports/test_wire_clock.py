@@ -1,0 +1,52 @@
+"""The wire clock: hosts that poll without sleeping run fast, and the same each time."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import serial
+
+from khep_twin.log.reader import read
+
+from test_serve import served  # isort: skip
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "01_braitenberg.py"
+CYCLES = 1000
+
+
+def drive(log: Path) -> float:
+    """Runs the example's host on a twin by the wire clock; returns how long it took [s]."""
+    with served("obstacles", "--clock", "wire", "--seed", "3", "--log", str(log)) as (_, path):
+        start = time.monotonic()
+        subprocess.run([sys.executable, str(EXAMPLE), path, str(CYCLES)], check=True, timeout=120)
+        return time.monotonic() - start
+
+
+def test_an_unmodified_host_runs_fast_and_twice_the_same(tmp_path: Path) -> None:
+    logs = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
+    took = min(drive(log) for log in logs)
+    one, two = (read(log).robots["khepera0"] for log in logs)
+    assert one.serial == two.serial
+    assert one.pose.tobytes() == two.pose.tobytes()
+    assert len(one.serial) == 4 * CYCLES + 2
+    simulated = one.serial[-1].time_ns / 1e9
+    # 30 times faster is what it does on an idle machine (`make bench`); a busy one shall not fail here.
+    assert simulated / took > 10
+
+
+def test_time_stands_still_while_nobody_speaks(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with (
+        served("default", "--clock", "wire", "--log", str(log)) as (_, path),
+        serial.Serial(path, 9600, stopbits=2, timeout=1) as port,
+    ):
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+        time.sleep(1)
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+    times_ns = [line.time_ns for line in read(log).robots["khepera0"].serial]
+    # Two bytes there and thirteen back, eleven bits each, twice.
+    byte = 11 * 10**9 / 9600
+    assert [round(time_ns / byte) for time_ns in times_ns] == [2, 15, 17, 30]
