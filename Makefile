@@ -35,6 +35,7 @@ soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
 	@$(BIN)/python -m benchmarks
+	@$(BIN)/python -m benchmarks.ports
 
 lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv

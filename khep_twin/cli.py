@@ -16,7 +16,7 @@ import typer
 
 from khep_twin import __version__
 from khep_twin.errors import KhepTwinError
-from khep_twin.files import write_whole
+from khep_twin.files import unusable, write_whole
 
 if TYPE_CHECKING:
     from khep_twin.ports.twin import Twin
@@ -278,6 +278,8 @@ def conform(
     """Checks whether what is at a port speaks the robot's protocol; ends with 1 if it does not."""
     from khep_twin.lab import conformance
 
+    if report is not None and (reason := unusable(report)):
+        raise _usage(f"--report {report}: cannot be written: {reason}")
     if move:
         ways = dict.fromkeys(check.moves for check in conformance.checks(True) if check.moves)
         typer.echo(f"the robot {', '.join(ways)}", err=True)

@@ -9,8 +9,8 @@ The controllers run every 10 ms (manual, 3.1.3):
     duty = (Kp error + Ki sum(error) + Kd (error - last error)) / SCALE, clipped to +-255
 
 in speed mode on `setpoint - speed`, in position mode on `profile - position`, where the profile is the
-trapezoid of the J command: accelerate, cruise, brake over v^2 / (2 a). The manual gives the form and the
-reset values of the gains but not their scale, which is assumed so that they settle well.
+trapezoid of the J command: accelerate, cruise, brake over v (v + a) / (2 a). The manual gives the form and
+the reset values of the gains but not their scale, which is assumed so that they settle well.
 """
 
 from enum import IntEnum
@@ -193,6 +193,7 @@ def set_target(registers: Registers, wheel: int, target: int) -> None:
         registers[wheel + _PROFILE_SPEED] = registers[wheel + _SPEED] * FRACTION
         registers[wheel + _ERROR] = 0
         registers[wheel + _ERROR_SUM] = 0
+    _unwind(registers, wheel)
     registers[wheel + _MODE] = _POSITION_MODE
     registers[wheel + _TARGET] = target
     registers[wheel + _ON_TARGET] = 0
@@ -200,6 +201,7 @@ def set_target(registers: Registers, wheel: int, target: int) -> None:
 
 def set_position(registers: Registers, wheel: int, position: int) -> None:
     """Renumbers a wheel's place as `position` [pulses]; a move under way goes on to the same place."""
+    _unwind(registers, wheel)
     shift = position - registers[wheel + _POSITION]
     registers[wheel + _POSITION] = position
     registers[wheel + _TARGET] += shift
@@ -247,9 +249,12 @@ def _control(registers: Registers, wheel: int, pulses: int) -> None:
         _advance_profile(registers, wheel)
         error = wrap(divide(registers[wheel + _PROFILE_POSITION], FRACTION) - position)
         _regulate(registers, wheel, _POSITION_GAINS, POSITION_GAIN_SCALE, error)
-        arrived = registers[wheel + _PROFILE_POSITION] == registers[wheel + _TARGET] * FRACTION
-        if arrived and abs(error) <= TARGET_TOLERANCE_PULSES and abs(speed) <= 1:
-            registers[wheel + _ON_TARGET] = 1
+        ended = registers[wheel + _PROFILE_POSITION] == registers[wheel + _TARGET] * FRACTION
+        ended = ended and registers[wheel + _PROFILE_SPEED] == 0
+        # It is reached at rest, and left when something pushes the wheel away.
+        calm = abs(speed) <= 1 or registers[wheel + _ON_TARGET] == 1
+        near = abs(error) <= TARGET_TOLERANCE_PULSES
+        registers[wheel + _ON_TARGET] = 1 if ended and near and calm else 0
 
 
 def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: int) -> None:
@@ -265,8 +270,9 @@ def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: i
 def _advance_profile(registers: Registers, wheel: int) -> None:
     """Moves the trapezoid on by one tick, towards the target.
 
-    Brakes as soon as the way left is no more than v^2 / (2 a), then with a = v^2 / (2 way left), so that
-    the profile ends on the target whatever the rounding.
+    The speed grows and falls by no more than the acceleration, but for rounding in the last steps. It falls
+    as soon as the way left is no more than it takes to stop; where that is too late already, the profile runs
+    beyond the target and comes back.
     """
     position = registers[wheel + _PROFILE_POSITION]
     speed = registers[wheel + _PROFILE_SPEED]
@@ -275,20 +281,35 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
     direction = 1 if way >= 0 else -1
     way *= direction
     speed *= direction
-    cruise = registers[wheel + _MAX_SPEED] * FRACTION
-    if speed > 0 and speed * speed >= 2 * acceleration * way:
-        speed = max(speed - max(divide(speed * speed, 2 * max(way, 1)), 1), 1)
-    elif speed < cruise:
-        speed = min(speed + acceleration, cruise)
-    else:
-        speed = max(speed - acceleration, cruise)
-    if speed >= way:
-        position += direction * way
-        speed = 0
-    else:
-        position += direction * speed
-    if speed == 0 and registers[wheel + _PROFILE_SPEED] != 0:
+    wanted = min(speed + acceleration, registers[wheel + _MAX_SPEED] * FRACTION)
+    if wanted > 0 and wanted * (wanted + acceleration) > 2 * acceleration * way:
+        wanted = min(wanted, _stopping_speed(way, acceleration))
+    wanted = max(wanted, speed - acceleration)
+    if 0 < way <= wanted <= acceleration:
+        wanted = way
+    registers[wheel + _PROFILE_POSITION] = position + direction * wanted
+    registers[wheel + _PROFILE_SPEED] = direction * wanted
+    if wanted == 0 and speed != 0:
         # What the sum held up against while driving is no error any more at the end of the way.
         registers[wheel + _ERROR_SUM] = 0
-    registers[wheel + _PROFILE_POSITION] = position
-    registers[wheel + _PROFILE_SPEED] = direction * speed
+
+
+def _stopping_speed(way: int, acceleration: int) -> int:
+    """Fastest speed that can be brought to rest on a way: v + (v - a) + (v - 2 a) + ... = way.
+
+    That is v (v + a) = 2 a way; at least 1 while there is a way left.
+    """
+    square = acceleration * acceleration + 8 * acceleration * way
+    root, last = square, square + 1
+    while root < last:  # Newton's method on whole numbers, from above
+        last = root
+        root = (root + square // root) // 2
+    return max((last - acceleration) // 2, min(way, 1))
+
+
+def _unwind(registers: Registers, wheel: int) -> None:
+    """Brings profile and target back to the counter's own numbers after it has wrapped."""
+    ahead = divide(registers[wheel + _PROFILE_POSITION], FRACTION) - registers[wheel + _POSITION]
+    turns = ahead - wrap(ahead)
+    registers[wheel + _TARGET] -= turns
+    registers[wheel + _PROFILE_POSITION] -= turns * FRACTION

@@ -122,6 +122,8 @@ def find(names: Sequence[str]) -> tuple[TurretKind, ...]:
         if name not in known:
             raise TurretError(f"unknown turret {name!r}; {choices(name, known)}")
         kind = known[name]
+        if by_number.get(kind.number) is kind:
+            raise TurretError(f"turret {name!r} is named twice")
         if other := by_number.get(kind.number):
             raise TurretError(f"turret {name!r} and {other.name!r} are both number {kind.number}")
         by_number[kind.number] = kind

@@ -78,6 +78,7 @@ class World:
         mujoco.set_mju_user_warning(_keep_quiet)
         self.playpen = playpen
         self.taps: list[Tap] = []
+        self._untold: list[tuple[int | None, str]] = []
         self.time_ns = 0
         self.spec = to_spec(playpen)
         self.model = self.spec.compile()
@@ -96,6 +97,8 @@ class World:
     def add_tap(self, tap: Tap) -> None:
         """Lets `tap` watch from now on; it is shown the world at once."""
         self.taps.append(tap)
+        for robot, text in self._untold:
+            tap.event(self.time_ns, robot, text)
         mujoco.mj_kinematics(self.model, self.data)
         tap.sample(self)
 
@@ -128,6 +131,8 @@ class World:
 
     def tell(self, robot: int | None, text: str) -> None:
         """Passes a note on to the taps."""
+        if not self.taps:
+            self._untold.append((robot, text))
         for tap in self.taps:
             tap.event(self.time_ns, robot, text)
 
@@ -145,7 +150,7 @@ class World:
                 robot.convert(channel)
         for robot in self.robots:
             robot.zero_encoders()
-            robot.measure_supply()
+            robot.feed()
         self._check_state()
         self._check_warnings()
 

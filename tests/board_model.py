@@ -64,8 +64,7 @@ class WheelModel:
         if mode != POSITION:
             return (on_target, error) == (self.on_target, self.error)
         there = abs(in_32_bits(self.target - self.position)) <= 2
-        arrives = there and abs(error) <= 2
-        return on_target in (0, 1) and (not on_target or self.on_target == 1 or arrives)
+        return on_target in (0, 1) and (not on_target or (there and abs(error) <= 2))
 
 
 @dataclass

@@ -235,3 +235,71 @@ def test_the_trapezoid_takes_the_time_of_the_closed_form(
     assert peak / 256 == pytest.approx(top, abs=a + 0.01)
     # Up and down at a, the rest at the top speed [ticks].
     assert ticks == pytest.approx(2 * top / a + (way - top * top / a) / top, abs=4)
+
+
+def profile(registers: kernel.Registers, ticks: int) -> tuple[list[float], list[float]]:
+    """Places [pulses] and speeds [pulses/10 ms] of the left wheel's profile, which the wheel follows."""
+    places, speeds = [], []
+    for _ in range(ticks):
+        kernel.tick(registers, registers[LEFT + Wheel.ENCODER] + round(registers[LEFT + Wheel.ERROR]), 0)
+        places.append(registers[LEFT + Wheel.PROFILE_POSITION] / 256)
+        speeds.append(registers[LEFT + Wheel.PROFILE_SPEED] / 256)
+    return places, speeds
+
+
+@pytest.mark.parametrize("ahead", [-1000, -25, 0, 25, 100, 799, 801, 3000])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_new_target_never_brakes_or_pushes_harder_than_j_allows(
+    registers: kernel.Registers, ahead: int, sign: int
+) -> None:
+    kernel.set_target(registers, LEFT, sign * 5000)
+    places, before = profile(registers, 120)
+    target = int(places[-1]) + sign * ahead
+    kernel.set_target(registers, LEFT, target)
+    places, speeds = profile(registers, 600)
+    steps = np.abs(np.diff([before[-1], *speeds]))
+    assert steps.max() <= 0.25 * 1.25
+    assert places[-1] == target
+    assert speeds[-1] == 0
+    # Where 20 pulses/tick cannot be stopped in time, it runs 800 pulses on and comes back.
+    farthest = max(sign * place for place in places)
+    assert farthest == pytest.approx(max(sign * target, sign * (target - sign * ahead) + 790), abs=25)
+
+
+@pytest.mark.parametrize(
+    ("speed", "acceleration", "target"), [(20, 64, 3000), (127, 640, 5000), (100, 512, 3000), (20, 1, 50)]
+)
+def test_every_move_keeps_to_its_acceleration_and_ends_on_its_target(
+    registers: kernel.Registers, speed: int, acceleration: int, target: int
+) -> None:
+    registers[LEFT + Wheel.MAX_SPEED], registers[LEFT + Wheel.ACCELERATION] = speed, acceleration
+    kernel.set_target(registers, LEFT, target)
+    places, speeds = profile(registers, 1000)
+    assert np.abs(np.diff([0.0, *speeds])).max() <= acceleration / 256 * 1.25
+    assert places[-1] == target
+    assert max(places) == target
+
+
+def test_a_counter_that_wraps_in_mid_move_sends_nothing_astray(registers: kernel.Registers) -> None:
+    kernel.set_target(registers, LEFT, 600)
+    profile(registers, 40)
+    kernel.set_position(registers, LEFT, 2**31 - 48)
+    profile(registers, 200)
+    assert registers[LEFT + Wheel.POSITION] < 0
+    kernel.set_position(registers, LEFT, 0)
+    kernel.set_target(registers, LEFT, 100)
+    profile(registers, 200)
+    assert registers[LEFT + Wheel.POSITION] == pytest.approx(100, abs=2)
+    assert registers[LEFT + Wheel.ON_TARGET] == 1
+
+
+def test_a_wheel_that_is_pushed_off_its_target_is_on_target_no_more(registers: kernel.Registers) -> None:
+    kernel.set_target(registers, LEFT, 0)
+    kernel.tick(registers, 0, 0)
+    kernel.tick(registers, 0, 0)
+    assert registers[LEFT + Wheel.ON_TARGET] == 1
+    kernel.tick(registers, 50, 0)
+    assert registers[LEFT + Wheel.ON_TARGET] == 0
+    kernel.tick(registers, 1, 0)
+    kernel.tick(registers, 1, 0)
+    assert registers[LEFT + Wheel.ON_TARGET] == 1

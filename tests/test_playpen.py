@@ -237,8 +237,8 @@ WRONG = {
     HEAD
     + ARENA
     + ROBOT
-    + 'turrets = ["gripper", "gripper"]\n': "robot 1: turrets = ['gripper', 'gripper']: turret 'gripper' and "
-    "'gripper' are both number 1",
+    + 'turrets = ["gripper", "gripper"]\n': "robot 1: turrets = ['gripper', 'gripper']: turret 'gripper' is "
+    "named twice",
     HEAD + ARENA + ROBOT + "battery_used_min = -1\n": "robot 1: battery_used_min = -1: right is a number "
     "from 0 to 1000",
     HEAD + ARENA + ROBOT + 'turrets = "gripper"\n': 'robot 1: turrets = "gripper": right is names, '

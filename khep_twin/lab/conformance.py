@@ -6,6 +6,7 @@ asked.
 """
 
 import json
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -14,10 +15,13 @@ from typing import Any
 import serial
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import KhepTwinError, PortError
 
 SILENCE = 0.1
 """How long a line must stay silent before it counts as silent [s]: what impatient hosts wait for a reply."""
+
+
+_NUMBER = re.compile("-?(0|[1-9][0-9]*)")
 
 
 class Deviation(KhepTwinError):
@@ -133,8 +137,8 @@ class Line:
         head, *fields = answer.split(",")
         if head != letter or len(fields) != count:
             raise Deviation(f"{request!r} was answered {answer!r}; right is {letter!r} and {count} numbers")
-        if not all(field.lstrip("-").isdigit() for field in fields):
-            raise Deviation(f"{request!r} was answered {answer!r}; right are whole numbers without blanks")
+        if not all(_NUMBER.fullmatch(field) for field in fields):
+            raise Deviation(f"{request!r} was answered {answer!r}; right are plain whole numbers")
         return [int(field) for field in fields]
 
     def expect(self, request: str, reply: str, end: str = "\n") -> None:
@@ -169,6 +173,8 @@ def conform(
     """
     from khep_twin.host import Khepera
 
+    if baudrate < 1:
+        raise PortError(f"baudrate = {baudrate}: right is the speed of the line, such as 9600")
     with Khepera(url, baudrate=baudrate) as robot:
         return examine(Line(robot.port), url, move=move, tell=tell)
 

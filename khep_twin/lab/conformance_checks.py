@@ -69,7 +69,7 @@ def _burst(line: Line) -> None:
 
 @check("what is no command is not found", "3.2")
 def _unknown_words(line: Line) -> None:
-    for word in ("hello", "d,5,5", "Q", "M", "XY", " ", "\x01", "?"):
+    for word in ("hello", "d,5,5", "n", "b", "XY", " ", "  ", "\x01", "?", "x" * 65, *"MQSUVXYZ"):
         line.expect(word, "Command not found")
 
 
@@ -217,23 +217,46 @@ def _turrets(line: Line) -> None:
 # Time ----------------------------------------------------------------------------------------------------
 
 
-@check("a reply begins within 10 ms and takes its bytes' time on the line", "3.2")
+@check("every reply begins within 10 ms and takes its bytes' time on the line", "3.2")
 def _pace(line: Line) -> None:
     byte_time = BITS_PER_BYTE / line.port.baudrate
-    start = line.time()
-    line.send("N\n")
-    first: bytes = line.port.read(1)
-    begun = line.time() - start
-    rest: bytes = line.port.read_until(b"\n")
-    done = line.time() - start
-    if not first:
-        raise Deviation("no reply to 'N'")
     # Real time has a scheduler's delays on top.
     slack = 0.0 if hasattr(line.port, "time_ns") else 0.02
-    if begun > 3 * byte_time + FIRST_BYTE + slack:
-        raise Deviation(f"the first byte came after {begun * 1000:.1f} ms")
-    if done > (2 + len(first + rest)) * byte_time + FIRST_BYTE + 2 * slack:
-        raise Deviation(f"a reply of {len(first + rest)} bytes took {done * 1000:.1f} ms")
+    for request in ("N", "B", "E", "H", "K", "O", "D,0,0", "G,0,0", "J,20,64,20,64", "L,0,0", "hello", "D"):
+        start = line.time()
+        line.send(request + "\n")
+        first: bytes = line.port.read(1)
+        begun = line.time() - start
+        rest: bytes = line.port.read_until(b"\n")
+        done = line.time() - start
+        if not first:
+            raise Deviation(f"no reply to {request!r}")
+        if begun > (len(request) + 2) * byte_time + FIRST_BYTE + slack:
+            raise Deviation(f"the first byte of the reply to {request!r} came after {begun * 1000:.1f} ms")
+        if done > (len(request) + 1 + len(first + rest)) * byte_time + FIRST_BYTE + 2 * slack:
+            raise Deviation(
+                f"{request!r} and its reply of {len(first + rest)} bytes took {done * 1000:.1f} ms"
+            )
+
+
+# Tools -----------------------------------------------------------------------------------------------------
+
+
+@check("the tools answer in lines", "3.2.1")
+def _tools(line: Line) -> None:
+    for tool in ("help", "list", "net", "k-team", "memory", "process", "serial", "run", "sfill"):
+        line.send(tool + "\n")
+        told = b""
+        while more := line.read_for(SETTLE):
+            told += more
+        if not told.endswith(b"\r\n") or told.startswith(b"Command not found"):
+            raise Deviation(
+                f"the tool {tool!r} was answered {told[:60]!r}; right are lines that end in CR LF"
+            )
+        if told.count(b"\n") != told.count(b"\r\n") or not told.isascii():
+            raise Deviation(
+                f"the tool {tool!r} was answered {told[:60]!r}…; right are plain lines, CR LF each"
+            )
 
 
 # Reset ---------------------------------------------------------------------------------------------------
@@ -246,8 +269,10 @@ def _restart(line: Line) -> None:
     line.send("restart\n")
     banner = line.read_for(0.5)
     # A longer banner takes its own time on the line.
-    while more := line.read_for(SETTLE):
+    while banner and (more := line.read_for(SETTLE)):
         banner += more
+    if not banner.endswith(b"\r\n") or banner.count(b"\n") != banner.count(b"\r\n"):
+        raise Deviation(f"'restart' was answered {banner!r}; right are lines that end in CR LF")
     if not any(b"ROM of minirobot KHEPERA" in text for text in banner.split(b"\r\n")):
         raise Deviation(f"'restart' was answered {banner!r}; right is a line with 'ROM of minirobot KHEPERA'")
     if (numbers := line.numbers("H", "h", 2)) != [0, 0]:

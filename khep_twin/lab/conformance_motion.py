@@ -5,7 +5,7 @@ import re
 from khep_twin.lab.conformance import Deviation, Line
 from khep_twin.lab.conformance_checks import ALL as ALL
 from khep_twin.lab.conformance_checks import SETTLE, check, within
-from khep_twin.units import N_SENSORS
+from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 FORWARD = "drives about 80 mm forwards and as far back"
 SPIN = "turns on the spot, about a quarter turn each way"
@@ -54,6 +54,97 @@ def _drive(line: Line) -> None:
         within("E", [sign * speed for speed in speeds], 7, 13)
         # 10 pulses per 10 ms are 1000 a second, less the start.
         within("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
+
+
+@check("E tells what is measured, not what is asked for", "A, command E", SPIN)
+def _measured_speeds(line: Line) -> None:
+    for left, right in ((40, -40), (-40, 40)):
+        line.expect(f"P,{left},{right}", "p")
+        line.sleep(0.4)
+        speeds = line.numbers("E", "e", 2)
+        line.expect("P,0,0", "p")
+        line.expect("D,0,0", "d")
+        line.sleep(0.4)
+        if speeds[0] * left <= 0 or speeds[1] * right <= 0:
+            raise Deviation(f"P,{left},{right} turned the wheels at the speeds {speeds} by E")
+
+
+@check("K tells of the left wheel first, and of the error that there is", "A, command K", FORWARD)
+def _status_of_each_wheel(line: Line) -> None:
+    line.expect("J,20,64,20,64", "j")
+    line.expect("G,0,0", "g")
+    line.expect("C,1000,0", "c")
+    line.sleep(0.6)
+    status = line.numbers("K", "k", 6)
+    if status[:5:3] != [0, 1]:
+        raise Deviation(f"with only the left wheel on its way K told {status}; right is T 0 and 1")
+    line.sleep(1.5)
+    _drive_to(line, 0, 0)
+    for target, sign in ((1000, 1), (0, -1)):
+        line.expect(f"C,{target},{target}", "c")
+        errors: list[int] = []
+        for _ in range(12):
+            errors += [error * sign for error in line.numbers("K", "k", 6)[2::3]]
+            line.sleep(0.04)
+        _drive_to(line, target, target)
+        if max(errors) <= 0:
+            raise Deviation(f"on the way to C,{target},{target} K told no error that pulls there")
+    line.expect("D,0,0", "d")
+
+
+@check("G in motion renumbers the place and stops nothing", "A, command G", FORWARD)
+def _renumbering(line: Line) -> None:
+    line.expect("D,10,10", "d")
+    line.sleep(0.5)
+    line.expect("G,0,-5000", "g")
+    line.sleep(0.5)
+    left, right = line.numbers("H", "h", 2)
+    line.expect("D,-10,-10", "d")
+    line.sleep(1.0)
+    line.expect("D,0,0", "d")
+    line.sleep(0.4)
+    within("H", [left, right + 5000], 350, 800)
+
+
+@check("J sets speed and acceleration of both wheels", "A, command J", FORWARD)
+def _profiles(line: Line) -> None:
+    line.expect("G,0,0", "g")
+    # 1000 pulses: at 10 pulses/tick 100 ticks and a ramp of 40; at 16/256 pulse/tick^2 2 sqrt(16000) ticks.
+    for profile, target, right in (("10,64,10,64", 1000, 1.4), ("20,16,20,16", 0, 2.53)):
+        line.expect(f"J,{profile}", "j")
+        took = _drive_to(line, target, target)
+        if not 0.9 * right < took < right + 0.6:
+            raise Deviation(
+                f"with J,{profile} 1000 pulses took {took:.2f} s; right is {right} s and some settling"
+            )
+    line.expect("J,20,64,20,64", "j")
+
+
+@check("C goes to places below zero and beyond 16 bits", "A, command C", FORWARD)
+def _far_numbers(line: Line) -> None:
+    for start, target in ((0, -500), (70_000, 70_500)):
+        line.expect(f"G,{start},{start}", "g")
+        _drive_to(line, target, target)
+        within("H", [count - target for count in line.numbers("H", "h", 2)], -3, 3)
+    line.expect("D,0,0", "d")
+
+
+@check("a restart stops the motors", "3.2.1, tool restart", FORWARD)
+def _restart_stops(line: Line) -> None:
+    line.expect("D,8,8", "d")
+    line.sleep(0.3)
+    line.send("restart\n")
+    while line.read_for(SETTLE):
+        pass
+    line.sleep(0.3)
+    before = line.numbers("H", "h", 2)
+    line.sleep(0.4)
+    after = line.numbers("H", "h", 2)
+    line.expect("D,-8,-8", "d")
+    line.sleep(0.4)
+    line.expect("D,0,0", "d")
+    if max(abs(now - then) for then, now in zip(before, after, strict=True)) > 5:
+        raise Deviation(f"after a restart in motion the counters went on from {before} to {after}")
 
 
 @check("left is left and right is right", "A, command D", SPIN)
@@ -141,12 +232,12 @@ def _open_loop(line: Line) -> None:
     line.expect("D,0,0", "d")
 
 
-@check("a faster command stops at the range and does not fail", "A, command D", FORWARD)
+@check("a value beyond the range does not fail and does not turn round", "A, commands D and P", FORWARD)
 def _saturation(line: Line) -> None:
     line.expect("P,0,0", "p")
     line.expect("D,0,0", "d")
     line.expect("G,0,0", "g")
-    for request, reply in (("P,999,999", "p"), ("D,0,0", "d")):
+    for request, reply in (("P,999,999", "p"), ("D,0,0", "d"), ("D,999,999", "d"), ("D,0,0", "d")):
         line.expect(request, reply)
     line.sleep(0.5)
 
@@ -162,11 +253,15 @@ def _gripper(line: Line) -> None:
         answer = line.ask(f"T,1,{what}")
         if not re.fullmatch(r"t,1,h,\d+", answer):
             raise Deviation(f"'T,1,{what}' was answered {answer!r}; right is 't,1,h' and one number")
-        if order[0] == "E":
-            within(f"T,1,{what}", [int(answer[6:]) - int(order[2:])], -10, 10)
+        places = {"E": int(order[2:]), "D,0": 200, "D,1": 0}
+        place = places.get(order, places["E"]) if order[0] == "D" else places["E"]
+        # Something between the fingers keeps them open.
+        slack = (-10, 10) if order != "D,1" else (-10, 150)
+        within(f"T,1,{what}", [int(answer[6:]) - place], *slack)
     for order in "FGJ":
         answer = line.ask(f"T,1,{order}")
         if not re.fullmatch(rf"t,1,{order.lower()},\d+", answer):
             raise Deviation(
                 f"'T,1,{order}' was answered {answer!r}; right is 't,1,{order.lower()}' and a number"
             )
+        within(f"T,1,{order}", [int(answer.split(",")[3])], 0, COUNTS_LIMIT)

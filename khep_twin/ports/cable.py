@@ -56,8 +56,8 @@ class Cable(Protocol):
         """Sends to the host."""
         ...
 
-    def clear(self) -> None:
-        """Takes away what a host has left behind."""
+    def clear(self) -> bool:
+        """Takes away what a host has left behind, unless another is there already; whether it did."""
         ...
 
     def close(self) -> None:

@@ -46,19 +46,8 @@ class Connection:
             ready: descriptors that are readable.
             now: gives simulated time by the clock on the wall, behind which the world may lag a little [ns].
         """
-        robot, cable = self._robot, self._cable
-        gone, notices = cable.look()
-        for notice in notices:
-            self._note(notice)
-        if gone or ready.intersection(self.descriptors()):
-            if data := cable.read(robot.uart.room):
-                self._compare()
-                robot.send(self._over_the_line(data), 0 if now is None else now())
-        if gone:
-            # What it has sent still reaches the robot, as on a cable; what it has left behind is cleared.
-            cable.clear()
-            robot.hang_up()
-            self._matched = True
+        if not ready.isdisjoint(self._cable.descriptors(True)):
+            self._take(now)
         self.give()
 
     def give(self) -> None:
@@ -66,6 +55,19 @@ class Connection:
         reply = self._robot.uart.tx.read(self._world.time_ns)
         if reply and self._cable.occupied:
             self._cable.write(self._over_the_line(reply))
+
+    def _take(self, now: Callable[[], int] | None) -> None:
+        robot, cable = self._robot, self._cable
+        gone, notices = cable.look()
+        for notice in notices:
+            self._note(notice)
+        if data := cable.read(robot.uart.room):
+            self._compare()
+            robot.send(self._over_the_line(data), 0 if now is None else now())
+        if gone and cable.clear():
+            # What it has sent still reaches the robot, as on a cable; what it has left behind is cleared.
+            robot.hang_up()
+            self._matched = True
 
     def _compare(self) -> None:
         """Looks whether the host has set its line as the robot's is; says so once for each way it has not."""

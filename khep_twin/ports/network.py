@@ -92,7 +92,7 @@ class TcpPort:
 
     def read(self, limit: int) -> bytes:
         """What the host has sent, at most `limit` bytes."""
-        if self._client is None:
+        if self._client is None or not limit:
             return b""
         try:
             data = self._client.recv(limit)
@@ -113,9 +113,9 @@ class TcpPort:
         self._waiting += taken if self._negotiator is None else self._negotiator.escaped(taken)
         self._flush()
 
-    def clear(self) -> None:
+    def clear(self) -> bool:
         """Nothing is left behind: what was sent went with the connection."""
-        self._waiting.clear()
+        return True
 
     def close(self) -> None:
         """Ends the connection and listens no more."""

@@ -96,6 +96,8 @@ class PtyPort:
         told, self._crowded = self._crowded, self._watch.hosts > 1
         notices: list[str] = []
         if in_a_moment:
+            # Its settings and commands are the new host's already; only unread replies can be taken back.
+            termios.tcflush(self._host_side, termios.TCIFLUSH)
             notices.append("a host came in the moment another left: it may find what that one left behind")
         if self._crowded and not told:
             notices.append(
@@ -106,7 +108,7 @@ class PtyPort:
     def read(self, limit: int) -> bytes:
         """What the host has sent, at most `limit` bytes; empty when nothing is waiting."""
         try:
-            return os.read(self.descriptor, limit)
+            return os.read(self.descriptor, limit) if limit else b""
         except BlockingIOError:
             return b""
 
@@ -118,14 +120,21 @@ class PtyPort:
             sent = 0
         self.dropped += len(data) - sent
 
-    def clear(self) -> None:
-        """Puts the terminal back to how the first host found it, with nothing on the way."""
+    def clear(self) -> bool:
+        """Puts the terminal back to how the first host found it, with nothing on the way.
+
+        Returns:
+            Whether it did; not if another host has come meanwhile, whose terminal it is by now.
+        """
+        if self._watch.pending():
+            return False
         fcntl.ioctl(self._host_side, termios.TIOCNXCL)
         self._make_raw()
         termios.tcflow(self._host_side, termios.TCOON)
         # Either end has a buffer of its own.
         for descriptor in (self._host_side, self.descriptor):
             termios.tcflush(descriptor, termios.TCIOFLUSH)
+        return True
 
     def close(self) -> None:
         """Takes the terminal away, and the link if it still is ours."""

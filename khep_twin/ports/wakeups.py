@@ -7,6 +7,7 @@ nothing of hosts that come and go.
 
 import ctypes
 import os
+import select
 import struct
 from contextlib import suppress
 
@@ -15,6 +16,10 @@ _IN_OPEN, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE = 0x20, 0x08, 0x10
 _EVENT = struct.Struct("iIII")
 _CLOCK_MONOTONIC, _TFD_TIMER_ABSTIME = 1, 1
 _FLAGS = os.O_NONBLOCK | os.O_CLOEXEC
+
+
+_ONE_HOST: dict[tuple[int, ...], int] = {(0, True): 1, (1, False): 0, (0, True, False): 0}
+"""How many hosts there are after what happens to one alone: hosts before, then openings and closings."""
 
 
 class Watch:
@@ -44,20 +49,32 @@ class Watch:
 
     def look(self) -> tuple[bool, bool]:
         """Whether the last host has left since the last look, and whether another came in that moment."""
-        if self.descriptor is None:
-            return False, False
-        try:
-            events = os.read(self.descriptor, 65536)
-        except BlockingIOError:
-            return False, False
-        kinds = [_EVENT.unpack_from(events, place)[1] for place in range(0, len(events), _EVENT.size)]
-        opened = [bool(kind & _IN_OPEN) for kind in kinds]
         before = self.hosts
-        # Two events alike become one when they come close together, so that they cannot be counted.
-        self.hosts = _n_holders(self._path, self._own)
+        opened: list[bool] = []
+        while news := self._news():
+            opened += news
+            # Two events alike become one when they come close together, so that beyond one host that comes
+            # or goes they cannot be counted. While holders are looked for, more may come.
+            plain = _ONE_HOST.get((before, *opened))
+            self.hosts = _n_holders(self._path, self._own) if plain is None else plain
         closed = not all(opened)
         in_a_moment = closed and before <= 1 and self.hosts > 0 and any(opened[opened.index(False) :])
         return closed and self.hosts == 0, in_a_moment
+
+    def pending(self) -> bool:
+        """Whether something has happened since the last look."""
+        return self.descriptor is not None and bool(select.select([self.descriptor], [], [], 0)[0])
+
+    def _news(self) -> list[bool]:
+        """What has happened, in order: True for an opening, False for a closing."""
+        if self.descriptor is None:
+            return []
+        try:
+            events = os.read(self.descriptor, 65536)
+        except BlockingIOError:
+            return []
+        kinds = [_EVENT.unpack_from(events, place)[1] for place in range(0, len(events), _EVENT.size)]
+        return [bool(kind & _IN_OPEN) for kind in kinds]
 
     def close(self) -> None:
         """Gives it back."""

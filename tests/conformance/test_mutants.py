@@ -31,8 +31,8 @@ def swap(reply: bytes, first: int, second: int) -> bytes:
     return b",".join(fields) + b"\r\n"
 
 
-def order_of_sensors(reply: bytes, order: list[int]) -> bytes:
-    """A reply to N with its values in another order."""
+def in_order(reply: bytes, order: list[int]) -> bytes:
+    """A reply with its values in another order."""
     head, *values = reply.rstrip(b"\r\n").split(b",")
     return b",".join([head, *(values[index] for index in order)]) + b"\r\n"
 
@@ -71,14 +71,19 @@ ANSWERS: dict[str, Mutation] = {
     "restart without a banner": to("restart", lambda reply: b"ok\r\n"),
     "a reply in eight bits": replies("^c\r\n", "c\xff\r\n"),
     "lower-case commands are accepted": to("d,5,5", lambda reply: b"d\r\n"),
-    "sensors from right to left": to("N", lambda reply: order_of_sensors(reply, [7, 6, 5, 4, 3, 2, 1, 0])),
-    "sensors from the front": to("N", lambda reply: order_of_sensors(reply, [2, 3, 4, 5, 6, 7, 0, 1])),
-    "left and right sensors exchanged": to(
-        "N", lambda reply: order_of_sensors(reply, [5, 4, 3, 2, 1, 0, 7, 6])
-    ),
-    "front and back sensors exchanged": to(
-        "N", lambda reply: order_of_sensors(reply, [0, 1, 6, 7, 4, 5, 2, 3])
-    ),
+    "sensors from right to left": to("N", lambda reply: in_order(reply, [7, 6, 5, 4, 3, 2, 1, 0])),
+    "sensors from the front": to("N", lambda reply: in_order(reply, [2, 3, 4, 5, 6, 7, 0, 1])),
+    "left and right sensors exchanged": to("N", lambda reply: in_order(reply, [5, 4, 3, 2, 1, 0, 7, 6])),
+    "front and back sensors exchanged": to("N", lambda reply: in_order(reply, [0, 1, 6, 7, 4, 5, 2, 3])),
+    "K tells of the right wheel first": to("K", lambda reply: in_order(reply, [3, 4, 5, 0, 1, 2])),
+    "K with no error": replies(r"^k,(\d),(\d),-?\d+,(\d),(\d),-?\d+", r"k,\1,\2,0,\3,\4,0"),
+    "no negative targets": to(r"C,-\d+,.*", lambda reply: b"z,Protocol error\r\n"),
+    "silent at help": to("help", lambda reply: b""),
+    "list is not known": to("list", lambda reply: b"Command not found\r\n"),
+    "tools in lines that end in LF": to("net|process|memory", lambda reply: reply.replace(b"\r", b"")),
+    "numbers with leading zeros": replies(r",(\d)\b", r",0\1"),
+    "no number at all": to("H", lambda reply: b"h,--5,5\r\n"),
+    "silent on letters that are no commands": to("[SUVXYZ]", lambda reply: b""),
     "K with an error out of the air": replies(r"^k,(\d),1,-?\d+", r"k,\1,1,4711"),
     "sensor values in two lines": to("N", lambda reply: reply.replace(b",", b"\r\n", 4)),
 }
@@ -192,7 +197,78 @@ def keeps_its_trapezoid(twin: Twin) -> None:
     firmware.reset = keep  # type: ignore[method-assign]
 
 
+def tells_the_setpoint(twin: Twin) -> None:
+    """Answers E with what is asked for."""
+    receive, cells = twin.robot.firmware.receive, twin.robot.firmware.cells
+
+    def answer(data: bytes) -> bytes:
+        reply = receive(data)
+        speeds = (cells[LEFT + Wheel.SPEED_SETPOINT], cells[RIGHT + Wheel.SPEED_SETPOINT])
+        return b"e,%d,%d\r\n" % speeds if reply.startswith(b"e,") else reply
+
+    twin.robot.firmware.receive = answer  # type: ignore[method-assign]
+
+
+def stops_at_a_renumbering(twin: Twin) -> None:
+    """Stops its motors at G."""
+    receive = twin.robot.firmware.receive
+
+    def stop(data: bytes) -> bytes:
+        reply = receive(data)
+        if reply == b"g\r\n":
+            receive(b"D,0,0\n")
+        return reply
+
+    twin.robot.firmware.receive = stop  # type: ignore[method-assign]
+
+
+def keeps_driving(twin: Twin) -> None:
+    """Restarts with its motors running."""
+    firmware, cells = twin.robot.firmware, twin.robot.firmware.cells
+    reset = firmware.reset
+
+    def restart() -> bytes:
+        kept = [cells[wheel + Wheel.SPEED_SETPOINT] for wheel in (LEFT, RIGHT)]
+        banner = reset()
+        for wheel, speed in zip((LEFT, RIGHT), kept, strict=True):
+            cells[wheel + Wheel.SPEED_SETPOINT] = speed
+        return banner
+
+    firmware.reset = restart  # type: ignore[method-assign]
+
+
+def ignores_profiles(twin: Twin) -> None:
+    """Acknowledges J and keeps its own trapezoid."""
+    receive = twin.robot.firmware.receive
+    whole = re.compile(rb"J(,\d+){4}\s*")
+    twin.robot.firmware.receive = lambda data: (  # type: ignore[method-assign]
+        b"j\r\n" if whole.fullmatch(data) else receive(data)
+    )
+
+
+def shows_its_banner_late(twin: Twin) -> None:
+    """Thinks for 0.6 s before it starts anew."""
+    put = twin.robot.uart.tx.put
+    twin.robot.uart.tx.put = lambda data, time_ns: put(  # type: ignore[method-assign]
+        data, time_ns + (600_000_000 if data.startswith(b"ROM") else 0)
+    )
+
+
+def is_slow_but_at_n(twin: Twin) -> None:
+    """Thinks for 60 ms, but not before the reply to N."""
+    put = twin.robot.uart.tx.put
+    twin.robot.uart.tx.put = lambda data, time_ns: put(  # type: ignore[method-assign]
+        data, time_ns + (0 if data.startswith(b"n,") else 60_000_000)
+    )
+
+
 BOARDS = [
+    tells_the_setpoint,
+    stops_at_a_renumbering,
+    keeps_driving,
+    ignores_profiles,
+    shows_its_banner_late,
+    is_slow_but_at_n,
     keeps_its_trapezoid,
     late,
     slow_line,
@@ -212,6 +288,8 @@ GRIPPERS: dict[str, Mutation] = {
     "a gripper that repeats what was asked": to("T,1,H,1", lambda reply: reply.replace(b"h,", b"h,1,")),
     "a gripper that does not know its barrier": to("T,1,G", lambda reply: b"z,Protocol error\r\n"),
     "a gripper with a stuck arm": to("T,1,H,1", lambda reply: b"t,1,h,152\r\n"),
+    "a gripper with stuck fingers": to("T,1,H,0", lambda reply: b"t,1,h,100\r\n"),
+    "a gripper with a barrier beyond its converter": to("T,1,G", lambda reply: b"t,1,g,9999\r\n"),
     "a gripper that is silent": to("T,1,D,1", lambda reply: b""),
 }
 

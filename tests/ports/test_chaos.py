@@ -74,7 +74,8 @@ def leave_exclusive(path: str) -> None:
 
 def two_at_once(path: str) -> None:
     """Two hosts that take each other's bytes."""
-    with subprocess.Popen(["/bin/sh", "-c", f"exec 3<>{path}; printf 'N\\nB\\n' >&3; exec sleep 0.3"]):
+    with subprocess.Popen(["/bin/sh", "-c", f"exec 3<>{path}; printf 'N\\nB\\n' >&3; exec sleep 0.4"]):
+        time.sleep(0.1)
         exchange(path, b"N\nB\n", bytes(200), timeout=0.2)
 
 
