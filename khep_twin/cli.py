@@ -140,8 +140,8 @@ def run(
         raise _usage(f"--{option} is for a twin in this process, not for one behind --port")
     if picture is not None:
         _check_picture(picture, log)
-    if (seconds is not None and not seconds > 0) or (cycles is not None and cycles < 1):
-        raise _usage("--seconds and --cycles are above 0")
+    if (seconds is not None and not 0 < seconds < math.inf) or (cycles is not None and cycles < 1):
+        raise _usage("--seconds and --cycles are above 0 and finite")
     function = experiment.find_controller(controller)
     if seconds is None and cycles is None:
         seconds = 60.0

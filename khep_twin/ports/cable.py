@@ -4,6 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+IN_A_MOMENT = "a host came in the moment another left: it may find what that one left behind"
+"""What is told when a cable cannot be cleared because the next host is there already."""
+
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from khep_twin.ports.cable import Cable, LineSettings
+from khep_twin.ports.cable import IN_A_MOMENT, Cable, LineSettings
 from khep_twin.ports.twin import Twin
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot
@@ -64,7 +64,9 @@ class Connection:
         if data := cable.read(robot.uart.room):
             self._compare()
             robot.send(self._over_the_line(data), 0 if now is None else now())
-        if gone and cable.clear():
+        if gone and not cable.clear():
+            self._note(IN_A_MOMENT)
+        elif gone:
             # What it has sent still reaches the robot, as on a cable; what it has left behind is cleared.
             robot.hang_up()
             self._matched = True

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from khep_twin.ports.cable import LineSettings
+from khep_twin.ports.cable import IN_A_MOMENT, LineSettings
 from khep_twin.ports.link import Link
 from khep_twin.ports.wakeups import Watch
 
@@ -98,7 +98,7 @@ class PtyPort:
         if in_a_moment:
             # Its settings and commands are the new host's already; only unread replies can be taken back.
             termios.tcflush(self._host_side, termios.TCIFLUSH)
-            notices.append("a host came in the moment another left: it may find what that one left behind")
+            notices.append(IN_A_MOMENT)
         if self._crowded and not told:
             notices.append(
                 f"{self._watch.hosts} hosts have the port open at once and take each other's bytes"

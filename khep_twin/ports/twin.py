@@ -123,7 +123,7 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
     for index in on_the_line:
         robots[index] = changed = robots[index].model_copy(update=changes)
         if reason := ROMS[changed.rom].refused(changed.mode):
-            raise PortError(f"mode = {changed.mode} with rom = {changed.rom!r}: {reason}")
+            raise PortError(f"mode = {changed.mode:X} with rom = {changed.rom!r}: {reason}")
     chosen = chosen.model_copy(update={"robots": tuple(robots)})
     faults = tuple(parse(fault) for fault in options.faults)
     world = World(chosen, seed=options.seed, noise=options.noise, unpaced=options.unpaced, faults=faults)
