@@ -42,6 +42,7 @@ def test_two_thousand_connects_get_no_wrong_or_stale_reply() -> None:
     with served("default", "--unpaced") as (process, path):
         folder = f"/proc/{process.pid}/fd"
         exchange(path, b"B\n", b"b,5.02,5.01\r\n")
+        time.sleep(0.2)
         before = len(os.listdir(folder))
         wrong = []
         for number in range(CONNECTS):
