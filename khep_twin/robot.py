@@ -93,8 +93,7 @@ class Robot:
         chance = partial(stream, seed, "robot", index)
         self._faults = None
         if faults:
-            tell = partial(stage.tell, index)
-            self._faults = Injector(faults, partial(stream, seed, "robot", index, "fault"), tell)
+            self._faults = Injector(faults, partial(chance, "fault"), partial(stage.tell, index))
         self._scan = InfraredScan(
             model, data, f"{self.name}/", calibration.read(entry.calibration)[0], chance if noise else None
         )
@@ -178,6 +177,23 @@ class Robot:
         if self._faults is not None:
             self._fail(self._faults)
 
+    def feed(self) -> None:
+        """Measures the supply; below what it needs, the processor is reset and stands still."""
+        cells, time_ns = self._cells, self._stage.time_ns
+        self._voltage = self._supply.voltage(time_ns)
+        current = units.IDLE_CURRENT
+        for duty, motor in ((_LEFT_DUTY, self._left_motor), (_RIGHT_DUTY, self._right_motor)):
+            current += units.supply_current(cells[duty], self._force[motor] / units.MOTOR_CONSTANT)
+        kernel.measure(cells, units.supply_counts(self._voltage), round(current * 1000))
+        if self._voltage < units.PROCESSOR_VOLTAGE and self.firmware.powered:
+            self.firmware.brown_out()
+            self.uart.tx.take_back(time_ns)
+            text = (
+                f"the supply fell to {self._voltage:.2f} V: the processor stands still, "
+                "the motors keep their duty"
+            )
+            self._stage.tell(self.index, text)
+
     def show_leds(self) -> None:
         """Brings the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
         for led, light in zip(_LEDS, self._lights, strict=True):
@@ -205,27 +221,6 @@ class Robot:
                 self._ctrl[motor] = units.MOTOR_CONSTANT * self._qvel[speed]
         if faults.brown_out(time_ns):
             self._reply(self.firmware.reset(), time_ns)
-
-    def measure_supply(self) -> None:
-        """Measures the supply's voltage and the current drawn from it."""
-        cells = self._cells
-        self._voltage = self._supply.voltage(self._stage.time_ns)
-        current = units.IDLE_CURRENT
-        for duty, motor in ((_LEFT_DUTY, self._left_motor), (_RIGHT_DUTY, self._right_motor)):
-            current += units.supply_current(cells[duty], self._force[motor] / units.MOTOR_CONSTANT)
-        kernel.measure(cells, units.supply_counts(self._voltage), round(current * 1000))
-
-    def feed(self) -> None:
-        """Measures the supply; below what it needs, the processor is reset and stands still."""
-        self.measure_supply()
-        if self._voltage < units.PROCESSOR_VOLTAGE and self.firmware.powered:
-            self.firmware.brown_out()
-            self.uart.tx.take_back(self._stage.time_ns)
-            text = (
-                f"the supply fell to {self._voltage:.2f} V: the processor stands still, "
-                "the motors keep their duty"
-            )
-            self._stage.tell(self.index, text)
 
 
 class _Light:

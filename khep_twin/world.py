@@ -131,7 +131,8 @@ class World:
 
     def tell(self, robot: int | None, text: str) -> None:
         """Passes a note on to the taps."""
-        if not self.taps:
+        if self.time_ns == 0 and not self.taps:
+            # Nobody could watch yet.
             self._untold.append((robot, text))
         for tap in self.taps:
             tap.event(self.time_ns, robot, text)

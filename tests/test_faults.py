@@ -4,28 +4,11 @@ from typing import Any
 
 import pytest
 import serial
+from notes import Notes
 
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
 from khep_twin.errors import FaultError
 from khep_twin.faults import parse
-from khep_twin.world import World
-
-
-class Notes:
-    """A tap that keeps the events."""
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def sample(self, world: World) -> None:
-        """Nothing."""
-
-    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Nothing."""
-
-    def event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Keeps it."""
-        self.told.append(text)
 
 
 def open_with(fault: str, seed: int = 1) -> tuple[Any, Notes]:

@@ -1,6 +1,7 @@
 """Charger and cells: the discharge curve, what the board measures of it, and what it does to the robot."""
 
 import pytest
+from notes import Notes
 
 from khep_twin import playpen as playpens
 from khep_twin import units
@@ -79,16 +80,16 @@ def test_a_lower_voltage_drives_slower_at_the_same_duty() -> None:
 
 
 def test_below_4_volts_the_processor_stands_still_and_the_motors_do_not() -> None:
-    notes: list[str] = []
+    notes = Notes()
     robot, world = connect(battery_used_min=40.96)
-    world.taps.append(Listener(notes))
+    world.taps.append(notes)
     with robot:
         robot.set_led(0, 1)
         robot.set_duty(10, -10)
         robot.port.write(b"N\n" * 30)
         robot.sleep(1.5)
-        assert "the supply fell to 4.00 V" in notes[0]
-        assert len(notes) == 1
+        assert "the supply fell to 4.00 V" in notes.told[0]
+        assert len(notes.told) == 1
         firmware = world.robots[0].firmware
         assert not firmware.powered
         # It was reset, and answers no more …
@@ -100,20 +101,3 @@ def test_below_4_volts_the_processor_stands_still_and_the_motors_do_not() -> Non
         before = world.robots[0].pose[2]
         robot.sleep(1)
         assert world.robots[0].pose[2] != pytest.approx(before, abs=0.3)
-
-
-class Listener:
-    """A tap that keeps the events."""
-
-    def __init__(self, notes: list[str]) -> None:
-        self.notes = notes
-
-    def sample(self, world: World) -> None:
-        """Nothing."""
-
-    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Nothing."""
-
-    def event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Keeps it."""
-        self.notes.append(text)

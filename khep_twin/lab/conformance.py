@@ -131,6 +131,13 @@ class Line:
         finally:
             self.port.timeout = before
 
+    def read_until_quiet(self, quiet: float) -> bytes:
+        """What comes until nothing has come for a time [s]: a text of any number of lines."""
+        told = b""
+        while more := self.read_for(quiet):
+            told += more
+        return told
+
     def numbers(self, request: str, letter: str, count: int) -> list[int]:
         """The whole numbers of a reply, of which there must be so many."""
         answer = self.ask(request)

@@ -246,9 +246,7 @@ def _pace(line: Line) -> None:
 def _tools(line: Line) -> None:
     for tool in ("help", "list", "net", "k-team", "memory", "process", "serial", "run", "sfill"):
         line.send(tool + "\n")
-        told = b""
-        while more := line.read_for(SETTLE):
-            told += more
+        told = line.read_until_quiet(SETTLE)
         if not told.endswith(b"\r\n") or told.startswith(b"Command not found"):
             raise Deviation(
                 f"the tool {tool!r} was answered {told[:60]!r}; right are lines that end in CR LF"
@@ -267,10 +265,9 @@ def _restart(line: Line) -> None:
     line.expect("G,55,66", "g")
     line.expect("J,5,5,5,5", "j")
     line.send("restart\n")
-    banner = line.read_for(0.5)
     # A longer banner takes its own time on the line.
-    while banner and (more := line.read_for(SETTLE)):
-        banner += more
+    if banner := line.read_for(0.5):
+        banner += line.read_until_quiet(SETTLE)
     if not banner.endswith(b"\r\n") or banner.count(b"\n") != banner.count(b"\r\n"):
         raise Deviation(f"'restart' was answered {banner!r}; right are lines that end in CR LF")
     if not any(b"ROM of minirobot KHEPERA" in text for text in banner.split(b"\r\n")):

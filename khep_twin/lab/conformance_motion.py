@@ -33,6 +33,17 @@ def _drive_to(line: Line, left: int, right: int) -> float:
     return line.time() - start
 
 
+def _ways(line: Line, command: str, left: int, right: int, duration: float) -> list[int]:
+    """Lets D or P act for a time [s] and stops; returns how far the counters have come meanwhile [pulses]."""
+    before = line.numbers("H", "h", 2)
+    line.expect(f"{command},{left},{right}", command.lower())
+    line.sleep(duration)
+    after = line.numbers("H", "h", 2)
+    line.expect(f"{command},0,0", command.lower())
+    line.sleep(0.3)
+    return [now - then for then, now in zip(before, after, strict=True)]
+
+
 def _took_its_time(took: float) -> None:
     # From rest over 1000 pulses at 0.25 pulses per tick^2: 2 sqrt(1000 / 0.25) ticks are 1.26 s.
     if not 1.1 < took < 2.0:
@@ -134,8 +145,7 @@ def _restart_stops(line: Line) -> None:
     line.expect("D,8,8", "d")
     line.sleep(0.3)
     line.send("restart\n")
-    while line.read_for(SETTLE):
-        pass
+    line.read_until_quiet(SETTLE)
     line.sleep(0.3)
     before = line.numbers("H", "h", 2)
     line.sleep(0.4)
@@ -151,13 +161,7 @@ def _restart_stops(line: Line) -> None:
 def _sides(line: Line) -> None:
     line.expect("G,0,0", "g")
     for left, right in ((5, -5), (-5, 5)):
-        before = line.numbers("H", "h", 2)
-        line.expect(f"D,{left},{right}", "d")
-        line.sleep(0.7)
-        after = line.numbers("H", "h", 2)
-        line.expect("D,0,0", "d")
-        line.sleep(0.3)
-        ways = [now - then for then, now in zip(before, after, strict=True)]
+        ways = _ways(line, "D", left, right, 0.7)
         if ways[0] * left <= 100 or ways[1] * right <= 100:
             raise Deviation(f"D,{left},{right} moved the counters by {ways}")
 
@@ -177,8 +181,7 @@ def _position(line: Line) -> None:
 def _profile_of_a_reset(line: Line) -> None:
     line.expect("J,5,5,5,5", "j")
     line.send("restart\n")
-    while line.read_for(SETTLE):
-        pass
+    line.read_until_quiet(SETTLE)
     for target in (1000, 0):
         _took_its_time(_drive_to(line, target, target))
 
@@ -220,15 +223,9 @@ def _sensor_order(line: Line) -> None:
 def _open_loop(line: Line) -> None:
     line.expect("G,0,0", "g")
     for duty in (40, -40):
-        before = line.numbers("H", "h", 2)
-        line.expect(f"P,{duty},{duty}", "p")
-        line.sleep(0.4)
-        after = line.numbers("H", "h", 2)
-        line.expect("P,0,0", "p")
-        line.sleep(0.3)
-        ways = [(now - then) * duty for then, now in zip(before, after, strict=True)]
-        if min(ways) <= 0:
-            raise Deviation(f"P,{duty},{duty} moved the counters from {before} to {after}")
+        ways = _ways(line, "P", duty, duty, 0.4)
+        if min(way * duty for way in ways) <= 0:
+            raise Deviation(f"P,{duty},{duty} moved the counters by {ways}")
     line.expect("D,0,0", "d")
 
 
@@ -246,18 +243,17 @@ def _saturation(line: Line) -> None:
 def _gripper(line: Line) -> None:
     if line.ask("T,1,B").startswith("z,"):
         return
-    for order in ("D,0", "E,255", "D,1", "E,190", "D,0", "E,152"):
+    # Something between the fingers may keep them open.
+    opened, closed = ("D,0", 190, 210), ("D,1", -10, 150)
+    arm = {place: (f"E,{place}", place - 10, place + 10) for place in (255, 190, 152)}
+    for order, low, high in (opened, arm[255], closed, arm[190], opened, arm[152]):
         line.expect(f"T,1,{order}", f"t,1,{order[0].lower()}")
         line.sleep(1.5)
         what = "H,1" if order[0] == "E" else "H,0"
         answer = line.ask(f"T,1,{what}")
         if not re.fullmatch(r"t,1,h,\d+", answer):
             raise Deviation(f"'T,1,{what}' was answered {answer!r}; right is 't,1,h' and one number")
-        places = {"E": int(order[2:]), "D,0": 200, "D,1": 0}
-        place = places.get(order, places["E"]) if order[0] == "D" else places["E"]
-        # Something between the fingers keeps them open.
-        slack = (-10, 10) if order != "D,1" else (-10, 150)
-        within(f"T,1,{what}", [int(answer[6:]) - place], *slack)
+        within(f"T,1,{what}", [int(answer.split(",")[3])], low, high)
     for order in "FGJ":
         answer = line.ask(f"T,1,{order}")
         if not re.fullmatch(rf"t,1,{order.lower()},\d+", answer):

@@ -29,7 +29,7 @@ def far_ends(
     with ExitStack() as stack:
         cables: list[Cable] = []
         for count, robot in enumerate(robots):
-            baud = robot.firmware.baud or 9600
+            baud = robot.firmware.baud
             if address is None:
                 name = link if link is None or len(robots) == 1 else Path(f"{link}{robot.index}")
                 cable: Cable = PtyPort(name, baud)

@@ -160,15 +160,14 @@ class Serial(SerialBase):
                 break
             self.twin.advance_to(max(next_ns, self.time_ns))
         goal_ns = None if count is None else tx.arrival(count)
-        if goal_ns is None and deadline_ns is None and not self.twin.robot.firmware.powered:
-            raise TwinPortError(
-                f"{self._port}: waiting for ever: the robot's supply is below 4 V, it is dead"
-            )
         if goal_ns is None and deadline_ns is None:
-            raise TwinPortError(
-                f"{self._port}: waiting for ever: no timeout is set and no answer is under way "
+            reason = (
+                "no timeout is set and no answer is under way "
                 "(every command ends with a line feed or carriage return)"
+                if self.twin.robot.firmware.powered
+                else "the robot's supply is below 4 V, it is dead"
             )
+            raise TwinPortError(f"{self._port}: waiting for ever: {reason}")
         if goal_ns is not None and (deadline_ns is None or goal_ns <= deadline_ns):
             self.twin.advance_to(max(goal_ns, self.time_ns))
             return tx.read(self.time_ns, count)

@@ -11,12 +11,12 @@ import select
 import struct
 from contextlib import suppress
 
-_NS_PER_S = 1_000_000_000
+from khep_twin.clock import NS_PER_S
+
 _IN_OPEN, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE = 0x20, 0x08, 0x10
 _EVENT = struct.Struct("iIII")
 _CLOCK_MONOTONIC, _TFD_TIMER_ABSTIME = 1, 1
 _FLAGS = os.O_NONBLOCK | os.O_CLOEXEC
-
 
 _ONE_HOST: dict[tuple[int, ...], int] = {(0, True): 1, (1, False): 0, (0, True, False): 0}
 """How many hosts there are after what happens to one alone: hosts before, then openings and closings."""
@@ -104,7 +104,7 @@ class Timer:
     def set(self, wall_ns: int) -> None:
         """Wakes at this time [ns]; a time that is over wakes at once."""
         if self.descriptor is not None:
-            spec = _TimerSpec(0, 0, *divmod(max(wall_ns, 1), _NS_PER_S))
+            spec = _TimerSpec(0, 0, *divmod(max(wall_ns, 1), NS_PER_S))
             self._libc.timerfd_settime(self.descriptor, _TFD_TIMER_ABSTIME, ctypes.byref(spec), None)
 
     def clear(self) -> None:

@@ -106,10 +106,17 @@ def break_answers(twin: Twin, mutation: Mutation) -> None:
     firmware.receive = receive  # type: ignore[method-assign]
 
 
+def think(twin: Twin, delay_ns: Callable[[bytes], int]) -> None:
+    """Lets replies begin late, each by what it costs to think about [ns]."""
+    put = twin.robot.uart.tx.put
+    twin.robot.uart.tx.put = (  # type: ignore[method-assign]
+        lambda data, time_ns: put(data, time_ns + delay_ns(data))
+    )
+
+
 def late(twin: Twin) -> None:
     """Thinks for 60 ms before each reply."""
-    put = twin.robot.uart.tx.put
-    twin.robot.uart.tx.put = lambda data, time_ns: put(data, time_ns + 60_000_000)  # type: ignore[method-assign]
+    think(twin, lambda reply: 60_000_000)
 
 
 def slow_line(twin: Twin) -> None:
@@ -182,19 +189,24 @@ def without_trapezoid(twin: Twin) -> None:
     twin.robot.firmware.receive = rush  # type: ignore[method-assign]
 
 
-def keeps_its_trapezoid(twin: Twin) -> None:
-    """Resets everything but the trapezoid."""
+def keep(twin: Twin, *kept: Wheel) -> None:
+    """Lets some registers of both wheels outlive a reset."""
     firmware, cells = twin.robot.firmware, twin.robot.firmware.cells
     reset = firmware.reset
 
-    def keep() -> bytes:
-        kept = [cells[wheel + of] for wheel in (LEFT, RIGHT) for of in (Wheel.MAX_SPEED, Wheel.ACCELERATION)]
+    def without_these() -> bytes:
+        before = {wheel + register: cells[wheel + register] for wheel in (LEFT, RIGHT) for register in kept}
         banner = reset()
-        for wheel, speed, acceleration in ((LEFT, *kept[:2]), (RIGHT, *kept[2:])):
-            cells[wheel + Wheel.MAX_SPEED], cells[wheel + Wheel.ACCELERATION] = speed, acceleration
+        for register, value in before.items():
+            cells[register] = value
         return banner
 
-    firmware.reset = keep  # type: ignore[method-assign]
+    firmware.reset = without_these  # type: ignore[method-assign]
+
+
+def keeps_its_trapezoid(twin: Twin) -> None:
+    """Resets everything but the trapezoid."""
+    keep(twin, Wheel.MAX_SPEED, Wheel.ACCELERATION)
 
 
 def tells_the_setpoint(twin: Twin) -> None:
@@ -224,17 +236,7 @@ def stops_at_a_renumbering(twin: Twin) -> None:
 
 def keeps_driving(twin: Twin) -> None:
     """Restarts with its motors running."""
-    firmware, cells = twin.robot.firmware, twin.robot.firmware.cells
-    reset = firmware.reset
-
-    def restart() -> bytes:
-        kept = [cells[wheel + Wheel.SPEED_SETPOINT] for wheel in (LEFT, RIGHT)]
-        banner = reset()
-        for wheel, speed in zip((LEFT, RIGHT), kept, strict=True):
-            cells[wheel + Wheel.SPEED_SETPOINT] = speed
-        return banner
-
-    firmware.reset = restart  # type: ignore[method-assign]
+    keep(twin, Wheel.SPEED_SETPOINT)
 
 
 def ignores_profiles(twin: Twin) -> None:
@@ -248,18 +250,12 @@ def ignores_profiles(twin: Twin) -> None:
 
 def shows_its_banner_late(twin: Twin) -> None:
     """Thinks for 0.6 s before it starts anew."""
-    put = twin.robot.uart.tx.put
-    twin.robot.uart.tx.put = lambda data, time_ns: put(  # type: ignore[method-assign]
-        data, time_ns + (600_000_000 if data.startswith(b"ROM") else 0)
-    )
+    think(twin, lambda reply: 600_000_000 if reply.startswith(b"ROM") else 0)
 
 
 def is_slow_but_at_n(twin: Twin) -> None:
     """Thinks for 60 ms, but not before the reply to N."""
-    put = twin.robot.uart.tx.put
-    twin.robot.uart.tx.put = lambda data, time_ns: put(  # type: ignore[method-assign]
-        data, time_ns + (0 if data.startswith(b"n,") else 60_000_000)
-    )
+    think(twin, lambda reply: 0 if reply.startswith(b"n,") else 60_000_000)
 
 
 BOARDS = [

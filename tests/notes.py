@@ -1,0 +1,20 @@
+"""A tap that keeps the events of a world."""
+
+from khep_twin.world import World
+
+
+class Notes:
+    """A tap that keeps the events."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def sample(self, world: World) -> None:
+        """Nothing."""
+
+    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Nothing."""
+
+    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+        """Keeps it."""
+        self.told.append(text)
