@@ -232,7 +232,15 @@ def serve(
 
     factor = WIRE if clock is Clock.WIRE else _speed(speed)
     options = TwinOptions(
-        seed, robot, noise is Switch.ON, rom, _mode(mode), battery_used_min, unpaced, tuple(fault or ())
+        seed,
+        robot,
+        noise is Switch.ON,
+        rom,
+        _mode(mode),
+        battery_used_min,
+        unpaced,
+        strict_line,
+        tuple(fault or ()),
     )
     with (
         stopping() as stop,
@@ -246,7 +254,7 @@ def serve(
         typer.echo(paths, nl=False)
         if ready_fd is not None:
             _announce(ready_fd, paths)
-        pacer = serve_twin(twin, cables, factor, stop=stop, tell=_complain, strict=strict_line)
+        pacer = serve_twin(twin, cables, factor, stop=stop, tell=_complain)
         dropped = sum(cable.dropped for cable in cables)
     typer.echo(f"{twin.world.time_ns / 1e9:.1f} s served", err=True)
     if pacer.slips:

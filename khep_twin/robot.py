@@ -20,7 +20,7 @@ from khep_twin.rom import ROMS
 from khep_twin.sensors import InfraredScan
 from khep_twin.supply import Supply
 from khep_twin.turrets import find
-from khep_twin.uart import Uart
+from khep_twin.uart import LineSettings, Uart
 
 REPLY_LIMIT = 256
 """Bytes of replies that wait to be sent before the firmware takes no more commands (assumed)."""
@@ -55,7 +55,15 @@ class Robot:
     """
 
     def __init__(
-        self, stage: Stage, index: int, *, seed: int, noise: bool, unpaced: bool, faults: Sequence[Fault]
+        self,
+        stage: Stage,
+        index: int,
+        *,
+        seed: int,
+        noise: bool,
+        unpaced: bool,
+        strict_line: bool,
+        faults: Sequence[Fault],
     ) -> None:
         model, data = stage.model, stage.data
         entry = stage.playpen.robots[index]
@@ -71,6 +79,9 @@ class Robot:
         self._cells = self.firmware.cells
         self.uart = Uart(0 if unpaced else self.firmware.baud)
         self._unpaced = unpaced
+        self._baud = self.firmware.baud
+        self._host: LineSettings | None = None
+        self._warned: set[tuple[LineSettings, int]] = set()
         self._stage = stage
         self.index = index
         self._left_angle, self._right_angle = (
@@ -91,6 +102,7 @@ class Robot:
         self._lights = [_Light(model, f"{self.name}/led_{led}") for led in range(len(_LEDS))]
         self._pose = int(model.joint(f"{self.name}/pose").qposadr[0])
         chance = partial(stream, seed, "robot", index)
+        self._line_noise = chance("line") if strict_line else None
         self._faults = None
         if faults:
             self._faults = Injector(faults, partial(chance, "fault"), partial(stage.tell, index))
@@ -104,12 +116,31 @@ class Robot:
         x, y, _, qw, qx, qy, qz = self._qpos[self._pose : self._pose + 7].tolist()
         return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
 
+    def compare_line(self, host: LineSettings | None) -> str:
+        """Takes how the host has set its end of the line; None for as the robot has it.
+
+        A host's bytes cross at the host's speed. Where it is not the robot's, they arrive as they are, or,
+        on a strict line, garbled, and so do the robot's at the host.
+
+        Returns:
+            What is to be said about it; empty if all is well, or if it was said before.
+        """
+        self._host, baud = host, self._baud
+        if host is None or (host, baud) in self._warned or host == LineSettings(baud, 2):
+            return ""
+        self._warned.add((host, baud))
+        outcome = "garbled" if self._line_noise is not None and self._mismatched else "taken all the same"
+        return (
+            f"the host has its line at {host.baud} baud with {host.stop_bits} stop bits, the robot's "
+            f"has {baud} with 2; the bytes are {outcome}"
+        )
+
     def send(self, data: bytes, time_ns: int = 0) -> None:
         """Puts bytes of the host on the line, now or at a later time [ns]."""
         time_ns = max(time_ns, self._stage.time_ns)
-        if self._faults is not None:
-            data = self._faults.over_the_line(data, time_ns)
-        self.uart.rx.put(data, time_ns)
+        if not self._unpaced:
+            self.uart.rx.baud = (self._host and self._host.baud) or self._baud
+        self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
 
     def hang_up(self) -> None:
         """The host has gone: its whole commands are carried out unanswered, one just begun is forgotten."""
@@ -144,9 +175,8 @@ class Robot:
             answer = self.firmware.receive(line)
             if answer:
                 self._reply(answer, taken_ns)
-            if not self._unpaced and self.firmware.baud != self.uart.tx.baud:
-                # The tool `serial`, or a restart after it: from the next byte on.
-                self.uart.rx.baud = self.uart.tx.baud = self.firmware.baud
+            # The tool `serial`, or a restart after it, changes the speed from the next byte on.
+            self._take_speed()
         # Of a line that has not ended, what is there is taken at once; a whole one that waits stays whole.
         count = rx.arrived(time_ns)
         if taken_ns is None and count:
@@ -208,8 +238,25 @@ class Robot:
         """Puts a reply on the line."""
         if self._faults is not None:
             time_ns += self._faults.delay_ns(time_ns)
-            answer = self._faults.over_the_line(answer, time_ns)
+        answer = self._over_the_line(answer, time_ns)
         self._stage.hear(self.uart.tx.put(answer, time_ns), self.index, False, answer)
+
+    @property
+    def _mismatched(self) -> bool:
+        return self._host is not None and self._host.baud != self._baud
+
+    def _take_speed(self) -> None:
+        """Sets the line to the speed that the firmware wants."""
+        self._baud = self.firmware.baud
+        if not self._unpaced:
+            self.uart.tx.baud = self._baud
+
+    def _over_the_line(self, data: bytes, time_ns: int) -> bytes:
+        """Bytes as they come out of the cable at its other end."""
+        if self._mismatched and self._line_noise is not None:
+            errors = self._line_noise.integers(1, 256, len(data)).tolist()
+            data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
+        return data if self._faults is None else self._faults.over_the_line(data, time_ns)
 
     def _fail(self, faults: Injector) -> None:
         """Lets the faults of a control period happen."""
@@ -220,7 +267,9 @@ class Robot:
                 # Its own voltage as a generator: no current, no torque.
                 self._ctrl[motor] = units.MOTOR_CONSTANT * self._qvel[speed]
         if faults.brown_out(time_ns):
-            self._reply(self.firmware.reset(), time_ns)
+            banner = self.firmware.reset()
+            self._take_speed()
+            self._reply(banner, time_ns)
 
 
 class _Light:

@@ -5,6 +5,7 @@ t0 + k * 11 * 10^9 // baud; a burst that finds the line busy starts when the lin
 """
 
 from bisect import bisect_right
+from dataclasses import dataclass
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.units import BITS_PER_BYTE
@@ -13,6 +14,19 @@ QUEUE_LIMIT = 1024
 """Bytes that wait on the way to the robot before the line pushes back (assumed; the manual gives none)."""
 
 _BYTE_BITS_NS = BITS_PER_BYTE * NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class LineSettings:
+    """How a host has set its end of the line, as far as that can be seen.
+
+    Attributes:
+        baud: bits per second; 0 for a line hung up.
+        stop_bits: 1 or 2.
+    """
+
+    baud: int
+    stop_bits: int
 
 
 class Line:

@@ -55,6 +55,7 @@ class World:
         seed: of every chance in the run.
         noise: whether sensors are noisy.
         unpaced: lets bytes cross the lines in no time.
+        strict_line: garbles the bytes between a robot and a host whose line is set to another speed.
         faults: that happen to its robots.
 
     Attributes:
@@ -72,6 +73,7 @@ class World:
         seed: int = 0,
         noise: bool = True,
         unpaced: bool = False,
+        strict_line: bool = False,
         faults: Sequence[Fault] = (),
     ) -> None:
         # MuJoCo would write its warnings into a file where the user happens to be; they are checked here.
@@ -84,7 +86,15 @@ class World:
         self.model = self.spec.compile()
         self.data = mujoco.MjData(self.model)
         self.robots = tuple(
-            Robot(self, index, seed=seed, noise=noise, unpaced=unpaced, faults=faults)
+            Robot(
+                self,
+                index,
+                seed=seed,
+                noise=noise,
+                unpaced=unpaced,
+                strict_line=strict_line,
+                faults=faults,
+            )
             for index in range(len(playpen.robots))
         )
         self._steps = 0

@@ -23,9 +23,13 @@ def url_of(transcript: Path) -> str:
     return transcript.read_text().splitlines()[0].removeprefix("# ")
 
 
+def speed_of(url: str) -> int:
+    return BAUD_RATES[dict(parse_qsl(urlsplit(url).query)).get("mode", "1")]
+
+
 @contextmanager
 def in_process(url: str) -> Iterator[Any]:
-    with serial.serial_for_url(url, timeout=1) as port:
+    with serial.serial_for_url(url, baudrate=speed_of(url), timeout=1) as port:
         yield port
 
 
@@ -34,12 +38,11 @@ def behind_a_pty(url: str) -> Iterator[Any]:
     parts = urlsplit(url)
     options = [word for key, value in parse_qsl(parts.query) for word in (f"--{key}", value)]
     command = [sys.executable, "-m", "khep_twin", "serve", parts.netloc, *options]
-    mode = dict(parse_qsl(parts.query)).get("mode", "1")
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             assert process.stdout is not None
             path = process.stdout.readline().strip()
-            with serial.Serial(path, BAUD_RATES[mode], stopbits=2, timeout=1) as port:
+            with serial.Serial(path, speed_of(url), stopbits=2, timeout=1) as port:
                 yield port
         finally:
             process.terminate()
@@ -61,6 +64,8 @@ def play(transcript: Path, port: Any) -> None:
                 reply = port.read_until(b"\n")
                 pattern = re.escape(text).replace(r"\*", "[^,]*") + "\r\n"
                 assert re.fullmatch(pattern, reply.decode("ascii")), f"{place}: came {reply!r}"
+                if text.startswith("serial "):
+                    port.baudrate = int(text.removeprefix("serial "))
             case "~":
                 wait(float(text))
             case ".":

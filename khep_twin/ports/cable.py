@@ -1,24 +1,12 @@
 """What joins one robot of a served twin and its host: a pseudo-terminal, or a connection over a network."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
+
+from khep_twin.uart import LineSettings
 
 IN_A_MOMENT = "a host came in the moment another left: it may find what that one left behind"
 """What is told when a cable cannot be cleared because the next host is there already."""
-
-
-@dataclass(frozen=True, slots=True)
-class LineSettings:
-    """How a host has set its end of the line, as far as that can be seen.
-
-    Attributes:
-        baud: bits per second.
-        stop_bits: 1 or 2.
-    """
-
-    baud: int
-    stop_bits: int
 
 
 class Cable(Protocol):

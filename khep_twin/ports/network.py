@@ -17,7 +17,7 @@ import serial
 from serial.rfc2217 import PortManager
 
 from khep_twin.errors import PortError
-from khep_twin.ports.cable import LineSettings
+from khep_twin.uart import LineSettings
 
 QUEUE_LIMIT = 4096
 """Most bytes that wait for a host that does not read; the rest is dropped and counted."""

@@ -13,16 +13,18 @@ give the same run.
 # pyright: reportUnknownMemberType=false, reportAttributeAccessIssue=false
 
 import re
+import warnings
 from collections.abc import Callable
 from typing import Any, Self
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from serial import PortNotOpenError, SerialException
+from serial import PortNotOpenError, SerialException, SerialTimeoutException
 from serial.serialutil import SerialBase
 
 from khep_twin.clock import to_ns
 from khep_twin.errors import KhepTwinError, PortError, choices
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.uart import LineSettings
 
 _POLL_NS = 1_000_000
 """What a poll costs on a line that takes no time [ns]."""
@@ -42,11 +44,14 @@ class Serial(SerialBase):
     twin: Twin
     _port: str | None
     _timeout: float | None
+    _write_timeout: float | None
+    _baudrate: int
+    _stopbits: float
 
     @classmethod
     def of(cls, twin: Twin, timeout: float | None = None) -> Self:
         """A port to a twin that is there already."""
-        port = cls(timeout=timeout)
+        port = cls(baudrate=twin.robot.firmware.baud, timeout=timeout)
         port.port = f"khep://{twin.world.playpen.name}"
         port._connect(twin)
         return port
@@ -69,7 +74,7 @@ class Serial(SerialBase):
     def _connect(self, twin: Twin) -> None:
         self.twin = twin
         self._uart = twin.robot.uart
-        self._poll_ns = self._uart.rx.byte_ns or _POLL_NS
+        self._poll_ns = self._uart.tx.byte_ns or _POLL_NS
         self.is_open = True
 
     def close(self) -> None:
@@ -117,18 +122,28 @@ class Serial(SerialBase):
         return self.read_until(size=None if size is None or size < 0 else size)
 
     def write(self, data: Any, /) -> int:
-        """Puts bytes on the line; waits, as a real port does, only while the line's queue is full."""
+        """Puts bytes on the line; waits, as a real port does, only while the line's queue is full.
+
+        Raises:
+            SerialTimeoutException: it was full until the write timeout was over.
+        """
         self._check_open()
+        self._compare_line()
         rest = bytes(data)
+        deadline_ns = None if self._write_timeout is None else self.time_ns + to_ns(self._write_timeout)
         while rest:
-            room = self._uart.room
-            if room:
+            if room := self._uart.room:
                 self.twin.robot.send(rest[:room])
                 rest = rest[room:]
-            else:
-                next_ns = self.twin.robot.next_command_ns() or self._uart.rx.next_ns or 0
-                self.twin.advance_to(max(next_ns, self.time_ns))
-        return len(data)
+                continue
+            next_ns = self.twin.robot.next_command_ns() or self._uart.rx.next_ns or 0
+            if deadline_ns is not None and next_ns > deadline_ns:
+                self.twin.advance_to(deadline_ns)
+                if self._write_timeout == 0:
+                    break
+                raise SerialTimeoutException("Write timeout")
+            self.twin.advance_to(max(next_ns, self.time_ns))
+        return len(data) - len(rest)
 
     def flush(self) -> None:
         """Waits until everything written has reached the robot."""
@@ -181,8 +196,17 @@ class Serial(SerialBase):
         if not self.is_open:
             raise PortNotOpenError()
 
+    def _compare_line(self) -> None:
+        """Lets the host's speed be felt, and warns once where it is not the robot's."""
+        robot = self.twin.robot
+        notice = robot.compare_line(LineSettings(self._baudrate, 2 if self._stopbits > 1 else 1))
+        # pyserial's default of one stop bit is understood by the robot, too, and no reason to warn.
+        if notice and self._baudrate != robot.firmware.baud:
+            self.twin.world.tell(robot.index, notice)
+            warnings.warn(f"{self._port}: {notice}", stacklevel=3)
+
     def _reconfigure_port(self) -> None:
-        """Speed, parity and flow control are as the robot has them, whatever the host asks for."""
+        """The speed is felt from the next byte on; parity and flow control are as the robot has them."""
 
     def _update_rts_state(self) -> None:
         """The robot's line has no such wire."""
@@ -278,6 +302,7 @@ _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
     "mode": (_digit, "a running mode, one digit from 0 to F"),
     "battery_used_min": (_minutes, "a number of minutes from 0 to 1000"),
     "unpaced": ({"on": True, "off": False}.__getitem__, "on or off"),
+    "strict_line": ({"on": True, "off": False}.__getitem__, "on or off"),
     "fault": (
         lambda text: tuple(text.split(",")),
         "faults with commas between them, such as drop:0.01,stuck:2@5",

@@ -16,9 +16,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from khep_twin.ports.cable import IN_A_MOMENT, LineSettings
+from khep_twin.ports.cable import IN_A_MOMENT
 from khep_twin.ports.link import Link
 from khep_twin.ports.wakeups import Watch
+from khep_twin.uart import LineSettings
 
 _SPEEDS: dict[int, int] = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()

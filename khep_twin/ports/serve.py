@@ -32,7 +32,6 @@ def serve(
     *,
     stop: Callable[[], bool],
     tell: Callable[[str], None],
-    strict: bool = False,
 ) -> Pacer:
     """Lets hosts talk to the twin until `stop` says so.
 
@@ -42,13 +41,12 @@ def serve(
         speed: simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
         stop: asked once a turn.
         tell: takes what somebody should see, such as a wrong speed of the line.
-        strict: garbles the bytes of a host whose speed is not the robot's.
 
     Returns:
         The pacer, which knows how often and how much time had to be given up.
     """
     connections = [
-        Connection(twin, robot, cable, tell, strict) for robot, cable in zip(twin.robots, cables, strict=True)
+        Connection(twin, robot, cable, tell) for robot, cable in zip(twin.robots, cables, strict=True)
     ]
     timer = Timer()
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
@@ -78,11 +76,11 @@ def _serve_by_clock(
             [world.time_ns + TICK_NS, *(time_ns for each in connections for time_ns in each.events_ns())]
         )
         next_ns = max(next_ns, world.time_ns)
-        ready = _wait(connections, 0.0 if pacer is None else pacer.wait(next_ns), timer, pacer, next_ns)
+        _wait(connections, 0.0 if pacer is None else pacer.wait(next_ns), timer, pacer, next_ns)
         due_ns = next_ns if pacer is None else pacer.due_ns()
         twin.advance_to(max(min(due_ns, next_ns), world.time_ns))
         for connection in connections:
-            connection.exchange(ready, None if pacer is None else pacer.due_ns)
+            connection.exchange(None if pacer is None else pacer.due_ns)
         if pacer is not None and (late_ns := pacer.slip(world.time_ns)):
             world.tell(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
         flush()
@@ -92,9 +90,9 @@ def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable
     """Time stands still but for bytes: those of a command, and those of its reply, which comes at once."""
     flush = _Flush(twin)
     while not stop():
-        ready = _wait(connections, LONGEST_WAIT)
+        _wait(connections, LONGEST_WAIT)
         for connection in connections:
-            connection.exchange(ready)
+            connection.exchange()
         while events := [time_ns for each in connections for time_ns in each.events_ns()]:
             twin.advance_to(max(min(events), twin.world.time_ns))
             for connection in connections:
@@ -108,7 +106,7 @@ def _wait(
     timer: Timer | None = None,
     pacer: Pacer | None = None,
     next_ns: int = 0,
-) -> set[int]:
+) -> None:
     """Waits for bytes, for hosts that come or go, or until a simulated time is due."""
     descriptors = [descriptor for each in connections for descriptor in each.descriptors()]
     wait = min(max(duration, 0.0), LONGEST_WAIT)
@@ -116,10 +114,9 @@ def _wait(
         timer.set(min(pacer.wall_ns(next_ns), time.monotonic_ns() + int(LONGEST_WAIT * NS_PER_S)))
         descriptors.append(timer.descriptor)
         wait = 2 * LONGEST_WAIT
-    ready = set(select.select(descriptors, [], [], wait)[0])
+    ready = select.select(descriptors, [], [], wait)[0]
     if timer is not None and timer.descriptor in ready:
         timer.clear()
-    return ready
 
 
 class _Flush:

@@ -32,6 +32,7 @@ class TwinOptions:
         mode: its running mode, which sets the line's speed.
         battery_used_min: minutes that it has run on its cells at start [min].
         unpaced: lets bytes cross the line in no time.
+        strict_line: garbles the bytes of a host whose line is set to another speed than the robot's.
         faults: that happen to the robots, in the words of `khep_twin.faults`.
         log: file to record the run in.
     """
@@ -43,6 +44,7 @@ class TwinOptions:
     mode: int | None = None
     battery_used_min: float | None = None
     unpaced: bool = False
+    strict_line: bool = False
     faults: tuple[str, ...] = ()
     log: str | None = None
 
@@ -126,7 +128,14 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
             raise PortError(f"mode = {changed.mode:X} with rom = {changed.rom!r}: {reason}")
     chosen = chosen.model_copy(update={"robots": tuple(robots)})
     faults = tuple(parse(fault) for fault in options.faults)
-    world = World(chosen, seed=options.seed, noise=options.noise, unpaced=options.unpaced, faults=faults)
+    world = World(
+        chosen,
+        seed=options.seed,
+        noise=options.noise,
+        unpaced=options.unpaced,
+        strict_line=options.strict_line,
+        faults=faults,
+    )
     twin = Twin(world, tuple(world.robots[index] for index in on_the_line), options)
     if options.log is not None:
         twin.record(Path(options.log))

@@ -13,8 +13,10 @@ from khep_twin.ports.twin import TwinOptions
 BYTE_NS = 11 * 10**9 // 9600
 
 
-def connect(url: str = "khep://default?noise=off", timeout: float | None = 1.0) -> serial.SerialBase:
-    return serial.serial_for_url(url, baudrate=9600, stopbits=2, timeout=timeout)
+def connect(
+    url: str = "khep://default?noise=off", timeout: float | None = 1.0, baudrate: int = 9600
+) -> serial.SerialBase:
+    return serial.serial_for_url(url, baudrate=baudrate, stopbits=2, timeout=timeout)
 
 
 def test_a_command_is_answered_after_its_time_on_the_line() -> None:
@@ -25,8 +27,8 @@ def test_a_command_is_answered_after_its_time_on_the_line() -> None:
         assert port.time_ns == 2 * 11 * 10**9 // 9600 + 13 * 11 * 10**9 // 9600
 
 
-def test_unpaced_lines_are_no_option_of_the_url_but_the_mode_is() -> None:
-    with connect("khep://default?mode=3") as port:
+def test_the_mode_sets_the_speed_of_the_robots_line() -> None:
+    with connect("khep://default?mode=3", baudrate=38400) as port:
         port.write(b"B\n")
         port.readline()
         assert port.time_ns == 2 * 11 * 10**9 // 38400 + 13 * 11 * 10**9 // 38400
@@ -161,6 +163,52 @@ def test_what_is_taken_back_leaves_the_line_free() -> None:
         port.write(b"\nB\n")
         port.readline()
         assert port.time_ns - start < 40_000_000
+
+
+def test_a_write_that_finds_no_room_ends_with_its_timeout() -> None:
+    with connect() as port:
+        port.write_timeout = 0.1
+        with pytest.raises(serial.SerialTimeoutException):
+            port.write(b"N\n" * 1000)
+        assert port.time_ns == 100_000_000
+        port.write_timeout = 0
+        assert port.write(b"N\n" * 1000) < 2000
+        assert port.time_ns == 100_000_000
+
+
+def test_another_speed_of_the_host_is_felt_and_told_once() -> None:
+    with connect() as port:
+        port.baudrate = 38400
+        with pytest.warns(UserWarning, match="at 38400 baud .* the robot's has 9600 .* taken all the same"):
+            port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+        # The host's bytes cross at the host's speed, the robot's at the robot's.
+        assert port.time_ns == 2 * 11 * 10**9 // 38400 + 13 * 11 * 10**9 // 9600
+        port.write(b"B\n")
+
+
+def test_on_a_strict_line_another_speed_makes_rubbish_both_ways() -> None:
+    with connect("khep://default?strict_line=on&seed=3", timeout=0.2) as port:
+        port.baudrate = 19200
+        with pytest.warns(UserWarning, match="the bytes are garbled"):
+            port.write(b"B\n" * 20)
+        assert b"5.02" not in port.read(300)
+        port.baudrate = 9600
+        port.write(b"\n")
+        port.read(300)
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+
+
+def test_after_the_tool_serial_the_host_changes_its_speed() -> None:
+    with connect("khep://default?strict_line=on") as port:
+        port.write(b"serial 38400\n")
+        assert port.readline() == b"serial 38400\r\n"
+        port.baudrate = 38400
+        start_ns = port.time_ns
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert port.time_ns - start_ns == 2 * 11 * 10**9 // 38400 + 13 * 11 * 10**9 // 38400
 
 
 def test_the_ports_of_pyserial_are_all_there() -> None:
