@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format fuzz soak bench lock build clean
+.PHONY: help run test check format fuzz soak pyserial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -32,6 +32,9 @@ fuzz: $(VENV)/dev.stamp ## a million inputs for the board; about ten minutes
 
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each
 	@KHEP_RUBBISH_SECONDS=60 $(BIN)/python -m pytest tests/ports/test_chaos.py
+
+pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back line
+	@$(BIN)/python tests/pyserial_suite.py
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
 	@$(BIN)/python -m benchmarks

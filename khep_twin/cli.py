@@ -6,20 +6,24 @@ What a command needs is imported inside it, so that `khep-twin --help` comes at 
 import math
 import shutil
 import sys
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from khep_twin import __version__
+from khep_twin.cli_playpen import PlaypenName, playpen_app
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import unusable, write_whole
 
 if TYPE_CHECKING:
-    from khep_twin.ports.twin import Twin
+    from khep_twin.log.line_recorder import LineRecorder
+    from khep_twin.log.recorder import Recorder
+    from khep_twin.ports.cable import Cable
 
 app = typer.Typer(
     name="khep-twin",
@@ -27,9 +31,6 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-)
-playpen_app = typer.Typer(
-    help="Check, compile and draw playpens.", no_args_is_help=True, rich_markup_mode=None
 )
 app.add_typer(playpen_app, name="playpen")
 
@@ -48,7 +49,6 @@ class Clock(StrEnum):
     WIRE = "wire"
 
 
-PlaypenName = Annotated[str, typer.Argument(help="Name of a shipped playpen, or path of a playpen file.")]
 Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]
 Noise = Annotated[Switch, typer.Option(help="Noisy sensors, as on the robot.")]
 RobotIndex = Annotated[int, typer.Option(help="Which of the playpen's robots, counted from 0.")]
@@ -75,7 +75,6 @@ Faults = Annotated[
     ),
 ]
 Log = Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")]
 
 
 def main() -> None:
@@ -159,7 +158,7 @@ def run(
             log=log_name,
         )
         twin = open_twin(playpen, options)
-        _tell_kept(twin)
+        _tell_kept(twin.recorder)
         port_or_twin = Serial.of(twin, timeout=1.0)
     else:
         port_or_twin = port
@@ -185,6 +184,7 @@ def run(
 
 @app.command()
 def serve(
+    context: typer.Context,
     playpen: PlaypenName = "default",
     link: Annotated[
         Path | None,
@@ -204,6 +204,10 @@ def serve(
     ] = Clock.REAL,
     speed: Annotated[str, typer.Option(help="Simulated per real second: a number, or max.")] = "1",
     unpaced: Annotated[bool, typer.Option("--unpaced", help="Let bytes cross the line in no time.")] = False,
+    through: Annotated[
+        str | None,
+        typer.Option(help="Serve the robot at this port instead of a twin: all is passed on, and logged."),
+    ] = None,
     strict_line: Annotated[
         bool, typer.Option("--strict-line", help="Garble the bytes of a host at another speed.")
     ] = False,
@@ -221,7 +225,7 @@ def serve(
     fault: Faults = None,
     log: Log = None,
 ) -> None:
-    """Serves a twin behind pseudo-terminals or on the network, until it is stopped.
+    """Serves a twin, or with --through a robot, behind pseudo-terminals or on the network until stopped.
 
     Standard output has one line for each robot: what its host opens.
     """
@@ -230,6 +234,13 @@ def serve(
     from khep_twin.ports.serve import serve as serve_twin
     from khep_twin.ports.twin import TwinOptions, open_twin
 
+    where = partial(far_ends, link=link, tcp=tcp, rfc2217=rfc2217, expose=expose)
+    if through is not None:
+        if ignored := _given(context) & (_OF_A_TWIN | _OF_A_SERVED_TWIN) - {"mode", "log"}:
+            option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
+            raise _usage(f"{option} is for a twin, not for a robot at --through")
+        _relay(through, _mode(mode), where, ready_fd, log)
+        return
     factor = WIRE if clock is Clock.WIRE else _speed(speed)
     options = TwinOptions(
         seed,
@@ -245,22 +256,17 @@ def serve(
     with (
         stopping() as stop,
         open_twin(playpen, options) as twin,
-        far_ends(twin.robots, link=link, tcp=tcp, rfc2217=rfc2217, expose=expose) as cables,
+        where({robot.index: robot.firmware.baud for robot in twin.robots}) as cables,
     ):
         if log is not None:
             twin.record(log)
-            _tell_kept(twin)
-        paths = "".join(f"{cable.path}\n" for cable in cables)
-        typer.echo(paths, nl=False)
-        if ready_fd is not None:
-            _announce(ready_fd, paths)
+            _tell_kept(twin.recorder)
+        _announce(cables, ready_fd)
         pacer = serve_twin(twin, cables, factor, stop=stop, tell=_complain)
         dropped = sum(cable.dropped for cable in cables)
-    typer.echo(f"{twin.world.time_ns / 1e9:.1f} s served", err=True)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
-    if dropped:
-        typer.echo(f"{dropped} bytes dropped that no host took", err=True)
+    _tell_served(twin.world.time_ns, dropped)
 
 
 @app.command()
@@ -297,47 +303,6 @@ def conform(
         write_whole(report, outcome.json().encode("utf-8"))
     if not outcome.passed:
         raise typer.Exit(1)
-
-
-@playpen_app.command()
-def check(playpen: PlaypenName) -> None:
-    """Checks a playpen; one line per problem."""
-    from khep_twin import calibration
-    from khep_twin import playpen as playpens
-
-    found = playpens.load(playpen)
-    for robot in found.robots:
-        calibration.read(robot.calibration)
-    typer.echo(
-        f"{found.name}: {len(found.blocks)} blocks, {len(found.cylinders)} cylinders, "
-        f"{len(found.lamps)} lamps, {len(found.robots)} robots: no problem"
-    )
-
-
-@playpen_app.command("compile")
-def compile_playpen(playpen: PlaypenName, output: Output = None) -> None:
-    """Writes a playpen as MJCF, which opens in MuJoCo without khep_twin; to standard output by default."""
-    from khep_twin import playpen as playpens
-    from khep_twin.playpen_to_mjcf import to_mjcf
-
-    mjcf = to_mjcf(playpens.load(playpen))
-    if output is None:
-        typer.echo(mjcf, nl=False)
-    else:
-        write_whole(output, mjcf.encode("utf-8"))
-        typer.echo(f"scene    {output}")
-
-
-@playpen_app.command()
-def draw(playpen: PlaypenName, output: Output = None) -> None:
-    """Draws a playpen to scale, as PNG or SVG; to NAME.png by default."""
-    from khep_twin import drawing
-    from khep_twin import playpen as playpens
-
-    found = playpens.load(playpen)
-    target = output or Path(f"{found.name}.png")
-    drawing.save(drawing.draw(found), target)
-    typer.echo(f"picture  {target}")
 
 
 def _draw_log(log: Path, picture: Path) -> None:
@@ -381,6 +346,8 @@ _OF_A_TWIN = {
     "log",
     "picture",
 }
+
+_OF_A_SERVED_TWIN = {"clock", "speed", "unpaced", "strict_line"}
 
 
 def _given(context: typer.Context) -> set[str]:
@@ -427,12 +394,51 @@ def _program() -> str:
     return typed if Path(typed).name == "khep-twin" and found != typed else "khep-twin"
 
 
-def _tell_kept(twin: "Twin") -> None:
+def _relay(
+    through: str,
+    mode: int | None,
+    where: Callable[[Mapping[int, int]], AbstractContextManager[Sequence["Cable"]]],
+    ready_fd: int | None,
+    log: Path | None,
+) -> None:
+    """Serves the robot at a port."""
+    from khep_twin.log.line_recorder import LineRecorder
+    from khep_twin.ports.relay import Device, relay, since_now
+    from khep_twin.ports.serve import stopping
+    from khep_twin.rom import ROMS
+
+    number, modes = 1 if mode is None else mode, ROMS["khepera2"]
+    if reason := modes.refused(number):
+        raise _usage(f"--mode {number:X}: {reason}")
+    baud = modes.modes[number].baud
+    with (
+        stopping() as stop,
+        closing(Device(through, baud)) as device,
+        where({0: baud}) as cables,
+        ExitStack() as stack,
+    ):
+        now = since_now()
+        recorder = None
+        if log is not None:
+            recorder = stack.enter_context(LineRecorder(log, {"through": through, "baud": baud}, now))
+        _tell_kept(recorder)
+        _announce(cables, ready_fd)
+        relay(device, cables[0], recorder, stop=stop, tell=_complain)
+        duration_ns, dropped = now(), cables[0].dropped
+    _tell_served(duration_ns, dropped)
+
+
+def _tell_served(duration_ns: int, dropped: int) -> None:
+    """What there is to say at the end of serving."""
+    typer.echo(f"{duration_ns / 1e9:.1f} s served", err=True)
+    if dropped:
+        typer.echo(f"{dropped} bytes dropped that no host took", err=True)
+
+
+def _tell_kept(recorder: "Recorder | LineRecorder | None") -> None:
     """Says that an unfinished log of an earlier run was found and where it is now."""
-    if twin.recorder is not None and twin.recorder.kept is not None:
-        typer.echo(
-            f"khep-twin: an unfinished log of an earlier run is kept as {twin.recorder.kept}", err=True
-        )
+    if recorder is not None and recorder.kept is not None:
+        typer.echo(f"khep-twin: an unfinished log of an earlier run is kept as {recorder.kept}", err=True)
 
 
 def _complain(text: str) -> None:
@@ -440,8 +446,12 @@ def _complain(text: str) -> None:
     typer.echo(f"khep-twin: {text}", err=True)
 
 
-def _announce(descriptor: int, paths: str) -> None:
-    """Tells whoever waits at a descriptor that hosts may come."""
+def _announce(cables: Sequence["Cable"], descriptor: int | None) -> None:
+    """Says what hosts open, on standard output and to whoever waits at a descriptor."""
+    paths = "".join(f"{cable.path}\n" for cable in cables)
+    typer.echo(paths, nl=False)
+    if descriptor is None:
+        return
     try:
         with open(descriptor, "w") as file:
             file.write(paths)

@@ -100,8 +100,13 @@ def _layout(label: Label) -> "rrb.Blueprint":
     import rerun as rr
     import rerun.blueprint as rrb
 
+    # Of a real robot nobody knows where it was.
+    known = "playpen.toml" in label.attachments
     solid = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
-    arena = rrb.Spatial3DView(name="arena", eye_controls=_eye(label), line_grid=False, defaults=solid)
+    arena = [
+        rrb.Spatial3DView(name="arena", eye_controls=_eye(label), line_grid=False, defaults=solid)
+        for _ in range(known)
+    ]
     transcripts = [
         rrb.TextLogView(
             name=f"{robot}: serial line and events",
@@ -121,7 +126,10 @@ def _layout(label: Label) -> "rrb.Blueprint":
         for robot in label.robots
     ]
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(arena, rrb.Tabs(*transcripts), row_shares=[2, 1]), rrb.Tabs(*curves)),
+        rrb.Horizontal(
+            rrb.Vertical(*arena, rrb.Tabs(*transcripts), row_shares=[2, 1] if known else [1]),
+            rrb.Tabs(*curves),
+        ),
         rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

@@ -1,6 +1,6 @@
 """The far ends of a served twin's cables, from what the user asks for."""
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
@@ -8,14 +8,20 @@ from khep_twin.errors import PortError
 from khep_twin.ports.cable import Cable
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
 from khep_twin.ports.pty import PtyPort
-from khep_twin.robot import Robot
 
 
 @contextmanager
 def far_ends(
-    robots: Sequence[Robot], *, link: Path | None, tcp: str | None, rfc2217: str | None, expose: bool
+    bauds: Mapping[int, int], *, link: Path | None, tcp: str | None, rfc2217: str | None, expose: bool
 ) -> Generator[Sequence[Cable], None, None]:
     """One cable for each robot: pseudo-terminals, or TCP servers at ports one after the other.
+
+    Args:
+        bauds: speed of each robot's line, by the robot's number.
+        link: path of the link to the pseudo-terminal.
+        tcp: HOST:PORT to serve plain bytes at instead.
+        rfc2217: HOST:PORT to serve RFC 2217 at instead.
+        expose: whether other machines may reach these.
 
     Of several robots the links end in the robot's number: khepera0, khepera1 …
 
@@ -28,10 +34,9 @@ def far_ends(
     address = tcp or rfc2217
     with ExitStack() as stack:
         cables: list[Cable] = []
-        for count, robot in enumerate(robots):
-            baud = robot.firmware.baud
+        for count, (robot, baud) in enumerate(bauds.items()):
             if address is None:
-                name = link if link is None or len(robots) == 1 else Path(f"{link}{robot.index}")
+                name = link if link is None or len(bauds) == 1 else Path(f"{link}{robot}")
                 cable: Cable = PtyPort(name, baud)
             else:
                 host, port = parse_address(address)

@@ -3,22 +3,25 @@
 The terminal is raw before anybody can know its name: a fresh one would echo the robot's replies back to it as
 commands. One descriptor of the host's side stays open here, so that the terminal outlives its hosts; what a
 host leaves behind (settings, a lock, unread replies) is cleared away when the last one closes it, as a cable
-would. inotify tells of opening and closing, even when the host was killed; where there is no inotify, nothing
-is cleared.
+would. inotify tells of opening and closing, even when the host was killed. Where there is no inotify, the
+terminal is not kept open but asked whether it is hung up.
 """
 
+import errno
 import fcntl
 import os
 import termios
 import tty
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from khep_twin.errors import PortError
 from khep_twin.ports.cable import IN_A_MOMENT
 from khep_twin.ports.link import Link
-from khep_twin.ports.wakeups import Watch
+from khep_twin.ports.wakeups import HangUps, Watch, watch
 from khep_twin.uart import LineSettings
 
 _SPEEDS: dict[int, int] = {
@@ -42,20 +45,25 @@ class PtyPort:
         descriptor: this side of it, for `select`.
         path: what a host opens: the link, or the terminal's own name.
         dropped: bytes that no host took in time.
-        occupied: whether a host has it open; always where that cannot be known.
+        occupied: whether a host has it open.
 
     Raises:
         PortError: the link cannot be made.
     """
 
     def __init__(self, link: Path | None = None, baud: int = 9600) -> None:
-        self.descriptor, self._host_side = os.openpty()
+        self.descriptor, kept = os.openpty()
+        self._kept: int | None = kept
         self._baud = baud
         self._make_raw()
         os.set_blocking(self.descriptor, False)
-        self.name = self.path = os.ttyname(self._host_side)
+        self.name = self.path = os.ttyname(kept)
         self.dropped = 0
-        self._watch = Watch(self.name, own=1)
+        wakes = watch(self.name, own=1)
+        self._watch: Watch = HangUps(self.descriptor) if wakes is None else wakes
+        if wakes is None:
+            os.close(kept)
+            self._kept = None
         self._crowded = False
         self._link = None
         if link is not None:
@@ -76,13 +84,16 @@ class PtyPort:
 
     @property
     def occupied(self) -> bool:
-        """Whether a host has it open; always where that cannot be known."""
-        return self._watch.descriptor is None or self._watch.hosts > 0
+        """Whether a host has it open."""
+        return self._watch.hosts > 0
 
     def descriptors(self, room: bool) -> Sequence[int]:
         """What becomes readable when a host comes, goes or, if there is room for it, writes."""
-        watch = self._watch.descriptor
-        return [*([self.descriptor] if room else []), *([] if watch is None else [watch])]
+        wakes = self._watch.descriptor
+        if wakes is not None:
+            return [*([self.descriptor] if room else []), wakes]
+        # A terminal that is hung up is readable all the time.
+        return [self.descriptor] if room and self.occupied else []
 
     def settings(self) -> LineSettings | None:
         """How the host has set its end; parity and data bits cannot be seen on a pseudo-terminal."""
@@ -98,7 +109,8 @@ class PtyPort:
         notices: list[str] = []
         if in_a_moment:
             # Its settings and commands are the new host's already; only unread replies can be taken back.
-            termios.tcflush(self._host_side, termios.TCIFLUSH)
+            with self._host_side() as host_side:
+                termios.tcflush(host_side, termios.TCIFLUSH)
             notices.append(IN_A_MOMENT)
         if self._crowded and not told:
             notices.append(
@@ -111,6 +123,10 @@ class PtyPort:
         try:
             return os.read(self.descriptor, limit) if limit else b""
         except BlockingIOError:
+            return b""
+        except OSError as error:
+            if error.errno != errno.EIO:  # hung up, with nothing left to read
+                raise
             return b""
 
     def write(self, data: bytes) -> None:
@@ -129,12 +145,13 @@ class PtyPort:
         """
         if self._watch.pending():
             return False
-        fcntl.ioctl(self._host_side, termios.TIOCNXCL)
-        self._make_raw()
-        termios.tcflow(self._host_side, termios.TCOON)
-        # Either end has a buffer of its own.
-        for descriptor in (self._host_side, self.descriptor):
-            termios.tcflush(descriptor, termios.TCIOFLUSH)
+        with self._host_side() as host_side:
+            fcntl.ioctl(host_side, termios.TIOCNXCL)
+            self._make_raw()
+            termios.tcflow(host_side, termios.TCOON)
+            # Either end has a buffer of its own.
+            for descriptor in (host_side, self.descriptor):
+                termios.tcflush(descriptor, termios.TCIOFLUSH)
         return True
 
     def close(self) -> None:
@@ -143,14 +160,32 @@ class PtyPort:
             self._link.close()
             self._link = None
         self._watch.close()
-        for descriptor in (self.descriptor, self._host_side):
-            os.close(descriptor)
+        for descriptor in (self.descriptor, self._kept):
+            if descriptor is not None:
+                os.close(descriptor)
 
     def _make_raw(self) -> None:
         """Raw, at the robot's own speed: a host that sets none is taken to have the right one."""
-        tty.setraw(self._host_side)
-        flags = termios.tcgetattr(self._host_side)
-        flags[_CONTROL] |= termios.CSTOPB
-        speed = getattr(termios, f"B{self._baud}", termios.B9600)
-        flags[_IN_SPEED] = flags[_OUT_SPEED] = speed
-        termios.tcsetattr(self._host_side, termios.TCSANOW, flags)
+        with self._host_side() as host_side:
+            tty.setraw(host_side)
+            flags = termios.tcgetattr(host_side)
+            flags[_CONTROL] |= termios.CSTOPB
+            speed = getattr(termios, f"B{self._baud}", termios.B9600)
+            flags[_IN_SPEED] = flags[_OUT_SPEED] = speed
+            termios.tcsetattr(host_side, termios.TCSANOW, flags)
+
+    @contextmanager
+    def _host_side(self) -> Generator[int, None, None]:
+        """The host's side: the descriptor that is kept, or one for the moment."""
+        if self._kept is not None:
+            yield self._kept
+            return
+        try:
+            descriptor = os.open(self.name, os.O_RDWR | os.O_NOCTTY)
+        except OSError as error:
+            # An exclusive lock outlives its host here, and nobody can take it away.
+            raise PortError(f"{self.path}: a host has left it locked; right is to serve anew") from error
+        try:
+            yield descriptor
+        finally:
+            os.close(descriptor)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from types import FrameType
+from typing import Protocol
 
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.ports.cable import Cable
@@ -15,8 +16,8 @@ from khep_twin.ports.twin import Twin
 from khep_twin.ports.wakeups import Timer
 from khep_twin.units import TICK_NS
 
-LONGEST_WAIT = 0.1
-"""After so much wall time the loop looks up, however slow the twin is [s]."""
+LONGEST_WAIT = 0.02
+"""After so much wall time the loop looks up, however slow the twin is: some hosts cannot wake it [s]."""
 
 FLUSH_NS = NS_PER_S // 2
 """Wall time after which the log is on disk at the latest [ns]."""
@@ -69,7 +70,7 @@ def _serve_by_clock(
 ) -> None:
     """Time passes with the clock on the wall, or as fast as it can without a pacer."""
     world = twin.world
-    flush = _Flush(twin)
+    flush = Flush(twin.recorder)
     while not stop():
         # On to the next command, the robots' next byte or the next control tick, whatever is first.
         next_ns = min(
@@ -88,7 +89,7 @@ def _serve_by_clock(
 
 def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Time stands still but for bytes: those of a command, and those of its reply, which comes at once."""
-    flush = _Flush(twin)
+    flush = Flush(twin.recorder)
     while not stop():
         _wait(connections, LONGEST_WAIT)
         for connection in connections:
@@ -119,16 +120,25 @@ def _wait(
         timer.clear()
 
 
-class _Flush:
-    """Hands the log to the file system each FLUSH_NS of wall time."""
+class Log(Protocol):
+    """What has to be on disk now and then."""
 
-    def __init__(self, twin: Twin) -> None:
-        self._recorder = twin.recorder
+    def flush(self) -> None:
+        """Hands everything so far to the file system."""
+        ...
+
+
+class Flush:
+    """Hands a log, if there is one, to the file system each FLUSH_NS of wall time."""
+
+    def __init__(self, log: Log | None) -> None:
+        self._log = log
         self._flushed_ns = time.monotonic_ns()
 
     def __call__(self) -> None:
-        if self._recorder is not None and time.monotonic_ns() - self._flushed_ns > FLUSH_NS:
-            self._recorder.flush()
+        """Flushes if it is time to."""
+        if self._log is not None and time.monotonic_ns() - self._flushed_ns > FLUSH_NS:
+            self._log.flush()
             self._flushed_ns = time.monotonic_ns()
 
 

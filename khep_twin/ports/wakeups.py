@@ -1,8 +1,8 @@
 """What wakes the serving loop besides bytes: a timer, and hosts that open and close a terminal.
 
 Both are descriptors of the Linux kernel that Python 3.11 has no functions for; where the system lacks them,
-they are None and the loop does without: it sleeps by `select`, which is some 0.1 ms less exact, and learns
-nothing of hosts that come and go.
+they are None and the loop does without: it sleeps by `select`, some 0.1 ms less exactly, and looks from
+time to time whether a host has hung up.
 """
 
 import ctypes
@@ -10,6 +10,7 @@ import os
 import select
 import struct
 from contextlib import suppress
+from typing import Protocol
 
 from khep_twin.clock import NS_PER_S
 
@@ -22,30 +23,88 @@ _ONE_HOST: dict[tuple[int, ...], int] = {(0, True): 1, (1, False): 0, (0, True, 
 """How many hosts there are after what happens to one alone: hosts before, then openings and closings."""
 
 
-class Watch:
+class Watch(Protocol):
     """Tells of hosts that open and close a terminal, even when they are killed.
+
+    Attributes:
+        descriptor: for `select`; None for one that has to be asked.
+        hosts: how many processes have it open, as far as can be known.
+    """
+
+    descriptor: int | None
+    hosts: int
+
+    def look(self) -> tuple[bool, bool]:
+        """Whether the last host has left since the last look, and whether another came in that moment."""
+        ...
+
+    def pending(self) -> bool:
+        """Whether something has happened since the last look."""
+        ...
+
+    def close(self) -> None:
+        """Gives it back."""
+        ...
+
+
+def watch(path: str, own: int) -> Watch | None:
+    """A watch that wakes, None where the system has none to give.
 
     Args:
         path: of the terminal.
         own: how often it is open here, for other purposes.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    made = int(libc.inotify_init1(_FLAGS)) if hasattr(libc, "inotify_init1") else -1
+    if made < 0:
+        return None
+    if libc.inotify_add_watch(made, path.encode(), _IN_OPEN | _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE) < 0:
+        os.close(made)
+        return None
+    return _Inotify(made, path, own)
 
-    Attributes:
-        descriptor: for `select`; None where the system has no such watch.
-        hosts: how many processes have it open.
+
+class HangUps:
+    """A `Watch` that asks the terminal itself: when nobody has its other side open, it is hung up.
+
+    It needs a terminal that is not kept open here, and that was open once. A host that comes and goes between
+    two looks is noticed by what it has sent; one of several hosts that goes is not.
+
+    Args:
+        terminal: this side of it.
     """
 
-    def __init__(self, path: str, own: int) -> None:
-        self.descriptor: int | None = None
+    descriptor: int | None = None
+
+    def __init__(self, terminal: int) -> None:
+        self.hosts = 0
+        self._poll = select.poll()
+        self._poll.register(terminal, select.POLLIN)
+
+    def look(self) -> tuple[bool, bool]:
+        """Whether the host has left since the last look; who came in that moment cannot be known."""
+        before, state = self.hosts, self._state()
+        self.hosts = 0 if state & select.POLLHUP else 1
+        return self.hosts == 0 and bool(before or state & select.POLLIN), False
+
+    def pending(self) -> bool:
+        """Whether a host is there by now."""
+        return not self._state() & select.POLLHUP
+
+    def close(self) -> None:
+        """There is nothing to give back."""
+
+    def _state(self) -> int:
+        return next((state for _, state in self._poll.poll(0)), 0)
+
+
+class _Inotify:
+    """A `Watch` by the kernel's own messages."""
+
+    def __init__(self, descriptor: int, path: str, own: int) -> None:
+        self.descriptor: int | None = descriptor
         self.hosts = 0
         self._path, self._own = path, own
-        libc = ctypes.CDLL(None, use_errno=True)
-        if hasattr(libc, "inotify_init1"):
-            made = int(libc.inotify_init1(_FLAGS))
-            mask = _IN_OPEN | _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE
-            if made >= 0 and libc.inotify_add_watch(made, path.encode(), mask) >= 0:
-                self.descriptor = made
-            elif made >= 0:
-                os.close(made)
 
     def look(self) -> tuple[bool, bool]:
         """Whether the last host has left since the last look, and whether another came in that moment."""

@@ -125,9 +125,18 @@ RUBBISH_SECONDS = float(os.environ.get("KHEP_RUBBISH_SECONDS", "5"))
 """A minute takes a minute: `make soak` takes it."""
 
 
-@pytest.fixture(scope="module")
-def path() -> Iterator[str]:
-    with served("default") as (_, path):
+WITHOUT_INOTIFY = (
+    "import khep_twin.ports.pty\nkhep_twin.ports.pty.watch = lambda path, own: None\n"
+    "from khep_twin.cli import main\nmain()"
+)
+"""A program that serves as on a system that has none."""
+
+
+@pytest.fixture(
+    scope="module", params=[["-m", "khep_twin"], ["-c", WITHOUT_INOTIFY]], ids=["inotify", "hang-ups"]
+)
+def path(request: pytest.FixtureRequest) -> Iterator[str]:
+    with served("default", program=request.param) as (_, path):
         yield path
 
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,10 +20,12 @@ from khep_twin.log.reader import read
 
 
 @contextmanager
-def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def served(
+    *arguments: str, program: Sequence[str] = ("-m", "khep_twin")
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """`khep-twin serve`, and the path that it prints."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "khep_twin", "serve", *arguments],
+        [sys.executable, *program, "serve", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

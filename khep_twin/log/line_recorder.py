@@ -1,0 +1,117 @@
+"""Recording a real robot's serial line: what both sides say, and what the robot tells of itself in it.
+
+The log has the shape of a twin's, as far as a line can tell: the transcript, the events, and the sensor
+values and wheel speeds of the robot's own replies to N, O and E, at the time of their last byte. The truth
+about the robot's place, which only a twin knows, is missing.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from khep_twin import __version__
+from khep_twin.log.channels import ArrayFrame
+from khep_twin.log.log_file import LogFile
+from khep_twin.log.recorder import SAMPLED
+from khep_twin.log.transcript import Transcript
+from khep_twin.protocol import Command, LineReader, parse
+
+ROBOT = "khepera0"
+"""Name that the robot has in the log."""
+
+_REPLIES = {b"n": ("proximity", 8), b"o": ("ambient", 8), b"e": ("speed", 2)}
+"""Replies that carry what a twin's log samples: topic, and how many whole numbers it is."""
+
+
+class LineRecorder:
+    """Writes what crosses one robot's line into one file.
+
+    Args:
+        path: of the finished log, by custom NAME.mcap.
+        settings: how the line was set up, kept in the log as configuration.json.
+        now: gives the time since the start [ns].
+
+    Attributes:
+        kept: where an unfinished log of an earlier run was moved to, None if there was none.
+
+    Raises:
+        LogError: the file cannot be made.
+    """
+
+    def __init__(self, path: Path, settings: Mapping[str, object], now: Callable[[], int]) -> None:
+        self._log = LogFile(path, now)
+        self.kept = self._log.kept
+        self._now = now
+        self._transcript = Transcript(self._log, [ROBOT])
+        self._lines = {True: LineReader(), False: LineReader()}
+        self._setpoints = (0, 0)
+        self._frames = {
+            topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
+        }
+        attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
+        facts = {"robots": ROBOT, "khep_twin": __version__}
+        self._log.describe(
+            {"configuration.json": attachment},
+            {**facts, **{key: str(value) for key, value in settings.items()}},
+        )
+        self._log.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def wire(self, to_robot: bool, data: bytes) -> None:
+        """Writes bytes that cross the line now."""
+        time_ns = self._now()
+        self._transcript.hear(time_ns, 0, to_robot, data)
+        for line in self._lines[to_robot].feed(data):
+            if to_robot:
+                self._take_setpoints(line)
+            else:
+                self._take_values(time_ns, line)
+
+    def event(self, text: str) -> None:
+        """Writes a note, and everything so far to the file."""
+        self._log.add_event(self._now(), ROBOT, text)
+        self.flush()
+
+    def flush(self) -> None:
+        """Hands everything so far to the file system."""
+        self._transcript.write()
+        self._log.flush()
+
+    def close(self) -> None:
+        """Completes the file and gives it its name."""
+        if self._log.open:
+            self._transcript.write()
+            self._transcript.write_rests(self._now())
+            self._log.finish()
+
+    def _take_setpoints(self, line: bytes) -> None:
+        match parse(line):
+            case Command("D", (int(left), int(right))):
+                self._setpoints = (left, right)
+            case _:
+                pass
+
+    def _take_values(self, time_ns: int, line: bytes) -> None:
+        head, *fields = line.split(b",")
+        topic, count = _REPLIES.get(head, ("", 0))
+        if len(fields) != count or not topic:
+            return
+        try:
+            values = [int(field) for field in fields]
+        except ValueError:
+            return  # noise on the line; the transcript has it
+        if topic == "speed":
+            values += self._setpoints
+        message = self._frames[topic].messages(np.array([values]))[0].tobytes()
+        self._log.add(f"/{ROBOT}/{topic}", "std_msgs/msg/Float64MultiArray", time_ns, message)

@@ -1,0 +1,131 @@
+"""The file of a log: where it may be, how it grows, and what happens when that goes wrong.
+
+It grows as NAME.mcap.part and gets its name when it is whole.
+"""
+
+import os
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from khep_twin import __version__
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import LogError
+from khep_twin.files import unusable
+from khep_twin.log import channels
+from khep_twin.log.batch_writer import BatchWriter
+from khep_twin.log.channels import Level, Line
+from khep_twin.log.part_file import PartFile, set_aside, undisturbed
+
+
+class LogFile:
+    """An MCAP file with channels of ours in it.
+
+    Args:
+        path: of the finished log, by custom NAME.mcap.
+        now: gives the time of the run [ns].
+
+    Attributes:
+        path: of the finished log.
+        part: of the file while it grows.
+        kept: where an unfinished log of an earlier run was moved to, None if there was none.
+        open: whether it takes anything more.
+
+    Raises:
+        LogError: the file cannot be made.
+    """
+
+    def __init__(self, path: Path, now: Callable[[], int]) -> None:
+        if reason := unusable(path) or _no_log(path):
+            raise LogError(f"{path}: cannot write a log here: {reason}")
+        self.path = path
+        # A link is followed, so that it stays a link.
+        self._target = path.resolve() if path.is_symlink() else path
+        self.part = self._target.with_name(self._target.name + ".part")
+        self._now = now
+        self.open = True
+        try:
+            self.kept = set_aside(self.part)
+            self._file = PartFile(self.part)
+        except OSError as error:
+            raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
+        with self.guarded():
+            self._writer = BatchWriter(self._file, "ros2", f"khep_twin {__version__}")
+
+    def describe(self, attachments: Mapping[str, str], facts: Mapping[str, str]) -> None:
+        """Writes what the run is: texts by their names, and facts in few words."""
+        with self.guarded():
+            for name, text in attachments.items():
+                self._writer.attach(name, text)
+            self._writer.describe("run", facts)
+
+    def add(self, topic: str, schema: str, time_ns: int, message: bytes) -> None:
+        """Writes one message."""
+        with self.guarded():
+            self._writer.add(self._channel(topic, schema), time_ns, message)
+
+    def add_rows(
+        self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]
+    ) -> None:
+        """Writes messages of one size, a row each."""
+        with self.guarded():
+            self._writer.add_rows(self._channel(topic, schema), times_ns, messages)
+
+    def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
+        """Writes lines of a transcript."""
+        with self.guarded():
+            self._writer.add_lines(self._channel(topic, "rcl_interfaces/msg/Log"), times_ns, messages)
+
+    def add_event(self, time_ns: int, name: str, text: str) -> None:
+        """Writes a note."""
+        message = channels.line_message(Line(time_ns, Level.INFO, name, text))
+        self.add("/events", "rcl_interfaces/msg/Log", time_ns, message)
+
+    def flush(self) -> None:
+        """Hands everything so far to the file system."""
+        with self.guarded():
+            self._writer.flush()
+
+    def finish(self) -> None:
+        """Completes the file and gives it its name."""
+        with self.guarded():
+            self._writer.finish()
+            os.replace(self.part, self._target)
+            self.open = False
+            self._file.close()
+
+    @contextmanager
+    def guarded(self) -> Generator[None, None, None]:
+        """Turns the first trouble with the file into an error, after which the file is left alone."""
+        try:
+            with undisturbed():
+                yield
+        except OSError as error:
+            self.open = False
+            self._file.close()
+            raise LogError(
+                f"{self.path}: the log cannot be written any more at {self._now() / NS_PER_S:.2f} s: "
+                f"{error.strerror}; what came before is kept in {self.part}"
+            ) from error
+
+    def _channel(self, topic: str, schema: str) -> int:
+        return self._writer.channel(topic, schema, channels.SCHEMAS[schema])
+
+
+def _no_log(path: Path) -> str:
+    """Why a file that is there must not be replaced by a log; empty if it may."""
+    try:
+        if not path.exists() or path.stat().st_size == 0:
+            return ""
+        with path.open("rb") as file:
+            return (
+                ""
+                if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+                else "this file is no log; right is another name"
+            )
+    except OSError as error:
+        return error.strerror or str(error)

@@ -1,0 +1,156 @@
+"""`serve --through`: host and robot as if nothing were between them, and a log of what both say."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import serial
+
+from khep_twin.log.reader import read
+from khep_twin.log.replay import view
+
+from test_serve import served, stop  # isort: skip
+
+
+def test_both_directions_are_passed_on_and_logged_as_a_twins_are(tmp_path: Path) -> None:
+    log = tmp_path / "robot.mcap"
+    requests = [b"B\n", b"N\n", b"D,3,-4\n", b"E\n", b"O\n", b"hello\r"]
+    with served("default", "--noise", "off") as (_, robot):
+        arguments = ("--through", robot, "--log", str(log), "--link", str(tmp_path / "khepera"))
+        with served(*arguments) as (process, path):
+            assert path == str(tmp_path / "khepera")
+            with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+                replies = []
+                for request in requests:
+                    port.write(request)
+                    replies.append(port.readline())
+            code, errors = stop(process)
+    assert code == 0
+    assert "s served" in errors
+    assert replies[0] == b"b,5.02,5.01\r\n"
+    run = read(log)
+    assert run.metadata["through"] == robot
+    track = run.robots["khepera0"]
+    said = [(line.name, line.text.encode()) for line in track.serial]
+    assert said == [
+        entry
+        for request, reply in zip(requests, replies, strict=True)
+        for entry in (("host", request.strip()), ("robot", reply.strip()))
+    ]
+    times = [line.time_ns for line in track.serial]
+    assert times == sorted(times)
+    # What the robot told of itself stands where a twin's log has it.
+    assert track.proximity.tolist() == [numbers(replies[1])]
+    assert track.speed.tolist() == [[*numbers(replies[3]), 3, -4]]
+    assert track.ambient.tolist() == [numbers(replies[4])]
+    view(log, tmp_path / "robot.rrd")
+    assert (tmp_path / "robot.rrd").stat().st_size > 1000
+
+
+def numbers(reply: bytes) -> list[int]:
+    return [int(field) for field in reply.strip().split(b",")[1:]]
+
+
+def test_the_line_follows_the_speed_that_the_host_sets(tmp_path: Path) -> None:
+    log = tmp_path / "robot.mcap"
+    with (
+        served("default", "--mode", "3", "--strict-line") as (_, robot),
+        served("--through", robot, "--log", str(log)) as (process, path),
+    ):
+        with serial.Serial(path, 38400, stopbits=2, timeout=1) as port:
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+        _, errors = stop(process)
+    assert "the line is at 38400 baud with 2 stop bits" in errors
+    assert ["38400" in line.text for line in read(log).events] == [True]
+
+
+def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
+    with served("default") as (_, robot), served("--through", robot) as (_, path):
+        with serial.Serial(path, 9600, stopbits=2) as port:
+            port.write(b"N\n" * 5)
+        time.sleep(0.5)
+        descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        os.write(descriptor, b"B\n")
+        time.sleep(0.2)
+        assert os.read(descriptor, 100) == b"b,5.02,5.01\r\n"
+        os.close(descriptor)
+
+
+# pyserial names its threads as Python did before 3.10.
+@pytest.mark.filterwarnings("ignore:setDaemon:DeprecationWarning")
+@pytest.mark.parametrize("scheme", ["tcp", "rfc2217"])
+def test_a_robot_on_the_network_is_reached_and_served_on(scheme: str) -> None:
+    with (
+        served("default", f"--{scheme}", "127.0.0.1:0") as (_, robot),
+        served("--through", robot, f"--{scheme}", "127.0.0.1:0") as (_, path),
+        serial.serial_for_url(path, 9600, stopbits=2, timeout=2) as port,
+    ):
+        for _ in range(3):
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+
+
+def test_a_robot_that_goes_is_told_of_and_the_log_is_whole(tmp_path: Path) -> None:
+    log = tmp_path / "robot.mcap"
+    with served("default") as (twin, robot), served("--through", robot, "--log", str(log)) as (process, path):
+        with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+            twin.kill()
+            twin.wait(5)
+            process.wait(5)
+        _, errors = process.communicate()
+    assert process.returncode == 1
+    assert f"khep-twin: {robot}: the robot's port failed" in errors
+    assert len(errors.splitlines()) == 1
+    assert [line.text for line in read(log).robots["khepera0"].serial] == ["B", "b,5.02,5.01"]
+
+
+def test_noise_from_the_robot_is_logged_and_harms_nothing(tmp_path: Path) -> None:
+    log = tmp_path / "robot.mcap"
+    sent = b"n,1,2\nn,1,2,3,4,5,6,7,x\nn,1,2,3,4,5,6,7,8\n\xff\xfe\nD,1\ne,1\n,\n" + b"x" * 2000
+    with served("--through", "loop://", "--log", str(log)) as (process, path):
+        with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+            port.write(sent)
+            assert port.read(len(sent)) == sent
+        assert stop(process)[0] == 0
+    track = read(log).robots["khepera0"]
+    assert track.proximity.tolist() == [[1, 2, 3, 4, 5, 6, 7, 8]]
+    assert {line.text for line in track.serial} >= {"n,1,2", "\\xff\\xfe", "D,1", ","}
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_at_once_and_takes_its_link_away(tmp_path: Path, how: signal.Signals) -> None:
+    link, log = tmp_path / "khepera", tmp_path / "robot.mcap"
+    with served("--through", "loop://", "--link", str(link), "--log", str(log)) as (process, _):
+        start = time.monotonic()
+        assert stop(process, how)[0] == 0
+        assert time.monotonic() - start < 2
+    assert not link.is_symlink()
+    assert read(log).robots["khepera0"].serial == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--through", "/dev/no-such-robot"], "/dev/no-such-robot: cannot open this port"),
+        (["--through", "nonsense://x"], "nonsense://x: cannot open this port"),
+        (["--through", "khep://default"], "khep://default: a twin needs no relay; right is khep-twin serve"),
+        (["obstacles", "--through", "loop://"], "PLAYPEN is for a twin, not for a robot at --through"),
+        (["--through", "loop://", "--speed", "2"], "--speed is for a twin"),
+        (["--through", "loop://", "--fault", "stuck:1"], "--fault is for a twin"),
+        (["--through", "loop://", "--mode", "4"], "--mode 4: mode 4"),
+        (["--through", "loop://", "--log", "/no/such/folder/a.mcap"], "cannot write a log here"),
+    ],
+)
+def test_what_cannot_be_relayed_is_one_line(arguments: list[str], message: str) -> None:
+    command = [sys.executable, "-m", "khep_twin", "serve", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode in (1, 2)
+    assert done.stderr.startswith(f"khep-twin: {message}") or message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
