@@ -2,10 +2,10 @@
 
     python tests/pyserial_suite.py
 
-The scripts come out of pyserial's source archive, whose hash is pinned; they expect a plug that joins TX with
-RX, RTS with CTS and DTR with DSR. `khep-twin serve --through loop://` is that plug for the data wires. What no
-pseudo-terminal can do is pinned in KNOWN; anything else that fails is an error, and so is anything in KNOWN
-that does not.
+The scripts come out of pyserial's source archive, whose hash is pinned; they expect a plug that joins TX
+with RX, RTS with CTS and DTR with DSR. `khep-twin serve --through loop://` is that plug for the data wires.
+What no pseudo-terminal can do is pinned in KNOWN; anything else that fails is an error, and so is anything in
+KNOWN that does not.
 """
 
 import importlib.util
