@@ -54,10 +54,12 @@ def test_serial_changes_the_speed_behind_its_reply_and_restart_changes_it_back()
         assert robot.ask("serial 38400") == "serial 38400"
         slow = robot.time - start
         assert slow == pytest.approx((13 + 14) * 11 / 9600, rel=0.01)
+        robot.port.baudrate = 38400
         start = robot.time
         robot.ask("H")
         assert robot.time - start == pytest.approx((2 + 7) * 11 / 38400, rel=0.01)
         robot.ask("restart")
+        robot.port.baudrate = 9600
         robot.sleep(0.3)
         robot.port.reset_input_buffer()
         start = robot.time

@@ -82,7 +82,7 @@ def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
 
 
 # pyserial names its threads as Python did before 3.10.
-@pytest.mark.filterwarnings("ignore:setDaemon:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 @pytest.mark.parametrize("scheme", ["tcp", "rfc2217"])
 def test_a_robot_on_the_network_is_reached_and_served_on(scheme: str) -> None:
     with (
