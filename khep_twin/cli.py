@@ -420,7 +420,8 @@ def _relay(
         now = since_now()
         recorder = None
         if log is not None:
-            recorder = stack.enter_context(LineRecorder(log, {"through": through, "baud": baud}, now))
+            recorder = LineRecorder(log, {"through": through, "baud": baud}, now)
+            stack.enter_context(closing(recorder))
         _tell_kept(recorder)
         _announce(cables, ready_fd)
         relay(device, cables[0], recorder, stop=stop, tell=_complain)

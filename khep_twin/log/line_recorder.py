@@ -8,8 +8,6 @@ about the robot's place, which only a twin knows, is missing.
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -59,14 +57,6 @@ class LineRecorder:
             {**facts, **{key: str(value) for key, value in settings.items()}},
         )
         self._log.flush()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def wire(self, to_robot: bool, data: bytes) -> None:
         """Writes bytes that cross the line now."""

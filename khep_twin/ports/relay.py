@@ -7,6 +7,7 @@ either says is passed on as it comes, and noted with its time.
 # pyserial is not typed.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
+import os
 import select
 import time
 from collections.abc import Callable
@@ -51,7 +52,9 @@ class Device:
                 url, baud, stopbits=serial.STOPBITS_TWO, timeout=0, exclusive=True
             )
         except (serial.SerialException, OSError, ValueError) as error:
-            raise PortError(f"{url}: cannot open this port: {error}") from error
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else error
+            raise PortError(f"{url}: cannot open this port: {reason}") from error
         try:
             self.descriptor: int | None = self._port.fileno()
             self._port.write_timeout = 0
