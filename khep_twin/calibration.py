@@ -15,8 +15,10 @@ from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 _Gain = Annotated[float, Field(gt=0, le=1e8)]
 _Counts = Annotated[float, Field(ge=0, le=COUNTS_LIMIT)]
+_Threshold = Annotated[float, Field(ge=-COUNTS_LIMIT, le=2 * COUNTS_LIMIT)]
 _Exponent = Annotated[float, Field(ge=0, le=20)]
-_Offset = Annotated[float, Field(ge=0, le=50)]
+_Offset = Annotated[float, Field(ge=0.01, le=50)]
+_LampOffset = Annotated[float, Field(ge=-100, le=50)]
 _Heading = Annotated[float, Field(ge=-360, le=360)]
 _Eight = Field(
     min_length=N_SENSORS, max_length=N_SENSORS, description="a list of eight numbers, one per sensor"
@@ -24,13 +26,27 @@ _Eight = Field(
 
 
 class ProximityCalibration(Table):
-    """Reflected light; per-sensor values in the order of N."""
+    """Reflected light; per-sensor values in the order of N.
+
+    Attributes:
+        gain_counts_mm2: per light reflected by the reference wall.
+        threshold_counts: taken off; below 0 what a sensor reads with nothing in reach.
+        offset_mm: of the chip behind the sensor's face.
+        lobe_exponent: of the cosine off the sensor's axis.
+        incidence_exponent: of the cosine between ray and surface normal.
+        limit_counts: highest reading.
+        quantum_counts: step between readings.
+        noise_counts: standard deviation of one reading.
+        idle_counts: mean of the rest that is left with nothing in reach.
+    """
 
     gain_counts_mm2: Annotated[tuple[_Gain, ...], _Eight]
-    threshold_counts: Annotated[tuple[_Counts, ...], _Eight]
-    offset_mm: _Offset
-    lobe_exponent: _Exponent
-    incidence_exponent: _Exponent
+    threshold_counts: Annotated[tuple[_Threshold, ...], _Eight]
+    offset_mm: Annotated[tuple[_Offset, ...], _Eight]
+    lobe_exponent: Annotated[tuple[_Exponent, ...], _Eight]
+    incidence_exponent: Annotated[tuple[_Exponent, ...], _Eight]
+    limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
+    quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1
     noise_counts: _Counts
     idle_counts: _Counts
 
@@ -42,7 +58,7 @@ class AmbientCalibration(Table):
     floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)]
     ceiling_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)]
     gain_counts_mm2_per_w: _Gain
-    offset_mm: _Offset
+    offset_mm: _LampOffset
     noise_counts: _Counts
 
 

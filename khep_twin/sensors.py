@@ -3,7 +3,7 @@
 Proximity is reflected light less the ambient light, cut off at both ends (the form is fitted to a real robot,
 the numbers are in assets/calibration):
 
-    counts = clip(gain sum_i w_i rho_i cos(phi_i)^m / (d_i + offset)^2 - threshold + noise, idle, 1023)
+    counts = clip(gain sum_i w_i rho_i cos(phi_i)^m / (d_i + offset)^2 - threshold + noise, idle, limit)
 
 over the rays i of a sensor's cone: length d_i, incidence phi_i, reflectance rho_i of what it hits and weight
 w_i = cos(theta_i)^n / sum, theta_i off the axis; idle is the noise left with nothing in reach. Ambient light
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.calibration import AmbientCalibration, Calibration
-from khep_twin.units import BULB_RADIUS, COUNTS_LIMIT, Sensor
+from khep_twin.units import BULB_RADIUS, Sensor
 
 _SLACK = 1e-6
 """So much longer a ray may be when it is cast again [m]."""
@@ -60,7 +60,10 @@ class InfraredScan:
         self._proximity_noise = _draws(noise("proximity").standard_normal if noise else None)
         self._idle_noise = _draws(noise("idle").standard_exponential if noise else None)
         self._ambient_noise = _draws(noise("ambient").standard_normal if noise else None)
-        self._weights = lobe_weights(self._sensors[0].tangents, calibration.proximity.lobe_exponent)
+        self._weights = [
+            lobe_weights(sensor.tangents, exponent)
+            for sensor, exponent in zip(self._sensors, calibration.proximity.lobe_exponent, strict=True)
+        ]
 
     def convert(self, channel: int) -> tuple[int, int]:
         """Proximity and ambient counts of one sensor, as of the pose at the start of the last step."""
@@ -74,19 +77,20 @@ class InfraredScan:
         level = noise - calibration.threshold_counts[channel]
         nearest, lengths = sensor.lengths()
         gain = calibration.gain_counts_mm2[channel] * 1e-6
-        offset = calibration.offset_mm * 1e-3
+        offset = calibration.offset_mm[channel] * 1e-3
         # Most of the time nothing near enough is in view; what cannot pass the threshold is not summed up.
-        if gain * sensor.brightest / (nearest + offset) ** 2 > -level:
+        if nearest < math.inf and gain * sensor.brightest / (nearest + offset) ** 2 > -level:
             directions = sensor.directions()
             level += gain * reflected(
                 lengths,
                 sensor.incidences(directions),
                 sensor.reflectances(directions, max(lengths)),
-                self._weights,
+                self._weights[channel],
                 offset,
-                calibration.incidence_exponent,
+                calibration.incidence_exponent[channel],
             )
-        return max(min(round(level), COUNTS_LIMIT), int(idle), 0)
+        quantum = calibration.quantum_counts
+        return max(min(round(level / quantum) * quantum, calibration.limit_counts), int(idle), 0)
 
     def _ambient(self, sensor: "_Sensor") -> int:
         calibration = self._calibration.ambient

@@ -93,7 +93,16 @@ def test_whole_numbers_are_lengths_too() -> None:
 
 def test_white_is_the_reference_and_black_hardly_reflects() -> None:
     reflectances = {name: surface.reflectance for name, surface in BUILT_IN_SURFACES.items()}
-    assert reflectances == {"white": 1.0, "grey": 0.15, "black": 0.024, "lego": 0.8, "copper": 0.77}
+    assert reflectances == {
+        "white": 1.0,
+        "grey": 0.145,
+        "black": 0.022,
+        "wood": 0.91,
+        "styropor": 0.87,
+        "sponge": 0.55,
+        "copper": 0.73,
+        "lego": 0.8,
+    }
     assert parse().surface("lego") is BUILT_IN_SURFACES["lego"]
 
 
@@ -138,7 +147,7 @@ def test_no_lane_between_the_obstacles_is_narrower_than_90_mm() -> None:
 
 # Wrong files ---------------------------------------------------------------------------------------------
 
-SURFACES = "(choices: white, grey, black, lego, copper)"
+SURFACES = "(choices: white, grey, black, wood, styropor, sponge, copper, lego)"
 PLACE = "right is a number from 0 to 10000"
 
 WRONG = {
@@ -194,7 +203,7 @@ WRONG = {
     HEAD
     + ARENA
     + BLOCK
-    + 'name = "b"\nsurface = "wood"\n': f'block 1 (b): surface = "wood": unknown; {SURFACES}',
+    + 'name = "b"\nsurface = "velvet"\n': f'block 1 (b): surface = "velvet": unknown; {SURFACES}',
     HEAD
     + ARENA
     + CYLINDER
@@ -251,7 +260,7 @@ WRONG = {
     HEAD
     + ARENA
     + CARDBOARD.replace("cardboard", "white"): "surfaces white: built in; right is a name other than "
-    "white, grey, black, lego, copper",
+    "white, grey, black, wood, styropor, sponge, copper, lego",
     HEAD
     + ARENA
     + CARDBOARD.replace("0.6", "2.5"): "surfaces cardboard: reflectance = 2.5: right is a number from 0 to 2",

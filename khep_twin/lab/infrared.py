@@ -6,6 +6,7 @@ spot, in front of an object whose nearest point is so far from the robot's edge.
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,7 @@ class Bench:
     radius: float
 
     def wall(self, distances: Floats, bearings: Floats) -> View:
-        """A wall whose nearest point is so far off the robot's edge [m], at a bearing ccw from ahead [rad]."""
+        """A wall whose nearest point is so far off the robot's edge [m], at bearings ccw [rad]."""
         towards, directions = self._towards(bearings), self._directions()
         cosines = towards @ directions.T
         away = self.radius + distances - towards @ np.array(self.position)
@@ -74,20 +75,47 @@ class Bench:
         return np.column_stack([np.cos(bearings), np.sin(bearings)])
 
 
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """What a calibration says of one sensor."""
+
+    gain_counts_mm2: float
+    threshold_counts: float
+    offset_mm: float
+    lobe_exponent: float
+    incidence_exponent: float
+
+    @classmethod
+    def of(cls, calibration: ProximityCalibration, sensor: int) -> Self:
+        """That of one sensor of a calibration."""
+        return cls(
+            calibration.gain_counts_mm2[sensor],
+            calibration.threshold_counts[sensor],
+            calibration.offset_mm[sensor],
+            calibration.lobe_exponent[sensor],
+            calibration.incidence_exponent[sensor],
+        )
+
+
 def proximity(
-    view: View, sensor: int, tangents: Floats, calibration: ProximityCalibration, reflectance: float = 1.0
+    view: View,
+    tangents: Floats,
+    optics: Optics,
+    reflectance: float = 1.0,
+    limit_counts: int = COUNTS_LIMIT,
 ) -> Floats:
     """Counts of a quiet sensor, not rounded (n_places,).
 
     Args:
         view: what it sees.
-        sensor: its number.
         tangents: of its rays.
-        calibration: of the robot.
+        optics: of the sensor.
         reflectance: of what it sees.
+        limit_counts: its highest reading.
     """
-    weights = np.array(lobe_weights(tangents, calibration.lobe_exponent))
-    lit = weights * view.incidences**calibration.incidence_exponent * (view.incidences > 0)
-    light = (lit / (view.lengths * 1e3 + calibration.offset_mm) ** 2).sum(axis=1)
-    level = calibration.gain_counts_mm2[sensor] * reflectance * light - calibration.threshold_counts[sensor]
-    return np.clip(level, 0, COUNTS_LIMIT)
+    weights = np.array(lobe_weights(tangents, optics.lobe_exponent))
+    lit = weights * np.where(view.incidences > 0, view.incidences, 0) ** optics.incidence_exponent
+    lit = np.where(view.incidences > 0, lit, 0)
+    light = (lit / (view.lengths * 1e3 + optics.offset_mm) ** 2).sum(axis=1)
+    level = optics.gain_counts_mm2 * reflectance * light - optics.threshold_counts
+    return np.clip(level, 0, limit_counts)

@@ -1,0 +1,220 @@
+"""Fits of the infrared optics to measured tables, and what is left: `python -m benchmarks.infrared_fits`.
+
+The tables are not part of the project; the environment variable KHEP_TWIN_REFERENCE_DATA names the folder in
+which they lie (data/ and manual_data/). What is printed stands in khep_twin/assets/calibration.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from khep_twin.lab.infrared import Bench, Optics, View, proximity
+from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_HEADINGS, SENSOR_POSITIONS
+
+Floats = NDArray[np.float64]
+
+TANGENTS = (np.arange(9) + 0.5) / 9 * 2 - 1
+"""Of the rays of assets/khepera.xml."""
+
+CYLINDER_RADIUS = 0.027
+PEAK_DEG = 6
+"""On axis is the mean so near to the bearing of the peak."""
+
+MANUAL = Optics(1_205_400, 333.8, 0.01, 3.72, 1.14)
+"""The sensor of the manual's figure 11, whose gain is for white plastic."""
+
+MANUAL_SURFACES = {
+    "white plastic": "white",
+    "wood 2": "wood",
+    "green styropor": "styropor",
+    "copper": "copper",
+    "pink sponge": "sponge",
+    "grey plastic": "grey",
+    "black plastic": "black",
+}
+"""Its materials that are built-in surfaces; "wood 1" is left out, one wood being enough."""
+
+_ON_AXIS_WEIGHT = 8.0
+_PRIOR = 200.0
+_SHARED = np.array([5.58, 1.04, 0.18])
+"""Offset, lobe and incidence exponent of one fit to all sensors, which those of each are drawn to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Readings of a robot that was turned in front of an object.
+
+    Attributes:
+        distances: robot's edge to object (n,) [m].
+        bearings: of the object, counter-clockwise from ahead (n,) [rad].
+        counts: (n, 8).
+        radius: of the cylinder [m]; 0 for a wall.
+    """
+
+    distances: Floats
+    bearings: Floats
+    counts: Floats
+    radius: float
+
+    def view(self, sensor: int, heading: float) -> View:
+        """What a sensor with a heading [rad] saw."""
+        bench = Bench(SENSOR_POSITIONS[sensor], heading, TANGENTS, BODY_RADIUS)
+        if self.radius:
+            return bench.cylinder(self.distances, self.bearings, self.radius)
+        return bench.wall(self.distances, self.bearings)
+
+    def peak(self, counts: Floats) -> float:
+        """Bearing around which readings (n,) lie [rad]."""
+        return float(np.angle((counts * np.exp(1j * self.bearings)).sum()))
+
+    def on_axis(self, sensor: int) -> Floats:
+        """Matrix that takes readings (n,) to their means near the peak, one per distance."""
+        aside = np.angle(np.exp(1j * (self.bearings - self.peak(self.counts[:, sensor]))))
+        near = np.abs(aside) <= np.radians(PEAK_DEG)
+        rows = [near & (self.distances == distance) for distance in np.unique(self.distances)]
+        return np.array([row / row.sum() for row in rows])
+
+
+def reference() -> Path:
+    """Where the tables are."""
+    folder = os.environ.get("KHEP_TWIN_REFERENCE_DATA")
+    if not folder:
+        sys.exit("KHEP_TWIN_REFERENCE_DATA is not set; right is the folder with data/ and manual_data/")
+    return Path(folder)
+
+
+def sampled(folder: Path) -> list[Table]:
+    """The sampled robot before a wall and a cylinder."""
+    tables: list[Table] = []
+    for name, radius in (("wall", 0.0), ("round", CYLINDER_RADIUS)):
+        rows = np.genfromtxt(folder / "data" / f"evorobot_{name}_samples.csv", delimiter=",", skip_header=1)
+        tables.append(Table(rows[:, 0] / 1e3, -np.radians(rows[:, 1]), rows[:, 2:], radius))
+    return tables
+
+
+def fit_sampled(tables: Sequence[Table], sensor: int, heading: float) -> tuple[float, Optics]:
+    """One sensor of the sampled robot: heading [rad] and optics, by all bearings and those on axis again."""
+    axes = [table.on_axis(sensor) for table in tables]
+
+    def left(x: Floats) -> Floats:
+        optics = Optics(x[1] * 1e5, x[2] * 100, *x[3:])
+        errors = [
+            proximity(table.view(sensor, x[0]), TANGENTS, optics) - table.counts[:, sensor]
+            for table in tables
+        ]
+        means = [_ON_AXIS_WEIGHT * (axis @ error) for axis, error in zip(axes, errors, strict=True)]
+        return np.concatenate([*errors, *means, _PRIOR * (x[3:] - _SHARED) / [2, 1, 0.2]])
+
+    start = [heading, 13, 6, *_SHARED]
+    low, high = [-np.inf, 1, 0, 0, 0, 0], [np.inf, 80, 11, 15, 8, 3]
+    x = least_squares(left, start, bounds=(low, high), x_scale=[0.05, 3, 1, 1, 1, 0.2], max_nfev=60).x
+    return float(x[0]), Optics(x[1] * 1e5, x[2] * 100, *x[3:])
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Of one sensor before one object: model less robot.
+
+    Attributes:
+        everywhere: at all bearings (n,) [counts].
+        on_axis: means near the peak, per distance [counts].
+        half: of the distance at half scale [m].
+        peak: of the peak's bearing [rad].
+    """
+
+    everywhere: Floats
+    on_axis: Floats
+    half: float
+    peak: float
+
+
+def compare(table: Table, sensor: int, heading: float, optics: Optics) -> Residuals:
+    """What a model leaves over."""
+    measured = table.counts[:, sensor]
+    modelled = proximity(table.view(sensor, heading), TANGENTS, optics)
+    axis, distances = table.on_axis(sensor), np.unique(table.distances)
+
+    def half(counts: Floats) -> float:
+        return float(np.interp(-511.5, -(axis @ counts), distances))
+
+    return Residuals(
+        modelled - measured,
+        axis @ (modelled - measured),
+        half(modelled) - half(measured),
+        float(np.angle(np.exp(1j * (table.peak(modelled) - table.peak(measured))))),
+    )
+
+
+def rms(errors: Sequence[Floats]) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.concatenate([error.ravel() for error in errors]) ** 2)))
+
+
+def facing(distances: Floats, optics: Optics, reflectance: float = 1.0, limit: int = 1023) -> Floats:
+    """A sensor face to face with a wall so far away (n,) [m]."""
+    bench = Bench((0.0, 0.0), 0.0, TANGENTS, 0.0)
+    view = bench.wall(distances, np.zeros(len(distances)))
+    return proximity(view, TANGENTS, optics, reflectance, limit)
+
+
+def materials(folder: Path) -> dict[str, tuple[Floats, Floats]]:
+    """The manual's figure 11: distances [m] and counts by material."""
+    rows = np.genfromtxt(
+        folder / "manual_data" / "k1_fig11_proximity_vs_distance_materials.csv",
+        delimiter=",",
+        names=True,
+        dtype=None,
+        encoding="utf-8",
+    )
+    # The plateau is drawn a little low.
+    counts = np.where(rows["proximity_raw"] >= 1018, 1023, rows["proximity_raw"]).astype(np.float64)
+    return {
+        str(name): (rows["distance_mm"][rows["material"] == name] / 1e3, counts[rows["material"] == name])
+        for name in dict.fromkeys(rows["material"].tolist())
+    }
+
+
+def khepera2_paper(folder: Path, side: str, sensor: int) -> tuple[Floats, Floats]:
+    """A Khepera II's sensor before white paper at its basic gain: distances [m] and counts."""
+    rows = np.genfromtxt(
+        folder / "manual_data" / "iran_proximity_curves.csv",
+        delimiter=",",
+        names=True,
+        dtype=None,
+        encoding="utf-8",
+    )
+    wanted = (
+        (rows["test"] == f"A0_12_paper_{side}")
+        & (rows["sensor_fig7_number"] == sensor)
+        & (rows["kind"] == "marker")
+    )
+    return rows["distance_mm"][wanted] / 1e3, rows["mean_raw"][wanted].astype(np.float64)
+
+
+def main() -> None:
+    """Fits the sampled robot and prints what belongs into its calibration."""
+    tables = sampled(reference())
+    fits = [fit_sampled(tables, sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
+    print("heading_deg =", [round(float(np.degrees(heading)), 1) for heading, _ in fits])
+    print("gain_counts_mm2 =", [round(optics.gain_counts_mm2, -3) for _, optics in fits])
+    print("threshold_counts =", [round(optics.threshold_counts) for _, optics in fits])
+    for name in ("offset_mm", "lobe_exponent", "incidence_exponent"):
+        print(name, "=", [round(getattr(optics, name), 2) for _, optics in fits])
+    for table in tables:
+        found = [compare(table, sensor, *fits[sensor]) for sensor in range(N_SENSORS)]
+        print(
+            f"radius {table.radius}: rms {rms([each.everywhere for each in found]):.1f} at all bearings, "
+            f"{rms([each.on_axis for each in found]):.1f} on axis, "
+            f"half scale within {max(abs(each.half) for each in found) * 1e3:.2f} mm, "
+            f"peak within {np.degrees(max(abs(each.peak) for each in found)):.1f} deg"
+        )
+
+
+if __name__ == "__main__":
+    main()
