@@ -6,6 +6,7 @@ files in assets/calibration are used by bare name, others by path. What the numb
 
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from khep_twin import toml_files
@@ -71,6 +72,34 @@ class Calibration(Table):
     heading_deg: Annotated[tuple[_Heading, ...], _Eight]
     proximity: ProximityCalibration
     ambient: AmbientCalibration
+
+
+GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
+"""Relative standard deviations of gain and threshold over the eight sensors of the sampled robot, and of their
+gain for lamps (4 to 7 % measured)."""
+
+
+def spread(calibration: Calibration, chance: np.random.Generator) -> Calibration:
+    """Another robot of the same make: each sensor's gain and threshold, and the gain for lamps, by chance."""
+    gains, thresholds = 1 + np.array([[GAIN_SPREAD], [THRESHOLD_SPREAD]]) * chance.standard_normal(
+        (2, N_SENSORS)
+    )
+    proximity, ambient = calibration.proximity, calibration.ambient
+    factors = {"gain_counts_mm2": gains, "threshold_counts": thresholds}
+    changed = {
+        name: tuple(
+            float(value * max(factor, 0.2))
+            for value, factor in zip(getattr(proximity, name), row, strict=True)
+        )
+        for name, row in factors.items()
+    }
+    lamps = ambient.gain_counts_mm2_per_w * max(1 + LAMP_SPREAD * float(chance.standard_normal()), 0.2)
+    return calibration.model_copy(
+        update={
+            "proximity": proximity.model_copy(update=changed),
+            "ambient": ambient.model_copy(update={"gain_counts_mm2_per_w": lamps}),
+        }
+    )
 
 
 def names() -> list[str]:

@@ -51,6 +51,7 @@ class Clock(StrEnum):
 
 Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]
 Noise = Annotated[Switch, typer.Option(help="Noisy sensors, as on the robot.")]
+Spread = Annotated[Switch, typer.Option(help="Sensors of another robot of the same make, by the seed.")]
 RobotIndex = Annotated[int, typer.Option(help="Which of the playpen's robots, counted from 0.")]
 Mode = Annotated[
     str | None,
@@ -117,6 +118,7 @@ def run(
     cycles: Annotated[int | None, typer.Option(help="End after so many cycles.")] = None,
     seed: Seed = 0,
     noise: Noise = Switch.ON,
+    spread: Spread = Switch.OFF,
     robot: RobotIndex = 0,
     mode: Mode = None,
     rom: RomVersion = None,
@@ -151,6 +153,7 @@ def run(
             seed,
             robot,
             noise is Switch.ON,
+            spread is Switch.ON,
             rom,
             _mode(mode),
             battery_used_min,
@@ -216,6 +219,7 @@ def serve(
     ] = None,
     seed: Seed = 0,
     noise: Noise = Switch.ON,
+    spread: Spread = Switch.OFF,
     robot: Annotated[
         int | None, typer.Option(help="Serve only this robot of the playpen, counted from 0.")
     ] = None,
@@ -246,6 +250,7 @@ def serve(
         seed,
         robot,
         noise is Switch.ON,
+        spread is Switch.ON,
         rom,
         _mode(mode),
         battery_used_min,
@@ -338,6 +343,7 @@ _OF_A_TWIN = {
     "playpen",
     "seed",
     "noise",
+    "spread",
     "robot",
     "mode",
     "rom",

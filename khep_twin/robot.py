@@ -63,6 +63,7 @@ class Robot:
         noise: bool,
         unpaced: bool,
         strict_line: bool,
+        spread: bool,
         faults: Sequence[Fault],
     ) -> None:
         model, data = stage.model, stage.data
@@ -106,9 +107,10 @@ class Robot:
         self._faults = None
         if faults:
             self._faults = Injector(faults, partial(chance, "fault"), partial(stage.tell, index))
-        self._scan = InfraredScan(
-            model, data, f"{self.name}/", calibration.read(entry.calibration)[0], chance if noise else None
-        )
+        sensors = calibration.read(entry.calibration)[0]
+        if spread:
+            sensors = calibration.spread(sensors, chance("spread"))
+        self._scan = InfraredScan(model, data, f"{self.name}/", sensors, chance if noise else None)
 
     @property
     def pose(self) -> tuple[float, float, float]:

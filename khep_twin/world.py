@@ -55,6 +55,7 @@ class World:
         seed: of every chance in the run.
         noise: whether sensors are noisy.
         unpaced: lets bytes cross the lines in no time.
+        spread: draws each robot's sensors anew around its calibration, as no two robots are alike.
         strict_line: garbles the bytes between a robot and a host whose line is set to another speed.
         faults: that happen to its robots.
 
@@ -72,6 +73,7 @@ class World:
         *,
         seed: int = 0,
         noise: bool = True,
+        spread: bool = False,
         unpaced: bool = False,
         strict_line: bool = False,
         faults: Sequence[Fault] = (),
@@ -91,6 +93,7 @@ class World:
                 index,
                 seed=seed,
                 noise=noise,
+                spread=spread,
                 unpaced=unpaced,
                 strict_line=strict_line,
                 faults=faults,

@@ -298,6 +298,7 @@ _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
     "seed": (_whole, "a whole number from 0 to 2**63-1"),
     "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
     "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
+    "spread": ({"on": True, "off": False}.__getitem__, "on or off"),
     "rom": (str, "a version of the firmware, such as 5.02"),
     "mode": (_digit, "a running mode, one digit from 0 to F"),
     "battery_used_min": (_minutes, "a number of minutes from 0 to 1000"),

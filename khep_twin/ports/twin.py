@@ -28,6 +28,7 @@ class TwinOptions:
         seed: of every chance.
         robot: which of the playpen's robots is on the line; None for all of them.
         noise: whether sensors are noisy.
+        spread: whether the robots' sensors are drawn anew around their calibration.
         rom: version of the robot's firmware.
         mode: its running mode, which sets the line's speed.
         battery_used_min: minutes that it has run on its cells at start [min].
@@ -40,6 +41,7 @@ class TwinOptions:
     seed: int = 0
     robot: int | None = 0
     noise: bool = True
+    spread: bool = False
     rom: str | None = None
     mode: int | None = None
     battery_used_min: float | None = None
@@ -132,6 +134,7 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
         chosen,
         seed=options.seed,
         noise=options.noise,
+        spread=options.spread,
         unpaced=options.unpaced,
         strict_line=options.strict_line,
         faults=faults,
