@@ -75,8 +75,8 @@ class Calibration(Table):
 
 
 GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
-"""Relative standard deviations of gain and threshold over the eight sensors of the sampled robot, and of their
-gain for lamps (4 to 7 % measured)."""
+"""Relative standard deviations of gain and threshold over the eight sensors of the sampled robot, and of
+their gain for lamps (4 to 7 % measured)."""
 
 
 def spread(calibration: Calibration, chance: np.random.Generator) -> Calibration:
