@@ -12,7 +12,7 @@ from pydantic import Field
 from khep_twin import toml_files
 from khep_twin.errors import CalibrationError
 from khep_twin.toml_files import Name, Table
-from khep_twin.units import COUNTS_LIMIT, N_SENSORS
+from khep_twin.units import COUNTS_LIMIT, N_SENSORS, WHEEL_BASE, WHEEL_RADIUS
 
 _Gain = Annotated[float, Field(gt=0, le=1e8)]
 _Counts = Annotated[float, Field(ge=0, le=COUNTS_LIMIT)]
@@ -63,8 +63,20 @@ class AmbientCalibration(Table):
     noise_counts: _Counts
 
 
+class WheelCalibration(Table):
+    """Both wheels; the robot's own firmware knows nothing of them but pulses.
+
+    Attributes:
+        radius_mm: of a wheel.
+        base_mm: from one wheel's contact with the floor to the other's.
+    """
+
+    radius_mm: Annotated[float, Field(ge=6, le=9)] = WHEEL_RADIUS * 1000
+    base_mm: Annotated[float, Field(ge=40, le=60)] = WHEEL_BASE * 1000
+
+
 class Calibration(Table):
-    """One robot's sensors; headings [deg] counter-clockwise from straight ahead, in the order of N."""
+    """One robot's sensors and wheels; headings [deg] counter-clockwise from ahead, in the order of N."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
@@ -72,6 +84,7 @@ class Calibration(Table):
     heading_deg: Annotated[tuple[_Heading, ...], _Eight]
     proximity: ProximityCalibration
     ambient: AmbientCalibration
+    wheels: WheelCalibration = WheelCalibration()
 
 
 GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin import __version__
+from khep_twin.cli_fit import fit
 from khep_twin.cli_playpen import PlaypenName, playpen_app
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import unusable, write_whole
@@ -33,6 +34,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(playpen_app, name="playpen")
+app.command()(fit)
 
 
 class Switch(StrEnum):

@@ -61,6 +61,10 @@ class FaultError(KhepTwinError):
     """A fault to inject that there is not, or that is written in another way."""
 
 
+class FitError(KhepTwinError):
+    """Measurements that cannot tell what they are to tell."""
+
+
 class MissingExtraError(KhepTwinError):
     """A part of khep_twin that needs a package which is not installed."""
 

@@ -205,8 +205,9 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
     child = mujoco.MjSpec.from_file(str(ROBOT_FILE))
     for key in list(child.keys):
         child.delete(key)  # the scene's own start pose stands for it
-    headings_deg = calibration.read(robot.calibration)[0].heading_deg
-    for sensor, heading_deg in zip(units.Sensor, headings_deg, strict=True):
+    measured = calibration.read(robot.calibration)[0]
+    _fit_wheels(child, measured.wheels)
+    for sensor, heading_deg in zip(units.Sensor, measured.heading_deg, strict=True):
         heading = units.radians(heading_deg)
         camera = child.camera(sensor.name.lower())
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
@@ -228,6 +229,16 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
         # Polished balls: without friction, which also keeps odometry clean.
         _add_contact(spec, prefix + support, "floor", 0.0)
     return hands
+
+
+def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> None:
+    """Gives the robot's wheels their size and place."""
+    radius, half_base = units.metres(wheels.radius_mm), units.metres(wheels.base_mm) / 2
+    for side, y in (("left", half_base), ("right", -half_base)):
+        robot.body(f"{side}_wheel").pos = [0, y, radius]
+        tyre, rim = robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
+        tyre.size = [radius, *tyre.size[1:]]
+        rim.size = [radius, *rim.size[1:]]
 
 
 def _add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> None:

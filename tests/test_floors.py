@@ -39,7 +39,7 @@ FLOORS = [
     ["robot", "world"],
     ["ports", "host", "log"],
     ["lab"],
-    ["cli", "cli_playpen"],
+    ["cli", "cli_fit", "cli_playpen"],
     ["__main__"],
 ]
 """From the ground up; a file imports from floors below its own."""
@@ -63,6 +63,7 @@ WITHIN_A_FLOOR = {
     ("drawing", "illumination"),
     ("drawing", "symbols"),
     ("ports", "log"),
+    ("cli", "cli_fit"),
     ("cli", "cli_playpen"),
 }
 """(importer, imported) pairs of one floor that are allowed all the same."""
