@@ -14,18 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin.lab.infrared import Bench, Optics, View, proximity
-from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_HEADINGS, SENSOR_POSITIONS
+from khep_twin.lab.infrared import TANGENTS, Bench, Optics, Table, proximity
+from khep_twin.units import N_SENSORS, SENSOR_HEADINGS
 
 Floats = NDArray[np.float64]
 
-TANGENTS = (np.arange(9) + 0.5) / 9 * 2 - 1
-"""Of the rays of assets/khepera.xml."""
-
 CYLINDER_RADIUS = 0.027
-PEAK_DEG = 6
-"""On axis is the mean so near to the bearing of the peak."""
-
 MANUAL = Optics(1_205_400, 333.8, 0.01, 3.72, 1.14)
 """The sensor of the manual's figure 11, whose gain is for white plastic."""
 
@@ -44,41 +38,6 @@ _ON_AXIS_WEIGHT = 8.0
 _PRIOR = 200.0
 _SHARED = np.array([5.58, 1.04, 0.18])
 """Offset, lobe and incidence exponent of one fit to all sensors, which those of each are drawn to."""
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """Readings of a robot that was turned in front of an object.
-
-    Attributes:
-        distances: robot's edge to object (n,) [m].
-        bearings: of the object, counter-clockwise from ahead (n,) [rad].
-        counts: (n, 8).
-        radius: of the cylinder [m]; 0 for a wall.
-    """
-
-    distances: Floats
-    bearings: Floats
-    counts: Floats
-    radius: float
-
-    def view(self, sensor: int, heading: float) -> View:
-        """What a sensor with a heading [rad] saw."""
-        bench = Bench(SENSOR_POSITIONS[sensor], heading, TANGENTS, BODY_RADIUS)
-        if self.radius:
-            return bench.cylinder(self.distances, self.bearings, self.radius)
-        return bench.wall(self.distances, self.bearings)
-
-    def peak(self, counts: Floats) -> float:
-        """Bearing around which readings (n,) lie [rad]."""
-        return float(np.angle((counts * np.exp(1j * self.bearings)).sum()))
-
-    def on_axis(self, sensor: int) -> Floats:
-        """Matrix that takes readings (n,) to their means near the peak, one per distance."""
-        aside = np.angle(np.exp(1j * (self.bearings - self.peak(self.counts[:, sensor]))))
-        near = np.abs(aside) <= np.radians(PEAK_DEG)
-        rows = [near & (self.distances == distance) for distance in np.unique(self.distances)]
-        return np.array([row / row.sum() for row in rows])
 
 
 def reference() -> Path:

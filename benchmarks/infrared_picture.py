@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.infrared_fits import TANGENTS, reference, rms, sampled
+from benchmarks.infrared_fits import reference, rms, sampled
 from khep_twin import calibration
-from khep_twin.lab.infrared import Optics, proximity
+from khep_twin.lab.infrared import TANGENTS, Optics, proximity
 from khep_twin.units import Sensor
 
 PEERS = {

@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 
 from khep_twin.calibration import ProximityCalibration
 from khep_twin.sensors import lobe_weights
-from khep_twin.units import COUNTS_LIMIT
+from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS
 
 Floats = NDArray[np.float64]
+
+
+TANGENTS: Floats = (np.arange(9) + 0.5) / 9 * 2 - 1
+"""Of the angles off a sensor's axis of the rays of assets/khepera.xml."""
+
+PEAK_DEG = 6
+"""On axis is the mean so near to the bearing of the peak."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +83,41 @@ class Bench:
 
 
 @dataclass(frozen=True, slots=True)
+class Table:
+    """Readings of a robot that was turned in front of an object.
+
+    Attributes:
+        distances: robot's edge to object (n,) [m].
+        bearings: of the object, counter-clockwise from ahead (n,) [rad].
+        counts: (n, 8).
+        radius: of the cylinder [m]; 0 for a wall.
+    """
+
+    distances: Floats
+    bearings: Floats
+    counts: Floats
+    radius: float
+
+    def view(self, sensor: int, heading: float) -> View:
+        """What a sensor with a heading [rad] saw."""
+        bench = Bench(SENSOR_POSITIONS[sensor], heading, TANGENTS, BODY_RADIUS)
+        if self.radius:
+            return bench.cylinder(self.distances, self.bearings, self.radius)
+        return bench.wall(self.distances, self.bearings)
+
+    def peak(self, counts: Floats) -> float:
+        """Bearing around which readings (n,) lie [rad]."""
+        return float(np.angle((counts * np.exp(1j * self.bearings)).sum()))
+
+    def on_axis(self, sensor: int) -> Floats:
+        """Matrix that takes readings (n,) to their means near the peak, one per distance."""
+        aside = np.angle(np.exp(1j * (self.bearings - self.peak(self.counts[:, sensor]))))
+        near = np.abs(aside) <= np.radians(PEAK_DEG)
+        rows = [near & (self.distances == distance) for distance in np.unique(self.distances)]
+        return np.array([row / row.sum() for row in rows])
+
+
+@dataclass(frozen=True, slots=True)
 class Optics:
     """What a calibration says of one sensor."""
 
@@ -113,9 +155,13 @@ def proximity(
         reflectance: of what it sees.
         limit_counts: its highest reading.
     """
+    return np.clip(level(view, tangents, optics, reflectance), 0, limit_counts)
+
+
+def level(view: View, tangents: Floats, optics: Optics, reflectance: float = 1.0) -> Floats:
+    """What `proximity` is before it is cut off at both ends (n_places,) [counts]."""
     weights = np.array(lobe_weights(tangents, optics.lobe_exponent))
     lit = weights * np.where(view.incidences > 0, view.incidences, 0) ** optics.incidence_exponent
     lit = np.where(view.incidences > 0, lit, 0)
     light = (lit / (view.lengths * 1e3 + optics.offset_mm) ** 2).sum(axis=1)
-    level = optics.gain_counts_mm2 * reflectance * light - optics.threshold_counts
-    return np.clip(level, 0, limit_counts)
+    return optics.gain_counts_mm2 * reflectance * light - optics.threshold_counts

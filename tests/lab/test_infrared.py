@@ -10,8 +10,6 @@ from benchmarks.infrared_fits import (
     CYLINDER_RADIUS,
     MANUAL,
     MANUAL_SURFACES,
-    TANGENTS,
-    Table,
     compare,
     facing,
     khepera2_paper,
@@ -21,7 +19,7 @@ from benchmarks.infrared_fits import (
 )
 from khep_twin import calibration, playpen
 from khep_twin.kernel import PROXIMITY
-from khep_twin.lab.infrared import Optics, proximity
+from khep_twin.lab.infrared import TANGENTS, Optics, Table, proximity
 from khep_twin.surfaces import BUILT_IN_SURFACES
 from khep_twin.units import BODY_RADIUS
 from khep_twin.world import World

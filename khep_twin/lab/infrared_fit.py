@@ -1,0 +1,113 @@
+"""The infrared sensors of one robot, from readings in front of a wall or a cylinder.
+
+Gain and threshold of each sensor by least squares, the shape of its optics taken from another calibration. A
+reading that is cut off at either end still tells something: what is compared is the mean that a noisy sensor
+would give there,
+
+    E[clip(x + s z, 0, limit)],  z normal,
+
+with level x and the calibration's noise s.
+"""
+
+# scipy is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import ndtr
+
+from khep_twin.calibration import Calibration
+from khep_twin.errors import FitError
+from khep_twin.lab.infrared import TANGENTS, Floats, Optics, Table, level
+from khep_twin.units import N_SENSORS, Sensor
+
+_LEAST_READINGS = 10
+"""Readings that are cut off at neither end, without which a sensor is refused."""
+
+_WIDEST = 0.15
+"""Half the confidence interval of a gain, relative, beyond which the readings do not tell it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFit:
+    """One sensor found.
+
+    Attributes:
+        optics: of it.
+        gain_interval: half the width of the gain's 95 % confidence interval, relative.
+        threshold_interval: that of the threshold's [counts].
+        rms: of what is left [counts].
+    """
+
+    optics: Optics
+    gain_interval: float
+    threshold_interval: float
+    rms: float
+
+
+def fit_infrared(tables: Sequence[Table], start: Calibration) -> list[SensorFit]:
+    """Finds the gains and thresholds with which the readings were made, one fit a sensor.
+
+    Raises:
+        FitError: the readings cannot tell a sensor's gain.
+    """
+    return [_fit_sensor(tables, sensor, start) for sensor in range(N_SENSORS)]
+
+
+def fitted(start: Calibration, fits: Sequence[SensorFit]) -> Calibration:
+    """A calibration with what was found."""
+    found = {
+        "gain_counts_mm2": tuple(round(fit.optics.gain_counts_mm2) for fit in fits),
+        "threshold_counts": tuple(round(fit.optics.threshold_counts, 1) for fit in fits),
+    }
+    return start.model_copy(update={"proximity": start.proximity.model_copy(update=found)})
+
+
+def expected(levels: Floats, noise: float, limit: float) -> Floats:
+    """Mean reading of a sensor with noise that is cut off at 0 and at a limit."""
+    if noise <= 0:
+        return np.clip(levels, 0, limit)
+    low, high = -levels / noise, (limit - levels) / noise
+    bell = (np.exp(-(low**2) / 2) - np.exp(-(high**2) / 2)) / np.sqrt(2 * np.pi)
+    return noise * bell + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)
+
+
+def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> SensorFit:
+    name = Sensor(sensor).name.lower().replace("_", " ")
+    before, proximity = Optics.of(start.proximity, sensor), start.proximity
+    views = [table.view(sensor, float(np.radians(start.heading_deg[sensor]))) for table in tables]
+    counts = np.concatenate([table.counts[:, sensor] for table in tables])
+    noise, limit = proximity.noise_counts, proximity.limit_counts
+    told = int(((counts > noise) & (counts < limit - noise)).sum())
+    if told < _LEAST_READINGS:
+        raise FitError(
+            f"{name}: the gain cannot be told: {told} readings are neither 0 nor saturated; right are "
+            f"{_LEAST_READINGS} and more, at several distances between 10 and 40 mm"
+        )
+
+    def left(x: Floats) -> Floats:
+        optics = replace(before, gain_counts_mm2=x[0] * 1e6, threshold_counts=x[1] * 1e2)
+        levels = np.concatenate([level(view, TANGENTS, optics) for view in views])
+        return expected(levels, noise, limit) - counts
+
+    begin = [before.gain_counts_mm2 / 1e6, before.threshold_counts / 1e2]
+    # A few readings beside the rest, such as those taken while somebody walked by, shall not count for much.
+    found = least_squares(left, begin, loss="soft_l1", f_scale=3 * max(noise, 1))
+    rms = float(np.sqrt(np.mean(left(found.x) ** 2)))
+    information = found.jac.T @ found.jac
+    if np.linalg.matrix_rank(information) < 2:
+        raise FitError(f"{name}: gain and threshold cannot be told apart; right are more distances")
+    spread = 1.96 * rms * np.sqrt(np.diag(np.linalg.inv(information)))
+    gain, threshold = float(found.x[0]) * 1e6, float(found.x[1]) * 1e2
+    interval = float(spread[0]) * 1e6 / gain
+    if not 0 <= interval < _WIDEST:
+        raise FitError(
+            f"{name}: the gain cannot be told better than to {interval:.0%}; right are more readings, at "
+            "several distances between 10 and 40 mm"
+        )
+    optics = replace(before, gain_counts_mm2=gain, threshold_counts=threshold)
+    return SensorFit(optics, interval, float(spread[1]) * 1e2, rms)
