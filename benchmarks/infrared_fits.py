@@ -20,6 +20,9 @@ from khep_twin.units import N_SENSORS, SENSOR_HEADINGS
 Floats = NDArray[np.float64]
 
 CYLINDER_RADIUS = 0.027
+SET_UP_BEARING = np.radians(2.2)
+"""What the sampled set-up's bearings of wall and cylinder lack [rad]: so left and right look alike."""
+
 MANUAL = Optics(1_205_400, 333.8, 0.01, 3.72, 1.14)
 """The sensor of the manual's figure 11, whose gain is for white plastic."""
 
@@ -53,7 +56,8 @@ def sampled(folder: Path) -> list[Table]:
     tables: list[Table] = []
     for name, radius in (("wall", 0.0), ("round", CYLINDER_RADIUS)):
         rows = np.genfromtxt(folder / "data" / f"evorobot_{name}_samples.csv", delimiter=",", skip_header=1)
-        tables.append(Table(rows[:, 0] / 1e3, -np.radians(rows[:, 1]), rows[:, 2:], radius))
+        bearings = SET_UP_BEARING - np.radians(rows[:, 1])
+        tables.append(Table(rows[:, 0] / 1e3, bearings, rows[:, 2:], radius))
     return tables
 
 

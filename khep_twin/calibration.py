@@ -53,13 +53,28 @@ class ProximityCalibration(Table):
 
 
 class AmbientCalibration(Table):
-    """Light of lamps."""
+    """Light of lamps; per-sensor values in the order of O.
 
+    Attributes:
+        heading_deg: where each receiver looks, counter-clockwise from ahead.
+        gain_counts_mm2_per_w: per light of a lamp.
+        lobe_exponent: of the cosine off the receiver's axis.
+        diffuse: part of its sensitivity that is not straight ahead.
+        offset_mm: of the light's inverse square.
+        dark_counts: reading in the dark.
+        floor_counts: reading in the brightest light.
+        ceiling_counts: highest reading, noise included.
+        noise_counts: standard deviation of one reading.
+    """
+
+    heading_deg: Annotated[tuple[_Heading, ...], _Eight]
+    gain_counts_mm2_per_w: Annotated[tuple[_Gain, ...], _Eight]
+    lobe_exponent: Annotated[tuple[_Exponent, ...], _Eight]
+    diffuse: Annotated[float, Field(ge=0, le=1)] = 0.0
+    offset_mm: _LampOffset = 0.0
     dark_counts: _Counts
-    floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)]
+    floor_counts: _Counts
     ceiling_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)]
-    gain_counts_mm2_per_w: _Gain
-    offset_mm: _LampOffset
     noise_counts: _Counts
 
 
@@ -93,7 +108,7 @@ their gain for lamps (4 to 7 % measured)."""
 
 
 def spread(calibration: Calibration, chance: np.random.Generator) -> Calibration:
-    """Another robot of the same make: each sensor's gain and threshold, and the gain for lamps, by chance."""
+    """Another robot of the same make: each sensor's gain, threshold and gain for lamps by chance."""
     gains, thresholds = 1 + np.array([[GAIN_SPREAD], [THRESHOLD_SPREAD]]) * chance.standard_normal(
         (2, N_SENSORS)
     )
@@ -106,7 +121,10 @@ def spread(calibration: Calibration, chance: np.random.Generator) -> Calibration
         )
         for name, row in factors.items()
     }
-    lamps = ambient.gain_counts_mm2_per_w * max(1 + LAMP_SPREAD * float(chance.standard_normal()), 0.2)
+    lamps = tuple(
+        gain * max(1 + LAMP_SPREAD * float(factor), 0.2)
+        for gain, factor in zip(ambient.gain_counts_mm2_per_w, chance.standard_normal(N_SENSORS), strict=True)
+    )
     return calibration.model_copy(
         update={
             "proximity": proximity.model_copy(update=changed),

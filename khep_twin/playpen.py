@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
-    BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
     model_serializer,
@@ -38,11 +37,8 @@ from khep_twin.units import BODY_HEIGHT, BODY_RADIUS, BULB_RADIUS
 BULB_RADIUS_MM = BULB_RADIUS * 1000
 """Of a lamp [mm]."""
 
-
-def _driven(mode: object) -> object:
-    if mode in ("random", "sequenced"):
-        raise ValueError("part of the format, but not of this version")
-    return mode
+MIN_ANGLE_DEG, MAX_ANGLE_DEG = 10.0, 85.0
+"""Of the toolbox's law of light: what meets the lamp of the calibration `khepera1` best [deg]."""
 
 
 Place = Annotated[float, Field(ge=0, le=10_000)]
@@ -50,6 +46,7 @@ Size = Annotated[float, Field(ge=1, le=10_000)]
 Height = Annotated[float, Field(ge=1, le=1000)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 Mass = Annotated[float, Field(ge=1, le=10_000)]
+Seconds = Annotated[float, Field(ge=0, le=3600)]
 ObjectName = Annotated[Name | None, Field(description=NAME_WISH)]
 
 
@@ -102,13 +99,25 @@ class Cylinder(Table):
 
 
 class Lamp(Table):
-    """A light bulb with its centre at x, y, z."""
+    """A light bulb with its centre at x, y, z.
+
+    Attributes:
+        power_w: of the bulb.
+        dim: part of its power that it is turned to.
+        blink_period_s: from one flash to the next; 0 for a steady lamp.
+        blink_duty: part of that time in which it is on.
+        fade_s: that it takes to go from dark to bright, and back.
+    """
 
     name: ObjectName = None
     x_mm: Place
     y_mm: Place
     z_mm: Height = 15.0
     power_w: Annotated[float, Field(ge=0, le=1000)]
+    dim: Annotated[float, Field(ge=0, le=1)] = 1.0
+    blink_period_s: Seconds = 0.0
+    blink_duty: Annotated[float, Field(ge=0, le=1)] = 0.5
+    fade_s: Seconds = 0.0
 
     @property
     def footprint(self) -> Circle:
@@ -117,13 +126,22 @@ class Lamp(Table):
 
 
 class Lighting(Table):
-    """Which lamps are on: `all` of them."""
+    """Which lamps are on, and how their light is reckoned.
 
-    mode: Annotated[
-        Literal["all"],
-        BeforeValidator(_driven),
-        Field(description='"all"; "random" and "sequenced" are not available in this version yet'),
-    ] = "all"
+    Attributes:
+        mode: "all", or one at a time, the next when a robot comes near it or a wall of the arena: drawn at
+            "random", or "sequenced" in the file's order.
+        switch_distance_mm: how near, from the robot's edge to bulb or wall (assumed: half a robot).
+        law: "optics" as measured, or "toolbox" as the Khepera Toolbox for Matlab reckoned, without shadows.
+        min_angle_deg: the toolbox's, up to which a lamp off the sensor's axis loses nothing.
+        max_angle_deg: the toolbox's, from which on nothing is left.
+    """
+
+    mode: Literal["all", "random", "sequenced"] = "all"
+    switch_distance_mm: Annotated[float, Field(ge=0, le=10_000)] = 30.0
+    law: Literal["optics", "toolbox"] = "optics"
+    min_angle_deg: Annotated[float, Field(ge=0, le=180)] = MIN_ANGLE_DEG
+    max_angle_deg: Annotated[float, Field(ge=1, le=180)] = MAX_ANGLE_DEG
 
 
 class Robot(Table):

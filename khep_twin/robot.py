@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import calibration, kernel, units
+from khep_twin.ambient import Receivers
 from khep_twin.faults import Fault, Injector
 from khep_twin.firmware import Firmware
 from khep_twin.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
+from khep_twin.lamps import Lamps
 from khep_twin.playpen import Playpen
 from khep_twin.protocol import LINE_ENDS
 from khep_twin.randomness import stream
@@ -32,6 +34,7 @@ class Stage(Protocol):
     playpen: Playpen
     model: mujoco.MjModel
     data: mujoco.MjData
+    lamps: Lamps
     time_ns: int
 
     def tell(self, robot: int | None, text: str) -> None:
@@ -110,7 +113,9 @@ class Robot:
         sensors = calibration.read(entry.calibration)[0]
         if spread:
             sensors = calibration.spread(sensors, chance("spread"))
-        self._scan = InfraredScan(model, data, f"{self.name}/", sensors, chance if noise else None)
+        prefix, lighting = f"{self.name}/", stage.playpen.lighting
+        receivers = Receivers(model, data, prefix, sensors.ambient, stage.lamps, lighting)
+        self._scan = InfraredScan(model, data, prefix, sensors, receivers, chance if noise else None)
 
     @property
     def pose(self) -> tuple[float, float, float]:

@@ -7,12 +7,14 @@ the numbers are in assets/calibration):
 
 over the rays i of a sensor's cone: length d_i, incidence phi_i, reflectance rho_i of what it hits and weight
 w_i = cos(theta_i)^n / sum, theta_i off the axis; idle is the noise left with nothing in reach. Ambient light
-is dark at high counts:
+is dark at high counts, and saturates:
 
-    counts = clip(dark - sum_lamps gain P cos(theta)^2 / (r - offset)^2 + noise, floor, ceiling)
+    counts = clip(max(dark - light, floor) + noise, 0, ceiling)
 
-with lamp power P, distance r to the bulb's centre and theta off the sensor's axis; a lamp behind something
-gives nothing. Left out: light reflected off walls, lamps' effect on proximity, the cone's vertical width.
+with the light of lamps as in `ambient`. What a sensor reads as proximity is the difference of two such
+readings, with its emitter on and off; so in bright light its limit falls by (dark - light - floor) /
+(dark - floor), to 0 where ambient light alone saturates it. Left out: light reflected off walls, the cone's
+vertical width.
 """
 
 import math
@@ -22,8 +24,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.calibration import AmbientCalibration, Calibration
-from khep_twin.units import BULB_RADIUS, Sensor
+from khep_twin.ambient import Receivers
+from khep_twin.calibration import Calibration
+from khep_twin.units import Sensor
 
 _SLACK = 1e-6
 """So much longer a ray may be when it is cast again [m]."""
@@ -40,6 +43,7 @@ class InfraredScan:
         data: its state.
         prefix: of the robot's names in the scene, e.g. "khepera0/".
         calibration: of this robot's sensors.
+        receivers: of the light of lamps.
         noise: gives the chance for "proximity", "idle" and "ambient" counts, None for no noise.
     """
 
@@ -49,14 +53,12 @@ class InfraredScan:
         data: mujoco.MjData,
         prefix: str,
         calibration: Calibration,
+        receivers: Receivers,
         noise: Callable[[str], np.random.Generator] | None,
     ) -> None:
-        lamps = _lamps(model)
         reflectances: NDArray[np.float64] = model.geom_user[:, 0]
-        self._sensors = [
-            _Sensor(model, data, prefix, sensor.name.lower(), lamps, reflectances) for sensor in Sensor
-        ]
-        self._calibration = calibration
+        self._sensors = [_Sensor(model, data, prefix, sensor.name.lower(), reflectances) for sensor in Sensor]
+        self._calibration, self._receivers = calibration, receivers
         self._proximity_noise = _draws(noise("proximity").standard_normal if noise else None)
         self._idle_noise = _draws(noise("idle").standard_exponential if noise else None)
         self._ambient_noise = _draws(noise("ambient").standard_normal if noise else None)
@@ -67,10 +69,14 @@ class InfraredScan:
 
     def convert(self, channel: int) -> tuple[int, int]:
         """Proximity and ambient counts of one sensor, as of the pose at the start of the last step."""
-        sensor = self._sensors[channel]
-        return self._proximity(sensor, channel), self._ambient(sensor)
+        calibration = self._calibration.ambient
+        noise = calibration.noise_counts * next(self._ambient_noise)
+        level = max(calibration.dark_counts - self._receivers.light(channel), calibration.floor_counts)
+        range_left = (level - calibration.floor_counts) / (calibration.dark_counts - calibration.floor_counts)
+        ambient = max(min(round(level + noise), calibration.ceiling_counts), 0)
+        return self._proximity(self._sensors[channel], channel, range_left), ambient
 
-    def _proximity(self, sensor: "_Sensor", channel: int) -> int:
+    def _proximity(self, sensor: "_Sensor", channel: int, range_left: float) -> int:
         calibration = self._calibration.proximity
         noise = calibration.noise_counts * next(self._proximity_noise)
         idle = calibration.idle_counts * next(self._idle_noise)
@@ -89,14 +95,8 @@ class InfraredScan:
                 offset,
                 calibration.incidence_exponent[channel],
             )
-        quantum = calibration.quantum_counts
-        return max(min(round(level / quantum) * quantum, calibration.limit_counts), int(idle), 0)
-
-    def _ambient(self, sensor: "_Sensor") -> int:
-        calibration = self._calibration.ambient
-        noise = calibration.noise_counts * next(self._ambient_noise)
-        level = calibration.dark_counts + noise - sensor.light(calibration)
-        return max(min(round(level), calibration.ceiling_counts), calibration.floor_counts)
+        quantum, limit = calibration.quantum_counts, calibration.limit_counts * range_left
+        return max(round(min(level, limit) / quantum) * quantum, int(min(idle, limit)), 0)
 
 
 def reflected(
@@ -125,21 +125,6 @@ def reflected(
     return total
 
 
-def illuminance(distance: float, cosine: float, power: float, calibration: AmbientCalibration) -> float:
-    """What a lamp in sight takes off the dark level [counts].
-
-    Args:
-        distance: from the sensor to the bulb's centre [m].
-        cosine: of the lamp's bearing off the sensor's axis.
-        power: of the lamp [W].
-        calibration: of the sensors.
-    """
-    if cosine <= 0:
-        return 0.0
-    reach_mm = max(distance * 1e3 - calibration.offset_mm, 1.0)
-    return calibration.gain_counts_mm2_per_w * power * cosine**2 / reach_mm**2
-
-
 def lobe_weights(tangents: NDArray[np.float64], exponent: float) -> list[float]:
     """Weights w_i of a cone's rays, from the tangents of their angles off the axis (n_rays,)."""
     weights = np.cos(np.arctan(tangents)) ** exponent
@@ -147,7 +132,7 @@ def lobe_weights(tangents: NDArray[np.float64], exponent: float) -> list[float]:
 
 
 class _Sensor:
-    """One sensor's views into the scene: its rays and the lamps that it may see."""
+    """One sensor's view into the scene: its rays."""
 
     def __init__(
         self,
@@ -155,14 +140,13 @@ class _Sensor:
         data: mujoco.MjData,
         prefix: str,
         name: str,
-        lamps: list[tuple[tuple[float, float, float], float]],
         reflectances: NDArray[np.float64],
     ) -> None:
         camera = model.camera(prefix + name)
         rays = model.sensor(prefix + name + "_rays")
         first, size = int(rays.adr[0]), int(rays.dim[0])
         n_rays = size // _LENGTH_AND_NORMAL
-        self._model, self._data, self._lamps = model, data, lamps
+        self._model, self._data = model, data
         self._body = model.body(prefix + "base").id
         self._rays = data.sensordata[first : first + size].reshape(n_rays, _LENGTH_AND_NORMAL)
         self._lengths = self._rays[:, 0]
@@ -223,27 +207,6 @@ class _Sensor:
         # A ray that hits nothing has geom -1; its length keeps it out of the sum.
         return self._reflectances[self._hit_geoms].tolist()
 
-    def light(self, calibration: AmbientCalibration) -> float:
-        """What all lamps together take off the dark level [counts]."""
-        x, y, z = self._position.tolist()
-        frame = self._frame.tolist()
-        total = 0.0
-        for (lamp_x, lamp_y, lamp_z), power in self._lamps:
-            dx, dy, dz = lamp_x - x, lamp_y - y, lamp_z - z
-            distance = math.sqrt(dx * dx + dy * dy + dz * dz) or _SLACK
-            # A camera looks along the negative z axis of its frame.
-            cosine = -(dx * frame[2] + dy * frame[5] + dz * frame[8]) / distance
-            counts = illuminance(distance, cosine, power, calibration)
-            # Less than half a count is not worth a ray.
-            if counts >= 0.5 and not self._blocked(np.array([dx, dy, dz]), distance):
-                total += counts
-        return total
-
-    def _blocked(self, vector: NDArray[np.float64], distance: float) -> bool:
-        hit = mujoco.mj_ray(self._model, self._data, self._position, vector, None, True, self._body, None)
-        # A ray that comes as near as the bulb's glass has reached it.
-        return 0 <= hit * distance < distance - BULB_RADIUS
-
 
 def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]:
     """Endless draws, fetched by the hundred because single ones are slow; zeros without chance."""
@@ -262,14 +225,3 @@ def _visible_geoms(model: mujoco.MjModel, prefix: str) -> NDArray[np.bool_]:
     upright = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
     own = [model.body(prefix + name).id for name in ("base", "left_wheel", "right_wheel")]
     return shown & upright & ~np.isin(model.geom_bodyid, own)
-
-
-def _lamps(model: mujoco.MjModel) -> list[tuple[tuple[float, float, float], float]]:
-    """Position [m] and power [W] of each lamp of the scene: the sites that carry a power."""
-    if model.nuser_site == 0:
-        return []
-    return [
-        (tuple(model.site_pos[i].tolist()), float(power))
-        for i, power in enumerate(model.site_user[:, 0])
-        if power > 0
-    ]

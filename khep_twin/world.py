@@ -16,8 +16,10 @@ from khep_twin import units
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
 from khep_twin.faults import Fault
+from khep_twin.lamps import Lamps
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.randomness import stream
 from khep_twin.robot import Robot
 
 SAMPLE_NS = units.SCAN_NS
@@ -63,6 +65,7 @@ class World:
         time_ns: how far time has come [ns].
         model: the compiled scene.
         data: its state.
+        lamps: which of them shine.
         robots: in the playpen's order.
         taps: who watches.
     """
@@ -87,6 +90,7 @@ class World:
         self.spec = to_spec(playpen)
         self.model = self.spec.compile()
         self.data = mujoco.MjData(self.model)
+        self.lamps = Lamps(playpen, stream(seed, "lamps"))
         self.robots = tuple(
             Robot(
                 self,
@@ -123,7 +127,8 @@ class World:
             1. bytes that arrive before its end are taken by the firmware, which answers from the registers
                of the last step
             2. physics, with the motor voltages of the last control tick
-            3. one sensor of each robot is converted, as of the pose at the step's start
+            3. lamps blink, fade and switch; one sensor of each robot is converted, as of the pose at the
+               step's start
             4. after every fourth step the control tick: encoders, speed, controllers, duty, voltage
             5. after every eighth the supply is measured and the taps are shown the world
 
@@ -177,6 +182,8 @@ class World:
         channel = self._steps % units.N_SENSORS
         mujoco.mj_step(self.model, self.data)
         self._steps += 1
+        if not self.lamps.steady:
+            self._light()
         for robot in self.robots:
             robot.convert(channel)
         if self._steps % _STEPS_PER_TICK == 0:
@@ -189,6 +196,10 @@ class World:
                 robot.feed()
                 robot.show_leds()
             self._show()
+
+    def _light(self) -> None:
+        if self.lamps.update(self.time_ns, [robot.pose[:2] for robot in self.robots]):
+            self.tell(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
 
     def _show(self) -> None:
         if self.taps:

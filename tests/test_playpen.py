@@ -216,14 +216,12 @@ WRONG = {
     HEAD
     + ARENA
     + LAMP.replace("450", "501"): "lamp 1: y_mm = 501: outside the arena; right is from 0 to 500",
-    HEAD + ARENA + '[lighting]\nmode = "random"\n': 'lighting: mode = "random": right is "all"; "random" and '
-    '"sequenced" are not available in this version yet',
-    HEAD
-    + ARENA
-    + '[lighting]\nmode = "sequenced"\n': 'lighting: mode = "sequenced": right is "all"; "random" and '
-    '"sequenced" are not available in this version yet',
+    HEAD + ARENA + LAMP + "blink_duty = 2\n": "lamp 1: blink_duty = 2: right is a number from 0 to 1",
+    HEAD + ARENA + LAMP + "dim = -1\n": "lamp 1: dim = -1: right is a number from 0 to 1",
+    HEAD + ARENA + "[lighting]\nmax_angle_deg = 0\n": "lighting: max_angle_deg = 0: right is a number from 1 "
+    "to 180",
     HEAD + ARENA + '[lighting]\nmode = "al"\n': "lighting: mode = \"al\": unknown; did you mean 'all'? "
-    "(choices: all)",
+    "(choices: all, random, sequenced)",
     HEAD
     + ARENA
     + ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; right is a number from "

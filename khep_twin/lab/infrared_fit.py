@@ -17,16 +17,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from khep_twin.calibration import Calibration
 from khep_twin.errors import FitError
+from khep_twin.lab.estimate import Parameter, estimate
 from khep_twin.lab.infrared import TANGENTS, Floats, Optics, Table, level
 from khep_twin.units import N_SENSORS, Sensor
 
 _LEAST_READINGS = 10
 """Readings that are cut off at neither end, without which a sensor is refused."""
+
+_WISH = "readings at several distances between 10 and 40 mm"
 
 _WIDEST = 0.15
 """Half the confidence interval of a gain, relative, beyond which the readings do not tell it."""
@@ -86,28 +88,21 @@ def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> Sen
     if told < _LEAST_READINGS:
         raise FitError(
             f"{name}: the gain cannot be told: {told} readings are neither 0 nor saturated; right are "
-            f"{_LEAST_READINGS} and more, at several distances between 10 and 40 mm"
+            f"{_LEAST_READINGS} and more such {_WISH}"
         )
 
     def left(x: Floats) -> Floats:
-        optics = replace(before, gain_counts_mm2=x[0] * 1e6, threshold_counts=x[1] * 1e2)
+        optics = replace(before, gain_counts_mm2=x[0], threshold_counts=x[1])
         levels = np.concatenate([level(view, TANGENTS, optics) for view in views])
         return expected(levels, noise, limit) - counts
 
-    begin = [before.gain_counts_mm2 / 1e6, before.threshold_counts / 1e2]
+    gain = before.gain_counts_mm2
+    parameters = [
+        Parameter(f"{name}: gain", gain, gain / 4, _WIDEST * gain, " counts mm2"),
+        Parameter(f"{name}: threshold", before.threshold_counts, 100, 300, " counts"),
+    ]
     # A few readings beside the rest, such as those taken while somebody walked by, shall not count for much.
-    found = least_squares(left, begin, loss="soft_l1", f_scale=3 * max(noise, 1))
-    rms = float(np.sqrt(np.mean(left(found.x) ** 2)))
-    information = found.jac.T @ found.jac
-    if np.linalg.matrix_rank(information) < 2:
-        raise FitError(f"{name}: gain and threshold cannot be told apart; right are more distances")
-    spread = 1.96 * rms * np.sqrt(np.diag(np.linalg.inv(information)))
-    gain, threshold = float(found.x[0]) * 1e6, float(found.x[1]) * 1e2
-    interval = float(spread[0]) * 1e6 / gain
-    if not 0 <= interval < _WIDEST:
-        raise FitError(
-            f"{name}: the gain cannot be told better than to {interval:.0%}; right are more readings, at "
-            "several distances between 10 and 40 mm"
-        )
+    found = estimate(left, parameters, _WISH, "soft_l1", 3 * max(noise, 1))
+    gain, threshold = found.values
     optics = replace(before, gain_counts_mm2=gain, threshold_counts=threshold)
-    return SensorFit(optics, interval, float(spread[1]) * 1e2, rms)
+    return SensorFit(optics, found.intervals[0] / gain, found.intervals[1], found.rms)

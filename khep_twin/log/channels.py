@@ -10,6 +10,7 @@
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
     /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
     /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
+    /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change
     /events                     rcl_interfaces/Log          notes
 
 CDR here is little-endian: a header of four bytes, then each value at a multiple of its size, counted from the

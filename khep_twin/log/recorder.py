@@ -78,6 +78,8 @@ class Recorder:
         self._moving: list[int] = np.flatnonzero(model.body_weldid != 0).tolist()
         self._transforms = TransformFrame([body_name(model, body) for body in self._moving])
         self._streams = [_RobotStream(robot) for robot in world.robots]
+        self._lamps = None if world.lamps.steady else ArrayFrame(len(world.lamps.names), "f8", "power [W]")
+        self._powers = np.zeros((_BATCH, len(world.lamps.names)))
         self._rows = 0
         self._times_ns = np.zeros(_BATCH, np.int64)
         self._positions = np.zeros((_BATCH, len(self._moving), 3))
@@ -100,6 +102,7 @@ class Recorder:
         self._times_ns[row] = world.time_ns
         self._positions[row] = world.data.xpos[self._moving]
         self._quaternions[row] = world.data.xquat[self._moving]
+        self._powers[row] = world.lamps.powers
         for stream in self._streams:
             stream.note(row)
         self._rows = row + 1
@@ -143,6 +146,8 @@ class Recorder:
         times_ns = self._times_ns[:rows]
         poses = self._transforms.messages(times_ns, self._positions[:rows], self._quaternions[:rows])
         self._log.add_rows("/tf", "tf2_msgs/msg/TFMessage", times_ns, poses)
+        if self._lamps is not None:
+            self._log.add_rows("/lamps", _FLOATS, times_ns, self._lamps.messages(self._powers[:rows]))
         for stream in self._streams:
             for topic, schema, messages in stream.messages(rows):
                 self._log.add_rows(topic, schema, times_ns, messages)

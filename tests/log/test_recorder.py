@@ -17,7 +17,9 @@ from mcap.records import Attachment, Header, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
+from khep_twin import playpen
 from khep_twin.errors import LogError
+from khep_twin.log.channels import read_array
 from khep_twin.log.reader import read
 from khep_twin.log.recorder import Recorder
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
@@ -44,6 +46,27 @@ def test_the_same_run_gives_the_same_bytes_under_any_name(tmp_path: Path, start:
             drive(twin)
             twin.world.tell(None, "the end")
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_lamps_that_change_are_recorded_and_others_are_not(tmp_path: Path) -> None:
+    text = playpen.dump(playpen.load("two-lamps"))
+    for name, mode in (("turns", "sequenced"), ("still", "all")):
+        lit = playpen.parse(text.replace('mode = "all"', f'mode = "{mode}"'), name)
+        with open_twin(lit, TwinOptions(log=str(tmp_path / f"{name}.mcap"))) as twin:
+            twin.advance_to(SECOND)
+            # Back to the lower wall, where the lamps are switched.
+            twin.robot.send(b"D,-20,-20\n")
+            twin.advance_to(4 * SECOND)
+    with (tmp_path / "turns.mcap").open("rb") as file:
+        powers = [
+            read_array(message.data, "d") for _, _, message in make_reader(file).iter_messages(["/lamps"])
+        ]
+    assert powers[0] == (7, 0)
+    assert len(powers) == 201
+    assert powers[-1] == (0, 2)
+    assert [event.text for event in read(tmp_path / "turns.mcap").events] == ["in-the-open is on"]
+    with (tmp_path / "still.mcap").open("rb") as file:
+        assert not list(make_reader(file).iter_messages(["/lamps"]))
 
 
 def test_what_describes_the_run_comes_before_its_first_message(log: Path) -> None:
