@@ -1,4 +1,4 @@
-"""Calibrations: the infrared sensors of one named robot, as numbers in a TOML file.
+"""Calibrations: sensors, wheels and motors of one named robot, as numbers in a TOML file.
 
 Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and says where it comes from. The
 files in assets/calibration are used by bare name, others by path. What the numbers do stands in `sensors`.
@@ -12,7 +12,15 @@ from pydantic import Field
 from khep_twin import toml_files
 from khep_twin.errors import CalibrationError
 from khep_twin.toml_files import Name, Table
-from khep_twin.units import COUNTS_LIMIT, N_SENSORS, WHEEL_BASE, WHEEL_RADIUS
+from khep_twin.units import (
+    COUNTS_LIMIT,
+    MOTOR_NO_LOAD_SPEED,
+    MOTOR_STALL_TORQUE,
+    N_SENSORS,
+    SUPPLY_VOLTAGE,
+    WHEEL_BASE,
+    WHEEL_RADIUS,
+)
 
 _Gain = Annotated[float, Field(gt=0, le=1e8)]
 _Counts = Annotated[float, Field(ge=0, le=COUNTS_LIMIT)]
@@ -90,8 +98,30 @@ class WheelCalibration(Table):
     base_mm: Annotated[float, Field(ge=40, le=60)] = WHEEL_BASE * 1000
 
 
+class MotorCalibration(Table):
+    """Both motors, as seen at the wheels, at a supply of 5 V.
+
+    Attributes:
+        no_load_speed_rad_s: of a wheel at full duty.
+        stall_torque_n_m: at a blocked wheel at full duty.
+    """
+
+    no_load_speed_rad_s: Annotated[float, Field(ge=20, le=1000)] = MOTOR_NO_LOAD_SPEED
+    stall_torque_n_m: Annotated[float, Field(ge=0.0005, le=0.2)] = MOTOR_STALL_TORQUE
+
+    @property
+    def constant(self) -> float:
+        """Torque at the wheel per current [N m/A], which is also voltage per speed [V s/rad]."""
+        return SUPPLY_VOLTAGE / self.no_load_speed_rad_s
+
+    @property
+    def resistance(self) -> float:
+        """Of the winding [ohm]."""
+        return SUPPLY_VOLTAGE * self.constant / self.stall_torque_n_m
+
+
 class Calibration(Table):
-    """One robot's sensors and wheels; headings [deg] counter-clockwise from ahead, in the order of N."""
+    """One robot's sensors, wheels and motors; headings [deg] counter-clockwise from ahead, in N's order."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
@@ -100,6 +130,7 @@ class Calibration(Table):
     proximity: ProximityCalibration
     ambient: AmbientCalibration
     wheels: WheelCalibration = WheelCalibration()
+    motors: MotorCalibration = MotorCalibration()
 
 
 GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055

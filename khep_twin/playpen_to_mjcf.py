@@ -207,6 +207,7 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
         child.delete(key)  # the scene's own start pose stands for it
     measured = calibration.read(robot.calibration)[0]
     _fit_wheels(child, measured.wheels)
+    _fit_motors(child, measured.motors)
     for sensor, heading_deg in zip(units.Sensor, measured.heading_deg, strict=True):
         heading = units.radians(heading_deg)
         camera = child.camera(sensor.name.lower())
@@ -239,6 +240,14 @@ def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> N
         tyre, rim = robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
         tyre.size = [radius, *tyre.size[1:]]
         rim.size = [radius, *rim.size[1:]]
+
+
+def _fit_motors(robot: mujoco.MjSpec, motors: calibration.MotorCalibration) -> None:
+    """Gives the robot's motors their constants."""
+    for side in ("left", "right"):
+        robot.actuator(f"{side}_motor").set_to_dcmotor(
+            motorconst=[motors.constant, motors.constant], resistance=motors.resistance
+        )
 
 
 def _add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> None:

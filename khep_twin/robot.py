@@ -110,12 +110,13 @@ class Robot:
         self._faults = None
         if faults:
             self._faults = Injector(faults, partial(chance, "fault"), partial(stage.tell, index))
-        sensors = calibration.read(entry.calibration)[0]
+        measured = calibration.read(entry.calibration)[0]
+        self._motor_constant = measured.motors.constant
         if spread:
-            sensors = calibration.spread(sensors, chance("spread"))
+            measured = calibration.spread(measured, chance("spread"))
         prefix, lighting = f"{self.name}/", stage.playpen.lighting
-        receivers = Receivers(model, data, prefix, sensors.ambient, stage.lamps, lighting)
-        self._scan = InfraredScan(model, data, prefix, sensors, receivers, chance if noise else None)
+        receivers = Receivers(model, data, prefix, measured.ambient, stage.lamps, lighting)
+        self._scan = InfraredScan(model, data, prefix, measured, receivers, chance if noise else None)
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -220,7 +221,7 @@ class Robot:
         self._voltage = self._supply.voltage(time_ns)
         current = units.IDLE_CURRENT
         for duty, motor in ((_LEFT_DUTY, self._left_motor), (_RIGHT_DUTY, self._right_motor)):
-            current += units.supply_current(cells[duty], self._force[motor] / units.MOTOR_CONSTANT)
+            current += units.supply_current(cells[duty], self._force[motor] / self._motor_constant)
         kernel.measure(cells, units.supply_counts(self._voltage), round(current * 1000))
         if self._voltage < units.PROCESSOR_VOLTAGE and self.firmware.powered:
             self.firmware.brown_out()
@@ -272,7 +273,7 @@ class Robot:
         for side, (motor, speed) in enumerate(wheels):
             if faults.dead(side, time_ns):
                 # Its own voltage as a generator: no current, no torque.
-                self._ctrl[motor] = units.MOTOR_CONSTANT * self._qvel[speed]
+                self._ctrl[motor] = self._motor_constant * self._qvel[speed]
         if faults.brown_out(time_ns):
             banner = self.firmware.reset()
             self._take_speed()

@@ -74,9 +74,6 @@ MOTOR_NO_LOAD_SPEED = 150.0
 MOTOR_STALL_TORQUE = 0.010
 """Torque at a blocked wheel at full duty [N m] (assumed: well above the 2.4 mN m at which a tyre slips)."""
 
-MOTOR_CONSTANT = SUPPLY_VOLTAGE / MOTOR_NO_LOAD_SPEED
-"""Torque at the wheel per current [N m/A], which is also voltage per speed [V s/rad]."""
-
 ROTOR_INERTIA = 1e-6
 """Of the motor's rotor, seen at the wheel through the gear [kg m^2] (assumed: with the robot's mass the
 wheels then follow their voltage within 50 ms)."""

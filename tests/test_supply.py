@@ -5,6 +5,7 @@ from notes import Notes
 
 from khep_twin import playpen as playpens
 from khep_twin import units
+from khep_twin.calibration import MotorCalibration
 from khep_twin.host import Khepera
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -61,7 +62,7 @@ def test_a_robot_that_pushes_draws_the_current_of_its_torque() -> None:
         robot.set_duty(30, 30)  # too little for the tyres to slip
         robot.sleep(1)
         # All but at rest: i = duty V / R per motor, of which the supply sees the part `duty`.
-        resistance = units.SUPPLY_VOLTAGE * units.MOTOR_CONSTANT / units.MOTOR_STALL_TORQUE
+        resistance = MotorCalibration().resistance
         duty = 30 / 255
         expected = 0.2 + 2 * duty * duty * units.SUPPLY_VOLTAGE / resistance
         assert max(robot.speed()) <= 1

@@ -67,7 +67,7 @@ def estimate(
     wish: str,
     loss: Literal["linear", "soft_l1"] = "linear",
     f_scale: float = 1.0,
-    step: float | None = None,
+    step: float = 1e-4,
 ) -> Estimate:
     """Finds the parameters that leave the least over.
 
@@ -77,7 +77,7 @@ def estimate(
         wish: which data would tell them, for messages.
         loss: of scipy's least_squares; "soft_l1" lets a few wild readings count less.
         f_scale: residual from which on a reading counts as wild.
-        step: relative to each parameter's scale, for slopes; None for the smallest that is sensible.
+        step: in each parameter's scale, over which slopes are taken.
 
     Raises:
         FitError: the data cannot tell a parameter.
@@ -90,10 +90,13 @@ def estimate(
     def scaled(x: Floats) -> Floats:
         return residuals(start + x * scales)
 
-    options = {} if step is None else {"diff_step": step}
-    # Begun a little off the start: slopes in steps relative to 0 would be no steps at all.
-    begin = np.clip(np.full(len(start), 1e-3 if step is None else step), low, high)
-    found = least_squares(scaled, begin, bounds=(low, high), loss=loss, f_scale=f_scale, **options)
+    def slopes(x: Floats) -> Floats:
+        ways = np.eye(len(x)) * step
+        return np.column_stack([(scaled(x + way) - scaled(x - way)) / (2 * step) for way in ways])
+
+    found = least_squares(
+        scaled, np.zeros(len(start)), jac=slopes, bounds=(low, high), loss=loss, f_scale=f_scale
+    )
     left = scaled(found.x)
     rms = float(np.sqrt(np.mean(left**2)))
     intervals = CONFIDENCE * rms * scales * np.sqrt(_variances(found.jac, parameters, wish))
