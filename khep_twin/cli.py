@@ -128,7 +128,7 @@ def run(
     fault: Faults = None,
     log: Log = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw playpen and driven path in this PNG or SVG file; needs --log.")
+        Path | None, typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log.")
     ] = None,
 ) -> None:
     """Runs a controller on a twin or a robot."""
@@ -368,8 +368,8 @@ def _check_picture(picture: Path, log: Path | None) -> None:
     """Refuses a picture that could not be drawn at the end of the run."""
     if log is None:
         raise _usage("--picture draws the path from the log; right is to give --log FILE.mcap too")
-    if picture.suffix.lower() not in (".png", ".svg"):
-        raise _usage(f"--picture {picture}: right is a name that ends in .png or .svg")
+    if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise _usage(f"--picture {picture}: right is a name that ends in .png, .svg or .pdf")
     if picture.resolve() == log.resolve():
         raise _usage(f"--picture {picture}: this is the log; right is a file of its own")
     if not picture.parent.is_dir():

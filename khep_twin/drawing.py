@@ -36,7 +36,7 @@ from khep_twin.units import BODY_RADIUS
 POINT_LIMIT = 20_000
 """Most points of a way that are drawn; of more, evenly many are left out."""
 
-_STYLE: list[Any] = [
+STYLE: list[Any] = [
     "default",
     {
         "font.size": 9,
@@ -52,8 +52,17 @@ _STYLE: list[Any] = [
         "svg.hashsalt": "khep_twin",
     },
 ]
+"""How drawings look, whatever else matplotlib is set up to do; for `matplotlib.style.context`."""
+
 _START: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
 _END: dict[str, Any] = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
+_METADATA: dict[str, dict[str, None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
+"""What matplotlib would write of its version and the hour into each kind of file, left away."""
+
 _LONGER_SIDE = 6.2
 """Of the playpen on paper [inch]."""
 
@@ -93,7 +102,7 @@ def draw(playpen: Playpen, tracks: Sequence[Track] = (), *, title: str | None = 
         title: above the drawing; without, the playpen's name.
     """
     ways = [track for track in tracks if len(track.time_s)]
-    with matplotlib.style.context(_STYLE):
+    with matplotlib.style.context(STYLE):
         legend = list(_legend_entries(playpen, bool(ways)))
         figure, axes = _sheet(playpen, scale=bool(ways), legend=len(legend) > 1)
         axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
@@ -115,19 +124,17 @@ def draw(playpen: Playpen, tracks: Sequence[Track] = (), *, title: str | None = 
 
 
 def save(figure: Figure, file: Path) -> None:
-    """Writes a drawing as PNG or SVG, by the file's suffix.
+    """Writes a drawing as PNG, SVG or PDF, by the file's suffix.
 
     Raises:
         KhepTwinError: the suffix is another one, or the file cannot be written.
     """
     kind = file.suffix.lower().removeprefix(".")
-    if kind not in ("png", "svg"):
-        raise KhepTwinError(f"{file}: right is a name that ends in .png or .svg")
-    # What matplotlib would write of its version and the hour.
-    metadata = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
+    if kind not in _METADATA:
+        raise KhepTwinError(f"{file}: right is a name that ends in .png, .svg or .pdf")
     picture = BytesIO()
-    with matplotlib.style.context(_STYLE):
-        figure.savefig(picture, format=kind, dpi=160, metadata=metadata)
+    with matplotlib.style.context(STYLE):
+        figure.savefig(picture, format=kind, dpi=160, metadata=_METADATA[kind])
     write_whole(file, picture.getvalue())
 
 

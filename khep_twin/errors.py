@@ -9,6 +9,7 @@
     ├── ControllerError   a control program that cannot be found or started
     ├── LogError          a log that cannot be written or read
     ├── FaultError        a fault to inject that there is not
+    ├── SensorTestError   a sensor test that cannot be driven, or data that is none of one
     ├── TurretError       a turret that cannot be plugged on
     ├── MissingExtraError a part of khep_twin that needs a package which is not installed
     └── DivergedError     a simulation that left the bounds of physics
@@ -63,6 +64,10 @@ class FaultError(KhepTwinError):
 
 class FitError(KhepTwinError):
     """Measurements that cannot tell what they are to tell."""
+
+
+class SensorTestError(KhepTwinError):
+    """A sensor test that cannot be driven, or data that is none of one."""
 
 
 class MissingExtraError(KhepTwinError):

@@ -1,0 +1,292 @@
+"""Sensor tests: a robot drives straight or turns on the spot, and its eight sensors are read on the way.
+
+    dv = (left, right position counter, left 90, left 45, ... back left), a row for each look
+
+A look is a reply to H and one to N or O. The counters are as old as the second of the two takes, some 20 ms
+at 9600 baud: at speed 20 that is 3 mm, at speed 4 half a millimetre. A wheel that slips, as both do at a
+wall, counts on: the counters tell how far the wheels went.
+"""
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import KhepTwinError, SensorTestError
+from khep_twin.host import Khepera
+from khep_twin.units import PULSE_LENGTH, WHEEL_BASE, Sensor
+
+What = Literal["proximity", "light"]
+"""Which of its values the sensors tell."""
+
+SENSORS = tuple(sensor.name.lower().replace("_", " ") for sensor in Sensor)
+"""Names of the sensors, in the manual's order."""
+
+DEFAULT_SPEED, DEFAULT_ACCELERATION = 20, 64
+"""Of command J after a reset (manual, appendix A)."""
+
+PAUSE = 5.0
+"""Before the way back [s], as the Khepera Toolbox has it."""
+
+STILL = 2.0
+"""A wheel that gives no pulse for so long is blocked [s]."""
+
+PULSES_PER_CM = 0.01 / PULSE_LENGTH
+PULSES_PER_DEGREE = math.radians(1) * WHEEL_BASE / 2 / PULSE_LENGTH
+
+_NEAR_PULSES = 10
+"""From here on the robot is asked whether it is on target; asking all the way would cost rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTest:
+    """What is driven, and what is read on the way; one of `linear_cm` and `rotate_deg` is given.
+
+    Attributes:
+        what: "proximity" or "light".
+        linear_cm: straight on, 5 to 60, or backwards, -5 to -60 [cm].
+        rotate_deg: on the spot, 15 to 360 counter-clockwise, or -15 to -360 [degrees].
+        speed: of command J, 1 to 127 [pulses/10 ms].
+        acceleration: of command J, 1 to 255 [3.125 mm/s^2].
+        return_to_zero: whether the robot drives back afterwards.
+    """
+
+    what: What = "proximity"
+    linear_cm: float | None = None
+    rotate_deg: float | None = None
+    speed: int = DEFAULT_SPEED
+    acceleration: int = DEFAULT_ACCELERATION
+    return_to_zero: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuses what is no test.
+
+        Raises:
+            SensorTestError: a value is out of its range, or there is not one motion.
+        """
+        if self.what not in ("proximity", "light"):
+            raise SensorTestError(f"what = {self.what}: right is proximity or light")
+        if (self.linear_cm is None) == (self.rotate_deg is None):
+            given = "none" if self.linear_cm is None else "both"
+            raise SensorTestError(f"linear and rotate: {given} is given; right is one of them")
+        if self.linear_cm is not None and not 5 <= abs(self.linear_cm) <= 60:
+            raise SensorTestError(
+                f"linear = {self.linear_cm:g} cm: right is 5 to 60, or -5 to -60 to drive backwards"
+            )
+        if self.rotate_deg is not None and not 15 <= abs(self.rotate_deg) <= 360:
+            raise SensorTestError(
+                f"rotate = {self.rotate_deg:g} degrees: right is 15 to 360, or -15 to -360 for clockwise"
+            )
+        for name, value, limit in (("speed", self.speed, 127), ("acceleration", self.acceleration, 255)):
+            if not 1 <= value <= limit:
+                raise SensorTestError(f"{name} = {value}: right is a whole number from 1 to {limit}")
+
+    @property
+    def motion(self) -> Literal["linear", "rotational"]:
+        """Which kind of motion it is."""
+        return "rotational" if self.linear_cm is None else "linear"
+
+    @property
+    def amount(self) -> float:
+        """How far it goes, [cm] or [degrees] by the kind of motion."""
+        return (self.rotate_deg or 0.0) if self.linear_cm is None else self.linear_cm
+
+    @property
+    def unit(self) -> Literal["cm", "degrees"]:
+        """Of `amount`."""
+        return "degrees" if self.linear_cm is None else "cm"
+
+    @property
+    def target(self) -> tuple[int, int]:
+        """Where the left and the right wheel go [pulses]."""
+        if self.linear_cm is not None:
+            straight = round(self.linear_cm * PULSES_PER_CM)
+            return straight, straight
+        turn = round(self.amount * PULSES_PER_DEGREE)
+        return -turn, turn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorRun:
+    """What a test has gathered.
+
+    Attributes:
+        test: that was driven.
+        dv: left and right position counter [pulses] and the eight sensors in the manual's order [counts]
+            (n, 10), as the Khepera Toolbox calls and orders it.
+        times: of the rows since the start (n,) [s].
+        text: a description, the toolbox's dlgstr.
+    """
+
+    test: SensorTest
+    dv: NDArray[np.int64]
+    times: NDArray[np.float64]
+    text: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuses what no test gathers.
+
+        Raises:
+            ValueError: the shapes are not (n, 10) and (n,).
+            SensorTestError: the text has characters that not every file can hold.
+        """
+        if self.dv.shape != (len(self.times), 10) or self.times.ndim != 1:
+            raise ValueError(f"shapes {self.dv.shape} and {self.times.shape} are not (n, 10) and (n,)")
+        if wrong := next((each for each in self.text if not each.isprintable() and each not in "\n\t"), ""):
+            raise SensorTestError(f"text: has the character {wrong!r}; right is plain text in lines")
+
+    @property
+    def travelled(self) -> NDArray[np.float64]:
+        """How far the robot was from its start in each row (n,), by its counters [cm or degrees]."""
+        left, right = self.dv[:, 0], self.dv[:, 1]
+        if self.test.motion == "linear":
+            return (left + right) / 2 / PULSES_PER_CM
+        return (right - left) / 2 / PULSES_PER_DEGREE
+
+
+class BrokenOffError(SensorTestError):
+    """A test that did not come to its end.
+
+    Attributes:
+        run: what was gathered until then.
+    """
+
+    def __init__(self, message: str, run: SensorRun) -> None:
+        super().__init__(message)
+        self.run = run
+
+
+def sense(
+    robot: Khepera,
+    test: SensorTest,
+    *,
+    text: str = "",
+    progress: Callable[[float], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> SensorRun:
+    """Drives a test. The motors stand afterwards, whatever happened.
+
+    Args:
+        robot: what is driven; its position counters begin at 0.
+        test: what to drive.
+        text: a description to keep with the data.
+        progress: is told which part of the way is done, 0 to 1.
+        stop: is asked before each look whether to end early, with the rows so far.
+
+    Raises:
+        BrokenOffError: a wheel is blocked, or the port failed; its `run` has the rows so far.
+        SensorTestError: the text cannot be kept.
+    """
+    gathered = _Gathered(robot, test, text, progress)
+    gathered.run()
+    asked = stop or (lambda: False)
+    try:
+        robot.set_position(0, 0)
+        robot.configure_profile(test.speed, test.acceleration, test.speed, test.acceleration)
+        if _drive(robot, test.target, gathered.look, asked) and test.return_to_zero:
+            _go_back(robot, asked)
+        _rest(robot)
+    except BaseException as error:
+        # What went wrong is told; that the motors cannot be stopped any more would only hide it.
+        with suppress(KhepTwinError):
+            _rest(robot)
+        if isinstance(error, KhepTwinError):
+            raise BrokenOffError(f"{gathered.so_far}: {error}", gathered.run()) from error
+        raise
+    return gathered.run()
+
+
+@dataclass(slots=True)
+class _Gathered:
+    """Rows in the making."""
+
+    robot: Khepera
+    test: SensorTest
+    text: str
+    progress: Callable[[float], None] | None
+    rows: list[tuple[int, ...]] = field(default_factory=list[tuple[int, ...]])
+    times: list[float] = field(default_factory=list[float])
+    start: float | None = None
+
+    def look(self, position: tuple[int, int]) -> None:
+        """Adds a row, for counters that were read just now."""
+        if self.start is None:
+            self.start = self.robot.time
+        # Whole nanoseconds: what is written to a log comes back the same.
+        self.times.append(round(self.robot.time - self.start, 9))
+        values = self.robot.proximity() if self.test.what == "proximity" else self.robot.ambient()
+        self.rows.append((*position, *values))
+        if self.progress is not None:
+            self.progress(min(abs(self.run().travelled[-1] / self.test.amount), 1.0))
+
+    def run(self) -> SensorRun:
+        """What there is so far."""
+        dv = np.array(self.rows, np.int64).reshape(len(self.rows), 10)
+        return SensorRun(self.test, dv, np.array(self.times, np.float64), self.text)
+
+    @property
+    def so_far(self) -> str:
+        """How far it came, in words."""
+        travelled = self.run().travelled[-1] if self.rows else 0.0
+        return f"the test broke off after {travelled:.1f} of {self.test.amount:g} {self.test.unit}"
+
+
+def _drive(
+    robot: Khepera,
+    target: tuple[int, int],
+    look: Callable[[tuple[int, int]], None] | None,
+    stop: Callable[[], bool],
+) -> bool:
+    """Sends the wheels to a target and looks around until they are there; whether they are.
+
+    Raises:
+        SensorTestError: a wheel does not move any more.
+    """
+    robot.set_target(*target)
+    before, moved = robot.position(), [robot.time] * 2
+    while not stop():
+        position = robot.position()
+        if look is not None:
+            look(position)
+        still = [new == old for new, old in zip(position, before, strict=True)]
+        near = [abs(end - new) <= _NEAR_PULSES for end, new in zip(target, position, strict=True)]
+        before = position
+        moved = [since if stands else robot.time for since, stands in zip(moved, still, strict=True)]
+        if not any(still) and not all(near):
+            continue
+        wheels = robot.status()
+        if all(wheel.on_target for wheel in wheels):
+            if look is not None:
+                look(robot.position())
+            return True
+        for name, wheel, since, count, end in zip(
+            ("left", "right"), wheels, moved, position, target, strict=True
+        ):
+            if not wheel.on_target and robot.time - since > STILL:
+                raise SensorTestError(
+                    f"the {name} wheel gave no pulse for {STILL:g} s, at {count} of {end} pulses; "
+                    "right is a free way"
+                )
+    return False
+
+
+def _go_back(robot: Khepera, stop: Callable[[], bool]) -> None:
+    end = robot.time + PAUSE
+    while robot.time < end and not stop():
+        robot.sleep(0.1)
+    try:
+        _drive(robot, (0, 0), None, stop)
+    except SensorTestError as error:
+        raise SensorTestError(f"on the way back {error}") from None
+
+
+def _rest(robot: Khepera) -> None:
+    """Stops the motors and gives command J its values after a reset."""
+    robot.set_speed(0, 0)
+    robot.configure_profile(
+        DEFAULT_SPEED, DEFAULT_ACCELERATION, DEFAULT_SPEED, DEFAULT_ACCELERATION
+    )
