@@ -151,7 +151,10 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
             ["playpen", "compile", "default", "-o", "/nowhere/x.xml"],
             "/nowhere/x.xml: cannot be written: there is no directory /nowhere",
         ),
-        (["playpen", "draw", "default", "-o", "x.jpeg"], "x.jpeg: right is a name that ends in .png, .svg or .pdf"),
+        (
+            ["playpen", "draw", "default", "-o", "x.jpeg"],
+            "x.jpeg: right is a name that ends in .png, .svg or .pdf",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_that_says_what_is_right(arguments: list[str], line: str) -> None:

@@ -171,7 +171,7 @@ def test_the_longest_arenas_can_be_drawn(tmp_path: Path, size: str) -> None:
     save(draw(playpens.parse(text, "long.toml")), tmp_path / "long.png")
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg"])
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_the_same_arguments_give_the_same_bytes_whatever_matplotlib_is_set_to(
     tmp_path: Path, suffix: str
 ) -> None:
@@ -201,7 +201,7 @@ def test_an_svg_is_well_formed_and_tells_neither_hour_nor_version(tmp_path: Path
 
 def test_another_suffix_is_refused(tmp_path: Path) -> None:
     for name in ("scene.bmp", "scene"):
-        with pytest.raises(KhepTwinError, match=r"right is a name that ends in \.png or \.svg"):
+        with pytest.raises(KhepTwinError, match=r"right is a name that ends in \.png, \.svg or \.pdf"):
             save(draw(SCENE), tmp_path / name)
     assert not list(tmp_path.iterdir())
 

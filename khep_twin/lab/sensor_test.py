@@ -221,7 +221,8 @@ class _Gathered:
         values = self.robot.proximity() if self.test.what == "proximity" else self.robot.ambient()
         self.rows.append((*position, *values))
         if self.progress is not None:
-            self.progress(min(abs(self.run().travelled[-1] / self.test.amount), 1.0))
+            done = sum(map(abs, position)) / sum(map(abs, self.test.target))
+            self.progress(min(done, 1.0))
 
     def run(self) -> SensorRun:
         """What there is so far."""

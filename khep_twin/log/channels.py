@@ -5,6 +5,7 @@
     /khepera0/proximity         std_msgs/Float64MultiArray  eight counts, in the order of N
     /khepera0/ambient           std_msgs/Float64MultiArray  eight counts, in the order of O
     /khepera0/speed             std_msgs/Float64MultiArray  left, right; setpoint left, right [pulses/10 ms]
+    /khepera0/position          std_msgs/Float64MultiArray  left, right [pulses], in logs of sensor tests
     /khepera0/duty              std_msgs/Float64MultiArray  left, right, -255 to 255
     /khepera0/leds              std_msgs/Float64MultiArray  LED 0 (lateral), 1 (frontal), 1 when lit
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state

@@ -111,6 +111,27 @@ def read_label(path: Path) -> Label:
         return _label(path, reader)
 
 
+def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
+    """What a log says of itself, and its arrays of floats by topic: times (n,) [ns] and values (n, length).
+
+    Raises:
+        LogError: there is none, or it is not whole.
+    """
+    times: dict[str, list[int]] = {}
+    rows: dict[str, list[tuple[float, ...]]] = {}
+    with _opened(path) as reader:
+        label = _label(path, reader)
+        for schema, channel, message in reader.iter_messages():
+            if schema is not None and schema.name == "std_msgs/msg/Float64MultiArray":
+                times.setdefault(channel.topic, []).append(message.log_time)
+                rows.setdefault(channel.topic, []).append(read_array(message.data, "d"))
+        # In here, since rows of several lengths are damage, too.
+        return label, {
+            topic: (np.array(times[topic], np.int64), np.array(values, np.float64))
+            for topic, values in rows.items()
+        }
+
+
 @contextmanager
 def _opened(path: Path) -> Generator[McapReader, None, None]:
     """Opens a log; what goes wrong with its file and its content becomes one line."""
