@@ -185,14 +185,11 @@ def _from_csv(data: bytes) -> SensorRun:
         if len(fields) != len(columns):
             raise SensorTestError(f"line {number}: {len(fields)} fields; right are {len(columns)}")
         times.append(_number(f"line {number}: time_s", fields[0], float))
-        rows.append([_count(f"line {number}: {name}", field) for name, field in _pairs(fields[1:])])
+        counts = zip(_COLUMNS, fields[1:], strict=True)
+        rows.append([_count(f"line {number}: {name}", field) for name, field in counts])
     if not rows:
         raise SensorTestError(f"line {len(lines)}: no rows; right is one for each look")
     return SensorRun(_test(words), np.array(rows, np.int64), np.array(times, np.float64), "\n".join(text))
-
-
-def _pairs(fields: list[str]) -> zip[tuple[str, str]]:
-    return zip(_COLUMNS, fields, strict=True)
 
 
 def _count(name: str, text: str) -> int:
