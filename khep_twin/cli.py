@@ -128,7 +128,8 @@ def run(
     fault: Faults = None,
     log: Log = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log.")
+        Path | None,
+        typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log."),
     ] = None,
 ) -> None:
     """Runs a controller on a twin or a robot."""

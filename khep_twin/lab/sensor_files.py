@@ -222,9 +222,7 @@ def _write_log(path: Path, run: SensorRun) -> None:
     times_ns = np.rint(run.times * 1e9).astype(np.int64)
     topic = _TOPICS[run.test.what]
     log = LogFile(path, lambda: int(times_ns[-1]))
-    log.describe(
-        {}, {"robots": _ROBOT, "khep_twin": __version__, **facts(run.test), "text": run.text}
-    )
+    log.describe({}, {"robots": _ROBOT, "khep_twin": __version__, **facts(run.test), "text": run.text})
     for name, label, values in (
         ("position", "left, right [pulses]", run.dv[:, :2]),
         (topic, "counts", run.dv[:, 2:]),
@@ -252,6 +250,4 @@ def _from_log(path: Path) -> SensorRun:
         parts.append(arrays[topic][1].astype(np.int64))
     if not np.array_equal(times[0], times[1]):
         raise SensorTestError("positions and counts have other times; right is one of each for every look")
-    return replace(
-        SensorRun(test, np.hstack(parts), times[0] / 1e9), text=label.metadata.get("text", "")
-    )
+    return replace(SensorRun(test, np.hstack(parts), times[0] / 1e9), text=label.metadata.get("text", ""))

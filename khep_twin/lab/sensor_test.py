@@ -288,6 +288,4 @@ def _go_back(robot: Khepera, stop: Callable[[], bool]) -> None:
 def _rest(robot: Khepera) -> None:
     """Stops the motors and gives command J its values after a reset."""
     robot.set_speed(0, 0)
-    robot.configure_profile(
-        DEFAULT_SPEED, DEFAULT_ACCELERATION, DEFAULT_SPEED, DEFAULT_ACCELERATION
-    )
+    robot.configure_profile(DEFAULT_SPEED, DEFAULT_ACCELERATION, DEFAULT_SPEED, DEFAULT_ACCELERATION)
