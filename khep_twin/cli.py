@@ -6,8 +6,8 @@ What a command needs is imported inside it, so that `khep-twin --help` comes at 
 import math
 import shutil
 import sys
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,8 @@ import typer
 from khep_twin import __version__
 from khep_twin.cli_fit import fit
 from khep_twin.cli_playpen import PlaypenName, playpen_app
+from khep_twin.cli_progress import progress as progress_bar
+from khep_twin.cli_sense import sense
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import unusable, write_whole
 
@@ -35,6 +37,7 @@ app = typer.Typer(
 )
 app.add_typer(playpen_app, name="playpen")
 app.command()(fit)
+app.command()(sense)
 
 
 class Switch(StrEnum):
@@ -171,7 +174,7 @@ def run(
     with (
         stopping() as stop,
         Khepera(port_or_twin) as khepera,
-        _progress() as progress,
+        progress_bar() as progress,
     ):
         outcome = experiment.run(
             function, khepera, cycles=cycles, seconds=seconds, progress=progress, stop=stop
@@ -326,20 +329,6 @@ def _draw_log(log: Path, picture: Path) -> None:
     ]
     found = playpens.parse(run.attachments["playpen.toml"], f"{log}: playpen.toml")
     drawing.save(drawing.draw(found, tracks), picture)
-
-
-@contextmanager
-def _progress() -> Generator[Callable[[float], None] | None, None, None]:
-    """A bar on the terminal, for runs of more than a second; nothing where nobody looks."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    with typer.progressbar(length=1000, label="running", file=sys.stderr) as bar:
-
-        def show(part: float) -> None:
-            bar.update(int(part * 1000) - bar.pos)
-
-        yield show
 
 
 _OF_A_TWIN = {

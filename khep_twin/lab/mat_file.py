@@ -53,7 +53,7 @@ class _Bytes:
     def take(self, size: int) -> memoryview:
         if size < 0 or self.place + size > len(self.data):
             raise SensorTestError(
-                f"no whole MAT file: {size} bytes are missing at byte {self.place}; right is the file as saved"
+                f"no whole MAT file: {size} bytes are missing at byte {self.place}; right is all of it"
             )
         self.place += size
         return self.data[self.place - size : self.place]

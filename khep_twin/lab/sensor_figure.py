@@ -49,7 +49,7 @@ def draw(
         grid: whether there are lines behind.
 
     Raises:
-        SensorTestError: there is no such sensor, the runs do not go together, or nothing would be left to see.
+        SensorTestError: there is no such sensor, the runs do not go together, or nothing is to be seen.
     """
     check(runs, sensor=sensor, y_min=y_min)
     with matplotlib.style.context(STYLE):
@@ -105,7 +105,7 @@ def mean_and_spread(
     """Several runs as one, over the places that all of them cover.
 
     Returns:
-        Places (m,) as `places` has them, mean counts (m, 8) and their standard deviations (m, 8), of a sample.
+        Places (m,) as `places` has them, mean counts (m, 8), and standard deviations (m, 8) of a sample.
 
     Raises:
         SensorTestError: there are no such places.
@@ -152,7 +152,8 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
             figure.legend(handles, labels, loc="lower right", frameon=False, bbox_to_anchor=(0.985, 0.06))
     middle = figure.add_subplot(cells[1, 1:3])
     _draw_robot(middle)
-    figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
+    about = figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
+    about.set_parse_math(False)  # a dollar in the text is a dollar
     return figure
 
 

@@ -12,8 +12,8 @@ The same run gives the same bytes. All three give the whole run back.
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from io import BytesIO
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -162,22 +162,23 @@ def _from_csv(data: bytes) -> SensorRun:
         raise SensorTestError("is no text; right is a table that khep-twin sense has written") from None
     if lines[0].rstrip(",") != _TITLE:
         raise SensorTestError(f"line 1: {lines[0][:40]!r}: right is {_TITLE!r}")
+    if lines[-1]:
+        raise SensorTestError(f"line {len(lines)}: is not whole; right is a line feed at its end")
     words: dict[str, str] = {}
     text: list[str] = []
-    place = 1
-    for place, line in enumerate(lines[1:], 1):
+    head = list(takewhile(lambda line: line.startswith("#"), lines[1:]))
+    for number, line in enumerate(head, 2):
         parts = re.fullmatch("# ([a-z_]+): ?(.*)", line, re.DOTALL)
         if parts is None:
-            break
+            raise SensorTestError(f"line {number}: {line[:40]!r}: right is '# key: value'")
         if parts[1] == "text":
             text.append(parts[2])
         else:
             words[parts[1]] = parts[2]
     columns = ["time_s", *_COLUMNS]
+    place = 1 + len(head)
     if lines[place].split(",") != columns:
         raise SensorTestError(f"line {place + 1}: {lines[place][:40]!r}: right is {','.join(columns)}")
-    if lines[-1]:
-        raise SensorTestError(f"line {len(lines)}: is not whole; right is a line feed at its end")
     times: list[float] = []
     rows: list[list[int]] = []
     for number, line in enumerate(lines[place + 1 : -1], place + 2):
@@ -250,4 +251,4 @@ def _from_log(path: Path) -> SensorRun:
         parts.append(arrays[topic][1].astype(np.int64))
     if not np.array_equal(times[0], times[1]):
         raise SensorTestError("positions and counts have other times; right is one of each for every look")
-    return replace(SensorRun(test, np.hstack(parts), times[0] / 1e9), text=label.metadata.get("text", ""))
+    return SensorRun(test, np.hstack(parts), times[0] / 1e9, label.metadata.get("text", ""))
