@@ -135,7 +135,7 @@ class Receivers:
             self._data,
             self._positions[channel],
             (rays / lengths[:, None]).ravel(),
-            None,
+            _WITHOUT_WHEELS,
             True,
             self._body,
             geoms,
@@ -160,6 +160,10 @@ def _disc(n: int) -> NDArray[np.float64]:
     radii = np.sqrt((np.arange(n) + 0.5) / n)
     return np.column_stack([radii * np.cos(turns), radii * np.sin(turns)])
 
+
+_WITHOUT_WHEELS = np.array([1, 0, 1, 1, 1, 1], np.uint8)
+"""Groups of geoms that stop light: a robot's own wheels belong to how its receivers were measured, those of
+others are within their bodies."""
 
 _FEW_POINTS, _MANY_POINTS = _disc(16), _disc(256)
 """Of a bulb."""

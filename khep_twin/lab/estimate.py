@@ -95,7 +95,12 @@ def estimate(
         return np.column_stack([(scaled(x + way) - scaled(x - way)) / (2 * step) for way in ways])
 
     found = least_squares(
-        scaled, np.zeros(len(start)), jac=slopes, bounds=(low, high), loss=loss, f_scale=f_scale
+        scaled,
+        np.zeros(len(start)),
+        jac=slopes,  # pyright: ignore[reportArgumentType]
+        bounds=(low, high),
+        loss=loss,
+        f_scale=f_scale,
     )
     left = scaled(found.x)
     rms = float(np.sqrt(np.mean(left**2)))

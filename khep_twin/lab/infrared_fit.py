@@ -6,7 +6,7 @@ would give there,
 
     E[clip(x + s z, 0, limit)],  z normal,
 
-with level x and the calibration's noise s.
+with level x and the calibration's noise s, by how well the reading tells it.
 """
 
 # scipy is not typed.
@@ -29,6 +29,9 @@ _LEAST_READINGS = 10
 """Readings that are cut off at neither end, without which a sensor is refused."""
 
 _WISH = "readings at several distances between 10 and 40 mm"
+
+_BLUR = 8.0
+"""What a reading may be off by without noise [counts]: no robot is quite where it is thought to be (assumed)."""
 
 _WIDEST = 0.15
 """Half the confidence interval of a gain, relative, beyond which the readings do not tell it."""
@@ -74,8 +77,22 @@ def expected(levels: Floats, noise: float, limit: float) -> Floats:
     if noise <= 0:
         return np.clip(levels, 0, limit)
     low, high = -levels / noise, (limit - levels) / noise
-    bell = (np.exp(-(low**2) / 2) - np.exp(-(high**2) / 2)) / np.sqrt(2 * np.pi)
-    return noise * bell + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)
+    return noise * (_bell(low) - _bell(high)) + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)
+
+
+def deviation(levels: Floats, noise: float, limit: float) -> Floats:
+    """Standard deviation of such a reading: little where it is cut off."""
+    if noise <= 0:
+        return np.zeros_like(levels)
+    low, high = -levels / noise, (limit - levels) / noise
+    inside = ndtr(high) - ndtr(low)
+    squares = (
+        (levels**2 + noise**2) * inside
+        + 2 * levels * noise * (_bell(low) - _bell(high))
+        + noise**2 * (low * _bell(low) - high * _bell(high))
+        + limit**2 * ndtr(-high)
+    )
+    return np.sqrt(np.maximum(squares - expected(levels, noise, limit) ** 2, 0))
 
 
 def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> SensorFit:
@@ -91,10 +108,14 @@ def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> Sen
             f"{_LEAST_READINGS} and more such {_WISH}"
         )
 
-    def left(x: Floats) -> Floats:
+    def levels(x: Floats) -> Floats:
         optics = replace(before, gain_counts_mm2=x[0], threshold_counts=x[1])
-        levels = np.concatenate([level(view, TANGENTS, optics) for view in views])
-        return expected(levels, noise, limit) - counts
+        return np.concatenate([level(view, TANGENTS, optics) for view in views])
+
+    weights = np.ones(len(counts))
+
+    def left(x: Floats) -> Floats:
+        return (expected(levels(x), noise, limit) - counts) * weights
 
     gain = before.gain_counts_mm2
     parameters = [
@@ -102,7 +123,15 @@ def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> Sen
         Parameter(f"{name}: threshold", before.threshold_counts, 100, 300, " counts"),
     ]
     # A few readings beside the rest, such as those taken while somebody walked by, shall not count for much.
-    found = estimate(left, parameters, _WISH, "soft_l1", 3 * max(noise, 1))
-    gain, threshold = found.values
+    first = estimate(left, parameters, _WISH, "soft_l1", 3 * max(noise, _BLUR))
+    weights = 1 / np.hypot(deviation(levels(np.array(first.values)), noise, limit), _BLUR)
+    found = estimate(left, parameters, _WISH, "soft_l1", 3.0)
+    (gain, threshold), (gain_interval, threshold_interval) = found.values, found.intervals
+    weights = np.ones(len(counts))
+    rms = float(np.sqrt(np.mean(left(np.array(found.values)) ** 2)))
     optics = replace(before, gain_counts_mm2=gain, threshold_counts=threshold)
-    return SensorFit(optics, found.intervals[0] / gain, found.intervals[1], found.rms)
+    return SensorFit(optics, gain_interval / gain, threshold_interval, rms)
+
+
+def _bell(z: Floats) -> Floats:
+    return np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)

@@ -1,12 +1,12 @@
 """What a person has measured of recorded tests, in words, and what the tests are with it.
 
-    straight.mcap=998mm             a straight drive, so long by the ruler
-    spin.mcap=5turns                turns on the spot, counter-clockwise
-    steps.mcap=duty                 a drive with fixed duties on open floor
-    wall.csv=wall@22mm              a sensor test: a flat wall ahead, so far from the robot's edge at the start
-    can.csv=cylinder:27mm@15mm      a cylinder of that radius ahead
-    lamp.csv=lamp:2W@150mm          a lamp of that power ahead, its filament 15 mm above the floor,
-    lamp.csv=lamp:2W:60mm@150mm     or so high
+straight.mcap=998mm             a straight drive, so long by the ruler
+spin.mcap=5turns                turns on the spot, counter-clockwise
+steps.mcap=duty                 a drive with fixed duties on open floor
+wall.csv=wall@22mm              a sensor test: a flat wall ahead, so far from the robot's edge at the start
+can.csv=cylinder:27mm@15mm      a cylinder of that radius ahead
+lamp.csv=lamp:2W@150mm          a lamp of that power ahead, its filament 15 mm above the floor,
+lamp.csv=lamp:2W:60mm@150mm     or so high
 """
 
 import math
@@ -99,7 +99,7 @@ class SensorData:
         return np.hypot(ahead, y), np.angle(np.exp(1j * bearings))
 
     def _poses(self, wheels: WheelCalibration) -> Floats:
-        """Of the robot when its sensors were read, from its start, by its counters: x, y [m], heading [rad]."""
+        """Of the robot when its sensors were read, by its counters: x, y [m], heading [rad] (n, 3)."""
         ways = self.run.dv[:, :2] * (2 * math.pi * wheels.radius_mm / 1e3 / PULSES_PER_TURN)
         times = self.run.times
         if len(times) > 1 and np.isfinite(times).all() and (np.diff(times) > 0).all():

@@ -5,10 +5,12 @@ with what the robot did. The speed that a duty leads to tells the no-load speed,
 stall torque. The controllers of D and C hide both, so a log with P is asked for.
 """
 
+import re
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
@@ -16,17 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import playpen
-from khep_twin.calibration import MotorCalibration
+from khep_twin.calibration import Calibration, MotorCalibration
 from khep_twin.errors import FitError
 from khep_twin.lab.estimate import Parameter, estimate
 from khep_twin.log.channels import Line
 from khep_twin.log.reader import read
+from khep_twin.toml_files import dump
 from khep_twin.units import PULSES_PER_TURN, TICK_NS
 from khep_twin.world import World
 
 Floats = NDArray[np.float64]
 
-_WISH = "steps of duty (P) of half a second and more, with E or H asked all the while"
+_WISH = "steps of duty (P) of up to 50 and of half a second and more, with E or H asked all the while"
+_HIGHEST_DUTY = 50
+"""Beyond it tyres slip, and what they do then tells little of the motors (measured on the twin)."""
+
 _LEAST_ANSWERS = 20
 _FIELD = 'version = 1\nname = "field"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
 _STEP = 0.1
@@ -52,10 +58,15 @@ class DutyDrive:
     values: NDArray[np.int64]
 
     def speeds(self, values: NDArray[Any]) -> Floats:
-        """What answers tell of the speed: those to E as they are, those to H by how far they have gone on."""
-        # A pulse of way weighs like a tenth of one of speed, which an answer to E can be off by.
-        gone = np.diff(values[self.ways], axis=0) / 10
-        return np.concatenate([values[~self.ways], gone]).ravel()
+        """What answers tell of the speed: E as it is, H by how far the wheels have gone on (m, 2)."""
+        ticks = np.diff(self.times_ns[self.ways]) / TICK_NS
+        gone = np.diff(values[self.ways], axis=0) / ticks[:, None]
+        return np.concatenate([values[~self.ways], gone])
+
+    @property
+    def times(self) -> Floats:
+        """Of the rows of `speeds` (m,) [s]."""
+        return np.concatenate([self.times_ns[~self.ways], self.times_ns[self.ways][1:]]) / 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +100,11 @@ def read_drive(log: Path) -> DutyDrive:
     sent = tuple((line.time_ns, line.text) for line in track.serial if line.name == "host")
     asked = [(time_ns, text) for time_ns, text in sent if text in ("E", "H")]
     answers = [values for line in track.serial if (values := _values(line))]
-    if not any(text.startswith("P,") for _, text in sent):
+    duties = [text for _, text in sent if text.startswith("P,")]
+    if not duties:
         raise FitError(f"{log}: the motors cannot be told: no drive with a fixed duty; right are {_WISH}")
+    if too_high := next((text for text in duties if _highest(text) > _HIGHEST_DUTY), ""):
+        raise FitError(f"{log}: {too_high}: with such a duty the tyres slip; right are {_WISH}")
     if len(answers) < _LEAST_ANSWERS:
         raise FitError(
             f"{log}: the motors cannot be told: {len(answers)} answers to E and H; right are "
@@ -107,27 +121,29 @@ def read_drive(log: Path) -> DutyDrive:
     )
 
 
-def fit_motors(drives: Sequence[DutyDrive], calibration: str) -> MotorFit:
+def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
     """Finds the motors that the drives were made with.
 
     Args:
         drives: to be met.
-        calibration: of the rest of the robot, by name or path.
+        start: the rest of the robot.
 
     Raises:
         FitError: the drives cannot tell a parameter.
     """
     measured = np.concatenate([drive.speeds(drive.values) for drive in drives])
-    start = MotorCalibration()
-    torque_mnm = start.stall_torque_n_m * 1e3
+    begin = start.motors
+    torque_mnm = begin.stall_torque_n_m * 1e3
     parameters = [
-        Parameter("no-load speed", start.no_load_speed_rad_s, 30, 5, " rad/s", 20, 1000),
+        Parameter("no-load speed", begin.no_load_speed_rad_s, 30, 5, " rad/s", 20, 1000),
         Parameter("stall torque", torque_mnm, 3, 2, " mN m", 0.5, 200),
     ]
 
     def left(x: Floats) -> Floats:
         motors = MotorCalibration(no_load_speed_rad_s=float(x[0]), stall_torque_n_m=float(x[1]) / 1e3)
-        return np.concatenate([driven(drive, motors, calibration) for drive in drives]) - measured
+        robot = start.model_copy(update={"motors": motors})
+        twin = np.concatenate([driven(drive, robot) for drive in drives])
+        return (twin - measured).ravel()
 
     found = estimate(left, parameters, _WISH, step=_STEP)
     no_load, torque_mnm = found.values
@@ -137,15 +153,15 @@ def fit_motors(drives: Sequence[DutyDrive], calibration: str) -> MotorFit:
     return MotorFit(motors, found.intervals[0], found.intervals[1] / 1e3, found.rms)
 
 
-def driven(drive: DutyDrive, motors: MotorCalibration, calibration: str) -> Floats:
-    """Speeds that a twin with other motors has on a drive, as `DutyDrive.speeds` gives the robot's."""
-    robot = f"[[robot]]\nx_mm = 5000\ny_mm = 5000\nheading_deg = 0\ncalibration = {_quoted(calibration)}\n"
-    world = World(playpen.parse(_FIELD + robot, "field"), noise=False, unpaced=True)
+def driven(drive: DutyDrive, robot: Calibration) -> Floats:
+    """Speeds of a twin of a robot on a drive, as `DutyDrive.speeds` gives the robot's (m, 2)."""
+    with TemporaryDirectory(prefix="khep-twin-") as folder:
+        file = Path(folder) / "robot.toml"
+        file.write_text(dump(robot), encoding="utf-8")
+        place = f"[[robot]]\nx_mm = 5000\ny_mm = 5000\nheading_deg = 0\ncalibration = '{file}'\n"
+        world = World(playpen.parse(_FIELD + place, "field"), noise=False, unpaced=True)
     # Proximity is of no interest here, and takes half of the time.
     world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-    for side in ("left", "right"):
-        actuator = world.model.actuator(f"khepera0/{side}_motor").id
-        world.model.actuator_gainprm[actuator, :2] = motors.resistance, motors.constant
     axles = [int(world.model.joint(f"khepera0/{side}_axle").qposadr[0]) for side in ("left", "right")]
     waiting = deque(drive.sent)
     angles: list[Floats] = []
@@ -175,6 +191,6 @@ def _values(line: Line) -> tuple[str, int, int] | None:
         return None
 
 
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+def _highest(command: str) -> int:
+    """The larger duty of a command P."""
+    return max(abs(int(field)) for field in re.findall(r"-?\d+", command))

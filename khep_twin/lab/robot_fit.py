@@ -33,18 +33,17 @@ class RobotFit:
     lines: tuple[str, ...]
 
 
-def fit_robot(tests: Measured, start: str, before: Calibration) -> RobotFit:
+def fit_robot(tests: Measured, start: Calibration) -> RobotFit:
     """Fits all that the tests tell of.
 
     Args:
         tests: what was measured.
-        start: name or path of the calibration that the rest is taken from.
-        before: that calibration.
+        start: calibration that the rest is taken from.
 
     Raises:
         FitError: the tests cannot tell a parameter.
     """
-    found, lines = before, list[str]()
+    found, lines = start, list[str]()
     if tests.wheels:
         wheels = fit_wheels(tests.wheels)
         found = found.model_copy(update={"wheels": wheels.calibration()})
@@ -53,19 +52,20 @@ def fit_robot(tests: Measured, start: str, before: Calibration) -> RobotFit:
             f"wheel base     {wheels.base * 1e3:.2f} mm +- {wheels.base_interval * 1e3:.2f} (95 %)",
         ]
     if tests.motors:
-        motors = fit_motors(tests.motors, start)
+        motors = fit_motors(tests.motors, found)
         found = found.model_copy(update={"motors": motors.motors})
+        speed, torque = motors.motors.no_load_speed_rad_s, motors.motors.stall_torque_n_m
         lines += [
-            f"no-load speed  {motors.motors.no_load_speed_rad_s:.1f} rad/s +- {motors.speed_interval:.1f} (95 %)",
-            f"stall torque   {motors.motors.stall_torque_n_m * 1e3:.2f} mN m +- "
-            f"{motors.torque_interval * 1e3:.2f} (95 %)",
+            f"no-load speed  {speed:.1f} rad/s +- {motors.speed_interval:.1f} (95 %)",
+            f"stall torque   {torque * 1e3:.2f} mN m +- {motors.torque_interval * 1e3:.2f} (95 %)",
         ]
     if tests.objects:
         fits = fit_infrared([each.table(found.wheels) for each in tests.objects], found)
         found = fitted(found, fits)
         lines += [
             f"{name:10}     gain {fit.optics.gain_counts_mm2:.4g} +- {fit.gain_interval:.1%}, threshold "
-            f"{fit.optics.threshold_counts:.0f} +- {fit.threshold_interval:.0f} (95 %), {fit.rms:.1f} counts rms left"
+            f"{fit.optics.threshold_counts:.0f} +- {fit.threshold_interval:.0f} (95 %), "
+            f"{fit.rms:.1f} counts rms left"
             for name, fit in zip(SENSORS, fits, strict=True)
         ]
     if tests.lamps:
@@ -85,14 +85,14 @@ def fit_robot(tests: Measured, start: str, before: Calibration) -> RobotFit:
     return RobotFit(found, tuple(lines))
 
 
-def met(tests: Measured, start: str, found: Calibration) -> Iterator[str]:
+def met(tests: Measured, found: Calibration) -> Iterator[str]:
     """How well a calibration meets each of some tests, in words."""
     for drive in tests.wheels:
         left = left_over(drive, found.wheels.radius_mm / 1e3, found.wheels.base_mm / 1e3)
         off = f"{np.degrees(left):+.2f} degrees" if drive.distance is None else f"{left * 1e3:+.2f} mm"
         yield f"{drive.name}: {off}"
     for drive in tests.motors:
-        left = driven(drive, found.motors, start) - drive.speeds(drive.values)
+        left = driven(drive, found) - drive.speeds(drive.values)
         yield f"{drive.name}: {np.sqrt(np.mean(left**2)):.2f} pulses/10 ms rms"
     for data in (*tests.objects, *tests.lamps):
         left = modelled(data, found) - data.counts

@@ -22,6 +22,7 @@ class mjtIntegrator(IntEnum):
 class mjtDisableBit(IntEnum):
     mjDSBL_AUTORESET = ...
     mjDSBL_ISLAND = ...
+    mjDSBL_SENSOR = ...
 
 class mjtEnableBit(IntEnum):
     mjENBL_SLEEP = ...
@@ -58,6 +59,8 @@ class MjModel:
     geom_group: NDArray[np.int32]
     geom_pos: NDArray[np.float64]
     geom_quat: NDArray[np.float64]
+    opt: MjsOption
+    actuator_gainprm: NDArray[np.float64]
     geom_rgba: NDArray[np.float32]
     geom_size: NDArray[np.float64]
     geom_type: NDArray[np.int32]
