@@ -33,10 +33,13 @@ PAUSE = 5.0
 """Before the way back [s], as the Khepera Toolbox has it."""
 
 STILL = 2.0
-"""A wheel that gives no pulse for so long is blocked [s]."""
+"""A wheel that comes no nearer to its target for so long is blocked [s]."""
 
 PULSES_PER_CM = 0.01 / PULSE_LENGTH
 PULSES_PER_DEGREE = math.radians(1) * WHEEL_BASE / 2 / PULSE_LENGTH
+
+_SHAKE_PULSES = 2
+"""A wheel that comes nearer by no more only shakes."""
 
 _NEAR_PULSES = 10
 """From here on the robot is asked whether it is on target; asking all the way would cost rows."""
@@ -248,28 +251,27 @@ def _drive(
         SensorTestError: a wheel does not move any more.
     """
     robot.set_target(*target)
-    before, moved = robot.position(), [robot.time] * 2
+    nearest, since = [math.inf, math.inf], [robot.time] * 2
     while not stop():
         position = robot.position()
         if look is not None:
             look(position)
-        still = [new == old for new, old in zip(position, before, strict=True)]
-        near = [abs(end - new) <= _NEAR_PULSES for end, new in zip(target, position, strict=True)]
-        before = position
-        moved = [since if stands else robot.time for since, stands in zip(moved, still, strict=True)]
-        if not any(still) and not all(near):
+        ways = [abs(end - count) for end, count in zip(target, position, strict=True)]
+        nearer = [way < least - _SHAKE_PULSES for way, least in zip(ways, nearest, strict=True)]
+        for wheel in (0, 1):
+            if nearer[wheel]:
+                nearest[wheel], since[wheel] = ways[wheel], robot.time
+        if all(nearer) and max(ways) > _NEAR_PULSES:
             continue
-        wheels = robot.status()
-        if all(wheel.on_target for wheel in wheels):
+        status = robot.status()
+        if all(wheel.on_target for wheel in status):
             if look is not None:
                 look(robot.position())
             return True
-        for name, wheel, since, count, end in zip(
-            ("left", "right"), wheels, moved, position, target, strict=True
-        ):
-            if not wheel.on_target and robot.time - since > STILL:
+        for wheel, name in enumerate(("left", "right")):
+            if not status[wheel].on_target and robot.time - since[wheel] > STILL:
                 raise SensorTestError(
-                    f"the {name} wheel gave no pulse for {STILL:g} s, at {count} of {end} pulses; "
+                    f"the {name} wheel came no nearer for {STILL:g} s, {position[wheel]} of {target[wheel]} pulses; "
                     "right is a free way"
                 )
     return False
