@@ -4,6 +4,7 @@ The toolbox wrote `dv` and `dlgstr` and nothing of the test: how far the robot w
 straight or turned, is then told from its counters.
 """
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -66,10 +67,11 @@ def _guessed(what: What, dv: NDArray[np.int64]) -> SensorTest:
     left, right = (int(count) for count in dv[-1, :2])
     if left == right == 0:
         raise SensorTestError("dv: the counters end at 0; right is a robot that has moved")
-    straight, turn = (left + right) / 2 / PULSES_PER_CM, (right - left) / 2 / PULSES_PER_DEGREE
     if left * right < 0:
-        return SensorTest(what, rotate_deg=float(np.copysign(np.clip(abs(turn), 15, 360), turn)))
-    return SensorTest(what, linear_cm=float(np.copysign(np.clip(abs(straight), 5, 60), straight)))
+        turn = round((right - left) / 2 / PULSES_PER_DEGREE, 2)
+        return SensorTest(what, rotate_deg=math.copysign(min(max(abs(turn), 15.0), 360.0), turn))
+    straight = round((left + right) / 2 / PULSES_PER_CM, 2)
+    return SensorTest(what, linear_cm=math.copysign(min(max(abs(straight), 5.0), 60.0), straight))
 
 
 def _numbers(values: Mapping[str, Variable], name: str) -> NDArray[np.float64]:
