@@ -271,8 +271,8 @@ def _drive(
         for wheel, name in enumerate(("left", "right")):
             if not status[wheel].on_target and robot.time - since[wheel] > STILL:
                 raise SensorTestError(
-                    f"the {name} wheel came no nearer for {STILL:g} s, {position[wheel]} of {target[wheel]} pulses; "
-                    "right is a free way"
+                    f"the {name} wheel came no nearer for {STILL:g} s, {position[wheel]} of {target[wheel]} "
+                    "pulses; right is a free way"
                 )
     return False
 

@@ -90,9 +90,9 @@ def test_mean_and_spread_are_those_of_the_runs_where_all_have_been() -> None:
     x, mean, spread = mean_and_spread(runs)
     assert x[0] == pytest.approx(5, abs=0.01)
     assert x[-1] == pytest.approx(10, abs=0.01)
-    # Halfway two have half of their level and one all of the half it reached.
-    assert mean[0] == pytest.approx(np.mean([50, 100, 300]), abs=1)
-    assert spread[0] == pytest.approx(np.std([50, 100, 300], ddof=1), abs=1)
+    # Halfway each has half of its level.
+    assert mean[0] == pytest.approx(np.mean([50, 100, 150]), abs=1)
+    assert spread[0] == pytest.approx(np.std([50, 100, 150], ddof=1), abs=1)
 
 
 @pytest.mark.parametrize(
