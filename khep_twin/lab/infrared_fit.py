@@ -31,7 +31,7 @@ _LEAST_READINGS = 10
 _WISH = "readings at several distances between 10 and 40 mm"
 
 _BLUR = 8.0
-"""What a reading may be off by without noise [counts]: no robot is quite where it is thought to be (assumed)."""
+"""What a reading may be off by without noise [counts], as no robot is quite where one thinks (assumed)."""
 
 _WIDEST = 0.15
 """Half the confidence interval of a gain, relative, beyond which the readings do not tell it."""
