@@ -25,7 +25,7 @@ heading_deg = 0
 """
 
 
-def sense(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+def sense(*arguments: str | int | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "khep_twin", "sense", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=cwd)
 

@@ -42,8 +42,8 @@ def test_a_whole_turn_shows_the_wall_to_each_sensor_at_its_own_heading() -> None
     with before_a_wall(15) as robot:
         run = sense(robot, SensorTest(rotate_deg=360, speed=3))
     np.testing.assert_allclose(run.dv[-1, :2], [-2042, 2042], atol=2)
-    # A sensor sees the wall when the robot has turned by as much as the sensor looks the other way; those at
-    # the side sit at 67 degrees and look to 88, so that near a wall they see it in between.
+    # A sensor sees the wall once the robot has turned as far as it looks the other way; those at the
+    # side sit at 67 degrees and look to 88, so that near a wall they see it in between.
     for sensor, heading_deg in {"left 90": 283, "right 90": 77, "left 45": 315, "right 45": 45}.items():
         weights = run.dv[:, 2 + SENSORS.index(sensor)].astype(np.float64)
         radians = np.radians(run.travelled)
