@@ -68,8 +68,8 @@ def test_one_sensor_is_drawn_from_y_min_on_with_a_grid() -> None:
     assert all(line.get_visible() for line in axes.get_xgridlines())
     assert not any(line.get_visible() for line in draw([run()], sensor="right 45").axes[0].get_xgridlines())
     x, y = axes.lines[0].get_data()
-    np.testing.assert_allclose(x, np.linspace(10, 0, 11), atol=0.01)
-    np.testing.assert_allclose(y, np.linspace(0, 900, 11), atol=0.5)
+    np.testing.assert_allclose(np.asarray(x), np.linspace(10, 0, 11), atol=0.01)
+    np.testing.assert_allclose(np.asarray(y), np.linspace(0, 900, 11), atol=0.5)
 
 
 def test_one_run_has_points_and_several_have_mean_band_and_legend() -> None:

@@ -14,13 +14,13 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import BODY_RADIUS
 
 
-def before_a_wall(distance_mm: float, **options: tuple[str, ...]) -> Khepera:
+def before_a_wall(distance_mm: float, faults: tuple[str, ...] = ()) -> Khepera:
     """A robot that looks at a white wall, its front this far off."""
     text = (
         'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n[[robot]]\n'
         f"x_mm = {1000 - BODY_RADIUS * 1000 - distance_mm}\ny_mm = 500\nheading_deg = 0\n"
     )
-    twin = open_twin(playpen.parse(text, "bench"), TwinOptions(seed=1, noise=False, **options))
+    twin = open_twin(playpen.parse(text, "bench"), TwinOptions(seed=1, noise=False, faults=faults))
     return Khepera(Serial.of(twin, timeout=1.0))
 
 
