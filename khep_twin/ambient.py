@@ -26,6 +26,9 @@ from khep_twin.units import BULB_RADIUS, Sensor, radians
 _NOTHING = 0.5
 """Less than half a count is not worth a ray."""
 
+_FAINT = 10.0
+"""Light of so few counts has shadows with hard edges: their softness would be lost in the noise."""
+
 _CLOSEST_MM = 1.0
 """A lamp that would be nearer than this counts as so near."""
 
@@ -80,6 +83,7 @@ class Receivers:
     ) -> None:
         self._model, self._data = model, data
         self._calibration, self._lamps, self._lighting = calibration, lamps, lighting
+        self._few, self._many = _Disc(16), _Disc(256)
         self._body = model.body(prefix + "base").id
         self._frame: NDArray[np.float64] = data.xmat[self._body]
         cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
@@ -107,46 +111,79 @@ class Receivers:
                     distance, cosine, channel, self._calibration, self._lighting
                 )
             elif (counts := power * received(distance, cosine, channel, self._calibration)) > _NOTHING:
-                total += counts * self._in_sight(channel, np.array([dx, dy, dz]), distance)
+                way = dx, dy, dz
+                faint = counts < _FAINT
+                total += counts * (
+                    self._centre_in_sight(channel, way, distance)
+                    if faint
+                    else self._in_sight(channel, way, distance)
+                )
         return total
 
-    def _in_sight(self, channel: int, vector: NDArray[np.float64], distance: float) -> float:
+    def _in_sight(self, channel: int, way: tuple[float, float, float], distance: float) -> float:
         """Which part of a bulb a receiver sees, 0 to 1."""
         # Mostly all or nothing is in sight; the edge of a shadow is looked at more closely.
-        for points in (_FEW_POINTS, _MANY_POINTS):
-            seen = self._reached(channel, vector, distance, points)
-            if seen in (0.0, 1.0):
-                break
-        return seen
+        seen = self._reached(channel, way, distance, self._few)
+        return seen if seen in (0.0, 1.0) else self._reached(channel, way, distance, self._many)
+
+    def _centre_in_sight(self, channel: int, way: tuple[float, float, float], distance: float) -> bool:
+        hit = mujoco.mj_ray(
+            self._model,
+            self._data,
+            self._positions[channel],
+            np.array(way),
+            _WITHOUT_WHEELS,
+            True,
+            self._body,
+            None,
+        )
+        return not 0 <= hit < 1 - BULB_RADIUS / distance
 
     def _reached(
-        self, channel: int, vector: NDArray[np.float64], distance: float, points: NDArray[np.float64]
+        self, channel: int, way: tuple[float, float, float], distance: float, disc: "_Disc"
     ) -> float:
-        """Which part of some points of a bulb's disc (n, 2) rays from the receiver reach."""
-        across = np.array([-vector[1], vector[0], 0.0])
-        width = math.hypot(vector[0], vector[1])
-        across = across / width if width > 0 else np.array([1.0, 0.0, 0.0])
-        up = np.cross(vector, across) / distance
-        rays = vector + points @ (BULB_RADIUS * np.array([across, up]))
-        lengths = np.sqrt((rays * rays).sum(axis=1))
-        hits, geoms = np.zeros(len(points)), np.zeros(len(points), np.int32)
+        """Which part of some points of a bulb's disc rays from the receiver reach."""
+        x, y, z = way
+        flat = math.sqrt(x * x + y * y)
+        # To the left and up, as seen from the receiver; right below a lamp any left will do.
+        left = (-y / flat, x / flat, 0.0) if flat > 0 else (1.0, 0.0, 0.0)
+        up = (-z * left[1], z * left[0], flat) if flat > 0 else (0.0, distance, 0.0)
+        scale = BULB_RADIUS / distance
+        frame = np.array(
+            ((BULB_RADIUS * left[0], BULB_RADIUS * left[1], 0.0), [scale * part for part in up], way)
+        )
+        np.matmul(disc.points, frame, out=disc.rays)
         mujoco.mj_multiRay(
             self._model,
             self._data,
             self._positions[channel],
-            (rays / lengths[:, None]).ravel(),
+            disc.flat,
             _WITHOUT_WHEELS,
             True,
             self._body,
-            geoms,
-            hits,
+            disc.geoms,
+            disc.hits,
             None,
-            len(points),
-            distance + BULB_RADIUS,
+            len(disc.hits),
+            1.0 + scale,
         )
-        # A ray that comes as near as the bulb's glass has reached it.
-        reached = (hits < 0) | (hits >= lengths - BULB_RADIUS)
-        return float(reached.mean())
+        # Hits are told in lengths of the rays. One as near as the bulb's glass has reached it.
+        glass = 1 - BULB_RADIUS / distance
+        hits = disc.hits.tolist()
+        return len([hit for hit in hits if not 0 <= hit < glass]) / len(hits)
+
+
+class _Disc:
+    """Points spread evenly over a disc, as a sunflower has its seeds, and room for rays to them."""
+
+    def __init__(self, n: int) -> None:
+        turns = np.arange(n) * math.pi * (3 - math.sqrt(5))
+        radii = np.sqrt((np.arange(n) + 0.5) / n)
+        self.points = np.column_stack([radii * np.cos(turns), radii * np.sin(turns), np.ones(n)])
+        self.rays = np.zeros((n, 3))
+        self.flat = self.rays.ravel()
+        self.hits = np.zeros(n)
+        self.geoms = np.zeros(n, np.int32)
 
 
 def _falling_off(distance: float, channel: int, calibration: AmbientCalibration) -> float:
@@ -154,16 +191,6 @@ def _falling_off(distance: float, channel: int, calibration: AmbientCalibration)
     return calibration.gain_counts_mm2_per_w[channel] / reach_mm**2
 
 
-def _disc(n: int) -> NDArray[np.float64]:
-    """Points spread evenly over a disc of radius 1 (n, 2): a sunflower's seeds."""
-    turns = np.arange(n) * math.pi * (3 - math.sqrt(5))
-    radii = np.sqrt((np.arange(n) + 0.5) / n)
-    return np.column_stack([radii * np.cos(turns), radii * np.sin(turns)])
-
-
 _WITHOUT_WHEELS = np.array([1, 0, 1, 1, 1, 1], np.uint8)
 """Groups of geoms that stop light: a robot's own wheels belong to how its receivers were measured, those of
 others are within their bodies."""
-
-_FEW_POINTS, _MANY_POINTS = _disc(16), _disc(256)
-"""Of a bulb."""

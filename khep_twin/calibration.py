@@ -4,10 +4,10 @@ Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and 
 files in assets/calibration are used by bare name, others by path. What the numbers do stands in `sensors`.
 """
 
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from khep_twin import toml_files
 from khep_twin.errors import CalibrationError
@@ -131,6 +131,15 @@ class Calibration(Table):
     ambient: AmbientCalibration
     wheels: WheelCalibration = WheelCalibration()
     motors: MotorCalibration = MotorCalibration()
+
+    @model_validator(mode="after")
+    def _dark_is_high(self) -> Self:
+        floor, dark = self.ambient.floor_counts, self.ambient.dark_counts
+        if not floor + 1 <= dark:
+            raise ValueError(
+                f"ambient: floor_counts = {floor:g}: right is at least 1 below dark_counts = {dark:g}"
+            )
+        return self
 
 
 GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055

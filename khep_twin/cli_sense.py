@@ -232,6 +232,9 @@ def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) ->
     if not len(run.dv):
         return
     done.append(run)
+    # First what must not be lost, then what is said of it.
+    for path in names[len(done) - 1]:
+        save(path, run)
     typer.echo(
         f"run {len(done)}: {len(run.dv)} rows over {run.travelled[-1]:.1f} {run.test.unit} "
         f"in {run.times[-1]:.1f} s"
@@ -239,5 +242,4 @@ def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) ->
     for sensor, counts in zip(SENSORS, run.dv[:, 2:].T, strict=True):
         typer.echo(f"  {sensor:10}  {counts.min():4} to {counts.max():4} counts")
     for path in names[len(done) - 1]:
-        save(path, run)
         typer.echo(f"data     {path}")

@@ -1,0 +1,69 @@
+"""The twin's receivers over the real robot's, drawn: `python -m benchmarks.lamp_picture FILE`.
+
+Readings of a lamp of 2 W over its distance, means within 10 degrees of the receiver's axis; and over its
+bearing, 213 mm away. The tables are found as in `benchmarks.infrared_fits`.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.infrared_fits import reference
+from benchmarks.lamp_fits import sampled_lamp
+from khep_twin import calibration
+from khep_twin.lab.lamp_fit import ambient_counts
+from khep_twin.units import Sensor
+
+_INK, _RED, _GREY = "#1b4965", "#e4572e", "#9a9a9a"
+_AWAY = 0.213
+
+
+def draw(target: Path) -> None:
+    """Draws all sensors."""
+    ambient = calibration.read("khepera1")[0].ambient
+    distances, table = sampled_lamp(reference())
+    bearings = np.arctan2(table.places[:, 1], table.places[:, 0])
+    figure = Figure(figsize=(12, 6.4), layout="constrained")
+    panels = figure.subplots(2, 4, sharey=True).ravel()
+    for panel, sensor in zip(panels, [0, 1, 2, 7, 5, 4, 3, 6], strict=True):
+        counts, modelled = table.counts[:, sensor], ambient_counts(table, sensor, ambient)
+        aside = np.angle(np.exp(1j * (bearings - np.radians(ambient.heading_deg[sensor]))))
+        near = np.abs(aside) <= np.radians(10)
+        places = np.unique(distances)
+        means = [
+            [each[near & (distances == place)].mean() for place in places] for each in (counts, modelled)
+        ]
+        panel.plot(places * 1e3, means[0], "o", ms=3.5, color=_INK, label="over distance [mm], robot")
+        panel.plot(places * 1e3, means[1], color=_INK, lw=1.6, label="over distance [mm], twin")
+        # What Michel's simulator publishes for a lamp straight ahead, the same for any power.
+        michel = np.where(places < 0.25, 500 - 450 * (1 - places / 0.25), 500)
+        panel.plot(places * 1e3, michel, "--", color=_GREY, lw=1.2, label="over distance, Michel's simulator")
+        turn = np.isclose(distances, _AWAY)
+        order = np.argsort(aside[turn])
+        degrees = np.degrees(aside[turn][order])
+        upper = panel.twiny()
+        upper.plot(degrees, counts[turn][order], ".", ms=3, color=_RED)
+        upper.plot(degrees, modelled[turn][order], color=_RED, lw=1.3)
+        upper.set_xticks([-180, -90, 0, 90, 180])
+        upper.tick_params(axis="x", colors=_RED, labelsize=8)
+        name = Sensor(sensor).name.lower().replace("_", " ")
+        panel.set_title(name, fontsize=10)
+        panel.text(
+            0.97,
+            0.04,
+            "red: bearing off\nthe axis [degrees]",
+            transform=panel.transAxes,
+            ha="right",
+            fontsize=7.5,
+            color=_RED,
+        )
+    figure.supylabel("ambient light [counts]; dark is high", fontsize=10)
+    lines, labels = panels[0].get_legend_handles_labels()
+    figure.legend(lines, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+    figure.savefig(target, dpi=110, metadata={"Software": None})
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]))
