@@ -30,7 +30,18 @@ from numpy.typing import NDArray
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
 from khep_twin.playpen import Playpen
-from khep_twin.symbols import INK, draw_arena, draw_lamp, draw_object, draw_robot, surface_look, write_below
+from khep_twin.symbols import (
+    INK,
+    draw_arena,
+    draw_lamp,
+    draw_object,
+    draw_patch,
+    draw_robot,
+    draw_spot,
+    draw_wall,
+    surface_look,
+    write_below,
+)
 from khep_twin.units import BODY_RADIUS
 
 POINT_LIMIT = 20_000
@@ -108,11 +119,19 @@ def draw(playpen: Playpen, tracks: Sequence[Track] = (), *, title: str | None = 
         axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
         limits = axes.axis()
         draw_arena(axes, playpen)
+        for patch in playpen.patches:
+            draw_patch(axes, playpen, patch)
+        for wall in playpen.walls:
+            draw_wall(axes, playpen, wall)
         for item in (*playpen.blocks, *playpen.cylinders):
             draw_object(axes, playpen, item)
+        for spot in playpen.spots:
+            draw_spot(axes, spot)
         if ways:
             _draw_ways(figure, axes, ways)
         for index, robot in enumerate(playpen.robots):
+            if robot.spots:
+                continue  # it may stand at any of them
             draw_robot(axes, robot, f"khepera{index}")
         for lamp in playpen.lamps:
             draw_lamp(axes, lamp)
@@ -192,7 +211,8 @@ def _draw_ways(figure: Figure, axes: Axes, tracks: Sequence[Track]) -> None:
 
 def _legend_entries(playpen: Playpen, ways: bool) -> Iterator[Line2D | Patch]:
     objects = (*playpen.blocks, *playpen.cylinders)
-    for surface in dict.fromkeys((playpen.arena.surface, *(item.surface for item in objects))):
+    painted = (*objects, *playpen.walls, *playpen.patches)
+    for surface in dict.fromkeys((playpen.arena.surface, *(item.surface for item in painted))):
         yield Patch(label=surface, **surface_look(playpen, surface, movable=False))
     if any(item.movable for item in objects):
         yield Patch(label="movable", **surface_look(playpen, "white", movable=True))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.footprint import Circle, Footprint
-from khep_twin.playpen import BULB_RADIUS_MM, Block, Cylinder, Lamp, Playpen
+from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
 from khep_twin.units import SENSOR_HEIGHT
 
 SHADOW_LIMIT = 200
@@ -24,31 +24,32 @@ Floats = NDArray[np.float64]
 
 def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
     """Light at points x, y of a playpen (any one shape), in that shape [W/mm^2]."""
-    objects = (*playpen.blocks, *playpen.cylinders)
+    objects = [(item.footprint, item.height_mm) for item in (*playpen.blocks, *playpen.cylinders)]
+    objects += [(shape, wall.height_mm) for wall in playpen.walls for shape in wall.footprints]
     if len(playpen.lamps) * len(objects) > SHADOW_LIMIT:
-        objects = ()
+        objects = []
     light = np.zeros(x_mm.shape)
     for lamp in playpen.lamps:
         square = (lamp.x_mm - x_mm) ** 2 + (lamp.y_mm - y_mm) ** 2 + (lamp.z_mm - _HEIGHT_MM) ** 2
         seen = np.ones(x_mm.shape, dtype=bool)
-        for item in objects:
-            seen &= ~_hidden(lamp, item, x_mm, y_mm)
+        for shape, height_mm in objects:
+            seen &= ~_hidden(lamp, shape, height_mm, x_mm, y_mm)
         # Nearer than its glass one does not get to a bulb.
         light += seen * lamp.power_w / np.maximum(square, BULB_RADIUS_MM**2)
     return light
 
 
-def _hidden(lamp: Lamp, item: Block | Cylinder, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:
+def _hidden(lamp: Lamp, shape: Footprint, height_mm: float, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:
     """Whether an object stands between points and the lamp's bulb."""
     to_x, to_y = lamp.x_mm - x_mm, lamp.y_mm - y_mm
     # Along the way from the point (0) to the bulb's centre (1) the object's footprint is crossed from
     # `entry` to `leave`; the way ends at the bulb's glass.
-    entry, leave = _crossing(item.footprint, x_mm, y_mm, to_x, to_y)
+    entry, leave = _crossing(shape, x_mm, y_mm, to_x, to_y)
     glass = 1 - BULB_RADIUS_MM / np.maximum(np.hypot(to_x, to_y), BULB_RADIUS_MM)
     entry, leave = np.maximum(entry, 0), np.minimum(leave, glass)
     rise = lamp.z_mm - _HEIGHT_MM
     lowest_mm = _HEIGHT_MM + rise * (entry if rise > 0 else leave)
-    return (entry < leave) & (lowest_mm < item.height_mm)
+    return (entry < leave) & (lowest_mm < height_mm)
 
 
 def _crossing(

@@ -1,9 +1,9 @@
 """Lamps: where they are and how brightly each shines, as time passes.
 
-A lamp burns with its power times its dim. It can blink, and with `fade_s` it goes on and off slowly, as a
-filament does. The playpen's lighting says which of them are on: all, or one at a time. Then the next one, by
-chance or in the file's order, is on when a robot comes near the one that is on, or near a wall of the arena.
-Robots have to go away before they can come near again.
+A lamp burns with its power times its dim. It can blink, `on_s` says from when to when it is on, and with
+`fade_s` it goes on and off slowly, as a filament does. The playpen's lighting says which of them are on: all,
+or one at a time. Then the next one, by chance or in the file's order, is on when a robot comes near the one
+that is on, or near a wall of the arena. Robots have to go away before they can come near again.
 """
 
 import math
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from khep_twin.outline import distance
 from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
 from khep_twin.units import BODY_RADIUS, metres
 
@@ -31,14 +32,14 @@ class Lamps:
 
     def __init__(self, playpen: Playpen, chance: np.random.Generator) -> None:
         self._lamps, self._lighting = playpen.lamps, playpen.lighting
-        self._arena = metres(playpen.arena.width_mm), metres(playpen.arena.height_mm)
+        self._corners = [(metres(x_mm), metres(y_mm)) for x_mm, y_mm in playpen.arena.corners]
         self._chance = chance
         self._near_lamp = self._near_wall = True
         self.names = [lamp.name or f"lamp{index}" for index, lamp in enumerate(self._lamps)]
         self.positions = [(metres(lamp.x_mm), metres(lamp.y_mm), metres(lamp.z_mm)) for lamp in self._lamps]
         self._full = [lamp.power_w * lamp.dim for lamp in self._lamps]
         one_by_one = self._lighting.mode != "all" and bool(self._lamps)
-        self.steady = not one_by_one and not any(lamp.blink_period_s for lamp in self._lamps)
+        self.steady = not one_by_one and not any(lamp.blink_period_s or lamp.on_s for lamp in self._lamps)
         self._lit: int | None = None
         if one_by_one:
             random = self._lighting.mode == "random"
@@ -78,8 +79,7 @@ class Lamps:
     def _switch(self, lit: int, robots: Sequence[tuple[float, float]]) -> bool:
         """Goes on to the next lamp if a robot has just come near this one, or near a wall."""
         reach = BODY_RADIUS + metres(self._lighting.switch_distance_mm)
-        width, depth = self._arena
-        near_wall = any(min(x, width - x, y, depth - y) < reach for x, y in robots)
+        near_wall = any(distance(self._corners, x, y) < reach for x, y in robots)
         near_lamp = self._near(lit, reach, robots)
         came = (near_wall and not self._near_wall) or (near_lamp and not self._near_lamp)
         self._near_wall, self._near_lamp = near_wall, near_lamp
@@ -98,7 +98,9 @@ class Lamps:
 
 
 def _in_its_turn(lamp: Lamp, time_ns: int) -> bool:
-    """Whether a lamp that blinks is on; each period begins with it on."""
+    """Whether a lamp is on by its times, and by its blinking; each period begins with it on."""
+    if lamp.on_s and not any(round(on * 1e9) <= time_ns < round(off * 1e9) for on, off in lamp.on_s):
+        return False
     if not lamp.blink_period_s:
         return True
     period_ns = round(lamp.blink_period_s * 1e9)

@@ -8,10 +8,13 @@ heights do not meet, such as a robot and a lamp above it, are clear of each othe
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from khep_twin.footprint import Footprint, overlap, sticks_out
+from khep_twin.outline import Point, contains, walls_around
+from khep_twin.toml_files import Location, Problem
 
 THING_LIMIT = 5000
 """Most things in one playpen: MuJoCo needs seconds to compile so many."""
@@ -40,6 +43,11 @@ class Thing:
     free: bool
 
     @property
+    def place(self) -> Location:
+        """Its table in the file."""
+        return self.kind, self.number - 1
+
+    @property
     def label(self) -> str:
         """What to call it in messages."""
         return label(self.kind, self.number, self.name)
@@ -54,47 +62,73 @@ def label(kind: str, number: int, name: str | None) -> str:
     return f"{kind} {number}" + (f" ({name})" if name else "")
 
 
-def placement_problems(things: Sequence[Thing], width_mm: float, height_mm: float) -> Iterator[str]:
-    """What is wrong with things in an arena of this size, one line each."""
+class Floor(Protocol):
+    """What things stand on."""
+
+    width_mm: float
+    height_mm: float
+    wall_thickness_mm: float
+    outline_mm: tuple[Point, ...]
+
+
+def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
+    """What is wrong with things on a floor, one line each."""
     if len(things) > THING_LIMIT:
-        yield f"{len(things)} blocks, cylinders, lamps and robots; right is up to {THING_LIMIT} together"
+        text = f"{len(things)} blocks, cylinders, lamps and robots; right is up to {THING_LIMIT} together"
+        yield Problem((), text)
         return
     yield from _shared_names(things)
     inside: list[Thing] = []
     for thing in things:
-        outside = list(_outside(thing, width_mm, height_mm))
+        outside = list(_outside(thing, floor))
         yield from outside
         if not outside:
             inside.append(thing)
-    yield from _collisions(inside, width_mm, height_mm)
+    yield from _collisions(inside, floor)
 
 
-def _shared_names(things: Sequence[Thing]) -> Iterator[str]:
+def _shared_names(things: Sequence[Thing]) -> Iterator[Problem]:
     first: dict[str, Thing] = {}
     for thing in things:
-        if thing.name is not None and first.setdefault(thing.name, thing) is not thing:
+        # The pieces of a wall have one name together.
+        if thing.name is not None and first.setdefault(thing.name, thing).place != thing.place:
             other = first[thing.name].label
-            yield f'{thing.label}: name = "{thing.name}": taken by {other}; right is a name used once'
+            text = f'{thing.label}: name = "{thing.name}": taken by {other}; right is a name used once'
+            yield Problem((*thing.place, "name"), text)
 
 
-def _outside(thing: Thing, width_mm: float, height_mm: float) -> Iterator[str]:
-    place = thing.footprint
-    for key, value, limit in (("x_mm", place.x_mm, width_mm), ("y_mm", place.y_mm, height_mm)):
+def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
+    at = thing.footprint
+    told = False
+    for key, value, limit in (("x_mm", at.x_mm, floor.width_mm), ("y_mm", at.y_mm, floor.height_mm)):
         if value > limit:
-            yield f"{thing.label}: {key} = {value:g}: outside the arena; right is from 0 to {limit:g}"
+            told = True
+            text = f"{thing.label}: {key} = {value:g}: outside the arena; right is from 0 to {limit:g}"
+            yield Problem((*thing.place, key), text)
+    if not told and floor.outline_mm and not contains(floor.outline_mm, at.x_mm, at.y_mm):
+        yield Problem(thing.place, f"{thing} is outside the arena's outline; right is a place within it")
 
 
-def _collisions(things: Sequence[Thing], width_mm: float, height_mm: float) -> Iterator[str]:
+def _collisions(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
+    width_mm, height_mm = floor.width_mm, floor.height_mm
     walls = {"left": "x = 0", "right": f"x = {width_mm:g}", "bottom": "y = 0", "top": f"y = {height_mm:g}"}
+    around = walls_around(floor.outline_mm, floor.wall_thickness_mm) if floor.outline_mm else []
     for thing in things:
-        if thing.free:
-            for wall, depth_mm in sticks_out(thing.footprint, width_mm, height_mm):
-                inward_mm = math.ceil(depth_mm * 10) / 10
-                yield (
-                    f"{thing} overlaps the {wall} wall at {walls[wall]}; right is {inward_mm:g} mm further in"
-                )
+        if not thing.free:
+            continue
+        for number, wall in enumerate(around, 1):
+            if overlap(thing.footprint, wall):
+                text = f"{thing} overlaps the wall after corner {number}; right is a place further in"
+                yield Problem(thing.place, text)
+        for wall, depth_mm in () if around else sticks_out(thing.footprint, width_mm, height_mm):
+            inward_mm = math.ceil(depth_mm * 10) / 10
+            text = f"{thing} overlaps the {wall} wall at {walls[wall]}; right is {inward_mm:g} mm further in"
+            yield Problem(thing.place, text)
     for thing, other in _overlapping_pairs(things):
-        yield f"{thing} overlaps {other}; right is a place clear of it"
+        # Spots may have one place, and a robot may stand there: who is drawn is put where there is room.
+        kinds = {thing.kind, other.kind}
+        if "spot" not in kinds or not kinds <= {"spot", "robot"}:
+            yield Problem(thing.place, f"{thing} overlaps {other}; right is a place clear of it")
 
 
 def _overlapping_pairs(things: Sequence[Thing]) -> Iterator[tuple[Thing, Thing]]:

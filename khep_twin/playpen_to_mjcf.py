@@ -1,10 +1,10 @@
 """From a playpen to a scene: Playpen -> MjSpec -> MJCF that opens in MuJoCo without us.
 
-Names in the scene: "floor"; "wall_left", "wall_right", "wall_bottom", "wall_top"; "block0", "cylinder0",
-"lamp0" … in the file's order; the robots as bodies "khepera0/base" … with everything of theirs behind the
-same prefix, their turrets as "khepera0/gripper/arm" …. What the sensors need travels inside the MJCF: a
-geom's `user` values are its infrared reflectance and its electrical conductance [S], a lamp is a site whose
-`user` value is its power [W].
+Names in the scene: "floor"; "wall_left", "wall_right", "wall_bottom", "wall_top", or "wall_1" … along an
+outline; "block0", "cylinder0", "patch0", "lamp0" … and pieces of walls "wall0_0" … in the file's order; the
+robots as bodies "khepera0/base" … with everything of theirs behind the same prefix, their turrets as
+"khepera0/gripper/arm" …. What the sensors need travels inside the MJCF: a geom's `user` values are its
+infrared reflectance and its electrical conductance [S], a lamp is a site whose `user` value is its power [W].
 
 Contacts are explicit pairs where a robot is concerned (tyres and supports with the floor, shell with what
 stands on it), which is faster and keeps the ball-shaped tyres from touching walls; movable objects collide
@@ -18,7 +18,9 @@ from pathlib import Path
 import mujoco
 
 from khep_twin import calibration, units
-from khep_twin.playpen import Block, Cylinder, Playpen, Robot
+from khep_twin.footprint import Circle, Footprint
+from khep_twin.outline import walls_around
+from khep_twin.playpen import Block, Cylinder, Patch, Playpen, Robot, Wall
 from khep_twin.turrets import find
 
 ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
@@ -35,8 +37,10 @@ _SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
 _SOLIMP = [0.95, 0.99, 0.0005, 0.5, 2]
 """Harder than MuJoCo's default, so that the robot's weight presses its tyres in by some micrometres only."""
 
+_PATCH_HEIGHT = 0.0002
+"""Of what is drawn on the floor [m]: as thin as paint."""
+
 _FLOOR_COLOUR = [0.93, 0.92, 0.88, 1]
-_LAMP_COLOUR = [1.0, 0.85, 0.3, 1]
 
 
 def to_mjcf(playpen: Playpen) -> str:
@@ -65,13 +69,17 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
         obstacles.append(_add_block(spec, playpen, f"block{index}", block))
     for index, cylinder in enumerate(playpen.cylinders):
         obstacles.append(_add_cylinder(spec, playpen, f"cylinder{index}", cylinder))
+    for index, wall in enumerate(playpen.walls):
+        obstacles += _add_wall(spec, playpen, f"wall{index}", wall)
+    for index, patch in enumerate(playpen.patches):
+        _add_patch(spec, playpen, f"patch{index}", patch)
     for index, lamp in enumerate(playpen.lamps):
         position = [units.metres(lamp.x_mm), units.metres(lamp.y_mm), units.metres(lamp.z_mm)]
         spec.worldbody.add_site(
             name=f"lamp{index}",
             pos=position,
             size=[units.BULB_RADIUS, 0, 0],
-            rgba=_LAMP_COLOUR,
+            rgba=[*(part / 255 for part in lamp.rgb), 1],
             userdata=[lamp.power_w],
         )
     shells: list[str] = []
@@ -126,6 +134,13 @@ def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
         solimp=_SOLIMP,
         userdata=[playpen.surface("white").reflectance, 0],
     )
+    if arena.outline_mm:
+        names: list[str] = []
+        for number, shape in enumerate(walls_around(arena.outline_mm, arena.wall_thickness_mm), 1):
+            geom = _add_upright(spec, f"wall_{number}", shape, height)
+            _paint(geom, playpen, arena.surface, movable=False)
+            names.append(f"wall_{number}")
+        return names
     # The walls stand outside the arena's inner edge; left and right ones fill the corners.
     walls = {
         "wall_left": ([-thickness / 2, depth / 2], [thickness / 2, depth / 2 + thickness]),
@@ -166,6 +181,37 @@ def _add_cylinder(spec: mujoco.MjSpec, playpen: Playpen, name: str, cylinder: Cy
     _place(geom, cylinder, height, 0.0)
     _paint(geom, playpen, cylinder.surface, cylinder.movable)
     return name
+
+
+def _add_wall(spec: mujoco.MjSpec, playpen: Playpen, name: str, wall: Wall) -> list[str]:
+    names: list[str] = []
+    for piece, shape in enumerate(wall.footprints):
+        geom = _add_upright(spec, f"{name}_{piece}", shape, units.metres(wall.height_mm))
+        _paint(geom, playpen, wall.surface, movable=False)
+        names.append(f"{name}_{piece}")
+    return names
+
+
+def _add_patch(spec: mujoco.MjSpec, playpen: Playpen, name: str, patch: Patch) -> None:
+    geom = _add_upright(spec, name, patch.footprint, _PATCH_HEIGHT)
+    _paint(geom, playpen, patch.surface, movable=False)
+    geom.conaffinity = 0  # only to be looked at
+
+
+def _add_upright(spec: mujoco.MjSpec, name: str, shape: Footprint, height: float) -> mujoco.MjsGeom:
+    """A fixed body with a footprint."""
+    at = [units.metres(shape.x_mm), units.metres(shape.y_mm), height / 2]
+    if isinstance(shape, Circle):
+        size = [units.metres(shape.radius_mm), height / 2, 0]
+        return spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_CYLINDER, pos=at, size=size)
+    half = units.radians(shape.angle_deg) / 2
+    return spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=at,
+        quat=[math.cos(half), 0, 0, math.sin(half)],
+        size=[units.metres(shape.length_mm) / 2, units.metres(shape.width_mm) / 2, height / 2],
+    )
 
 
 def _stand(spec: mujoco.MjSpec, name: str, item: Block | Cylinder, height: float) -> mujoco.MjsBody:

@@ -15,9 +15,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 
-from khep_twin import footprint
+from khep_twin import footprint, playpen_parts
 from khep_twin.illumination import illumination
-from khep_twin.playpen import BULB_RADIUS_MM, Block, Cylinder, Lamp, Playpen, Robot
+from khep_twin.outline import walls_around
+from khep_twin.playpen import BULB_RADIUS_MM, Block, Cylinder, Lamp, Playpen, Robot, Spot, Wall
 from khep_twin.units import BODY_RADIUS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
 
 INK = "#2b2f36"
@@ -25,7 +26,6 @@ INK = "#2b2f36"
 
 _FLOOR = "#faf8f2"
 _BOARD = "#2f7d5b"
-_BULB = "#ffd84a"
 _FILAMENT = "#9a6b00"
 _GLOW = (1.0, 0.72, 0.12)
 
@@ -41,12 +41,17 @@ def draw_arena(axes: Axes, playpen: Playpen) -> None:
     arena = playpen.arena
     wall, width, height = arena.wall_thickness_mm, arena.width_mm, arena.height_mm
     colour = surface_colour(playpen, arena.surface)
-    axes.add_patch(
-        Rectangle(
-            (-wall, -wall), width + 2 * wall, height + 2 * wall, facecolor=colour, edgecolor=INK, lw=0.8
+    floor = Polygon(np.array(arena.corners), facecolor=_FLOOR, edgecolor=INK, lw=0.8)
+    if arena.outline_mm:
+        for shape in walls_around(arena.outline_mm, wall):
+            _draw_shape(axes, shape, facecolor=colour, edgecolor=INK, lw=0.8)
+    else:
+        axes.add_patch(
+            Rectangle(
+                (-wall, -wall), width + 2 * wall, height + 2 * wall, facecolor=colour, edgecolor=INK, lw=0.8
+            )
         )
-    )
-    axes.add_patch(Rectangle((0, 0), width, height, facecolor=_FLOOR, edgecolor=INK, lw=0.8))
+    axes.add_patch(floor)
     if playpen.lamps:
         step = max(width, height) / _GLOW_CELLS
         columns, rows = max(round(width / step), 1), max(round(height / step), 1)
@@ -58,16 +63,51 @@ def draw_arena(axes: Axes, playpen: Playpen) -> None:
         glow[..., :3] = _GLOW
         glow[..., 3] = 0.75 * light / (light + _HALF_GLOW)
         extent = (0.0, width, 0.0, height)
-        axes.imshow(glow, extent=extent, origin="lower", interpolation="bilinear", zorder=1.5)
+        image = axes.imshow(glow, extent=extent, origin="lower", interpolation="bilinear", zorder=1.5)
+        image.set_clip_path(floor)
 
 
 def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> None:
     """A block or cylinder from above."""
-    shape = item.footprint
     look = surface_look(playpen, item.surface, item.movable)
+    _draw_shape(axes, item.footprint, zorder=3, **look)
+
+
+def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
+    """A wall that stands on the floor, in one colour and with an edge around all of it."""
+    colour = surface_colour(playpen, wall.surface)
+    for shape in wall.footprints:
+        _draw_shape(axes, shape, zorder=2.8, facecolor=colour, edgecolor=INK, lw=1.6)
+    for shape in wall.footprints:
+        _draw_shape(axes, shape, zorder=2.9, facecolor=colour, lw=0)
+
+
+def draw_patch(axes: Axes, playpen: Playpen, patch: playpen_parts.Patch) -> None:
+    """A part of the floor."""
+    _draw_shape(axes, patch.footprint, zorder=1.2, facecolor=surface_colour(playpen, patch.surface), lw=0)
+
+
+def draw_spot(axes: Axes, spot: Spot) -> None:
+    """A place where a robot may start: its outline, its heading and its name."""
+    radius, heading = 1000 * BODY_RADIUS, np.radians(spot.heading_deg)
+    axes.add_patch(
+        Circle(
+            (spot.x_mm, spot.y_mm), radius, fill=False, edgecolor=_BOARD, lw=0.9, ls=(0, (2, 2)), zorder=4.5
+        )
+    )
+    tip = radius * np.array((np.cos(heading), np.sin(heading)))
+    axes.add_line(
+        Line2D(
+            [spot.x_mm, spot.x_mm + tip[0]], [spot.y_mm, spot.y_mm + tip[1]], color=_BOARD, lw=1.2, zorder=4.5
+        )
+    )
+    write_below(axes, spot.x_mm, spot.y_mm - radius - 4, spot.name)
+
+
+def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> None:
     patch: Patch
     if isinstance(shape, footprint.Circle):
-        patch = Circle((shape.x_mm, shape.y_mm), shape.radius_mm, zorder=3, **look)
+        patch = Circle((shape.x_mm, shape.y_mm), shape.radius_mm, **look)
     else:
         corner = (shape.x_mm - shape.length_mm / 2, shape.y_mm - shape.width_mm / 2)
         patch = Rectangle(
@@ -76,7 +116,6 @@ def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> None:
             shape.width_mm,
             angle=shape.angle_deg,
             rotation_point="center",
-            zorder=3,
             **look,
         )
     axes.add_patch(patch)
@@ -85,7 +124,8 @@ def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> None:
 def draw_lamp(axes: Axes, lamp: Lamp) -> None:
     """A bulb with rays, and its power."""
     x, y, radius = lamp.x_mm, lamp.y_mm, BULB_RADIUS_MM
-    axes.add_patch(Circle((x, y), radius, facecolor=_BULB, edgecolor=_FILAMENT, lw=0.9, zorder=6))
+    colour = tuple(part / 255 for part in lamp.rgb)
+    axes.add_patch(Circle((x, y), radius, facecolor=colour, edgecolor=_FILAMENT, lw=0.9, zorder=6))
     for angle in np.radians(np.arange(0, 360, 45)):
         along = np.array((1.35, 1.8)) * radius
         ray = Line2D(x + along * np.cos(angle), y + along * np.sin(angle), color=_FILAMENT, lw=0.9, zorder=6)

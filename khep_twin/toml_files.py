@@ -1,9 +1,9 @@
 """Reading the TOML files that people write: playpens and calibrations, strictly.
 
-A file is checked against a pydantic model, and every problem becomes one line that names the file, the table,
-the key, the value found and what would be right:
+A file is checked against a pydantic model, and every problem becomes one line that names the file, its line,
+the table, the key, the value found and what would be right:
 
-    arena.toml: block 2: heigth_mm = 50: unknown key; did you mean 'height_mm'? (choices: ...)
+    arena.toml:12: block 2: heigth_mm = 50: unknown key; did you mean 'height_mm'? (choices: ...)
 """
 
 import re
@@ -13,13 +13,15 @@ from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from khep_twin.errors import KhepTwinError, choices
+from khep_twin.toml_edit import change
+from khep_twin.toml_lines import Lines, Location
 
 SIZE_LIMIT = 2**20
 """Largest file that is read [bytes]."""
@@ -34,6 +36,26 @@ Model = TypeVar("Model", bound="Table")
 
 # One key of thousands of parts takes tomllib seconds and ends in a RecursionError.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){32}""")
+
+
+class Problem(NamedTuple):
+    """Something wrong with a file as a whole.
+
+    Attributes:
+        location: table and key that it is about; empty for the file.
+        text: place, value and what would be right.
+    """
+
+    location: Location
+    text: str
+
+
+class Problems(ValueError):
+    """What a model's own checks have found."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        super().__init__("\n".join(problem.text for problem in problems))
+        self.problems = problems
 
 
 class Table(BaseModel):
@@ -98,15 +120,42 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
     try:
         return model.model_validate(_frozen(data))
     except ValidationError as trouble:
-        lines = list(islice(_lines(model, trouble), PROBLEM_LIMIT + 1))
-        if len(lines) > PROBLEM_LIMIT:
-            lines[-1] = f"more than {PROBLEM_LIMIT} problems; the others are told once these are gone"
-        raise error("\n".join(f"{source}: {line}" for line in lines)) from None
+        problems = list(islice(_problems(model, trouble), PROBLEM_LIMIT + 1))
+        if len(problems) > PROBLEM_LIMIT:
+            last = f"more than {PROBLEM_LIMIT} problems; the others are told once these are gone"
+            problems[-1] = Problem((), last)
+        lines = Lines(text)
+        raise error(
+            "\n".join(f"{source}{_at(lines, problem.location)}: {problem.text}" for problem in problems)
+        ) from None
 
 
 def dump(table: Table) -> str:
     """A table as the text of a file, every key written out; reading it back gives the same table."""
-    return tomlkit.dumps(table.model_dump(by_alias=True, exclude_none=True, mode="json"))
+    return tomlkit.dumps(_plain_data(table))
+
+
+def edited(text: str, before: Table, after: Table) -> str:
+    """A file's text, `before` to its reader, changed so that it is `after`; comments and all else stay.
+
+    Args:
+        text: of the file.
+        before: what it says.
+        after: what it is to say.
+    """
+    if before == after:
+        return text
+    document = tomlkit.parse(text)
+    change(document, _plain_data(before), _plain_data(after))
+    return tomlkit.dumps(document)
+
+
+def schema(model: type[Table]) -> dict[str, Any]:
+    """What a file of a model may say, as JSON schema."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **model.model_json_schema(by_alias=True),
+    }
 
 
 def show(value: object) -> str:
@@ -122,6 +171,10 @@ def _plain(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+def _plain_data(table: Table) -> dict[str, Any]:
+    return table.model_dump(by_alias=True, exclude_none=True, mode="json")
+
+
 def _frozen(value: Any) -> Any:
     """TOML's arrays as tuples, which strict models ask for."""
     if isinstance(value, dict):
@@ -131,15 +184,22 @@ def _frozen(value: Any) -> Any:
     return value
 
 
-def _lines(model: type[BaseModel], trouble: ValidationError) -> Iterator[str]:
+def _problems(model: type[BaseModel], trouble: ValidationError) -> Iterator[Problem]:
     for problem in trouble.errors(include_url=False):
         location = problem["loc"]
         if problem["type"] == "value_error" and not location:
             # A model's own checks of the whole name their places themselves.
-            yield from str(problem.get("ctx", {})["error"]).splitlines()
+            found = problem.get("ctx", {})["error"]
+            yield from found.problems if isinstance(found, Problems) else [Problem((), str(found))]
         else:
             place, key = _place(location)
-            yield f"{place}{_reason(model, location, key, problem)}"
+            yield Problem(location, f"{place}{_reason(model, location, key, problem)}")
+
+
+def _at(lines: Lines, location: Location) -> str:
+    """Where a problem is, as compilers tell it: ":12"."""
+    number = lines.of(location)
+    return "" if number is None else f":{number}"
 
 
 def _place(location: Sequence[str | int]) -> tuple[str, str]:

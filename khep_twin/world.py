@@ -17,7 +17,7 @@ from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
 from khep_twin.faults import Fault
 from khep_twin.lamps import Lamps
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Playpen, placed
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot
@@ -53,7 +53,7 @@ class World:
     The robots are switched on a scan and a step before time 0, so that every register holds a conversion.
 
     Args:
-        playpen: the scene.
+        playpen: the scene; robots with spots are put to one by the seed.
         seed: of every chance in the run.
         noise: whether sensors are noisy.
         unpaced: lets bytes cross the lines in no time.
@@ -83,7 +83,7 @@ class World:
     ) -> None:
         # MuJoCo would write its warnings into a file where the user happens to be; they are checked here.
         mujoco.set_mju_user_warning(_keep_quiet)
-        self.playpen = playpen
+        self.playpen = playpen = placed(playpen, stream(seed, "spots"))
         self.taps: list[Tap] = []
         self._untold: list[tuple[int | None, str]] = []
         self.time_ns = 0

@@ -47,7 +47,11 @@ def test_what_is_not_said_of_wheels_and_motors_is_as_the_manual_has_it() -> None
             "drak_counts = 484.8",
             "ambient: drak_counts = 484.8: unknown key; did you mean 'dark_counts'?",
         ),
-        ("heading_deg = [77.8, ", "heading_deg = [", "heading_deg: right is a list of eight numbers, one per sensor"),
+        (
+            "heading_deg = [77.8, ",
+            "heading_deg = [",
+            "heading_deg: right is a list of eight numbers, one per sensor",
+        ),
     ],
 )
 def test_what_is_wrong_is_told_by_place_value_and_what_would_be_right(old: str, new: str, line: str) -> None:

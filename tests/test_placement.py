@@ -9,8 +9,13 @@ from numpy.typing import NDArray
 
 from khep_twin.footprint import Circle, Footprint, Rectangle, overlap
 from khep_twin.placement import Thing, label, placement_problems
+from khep_twin.playpen_parts import Arena
 
 Points = NDArray[np.float64]
+
+
+def arena(side_mm: float) -> Arena:
+    return Arena(width_mm=side_mm, height_mm=side_mm)
 
 
 def thing(
@@ -64,19 +69,19 @@ def test_each_free_thing_is_held_against_every_other_thing() -> None:
         for one, other in itertools.combinations(things, 2)
         if (one.free or other.free) and overlap(one.footprint, other.footprint)
     }
-    told = [re.findall(r"block (\d+)", line) for line in placement_problems(things, 1000, 1000)]
+    told = [re.findall(r"block (\d+)", line) for _, line in placement_problems(things, arena(1000))]
     assert {tuple(sorted(map(int, numbers))) for numbers in told} == expected
     assert len(told) == len(expected) > 5
 
 
 def test_fixed_things_may_overlap() -> None:
-    assert not list(placement_problems([thing(1, Circle(50, 50, 9), free=False)] * 2, 100, 100))
+    assert not list(placement_problems([thing(1, Circle(50, 50, 9), free=False)] * 2, arena(100)))
 
 
 @pytest.mark.parametrize(("bottom", "told"), [(50, 0), (49.9, 1)])
 def test_things_above_each_other_are_clear_of_each_other(bottom: float, told: int) -> None:
     things = [thing(1, Circle(50, 50, 9)), thing(2, Circle(50, 50, 9), bottom=bottom, top=90)]
-    assert len(list(placement_problems(things, 100, 100))) == told
+    assert len(list(placement_problems(things, arena(100)))) == told
 
 
 def test_a_label_has_kind_number_and_name() -> None:

@@ -1,6 +1,7 @@
 """Playpen files: what they say, what they may not say, and how they are told so."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,10 @@ LAMP = "[[lamp]]\nx_mm = 50\ny_mm = 450\npower_w = 7\n"
 ROBOT = "[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 90\n"
 CARDBOARD = "[surfaces.cardboard]\nreflectance = 0.6\nrgb = [180, 140, 90]\n"
 
+TRIANGLE = "outline_mm = [[0, 0], [600, 0], [0, 500]]\n"
+WALL = "[[wall]]\npoints_mm = [[100, 100], [300, 100], [300, 200]]\n"
+SPOT = '[[spot]]\nname = "a"\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n'
+
 TABLES = {"block": BLOCK, "cylinder": CYLINDER, "lamp": LAMP, "robot": ROBOT}
 
 
@@ -30,10 +35,15 @@ def parse(*parts: str, head: str = HEAD, arena: str = ARENA) -> Playpen:
     return playpens.parse(head + arena + "".join(parts), "p.toml")
 
 
-def lines_about(text: str) -> list[str]:
+def numbered_lines_about(text: str) -> list[str]:
     with pytest.raises(PlaypenError) as caught:
         playpens.parse(text, "p.toml")
     return str(caught.value).splitlines()
+
+
+def lines_about(text: str) -> list[str]:
+    """The same without the numbers of the file's lines."""
+    return [re.sub(r"^p\.toml:\d+:", "p.toml:", line) for line in numbered_lines_about(text)]
 
 
 # What a file says ----------------------------------------------------------------------------------------
@@ -160,10 +170,10 @@ WRONG = {
     HEAD
     + "wdith = 3\n"
     + ARENA: "wdith = 3: unknown key; (choices: version, name, arena, lighting, surfaces, "
-    "block, cylinder, lamp, robot)",
+    "block, cylinder, wall, patch, lamp, spot, robot)",
     HEAD + "arena = 3\n": "arena = 3: right is a table",
     HEAD + ARENA + "widht_mm = 3\n": "arena: widht_mm = 3: unknown key; did you mean 'width_mm'? (choices: "
-    "width_mm, height_mm, wall_height_mm, wall_thickness_mm, surface)",
+    "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface)",
     HEAD + ARENA.replace("600", "60"): "arena: width_mm = 60: right is a number from 100 to 10000",
     HEAD + ARENA.replace("600", "20000"): "arena: width_mm = 20000: right is a number from 100 to 10000",
     HEAD + ARENA.replace("500", '"500"'): 'arena: height_mm = "500": right is a number from 100 to 10000',
@@ -308,6 +318,81 @@ WRONG = {
     + CYLINDER.replace("400", "595")
     + "movable = true\n": "cylinder 1 at (595, 250) overlaps the right "
     "wall at x = 600; right is 7.5 mm further in",
+    HEAD + ARENA + "outline_mm = [[0, 0], [600, 0]]\n": "arena: outline_mm: 2 corners; right are 3 to 200",
+    HEAD
+    + ARENA
+    + "outline_mm = [[0, 0], [700, 0], [0, 500]]\n": "arena: outline_mm 2: 700: outside width and "
+    "height; right is from 0 to 600",
+    HEAD + ARENA + "outline_mm = [[0, 0], [0, 0], [0, 500]]\n": "arena: outline_mm 1: the next one is at its "
+    "place; right is each corner once",
+    HEAD
+    + ARENA
+    + "outline_mm = [[0, 0], [600, 500], [600, 0], [0, 500]]\n": "arena: outline_mm: edges 1 and 3 "
+    "meet; right is an outline that meets itself nowhere",
+    HEAD
+    + ARENA
+    + "outline_mm = [[0, 0], [100, 0], [100, 50], [0, 50]]\n": "arena: outline_mm: 5000 mm2; right "
+    "are 10000 and more",
+    HEAD
+    + ARENA
+    + "outline_mm = [[0, 0, 0], [100, 0], [100, 50]]\n": "arena: outline_mm 1: right is corners, "
+    "such as [[0, 0], [600, 0], [300, 500]]",
+    HEAD + ARENA + TRIANGLE + ROBOT.replace("300", "500").replace("250", "400"): "robot 1 at (500, 400) is "
+    "outside the arena's outline; right is a place within it",
+    HEAD
+    + ARENA
+    + TRIANGLE
+    + ROBOT.replace("300", "100").replace("250", "390"): "robot 1 at (100, 390) overlaps "
+    "the wall after corner 2; right is a place further in",
+    HEAD
+    + ARENA
+    + "[[wall]]\npoints_mm = [[10, 10]]\n": "wall 1: points_mm: right is two points and more, such "
+    "as [[100, 100], [100, 300]]",
+    HEAD
+    + ARENA
+    + "[[wall]]\npoints_mm = [[10, 10], [10, 10]]\n": "wall 1: points_mm 1: the next one is at its "
+    "place; right is each point once",
+    HEAD
+    + ARENA
+    + WALL.replace("300, 100", "700, 100"): "wall 1: points_mm 2: 700: outside the arena; right is "
+    "from 0 to 600",
+    HEAD + ARENA + WALL + ROBOT.replace("250", "120"): "robot 1 at (300, 120) overlaps wall 1 at (200, 100); "
+    "right is a place clear of it",
+    HEAD + ARENA + WALL + 'surface = "velvet"\n': f'wall 1: surface = "velvet": unknown; {SURFACES}',
+    HEAD
+    + ARENA
+    + "[[patch]]\nx_mm = 1\ny_mm = 1\nradius_mm = 9\nwidth_mm = 9\n": "patch 1: neither disc nor "
+    "rectangle; right is radius_mm alone, or length_mm and width_mm",
+    HEAD
+    + ARENA
+    + "[[patch]]\nx_mm = 1\ny_mm = 1\n": "patch 1: neither disc nor rectangle; right is radius_mm "
+    "alone, or length_mm and width_mm",
+    HEAD
+    + ARENA
+    + "[[spot]]\nx_mm = 1\ny_mm = 1\nheading_deg = 0\n": "spot 1: name is missing; right is 1 to "
+    "64 letters, digits, '_' or '-'",
+    HEAD
+    + ARENA
+    + SPOT.replace("250", "10"): "spot 1 (a) at (300, 10) overlaps the bottom wall at y = 0; right "
+    "is 17.5 mm further in",
+    HEAD + ARENA + SPOT + '[[robot]]\nspots = ["b"]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n': "robot 1: "
+    'spots: "b": unknown; (choices: a)',
+    HEAD
+    + ARENA
+    + '[[robot]]\nspots = ["b"]\n': "robot 1: x_mm is missing; right is a number from 0 to 10000",
+    HEAD
+    + ARENA
+    + SPOT
+    + SPOT.replace("300", "100"): 'spot 2 (a): name = "a": taken by spot 1 (a); right is a name used once',
+    HEAD + ARENA + LAMP + "on_s = [[5, 2]]\n": "lamp 1: on_s = [5, 2]: right are times that rise, from 0 on",
+    HEAD
+    + ARENA
+    + LAMP
+    + "on_s = [[1, 4], [2, 5]]\n": "lamp 1: on_s = [2, 5]: right are times that rise, from 4 on",
+    HEAD
+    + ARENA
+    + LAMP
+    + "rgb = [1, 2]\n": "lamp 1: rgb 3 is missing; right is three whole numbers from 0 to 255",
     HEAD
     + ARENA
     + BLOCK
@@ -320,6 +405,18 @@ WRONG = {
 @pytest.mark.parametrize(("text", "line"), WRONG.items(), ids=range(len(WRONG)))
 def test_a_wrong_file_is_told_place_key_value_and_what_would_be_right(text: str, line: str) -> None:
     assert f"p.toml: {line}" in lines_about(text)
+
+
+@pytest.mark.parametrize(("text", "line"), WRONG.items(), ids=range(len(WRONG)))
+def test_the_line_that_is_told_has_the_key_or_begins_the_table(text: str, line: str) -> None:
+    numbers = re.findall(r"^p\.toml:(\d+): (.*)$", "\n".join(numbered_lines_about(text)), re.MULTILINE)
+    for number, told in numbers:
+        there = text.splitlines()[int(number) - 1]
+        words = re.findall(r"\w+", told)
+        assert set(re.findall(r"\w+", there.partition("=")[0])) & set(words), (there, told)
+    # Only what is missing or wrong as a whole has no line.
+    if not numbers:
+        assert "is missing" in line or "not TOML" in line or "is no name" in line
 
 
 @pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
@@ -533,4 +630,4 @@ def test_any_text_is_a_playpen_or_is_refused_as_one(text: str) -> None:
         assert playpens.parse(playpens.dump(playpen), "dump") == playpen
     except PlaypenError as error:
         told = str(error).splitlines()
-    assert all(line.startswith("p.toml: ") for line in told)
+    assert all(re.match(r"p\.toml:(\d+:)? ", line) for line in told)

@@ -1,0 +1,160 @@
+"""What makes a playpen's parts a place: surfaces exist, robots can be what they are, and all have room."""
+
+from collections.abc import Iterator
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+from khep_twin.errors import TurretError, choices
+from khep_twin.outline import edges
+from khep_twin.placement import Thing, label, placement_problems
+from khep_twin.playpen_parts import BULB_RADIUS_MM, Robot, Spot
+from khep_twin.rom import ROMS
+from khep_twin.surfaces import BUILT_IN_SURFACES
+from khep_twin.toml_files import Location, Problem
+from khep_twin.turrets import find
+from khep_twin.units import BODY_HEIGHT
+
+if TYPE_CHECKING:
+    from khep_twin.playpen import Playpen
+
+
+def playpen_problems(playpen: "Playpen") -> Iterator[Problem]:
+    """What is wrong with a playpen whose keys are right, each by itself."""
+    outline = [Problem(("arena", "outline_mm"), text) for text in playpen.arena.outline_problems()]
+    if outline:
+        return iter(outline)
+    return chain(
+        _surface_problems(playpen),
+        _wall_problems(playpen),
+        _patch_problems(playpen),
+        _lamp_problems(playpen),
+        _robot_problems(playpen),
+        placement_problems(list(things(playpen)), playpen.arena),
+    )
+
+
+def at_spot(robot: Robot, spot: Spot) -> Robot:
+    """A robot that stands at a spot."""
+    return robot.model_copy(update={"x_mm": spot.x_mm, "y_mm": spot.y_mm, "heading_deg": spot.heading_deg})
+
+
+def with_robots_at_spots(data: dict[str, Any]) -> dict[str, Any]:
+    """A file's content, in which robots that only name spots have the place of the first that there is."""
+    spots = {str(spot.get("name")): spot for spot in _tables(data, "spot")}
+    robots: list[dict[str, Any]] = []
+    for robot in _tables(data, "robot"):
+        known = [spots[name] for name in map(str, _items(robot, "spots")) if name in spots]
+        place = {key: known[0][key] for key in ("x_mm", "y_mm", "heading_deg") if known and key in known[0]}
+        robots.append({**place, **robot})
+    return {**data, "robot": tuple(robots)} if robots else data
+
+
+def _tables(data: dict[str, Any], kind: str) -> list[dict[str, Any]]:
+    """An array of tables as it stands in a file; none where there is something else."""
+    items = _items(data, kind)
+    return list(items) if all(isinstance(item, dict) for item in items) else []
+
+
+def _items(data: dict[str, Any], key: str) -> tuple[Any, ...]:
+    """An array as it stands in a file; empty where there is something else."""
+    found: Any = data.get(key)
+    return found if isinstance(found, tuple) else ()  # pyright: ignore[reportUnknownVariableType]
+
+
+def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
+    for name in playpen.surfaces:
+        if name in BUILT_IN_SURFACES:
+            wish = f"right is a name other than {', '.join(BUILT_IN_SURFACES)}"
+            yield Problem(("surfaces", name), f"surfaces {name}: built in; {wish}")
+    known = {**BUILT_IN_SURFACES, **playpen.surfaces}
+    users: list[tuple[Location, str, str]] = [(("arena",), "arena", playpen.arena.surface)]
+    for kind, items in (
+        ("block", playpen.blocks),
+        ("cylinder", playpen.cylinders),
+        ("wall", playpen.walls),
+        ("patch", playpen.patches),
+    ):
+        for index, item in enumerate(items):
+            users.append(((kind, index), label(kind, index + 1, item.name), item.surface))
+    for location, place, surface in users:
+        if surface not in known:
+            text = f'{place}: surface = "{surface}": unknown; {choices(surface, known)}'
+            yield Problem((*location, "surface"), text)
+
+
+def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
+    for index, wall in enumerate(playpen.walls):
+        place, location = label("wall", index + 1, wall.name), ("wall", index, "points_mm")
+        for number, (x_mm, y_mm) in enumerate(wall.points_mm, 1):
+            for value, limit in ((x_mm, playpen.arena.width_mm), (y_mm, playpen.arena.height_mm)):
+                if value > limit:
+                    wish = f"outside the arena; right is from 0 to {limit:g}"
+                    yield Problem(location, f"{place}: points_mm {number}: {value:g}: {wish}")
+        for number, (start, end) in enumerate(edges(wall.points_mm, closed=wall.closed), 1):
+            if start == end:
+                text = f"{place}: points_mm {number}: the next one is at its place; right is each point once"
+                yield Problem(location, text)
+
+
+def _patch_problems(playpen: "Playpen") -> Iterator[Problem]:
+    for index, patch in enumerate(playpen.patches):
+        if not patch.is_one_shape:
+            wish = "right is radius_mm alone, or length_mm and width_mm"
+            yield Problem(
+                ("patch", index),
+                f"{label('patch', index + 1, patch.name)}: neither disc nor rectangle; {wish}",
+            )
+
+
+def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
+    for index, lamp in enumerate(playpen.lamps):
+        last = 0.0
+        for start, end in lamp.on_s:
+            if not last <= start < end:
+                yield Problem(
+                    ("lamp", index, "on_s"),
+                    f"{label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]: "
+                    f"right are times that rise, from {last:g} on",
+                )
+                break
+            last = end
+
+
+def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
+    """What of a robot's keys does not go together."""
+    known = [spot.name for spot in playpen.spots]
+    for index, robot in enumerate(playpen.robots):
+        place = label("robot", index + 1, robot.name)
+        if reason := ROMS[robot.rom].refused(robot.mode):
+            yield Problem(("robot", index, "mode"), f"{place}: mode = {robot.mode}: {reason}")
+        try:
+            find(robot.turrets)
+        except TurretError as error:
+            yield Problem(("robot", index, "turrets"), f"{place}: turrets = {list(robot.turrets)}: {error}")
+        for name in robot.spots:
+            if name not in known:
+                text = f'{place}: spots: "{name}": unknown; {choices(name, known)}'
+                yield Problem(("robot", index, "spots"), text)
+
+
+def things(playpen: "Playpen") -> Iterator[Thing]:
+    """All that stands in a playpen, and the places where robots may be drawn to stand."""
+    for number, item in enumerate(playpen.blocks, 1):
+        yield Thing("block", number, item.name, item.footprint, 0, item.height_mm, item.movable)
+    for number, item in enumerate(playpen.cylinders, 1):
+        yield Thing("cylinder", number, item.name, item.footprint, 0, item.height_mm, item.movable)
+    for number, wall in enumerate(playpen.walls, 1):
+        for footprint in wall.footprints:
+            yield Thing("wall", number, wall.name, footprint, 0, wall.height_mm, False)
+    for number, item in enumerate(playpen.lamps, 1):
+        low_mm, high_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
+        yield Thing("lamp", number, item.name, item.footprint, low_mm, high_mm, False)
+    users = {name: robot for robot in playpen.robots for name in robot.spots}
+    for number, spot in enumerate(playpen.spots, 1):
+        # As large as the robot that may be drawn to it; where none may, as a bare one.
+        bare = Robot(x_mm=spot.x_mm, y_mm=spot.y_mm, heading_deg=spot.heading_deg)
+        user = at_spot(users.get(spot.name, bare), spot)
+        yield Thing("spot", number, spot.name, user.footprint, 0, BODY_HEIGHT * 1000, True)
+    for number, item in enumerate(playpen.robots, 1):
+        if not item.spots:
+            yield Thing("robot", number, item.name, item.footprint, 0, BODY_HEIGHT * 1000, True)

@@ -1,0 +1,71 @@
+"""Changing a TOML file where its content changes, and nowhere else: comments, order and spaces stay."""
+
+# tomlkit's containers are partly untyped.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+from collections.abc import Mapping, MutableMapping, Sequence
+from difflib import SequenceMatcher
+from typing import Any
+
+import tomlkit
+from tomlkit.items import AoT
+
+
+def change(table: MutableMapping[str, Any], before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
+    """Lets a table of a document say `after` where it said `before`.
+
+    Args:
+        table: of a tomlkit document; keys that have their defaults may be missing.
+        before: what it says, defaults included.
+        after: what it is to say, likewise.
+    """
+    for key in before:
+        if key not in after and key in table:
+            del table[key]
+    for key, value in after.items():
+        old = before.get(key)
+        if key in before and old == value:
+            continue
+        if key in table and isinstance(table[key], AoT) and isinstance(old, list) and isinstance(value, list):
+            _change_list(table[key], old, value)
+        elif key in table and isinstance(table[key], MutableMapping) and isinstance(value, Mapping):
+            change(table[key], dict(old or {}), value)
+        elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+            table[key] = _tables(value)
+        else:
+            _set(table, key, value)
+
+
+def _change_list(
+    tables: AoT, before: Sequence[Mapping[str, Any]], after: Sequence[Mapping[str, Any]]
+) -> None:
+    """The same for an array of tables: those that stay keep their comments wherever they move to."""
+    steps = SequenceMatcher(None, [*map(repr, before)], [*map(repr, after)], autojunk=False).get_opcodes()
+    for kind, start, end, first, last in reversed(steps):
+        if kind == "equal":
+            continue
+        common = min(end - start, last - first)
+        for offset in range(common):
+            change(tables[start + offset], before[start + offset], after[first + offset])
+        for index in reversed(range(start + common, end)):
+            del tables[index]
+        for offset in range(common, last - first):
+            tables.insert(start + offset, tomlkit.item(dict(after[first + offset])))
+
+
+def _tables(values: Sequence[Mapping[str, Any]]) -> AoT:
+    tables = tomlkit.aot()
+    for value in values:
+        tables.append(tomlkit.item(dict(value)))
+    return tables
+
+
+def _set(table: MutableMapping[str, Any], key: str, value: Any) -> None:
+    """Gives a key a value; what stands behind it on its line stays."""
+    if key in table and hasattr(table[key], "trivia"):
+        trivia = table[key].trivia
+        item = tomlkit.item(value)
+        item.trivia.comment, item.trivia.comment_ws = trivia.comment, trivia.comment_ws
+        table[key] = item
+    else:
+        table[key] = value

@@ -1,0 +1,83 @@
+"""Where in a TOML file a table or a key stands, which the readers of TOML do not tell."""
+
+import re
+from collections.abc import Sequence
+
+Location = tuple[str | int, ...]
+"""Tables and keys from the outside in; arrays of tables are followed by a number from 0."""
+
+_PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
+_PATH = rf"{_PART}(?:[ \t]*\.[ \t]*{_PART})*"
+_HEADER = re.compile(rf"[ \t]*(\[\[?)[ \t]*({_PATH})[ \t]*\]\]?")
+_KEY = re.compile(rf"[ \t]*({_PATH})[ \t]*=")
+_TOKEN = re.compile(r"""\"\"\"|'''|"(?:\\.|[^"\\])*"|'[^']*'|[\[\]{}]|\#.*""")
+
+
+class Lines:
+    """The lines of a file by location.
+
+    Args:
+        text: that can be read as TOML.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._lines: dict[Location, int] = {}
+        counts: dict[Location, int] = {}
+        table: Location = ()
+        depth, ending = 0, ""
+        for number, line in enumerate(text.split("\n"), 1):
+            if not depth and not ending:
+                if header := _HEADER.match(line):
+                    table = self._absolute(_parts(header[2]), counts, listed=header[1] == "[[")
+                    self._lines.setdefault(table, number)
+                    continue
+                if key := _KEY.match(line):
+                    parts = _parts(key[1])
+                    for length in range(1, len(parts) + 1):
+                        self._lines.setdefault((*table, *parts[:length]), number)
+            depth, ending = _after(line, depth, ending)
+
+    def of(self, location: Sequence[str | int]) -> int | None:
+        """Number of the line from 1, or of the innermost table around it; None for the file itself."""
+        place = tuple(location)
+        while place and place not in self._lines:
+            place = place[:-1]
+        return self._lines.get(place)
+
+    def _absolute(self, parts: Location, counts: dict[Location, int], *, listed: bool) -> Location:
+        """A header's location, with the numbers of the arrays of tables that it is in."""
+        place: Location = ()
+        for index, part in enumerate(parts):
+            place = (*place, part)
+            if listed and index == len(parts) - 1:
+                counts[place] = counts.get(place, -1) + 1
+            if place in counts:
+                place = (*place, counts[place])
+        return place
+
+
+def _parts(path: str) -> Location:
+    return tuple(part.strip().strip("\"'") for part in re.findall(_PART, path))
+
+
+def _after(line: str, depth: int, ending: str) -> tuple[int, str]:
+    """How deep in brackets the next line begins, and which marks would end a text that goes on there."""
+    place = 0
+    while place < len(line):
+        if ending:
+            end = line.find(ending, place)
+            if end < 0:
+                return depth, ending
+            place, ending = end + 3, ""
+            continue
+        token = _TOKEN.search(line, place)
+        if token is None:
+            break
+        place = token.end()
+        if token[0] in ('"""', "'''"):
+            ending = token[0]
+        elif token[0] in "[{":
+            depth += 1
+        elif token[0] in "]}":
+            depth -= 1
+    return depth, ending

@@ -1,0 +1,88 @@
+"""Saving into a file that has comments: what does not change stays as it is."""
+
+import pytest
+
+from khep_twin import playpen as playpens
+from khep_twin.playpen import Block, Lamp
+
+TEXT = """# My playpen, measured on Monday.
+version = 1
+name = "mine"     # short
+
+[arena]
+width_mm = 600    # by the ruler
+height_mm = 500
+
+# The first one is made of wood.
+[[block]]
+x_mm = 120
+y_mm = 200
+length_mm = 60
+width_mm  =  20   # two spaces
+height_mm = 50
+surface = "wood"
+
+[[block]]         # the second
+name = "second"
+x_mm = 300
+y_mm = 100
+length_mm = 60
+width_mm = 20
+height_mm = 50
+
+[[robot]]
+x_mm = 300
+y_mm = 250
+heading_deg = 90  # up
+"""
+
+
+def test_what_is_not_changed_comes_back_byte_for_byte() -> None:
+    assert playpens.edited(TEXT, playpens.parse(TEXT, "mine")) == TEXT
+
+
+@pytest.mark.parametrize("name", playpens.names())
+def test_a_shipped_playpen_comes_back_byte_for_byte(name: str) -> None:
+    text = (playpens.toml_files.folder("playpens") / f"{name}.toml").read_text()
+    assert playpens.edited(text, playpens.parse(text, name)) == text
+
+
+def changed(**update: object) -> str:
+    playpen = playpens.parse(TEXT, "mine").model_copy(update=update)
+    text = playpens.edited(TEXT, playpen)
+    assert playpens.parse(text, "edited") == playpen
+    return text
+
+
+def test_a_value_is_changed_where_it_stands_and_its_comment_stays() -> None:
+    robot = playpens.parse(TEXT, "mine").robots[0].model_copy(update={"heading_deg": 45.0, "mode": 2})
+    assert changed(robots=(robot,)) == TEXT.replace(
+        "heading_deg = 90  # up", "heading_deg = 45.0  # up\nmode = 2"
+    )
+
+
+def test_a_thing_that_goes_takes_its_lines_with_it_and_no_others() -> None:
+    first, second = playpens.parse(TEXT, "mine").blocks
+    text = changed(blocks=(second,))
+    assert "[[block]]         # the second" in text
+    assert "made of wood" not in text.split("[[block]]")[1]
+    assert "width_mm  =  20   # two spaces" in changed(blocks=(first,))
+
+
+def test_a_new_thing_comes_behind_those_of_its_kind() -> None:
+    playpen = playpens.parse(TEXT, "mine")
+    third = Block(name="third", x_mm=400, y_mm=400, length_mm=20, width_mm=20, height_mm=50)
+    text = changed(blocks=(*playpen.blocks, third))
+    assert text.startswith(TEXT[: TEXT.index("[[robot]]")].rstrip())
+    assert text.index("third") < text.index("[[robot]]")
+    assert "# by the ruler" in text
+
+
+def test_the_first_thing_of_a_kind_can_be_given() -> None:
+    text = changed(lamps=(Lamp(x_mm=50, y_mm=50, power_w=2),))
+    assert text.startswith(TEXT.rstrip())
+    assert "[[lamp]]" in text
+
+
+def test_all_things_of_a_kind_can_be_taken_away() -> None:
+    assert "[[block]]" not in changed(blocks=())
