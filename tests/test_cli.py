@@ -125,7 +125,7 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
         result = khep_twin(*command)
         assert result.returncode == 1
         for each in result.stderr.splitlines():
-            assert each.startswith(f"khep-twin: {file}: ")
+            assert each.startswith(f"khep-twin: {file}:")
         assert line in result.stderr
     assert not (tmp_path / "scene.xml").exists()
 
