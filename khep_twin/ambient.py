@@ -83,7 +83,7 @@ class Receivers:
     ) -> None:
         self._model, self._data = model, data
         self._calibration, self._lamps, self._lighting = calibration, lamps, lighting
-        self._few, self._many = _Disc(16), _Disc(256)
+        self._few, self._many = _Disc(_rim()), _Disc(_seeds(256))
         self._body = model.body(prefix + "base").id
         self._frame: NDArray[np.float64] = data.xmat[self._body]
         cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
@@ -174,16 +174,30 @@ class Receivers:
 
 
 class _Disc:
-    """Points spread evenly over a disc, as a sunflower has its seeds, and room for rays to them."""
+    """Points of a disc of radius 1, and room for rays to them."""
 
-    def __init__(self, n: int) -> None:
-        turns = np.arange(n) * math.pi * (3 - math.sqrt(5))
-        radii = np.sqrt((np.arange(n) + 0.5) / n)
-        self.points = np.column_stack([radii * np.cos(turns), radii * np.sin(turns), np.ones(n)])
+    def __init__(self, points: NDArray[np.float64]) -> None:
+        n = len(points)
+        self.points = np.column_stack([points, np.ones(n)])
         self.rays = np.zeros((n, 3))
         self.flat = self.rays.ravel()
         self.hits = np.zeros(n)
         self.geoms = np.zeros(n, np.int32)
+
+
+def _rim() -> NDArray[np.float64]:
+    """Sixteen points that tell whether all of a disc is in sight, or nothing: most of them near its edge."""
+    turns = np.concatenate([np.arange(12) / 12, np.arange(4) / 4]) * 2 * math.pi
+    radii = np.concatenate([np.full(12, 0.97), np.full(4, 0.45)])
+    return np.column_stack([radii * np.cos(turns), radii * np.sin(turns)])
+
+
+def _seeds(n: int) -> NDArray[np.float64]:
+    """Points spread evenly, as a sunflower has its seeds, left as right."""
+    seeds = np.arange(n // 2)
+    turns, radii = seeds * math.pi * (3 - math.sqrt(5)), np.sqrt((seeds + 0.5) / len(seeds))
+    half = np.column_stack([radii * np.cos(turns), radii * np.sin(turns)])
+    return np.concatenate([half, half * (-1, 1)])
 
 
 def _falling_off(distance: float, channel: int, calibration: AmbientCalibration) -> float:

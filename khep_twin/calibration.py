@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from khep_twin import toml_files
 from khep_twin.errors import CalibrationError
-from khep_twin.toml_files import Name, Table
+from khep_twin.toml_files import Name, Problem, Problems, Table
 from khep_twin.units import (
     COUNTS_LIMIT,
     MOTOR_NO_LOAD_SPEED,
@@ -133,12 +133,21 @@ class Calibration(Table):
     motors: MotorCalibration = MotorCalibration()
 
     @model_validator(mode="after")
-    def _dark_is_high(self) -> Self:
-        floor, dark = self.ambient.floor_counts, self.ambient.dark_counts
-        if not floor + 1 <= dark:
-            raise ValueError(
-                f"ambient: floor_counts = {floor:g}: right is at least 1 below dark_counts = {dark:g}"
-            )
+    def _levels_are_in_order(self) -> Self:
+        light, near = self.ambient, self.proximity
+        levels = (
+            ("ambient", "floor_counts", light.floor_counts, "dark_counts", light.dark_counts),
+            ("ambient", "dark_counts", light.dark_counts, "ceiling_counts", light.ceiling_counts),
+            ("proximity", "idle_counts", near.idle_counts, "limit_counts", near.limit_counts),
+            ("proximity", "quantum_counts", near.quantum_counts, "limit_counts", near.limit_counts),
+        )
+        problems = [
+            Problem((table, key), f"{table}: {key} = {value:g}: right is below {other} = {limit:g}")
+            for table, key, value, other, limit in levels
+            if value > limit - (key == "floor_counts")
+        ]
+        if problems:
+            raise Problems(problems)
         return self
 
 

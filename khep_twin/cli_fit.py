@@ -40,6 +40,12 @@ def fit(
     for path in filter(None, (output, picture)):
         if reason := unusable(path):
             raise FitError(f"{path}: cannot be written: {reason}")
+    if output is not None and picture is not None and output.resolve() == picture.resolve():
+        raise FitError(f"{picture}: this is the calibration; right is a file of its own for the picture")
+    recorded = {Path(word.rpartition("=")[0]).resolve() for word in (*tests, *(check or ()))}
+    for path in filter(None, (output, picture)):
+        if path.resolve() in recorded:
+            raise FitError(f"{path}: this is a recorded test; right is a file of its own")
     if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise FitError(f"{picture}: right is a name that ends in .png, .svg or .pdf")
     data, unused = measured(tests), measured(check or [])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli_progress import progress as progress_bar
-from khep_twin.errors import SensorTestError
+from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.files import unusable
 
 if TYPE_CHECKING:
@@ -103,21 +103,25 @@ def sense(
         _check_picture(picture, earlier, tests, sensor, y_min or 0)
 
     done: list[SensorRun] = []
+    broken: BrokenOffError | None = None
+    stopped = False
     if port is not None:
         try:
             stopped = _drive(port, tests, text or "", lambda run: _keep(done, run, names))
         except BrokenOffError as error:
             _keep(done, error.run, names)
-            raise
-        if stopped:
-            typer.echo("khep-twin: stopped before its end", err=True)
-            raise typer.Exit(130)
-    if picture is not None:
+            broken = error
+    if picture is not None and (earlier or done):
         from khep_twin import drawing
 
         figure = sensor_figure.draw([*earlier, *done], sensor=sensor, y_min=y_min or 0, grid=bool(grid))
         drawing.save(figure, picture)
         typer.echo(f"picture  {picture}")
+    if broken is not None:
+        raise broken
+    if stopped:
+        typer.echo("khep-twin: stopped before its end", err=True)
+        raise typer.Exit(130)
 
 
 def _check_options(
@@ -232,14 +236,20 @@ def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) ->
     if not len(run.dv):
         return
     done.append(run)
-    # First what must not be lost, then what is said of it.
+    # First what must not be lost, then what is said of it; a file that fails does not take the others along.
+    failures: list[KhepTwinError] = []
     for path in names[len(done) - 1]:
-        save(path, run)
+        try:
+            save(path, run)
+        except KhepTwinError as error:
+            failures.append(error)
     typer.echo(
         f"run {len(done)}: {len(run.dv)} rows over {run.travelled[-1]:.1f} {run.test.unit} "
         f"in {run.times[-1]:.1f} s"
     )
     for sensor, counts in zip(SENSORS, run.dv[:, 2:].T, strict=True):
         typer.echo(f"  {sensor:10}  {counts.min():4} to {counts.max():4} counts")
+    if failures:
+        raise KhepTwinError("\n".join(map(str, failures)))
     for path in names[len(done) - 1]:
         typer.echo(f"data     {path}")

@@ -35,7 +35,7 @@ def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
         for shape, height_mm in objects:
             seen &= ~_hidden(lamp, shape, height_mm, x_mm, y_mm)
         # Nearer than its glass one does not get to a bulb.
-        light += seen * lamp.power_w / np.maximum(square, BULB_RADIUS_MM**2)
+        light += seen * lamp.power_w * lamp.dim / np.maximum(square, BULB_RADIUS_MM**2)
     return light
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from khep_twin.errors import TurretError, choices
 from khep_twin.outline import edges
 from khep_twin.placement import Thing, label, placement_problems
-from khep_twin.playpen_parts import BULB_RADIUS_MM, Robot, Spot
+from khep_twin.playpen_parts import BULB_RADIUS_MM, SHORTEST_BLINK_S, Robot, Spot
 from khep_twin.rom import ROMS
 from khep_twin.surfaces import BUILT_IN_SURFACES
 from khep_twin.toml_files import Location, Problem
@@ -107,7 +107,20 @@ def _patch_problems(playpen: "Playpen") -> Iterator[Problem]:
 
 
 def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
+    lighting = playpen.lighting
+    if not lighting.min_angle_deg < lighting.max_angle_deg:
+        yield Problem(
+            ("lighting", "max_angle_deg"),
+            f"lighting: max_angle_deg = {lighting.max_angle_deg:g}: right is above min_angle_deg = "
+            f"{lighting.min_angle_deg:g}",
+        )
     for index, lamp in enumerate(playpen.lamps):
+        if 0 < lamp.blink_period_s < SHORTEST_BLINK_S:
+            text = (
+                f"{label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}: "
+                f"right is 0, or from {SHORTEST_BLINK_S:g} to 3600"
+            )
+            yield Problem(("lamp", index, "blink_period_s"), text)
         last = 0.0
         for start, end in lamp.on_s:
             if not last <= start < end:

@@ -15,6 +15,9 @@ from khep_twin.units import BODY_RADIUS, BULB_RADIUS
 BULB_RADIUS_MM = BULB_RADIUS * 1000
 """Of a lamp [mm]."""
 
+SHORTEST_BLINK_S = 0.01
+"""Lamps change at the physics' step of 2.5 ms [s]."""
+
 MIN_ANGLE_DEG, MAX_ANGLE_DEG = 10.0, 85.0
 """Of the toolbox's law of light: what meets the lamp of the calibration `khepera1` best [deg]."""
 

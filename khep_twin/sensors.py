@@ -95,8 +95,9 @@ class InfraredScan:
                 offset,
                 calibration.incidence_exponent[channel],
             )
-        quantum, limit = calibration.quantum_counts, calibration.limit_counts * range_left
-        return max(round(min(level, limit) / quantum) * quantum, int(min(idle, limit)), 0)
+        quantum, limit = calibration.quantum_counts, int(calibration.limit_counts * range_left)
+        counts = min(round(min(level, limit) / quantum) * quantum, limit)
+        return max(counts, min(int(idle), limit), 0)
 
 
 def reflected(

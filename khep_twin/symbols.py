@@ -84,7 +84,9 @@ def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
 
 def draw_patch(axes: Axes, playpen: Playpen, patch: playpen_parts.Patch) -> None:
     """A part of the floor."""
-    _draw_shape(axes, patch.footprint, zorder=1.2, facecolor=surface_colour(playpen, patch.surface), lw=0)
+    look = {"facecolor": surface_colour(playpen, patch.surface), "lw": 0}
+    floor = Polygon(np.array(playpen.arena.corners), transform=axes.transData)
+    _draw_shape(axes, patch.footprint, zorder=1.2, **look).set_clip_path(floor)
 
 
 def draw_spot(axes: Axes, spot: Spot) -> None:
@@ -104,7 +106,7 @@ def draw_spot(axes: Axes, spot: Spot) -> None:
     write_below(axes, spot.x_mm, spot.y_mm - radius - 4, spot.name)
 
 
-def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> None:
+def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> Patch:
     patch: Patch
     if isinstance(shape, footprint.Circle):
         patch = Circle((shape.x_mm, shape.y_mm), shape.radius_mm, **look)
@@ -119,6 +121,7 @@ def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> None:
             **look,
         )
     axes.add_patch(patch)
+    return patch
 
 
 def draw_lamp(axes: Axes, lamp: Lamp) -> None:
@@ -130,7 +133,7 @@ def draw_lamp(axes: Axes, lamp: Lamp) -> None:
         along = np.array((1.35, 1.8)) * radius
         ray = Line2D(x + along * np.cos(angle), y + along * np.sin(angle), color=_FILAMENT, lw=0.9, zorder=6)
         axes.add_line(ray)
-    write_below(axes, x, y - 2.2 * radius, f"{lamp.power_w:g} W")
+    write_below(axes, x, y - 2.2 * radius, f"{lamp.power_w * lamp.dim:g} W")
 
 
 def draw_robot(axes: Axes, robot: Robot, name: str) -> None:

@@ -1,5 +1,7 @@
 """Calibration files: what ships can be used, and what cannot be used is told by place."""
 
+import re
+
 import pytest
 
 from khep_twin import calibration, toml_files
@@ -34,7 +36,7 @@ def test_what_is_not_said_of_wheels_and_motors_is_as_the_manual_has_it() -> None
         (
             "dark_counts = 484.8",
             "dark_counts = 60",
-            "ambient: floor_counts = 75: right is at least 1 below dark_counts = 60",
+            "ambient: floor_counts = 75: right is below dark_counts = 60",
         ),
         (
             "noise_counts = 40",
@@ -55,5 +57,5 @@ def test_what_is_not_said_of_wheels_and_motors_is_as_the_manual_has_it() -> None
     ],
 )
 def test_what_is_wrong_is_told_by_place_value_and_what_would_be_right(old: str, new: str, line: str) -> None:
-    told = lines_about(old, new)
+    told = [re.sub(r":\d+:", ":", each) for each in lines_about(old, new)]
     assert any(each.startswith(f"mine.toml: {line}") for each in told), told

@@ -68,6 +68,7 @@ def estimate(
     loss: Literal["linear", "soft_l1"] = "linear",
     f_scale: float = 1.0,
     step: float = 1e-4,
+    unit_variance: bool = False,
 ) -> Estimate:
     """Finds the parameters that leave the least over.
 
@@ -77,6 +78,8 @@ def estimate(
         wish: which data would tell them, for messages.
         loss: of scipy's least_squares; "soft_l1" lets a few wild readings count less.
         f_scale: residual from which on a reading counts as wild.
+        unit_variance: whether residuals are told in their own standard deviations; then what is left is taken
+            as noise only where it is more than that.
         step: in each parameter's scale, over which slopes are taken.
 
     Raises:
@@ -104,7 +107,8 @@ def estimate(
     )
     left = scaled(found.x)
     rms = float(np.sqrt(np.mean(left**2)))
-    intervals = CONFIDENCE * rms * scales * np.sqrt(_variances(found.jac, parameters, wish))
+    noise = max(rms, 1.0) if unit_variance else rms
+    intervals = CONFIDENCE * noise * scales * np.sqrt(_variances(found.jac, parameters, wish))
     for parameter, interval in zip(parameters, intervals, strict=True):
         if not interval <= parameter.widest:
             raise FitError(

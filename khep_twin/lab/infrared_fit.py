@@ -125,7 +125,7 @@ def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> Sen
     # A few readings beside the rest, such as those taken while somebody walked by, shall not count for much.
     first = estimate(left, parameters, _WISH, "soft_l1", 3 * max(noise, _BLUR))
     weights = 1 / np.hypot(deviation(levels(np.array(first.values)), noise, limit), _BLUR)
-    found = estimate(left, parameters, _WISH, "soft_l1", 3.0)
+    found = estimate(left, parameters, _WISH, "soft_l1", 3.0, unit_variance=True)
     (gain, threshold), (gain_interval, threshold_interval) = found.values, found.intervals
     weights = np.ones(len(counts))
     rms = float(np.sqrt(np.mean(left(np.array(found.values)) ** 2)))

@@ -4,6 +4,7 @@ The law is that of `khep_twin.ambient`, for many places of a lamp at once. All e
 together, for they share what the dark and the brightest light read, and the diffuse part.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 
 from khep_twin.calibration import AmbientCalibration, Calibration
 from khep_twin.errors import FitError
-from khep_twin.lab.estimate import Parameter, estimate
-from khep_twin.units import N_SENSORS, SENSOR_POSITIONS, Sensor
+from khep_twin.lab.estimate import CONFIDENCE, Parameter, estimate
+from khep_twin.units import N_SENSORS, SCAN_NS, SENSOR_POSITIONS, Sensor
 
 Floats = NDArray[np.float64]
 
@@ -29,11 +30,13 @@ class LampTable:
         places: of the filament from the robot's centre: forward, left, and above the sensors (n, 3) [m].
         counts: (n, 8).
         power: of the lamp [W].
+        turning: how fast the robot turned at most [rad/s].
     """
 
     places: Floats
     counts: Floats
     power: float
+    turning: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +133,13 @@ def fit_lamps(tables: Sequence[LampTable], start: Calibration) -> LampFit:
         "floor_counts": round(floor, 1),
         "diffuse": round(diffuse, 3),
     }
+    # How old a reading is cannot be told within a scan: it lies evenly between its beginning and its end.
+    lag = CONFIDENCE * SCAN_NS * 1e-9 / math.sqrt(12)
+    blurred = math.degrees(lag * max(table.turning for table in tables))
     return LampFit(
         before.model_copy(update=update),
         tuple((widths[:, 1] / each[:, 1]).tolist()),
-        tuple(widths[:, 0].tolist()),
+        tuple(np.hypot(widths[:, 0], blurred).tolist()),
         found.rms,
     )
 

@@ -32,6 +32,9 @@ Floats = NDArray[np.float64]
 FILAMENT_MM = 15.0
 """How high a lamp's filament is, where nothing is said of it: as a playpen's lamps [mm]."""
 
+FASTEST_TURN = 8
+"""Fastest turn [pulses/10 ms]: beyond it a robot turns by 2.8 degrees while its sensors are read once."""
+
 _LAG = 0.01
 """Readings are so much younger than the counters of their row [s]: N comes some 20 ms after H at 9600 baud,
 and its values are up to 20 ms old."""
@@ -84,7 +87,11 @@ class SensorData:
         away, bearings = self._object(wheels, BULB_RADIUS)
         height = np.full(len(away), self.height - SENSOR_HEIGHT)
         places = np.column_stack([away * np.cos(bearings), away * np.sin(bearings), height])
-        return LampTable(places, self.counts, self.power or 0.0)
+        pulse = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
+        turning = 2 * self.run.test.speed * 100 * pulse / wheels.base_mm
+        if self.run.test.motion == "linear":
+            turning = 0.0
+        return LampTable(places, self.counts, self.power or 0.0, turning)
 
     @property
     def counts(self) -> Floats:
@@ -136,7 +143,14 @@ def measured(words: list[str]) -> Measured:
         LogError: a log cannot be read.
         SensorTestError: a sensor test cannot be read.
     """
-    tests = [_test(text) for text in words]
+    files: set[Path] = set()
+    tests: list[Drive | DutyDrive | SensorData] = []
+    for text in words:
+        file = Path(text.rpartition("=")[0]).resolve()
+        if file in files:
+            raise FitError(f"{text}: this file is given twice; right is each test once")
+        files.add(file)
+        tests.append(_test(text))
     sensors = [test for test in tests if isinstance(test, SensorData)]
     return Measured(
         tuple(test for test in tests if isinstance(test, Drive)),
@@ -161,6 +175,11 @@ def _test(text: str) -> Drive | DutyDrive | SensorData:
     what = "light" if parts["lamp"] else "proximity"
     if run.test.what != what:
         raise FitError(f"{text}: a test of {run.test.what}; right is one of {what}")
+    if run.test.motion == "rotational" and run.test.speed > FASTEST_TURN:
+        raise FitError(
+            f"{text}: turned at speed {run.test.speed}, where readings lag by degrees; right is a turn with "
+            f"`khep-twin sense --speed 1`, and up to {FASTEST_TURN}"
+        )
     if parts["lamp"]:
         if not float(parts["power"]):
             raise FitError(f"{text}: a lamp of 0 W; right is its power")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from khep_twin.calibration import Calibration
 from khep_twin.lab.infrared import TANGENTS, Optics, level
-from khep_twin.lab.infrared_fit import expected, fit_infrared, fitted
+from khep_twin.lab.infrared_fit import deviation, expected, fit_infrared, fitted
 from khep_twin.lab.lamp_fit import ambient_counts, fit_lamps
 from khep_twin.lab.measured import Measured, SensorData
 from khep_twin.lab.motor_fit import driven, fit_motors
@@ -59,6 +59,8 @@ def fit_robot(tests: Measured, start: Calibration) -> RobotFit:
             f"no-load speed  {speed:.1f} rad/s +- {motors.speed_interval:.1f} (95 %)",
             f"stall torque   {torque * 1e3:.2f} mN m +- {motors.torque_interval * 1e3:.2f} (95 %)",
         ]
+        if not tests.wheels:
+            lines.append("               with wheels as in --start; measured ones tell the torque better")
     if tests.objects:
         fits = fit_infrared([each.table(found.wheels) for each in tests.objects], found)
         found = fitted(found, fits)
@@ -95,8 +97,22 @@ def met(tests: Measured, found: Calibration) -> Iterator[str]:
         left = driven(drive, found) - drive.speeds(drive.values)
         yield f"{drive.name}: {np.sqrt(np.mean(left**2)):.2f} pulses/10 ms rms"
     for data in (*tests.objects, *tests.lamps):
-        left = modelled(data, found) - data.counts
-        yield f"{data.name}: {np.sqrt(np.mean(left**2)):.1f} counts rms"
+        left, noise = modelled(data, found) - data.counts, _noise(data, found)
+        words = f"{data.name}: {_rms(left):.1f} counts rms, of which the sensors' noise is {_rms(noise):.1f}"
+        # Beside the noise there is what no model meets: 8 counts, or as much as the noise.
+        beyond = _rms(left) > 2 * np.hypot(_rms(noise), 8)
+        yield words + ("; is this what stood there, and so far away?" if beyond else "")
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _noise(data: SensorData, found: Calibration) -> Floats:
+    """Standard deviation of each reading (n, 8), or of all of them."""
+    if data.power is not None:
+        return np.array(found.ambient.noise_counts)
+    return deviation(_levels(data, found), found.proximity.noise_counts, found.proximity.limit_counts)
 
 
 def modelled(data: SensorData, found: Calibration) -> Floats:
@@ -104,6 +120,11 @@ def modelled(data: SensorData, found: Calibration) -> Floats:
     if data.power is not None:
         lamp = data.lamp_table(found.wheels)
         return np.column_stack([ambient_counts(lamp, channel, found.ambient) for channel in range(N_SENSORS)])
+    return expected(_levels(data, found), found.proximity.noise_counts, found.proximity.limit_counts)
+
+
+def _levels(data: SensorData, found: Calibration) -> Floats:
+    """What proximity would be without noise and uncut (n, 8)."""
     table, proximity = data.table(found.wheels), found.proximity
     columns = [
         level(
@@ -113,9 +134,7 @@ def modelled(data: SensorData, found: Calibration) -> Floats:
         )
         for channel in range(N_SENSORS)
     ]
-    return np.column_stack(
-        [expected(column, proximity.noise_counts, proximity.limit_counts) for column in columns]
-    )
+    return np.column_stack(columns)
 
 
 def named(found: Calibration, stem: str, tests: int) -> Calibration:

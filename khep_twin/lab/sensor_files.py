@@ -10,6 +10,7 @@ The same run gives the same bytes. All three give the whole run back.
 # scipy is not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
 
+import math
 import re
 from collections.abc import Mapping
 from io import BytesIO
@@ -29,6 +30,7 @@ from khep_twin.lab.sensor_test import SENSORS, SensorRun, SensorTest, What
 from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
+from khep_twin.units import COUNTS_LIMIT
 
 SUFFIXES = (".csv", ".mat", ".mcap")
 
@@ -186,8 +188,18 @@ def _from_csv(data: bytes) -> SensorRun:
         if len(fields) != len(columns):
             raise SensorTestError(f"line {number}: {len(fields)} fields; right are {len(columns)}")
         times.append(_number(f"line {number}: time_s", fields[0], float))
+        if not math.isfinite(times[-1]) and fields[0] != "nan":
+            raise SensorTestError(
+                f"line {number}: time_s = {fields[0][:40]}: right is a time, or nan in all rows"
+            )
         counts = zip(_COLUMNS, fields[1:], strict=True)
         rows.append([_count(f"line {number}: {name}", field) for name, field in counts])
+        if any(not 0 <= count <= COUNTS_LIMIT for count in rows[-1][2:]):
+            raise SensorTestError(
+                f"line {number}: counts beyond 0 to {COUNTS_LIMIT}, which N and O cannot tell"
+            )
+    if 0 < sum(map(math.isnan, times)) < len(times):
+        raise SensorTestError("time_s is nan in some rows; right is a time in each, or nan in all")
     if not rows:
         raise SensorTestError(f"line {len(lines)}: no rows; right is one for each look")
     return SensorRun(_test(words), np.array(rows, np.int64), np.array(times, np.float64), "\n".join(text))

@@ -220,8 +220,9 @@ class _Gathered:
         if self.start is None:
             self.start = self.robot.time
         # Whole nanoseconds: what is written to a log comes back the same.
-        self.times.append(round(self.robot.time - self.start, 9))
+        time = round(self.robot.time - self.start, 9)
         values = self.robot.proximity() if self.test.what == "proximity" else self.robot.ambient()
+        self.times.append(time)
         self.rows.append((*position, *values))
         if self.progress is not None:
             done = sum(map(abs, position)) / sum(map(abs, self.test.target))

@@ -22,6 +22,7 @@ from scipy.optimize import least_squares
 
 from khep_twin.calibration import WheelCalibration
 from khep_twin.errors import FitError
+from khep_twin.lab.estimate import CONFIDENCE
 from khep_twin.log.reader import read
 from khep_twin.units import PULSES_PER_TURN, WHEEL_BASE, WHEEL_RADIUS
 
@@ -30,6 +31,9 @@ RULER = 0.0005
 
 PROTRACTOR = math.radians(1)
 """Standard deviation of an angle that a person tells [rad] (assumed)."""
+
+_WIDEST = 0.1
+"""Half a confidence interval, relative, beyond which the drives do not tell radius or base."""
 
 _LEAST_DISTANCE, _LEAST_TURNED = 0.1, math.pi
 
@@ -80,6 +84,8 @@ def fit_wheels(drives: Sequence[Drive]) -> WheelFit:
     Raises:
         FitError: the drives cannot tell the radius or the base, or contradict themselves.
     """
+    for drive in drives:
+        _check_kind(drive)
     if not any(abs(drive.distance or 0) >= _LEAST_DISTANCE for drive in drives):
         raise FitError(
             "the wheels' radius cannot be told: no straight drive of 10 cm and more; right is LOG=998mm"
@@ -102,7 +108,16 @@ def fit_wheels(drives: Sequence[Drive]) -> WheelFit:
             f"a wheel radius of {radius * 1e3:.2f} mm and a base of {base * 1e3:.1f} mm are no Khepera's; "
             "right are distances in mm and whole turns as counted, counter-clockwise positive"
         ) from None
-    return WheelFit(radius, base, 1.96 * float(spread[0]), 1.96 * float(spread[1]))
+    found_intervals = CONFIDENCE * float(spread[0]), CONFIDENCE * float(spread[1])
+    for name, interval, value in zip(
+        ("wheel radius", "wheel base"), found_intervals, (radius, base), strict=True
+    ):
+        if interval > _WIDEST * value:
+            raise FitError(
+                f"{name}: cannot be told better than to +-{interval * 1e3:.2g} mm, as the drives contradict "
+                "each other; right are distances in mm and turns as they were driven"
+            )
+    return WheelFit(radius, base, *found_intervals)
 
 
 def pulses(log: Path) -> tuple[int, int]:
@@ -133,6 +148,20 @@ def left_over(drive: Drive, radius: float, base: float) -> float:
     if drive.distance is not None:
         return drive.distance - pulse * (drive.left + drive.right) / 2
     return (drive.turned or 0.0) - pulse * (drive.right - drive.left) / base
+
+
+def _check_kind(drive: Drive) -> None:
+    """Refuses a straight drive that turned, a turn that went somewhere, and one with the wrong sign."""
+    driven, value = drive.left + drive.right, drive.distance
+    other, wish = drive.right - drive.left, "a drive straight on, such as =998mm"
+    if value is None:
+        driven, other, value = other, driven, drive.turned or 0.0
+        wish = "a turn on the spot, such as =5turns, counter-clockwise"
+    if abs(driven) < 10 * abs(other) or driven * value <= 0:
+        raise FitError(
+            f"{drive.name}: the counters went on by {drive.left} left and {drive.right} right; "
+            f"right is {wish}, below 0 for the other way"
+        )
 
 
 def _precision(drive: Drive) -> float:

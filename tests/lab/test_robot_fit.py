@@ -15,6 +15,7 @@ from khep_twin.lab.measured import SensorData, measured
 from khep_twin.lab.motor_fit import read_drive
 from khep_twin.lab.sensor_files import save
 from khep_twin.lab.sensor_test import SensorRun, SensorTest, sense
+from khep_twin.lab.wheel_fit import Drive, fit_wheels
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.toml_files import dump
@@ -179,7 +180,7 @@ def test_one_distance_far_away_tells_no_gain(
     recorded: tuple[list[str], list[str], Path], tmp_path: Path
 ) -> None:
     bench = Bench(tmp_path)
-    path = bench.turn("far.csv", bench.robot(700), SensorTest("proximity", rotate_deg=360))
+    path = bench.turn("far.csv", bench.robot(700), SensorTest("proximity", rotate_deg=360, speed=8))
     done = fit(f"{path}=wall@272mm")
     assert done.returncode == 1
     assert "left 90: the gain cannot be told: 0 readings are neither 0 nor saturated" in done.stderr
@@ -241,3 +242,51 @@ def test_a_robot_that_turns_left_has_the_object_on_its_right() -> None:
         np.testing.assert_allclose(table.bearings, [0, -math.pi / 2], atol=2e-3)
     lamp = SensorData("lamp", run, 0.1, power=2.0).lamp_table(KHEPERA1.wheels)
     np.testing.assert_allclose(lamp.places[1], [0, -0.1375, 0.0016], atol=4e-4)
+
+
+def test_a_test_is_given_once_and_no_output_takes_its_place(
+    recorded: tuple[list[str], list[str], Path],
+) -> None:
+    words, _, folder = recorded
+    wall = next(word for word in words if "wall1" in word)
+    twice = fit(wall, wall)
+    assert twice.returncode == 1
+    assert "this file is given twice" in twice.stderr
+    file = Path(wall.split("=")[0])
+    before = file.read_bytes()
+    over = fit(wall, "-o", str(file))
+    assert over.returncode == 1
+    assert "this is a recorded test" in over.stderr
+    both = fit(wall, "-o", str(folder / "x.png"), "--picture", str(folder / "x.png"))
+    assert "this is the calibration" in both.stderr
+    assert file.read_bytes() == before
+    assert not (folder / "x.png").exists()
+
+
+def test_a_wrong_distance_is_asked_about(recorded: tuple[list[str], list[str], Path]) -> None:
+    walls = [word for word in recorded[0] if "wall" in word]
+    done = fit(*walls[:3], walls[3].replace("25mm", "19mm"), walls[4])
+    assert done.returncode == 0
+    asked = [
+        line for line in done.stdout.splitlines() if "is this what stood there, and so far away?" in line
+    ]
+    assert any("wall@19mm" in line for line in asked)
+    right = fit(*walls)
+    assert "so far away" not in right.stdout
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "measured_mm", "turned"),
+    [
+        (1000, 1000, None, 31.0),
+        (-1000, 1000, 80.0, None),
+        (1000, 1000, -80.0, None),
+        (-1000, 1000, None, -3.0),
+    ],
+)
+def test_a_drive_that_is_not_what_was_measured_is_refused(
+    left: int, right: int, measured_mm: float | None, turned: float | None
+) -> None:
+    wrong = Drive("wrong", left, right, measured_mm and measured_mm / 1e3, turned)
+    with pytest.raises(FitError, match=f"wrong: the counters went on by {left} left and {right} right"):
+        fit_wheels([wrong])
