@@ -26,7 +26,7 @@ from khep_twin.units import BULB_RADIUS, Sensor, radians
 _NOTHING = 0.5
 """Less than half a count is not worth a ray."""
 
-_FAINT = 10.0
+_FAINT = 30.0
 """Light of so few counts has shadows with hard edges: their softness would be lost in the noise."""
 
 _CLOSEST_MM = 1.0
@@ -83,7 +83,8 @@ class Receivers:
     ) -> None:
         self._model, self._data = model, data
         self._calibration, self._lamps, self._lighting = calibration, lamps, lighting
-        self._few, self._many = _Disc(_rim()), _Disc(_seeds(256))
+        self._bulb, self._ray = np.zeros((3, 3)), np.zeros(3)
+        self._few, self._many = _Disc(_rim()), _Disc(_seeds(64))
         self._body = model.body(prefix + "base").id
         self._frame: NDArray[np.float64] = data.xmat[self._body]
         cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
@@ -97,27 +98,26 @@ class Receivers:
         x, y, z = self._positions[channel].tolist()
         frame = self._frame.tolist()
         ahead, left = self._axes[channel]
-        axis_x, axis_y, axis_z = (ahead * frame[row] + left * frame[row + 1] for row in (0, 3, 6))
+        axis_x = ahead * frame[0] + left * frame[1]
+        axis_y = ahead * frame[3] + left * frame[4]
+        axis_z = ahead * frame[6] + left * frame[7]
+        calibration = self._calibration
         flat = self._lighting.law == "toolbox"
         total = 0.0
         for (lamp_x, lamp_y, lamp_z), power in zip(self._lamps.positions, self._lamps.powers, strict=True):
             if not power:
                 continue
-            dx, dy, dz = lamp_x - x, lamp_y - y, 0.0 if flat else lamp_z - z
+            way = dx, dy, dz = lamp_x - x, lamp_y - y, 0.0 if flat else lamp_z - z
             distance = math.sqrt(dx * dx + dy * dy + dz * dz) or BULB_RADIUS
             cosine = (dx * axis_x + dy * axis_y + dz * axis_z) / distance
             if flat:
-                total += power * received_by_toolbox(
-                    distance, cosine, channel, self._calibration, self._lighting
-                )
-            elif (counts := power * received(distance, cosine, channel, self._calibration)) > _NOTHING:
-                way = dx, dy, dz
-                faint = counts < _FAINT
-                total += counts * (
-                    self._centre_in_sight(channel, way, distance)
-                    if faint
-                    else self._in_sight(channel, way, distance)
-                )
+                total += power * received_by_toolbox(distance, cosine, channel, calibration, self._lighting)
+                continue
+            counts = power * received(distance, cosine, channel, calibration)
+            if counts >= _FAINT:
+                total += counts * self._in_sight(channel, way, distance)
+            elif counts > _NOTHING and self._centre_in_sight(channel, way, distance):
+                total += counts
         return total
 
     def _in_sight(self, channel: int, way: tuple[float, float, float], distance: float) -> float:
@@ -127,11 +127,12 @@ class Receivers:
         return seen if seen in (0.0, 1.0) else self._reached(channel, way, distance, self._many)
 
     def _centre_in_sight(self, channel: int, way: tuple[float, float, float], distance: float) -> bool:
+        self._ray[0], self._ray[1], self._ray[2] = way
         hit = mujoco.mj_ray(
             self._model,
             self._data,
             self._positions[channel],
-            np.array(way),
+            self._ray,
             _WITHOUT_WHEELS,
             True,
             self._body,
@@ -144,14 +145,17 @@ class Receivers:
     ) -> float:
         """Which part of some points of a bulb's disc rays from the receiver reach."""
         x, y, z = way
-        flat = math.sqrt(x * x + y * y)
-        # To the left and up, as seen from the receiver; right below a lamp any left will do.
-        left = (-y / flat, x / flat, 0.0) if flat > 0 else (1.0, 0.0, 0.0)
-        up = (-z * left[1], z * left[0], flat) if flat > 0 else (0.0, distance, 0.0)
-        scale = BULB_RADIUS / distance
-        frame = np.array(
-            ((BULB_RADIUS * left[0], BULB_RADIUS * left[1], 0.0), [scale * part for part in up], way)
-        )
+        flat, frame, scale = math.sqrt(x * x + y * y), self._bulb, BULB_RADIUS / distance
+        # To the left and up, as seen from the receiver, and ahead; right below a lamp any left will do.
+        if flat > 0:
+            side = BULB_RADIUS / flat
+            frame[0, 0], frame[0, 1] = -y * side, x * side
+            tilt = -z * scale / flat
+            frame[1, 0], frame[1, 1], frame[1, 2] = x * tilt, y * tilt, flat * scale
+        else:
+            frame[0, 0], frame[0, 1] = BULB_RADIUS, 0.0
+            frame[1, 0], frame[1, 1], frame[1, 2] = 0.0, BULB_RADIUS, 0.0
+        frame[2, 0], frame[2, 1], frame[2, 2] = x, y, z
         np.matmul(disc.points, frame, out=disc.rays)
         mujoco.mj_multiRay(
             self._model,
@@ -168,9 +172,12 @@ class Receivers:
             1.0 + scale,
         )
         # Hits are told in lengths of the rays. One as near as the bulb's glass has reached it.
-        glass = 1 - BULB_RADIUS / distance
+        glass = 1 - scale
         hits = disc.hits.tolist()
-        return len([hit for hit in hits if not 0 <= hit < glass]) / len(hits)
+        blocked = 0
+        for hit in hits:
+            blocked += 0 <= hit < glass
+        return 1 - blocked / len(hits)
 
 
 class _Disc:
@@ -186,10 +193,9 @@ class _Disc:
 
 
 def _rim() -> NDArray[np.float64]:
-    """Sixteen points that tell whether all of a disc is in sight, or nothing: most of them near its edge."""
-    turns = np.concatenate([np.arange(12) / 12, np.arange(4) / 4]) * 2 * math.pi
-    radii = np.concatenate([np.full(12, 0.97), np.full(4, 0.45)])
-    return np.column_stack([radii * np.cos(turns), radii * np.sin(turns)])
+    """Nine points that tell whether all of a disc is in sight, or nothing: its middle, and near its edge."""
+    turns = np.arange(8) * math.pi / 4
+    return np.concatenate([[[0.0, 0.0]], 0.97 * np.column_stack([np.cos(turns), np.sin(turns)])])
 
 
 def _seeds(n: int) -> NDArray[np.float64]:
