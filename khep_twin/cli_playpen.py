@@ -1,5 +1,6 @@
 """The command line's part for playpens: `khep-twin playpen COMMAND`."""
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +9,7 @@ import typer
 from khep_twin.files import write_whole
 
 playpen_app = typer.Typer(
-    help="Check, compile and draw playpens.", no_args_is_help=True, rich_markup_mode=None
+    help="Check, compile, draw and import playpens.", no_args_is_help=True, rich_markup_mode=None
 )
 
 PlaypenName = Annotated[str, typer.Argument(help="Name of a shipped playpen, or path of a playpen file.")]
@@ -54,3 +55,95 @@ def draw(playpen: PlaypenName, output: Output = None) -> None:
     target = output or Path(f"{found.name}.png")
     drawing.save(drawing.draw(found), target)
     typer.echo(f"picture  {target}")
+
+
+@playpen_app.command("import")
+def import_bitmap(
+    file: Annotated[
+        Path, typer.Argument(help="A scanned playpen of the Khepera Toolbox (MAT), or a picture (PNG).")
+    ],
+    output: Output = None,
+    mm_per_pixel: Annotated[float, typer.Option(metavar="MM", help="Side of a pixel [mm].")] = 1.0,
+    flip: Annotated[
+        bool | None,
+        typer.Option(
+            "--flip/--no-flip",
+            help="Take the first row as the bottom: by default in a MAT file, since the toolbox scans upside "
+            "down, and not in a PNG.",
+        ),
+    ] = None,
+    variable: Annotated[
+        str | None,
+        typer.Option(help="Which matrix of a MAT file; btmap1, or else the only one, by default."),
+    ] = None,
+    solid: Annotated[
+        int | None, typer.Option(help="Value of what is solid in a MAT file; 44 by default.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name of the playpen; by default that of the file.")
+    ] = None,
+    height_mm: Annotated[float, typer.Option(metavar="MM", help="Height of the blocks [mm].")] = 50.0,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,HEADING",
+            help='Where a robot stands [mm, mm, deg], or "none"; by default in the free place nearest to the '
+            "middle.",
+        ),
+    ] = None,
+) -> None:
+    """Makes a playpen from a scanned or painted bitmap; writes NAME.toml by default."""
+    from khep_twin import bitmap, bitmap_files, toml_files
+    from khep_twin import playpen as playpens
+    from khep_twin.errors import BitmapError
+
+    pose = None if robot in (None, "none") else _pose(robot)
+    found = bitmap_files.read(file, variable, solid)
+    upside_down = found.scanned if flip is None else flip
+    name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", file.stem)[:64].strip("-") or "imported"
+    try:
+        made = bitmap.to_playpen(
+            found.solid[::-1] if upside_down else found.solid,
+            name,
+            mm_per_pixel=mm_per_pixel,
+            height_mm=height_mm,
+            robot=pose,
+            find_place=robot is None,
+        )
+    except BitmapError as error:
+        raise BitmapError("\n".join(f"{file}: {line}" for line in str(error).splitlines())) from None
+    target = output or Path(f"{name}.toml")
+    head = f"# Imported from {toml_files.show(file.name)} by khep-twin playpen import.\n\n"
+    write_whole(target, (head + playpens.dump(made.playpen)).encode("utf-8"))
+
+    rows, columns = found.solid.shape
+    first = "bottom" if upside_down else "top"
+    why = (" (the toolbox's scan turned the right way up)" if upside_down else "") if found.scanned else ""
+    borders, arena, robots = made.borders, made.playpen.arena, made.playpen.robots
+    sides = ", ".join(
+        f"{getattr(borders, side) * mm_per_pixel:g} mm {side}" for side in ("left", "right", "bottom", "top")
+    )
+    typer.echo(
+        f"bitmap   {found.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, "
+        f"{int(found.solid.sum())} of them solid"
+    )
+    typer.echo(
+        f"flip     its first row is the {first}{why}; --{'no-' * upside_down}flip for the other way round"
+    )
+    typer.echo(f"walls    {sides}; now {arena.wall_thickness_mm:g} mm thick")
+    typer.echo(f"arena    {arena.width_mm:g} x {arena.height_mm:g} mm within the walls")
+    typer.echo(f"blocks   {len(made.playpen.blocks)}")
+    stands = [f"at ({each.x_mm:g}, {each.y_mm:g}), heading {each.heading_deg:g} degrees" for each in robots]
+    typer.echo(f"robot    {stands[0] if stands else 'none' if robot else 'none: no place is free'}")
+    typer.echo(f"playpen  {target}")
+
+
+def _pose(text: str) -> tuple[float, float, float]:
+    """X,Y,HEADING as numbers."""
+    from khep_twin.errors import BitmapError
+
+    try:
+        x_mm, y_mm, heading_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise BitmapError(f'--robot {text}: right is X,Y,HEADING, such as 300,250,90, or "none"') from None
+    return x_mm, y_mm, heading_deg

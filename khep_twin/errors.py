@@ -2,6 +2,8 @@
 
     KhepTwinError
     ├── PlaypenError      a playpen file that cannot be used
+    ├── MatError          a MAT file that cannot be read
+    ├── BitmapError       a bitmap that cannot become a playpen
     ├── CalibrationError  a calibration file that cannot be used
     ├── ProtocolError     an answer on the serial line that is not what the command asks for
     ├── PortError         a port that cannot be opened, or that went away
@@ -28,6 +30,14 @@ class KhepTwinError(Exception):
 
 class PlaypenError(KhepTwinError):
     """A playpen file that cannot be used; one line per problem."""
+
+
+class MatError(KhepTwinError):
+    """A MAT file that cannot be read."""
+
+
+class BitmapError(KhepTwinError):
+    """A bitmap that cannot become a playpen."""
 
 
 class CalibrationError(KhepTwinError):

@@ -8,7 +8,7 @@ the table, the key, the value found and what would be right:
 
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from itertools import islice
 from pathlib import Path
@@ -117,6 +117,15 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
         raise error(f"{source}: not TOML that can be read: a number has thousands of digits") from None
     except RecursionError:
         raise error(f"{source}: not TOML that can be read: nested too deeply") from None
+    return check(model, data, source, error)
+
+
+def check(model: type[Model], data: Mapping[str, Any], source: str, error: type[KhepTwinError]) -> Model:
+    """The tables of a file as `model`.
+
+    Raises:
+        error: they are not what the model asks for; one line per problem.
+    """
     try:
         return model.model_validate(_frozen(data))
     except ValidationError as trouble:

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.errors import SensorTestError
-from khep_twin.lab.mat_file import Variable, read_variables
+from khep_twin.errors import MatError, SensorTestError
 from khep_twin.lab.sensor_test import PULSES_PER_CM, PULSES_PER_DEGREE, SensorRun, SensorTest, What
+from khep_twin.mat_file import Variable, read_variables
 
 
 def read_mat(data: bytes, what: What | None) -> SensorRun:
@@ -25,7 +25,10 @@ def read_mat(data: bytes, what: What | None) -> SensorRun:
     Raises:
         SensorTestError: they hold no sensor test.
     """
-    values = read_variables(data)
+    try:
+        values = read_variables(data)
+    except MatError as error:
+        raise SensorTestError(str(error)) from None
     dv = _matrix(values)
     times = _numbers(values, "times").reshape(-1) if "times" in values else np.full(len(dv), np.nan)
     if len(times) != len(dv):
@@ -76,9 +79,9 @@ def _guessed(what: What, dv: NDArray[np.int64]) -> SensorTest:
 
 def _numbers(values: Mapping[str, Variable], name: str) -> NDArray[np.float64]:
     value = values.get(name)
-    if value is None or isinstance(value, tuple):
+    if not isinstance(value, np.ndarray):
         raise SensorTestError(f"{name} is missing or no real numbers; right is a matrix of them")
-    return value
+    return value.astype(np.float64)
 
 
 def _number(values: Mapping[str, Variable], name: str) -> float:

@@ -9,10 +9,10 @@ import pytest
 from scipy.io import loadmat, savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from khep_twin.errors import LogError, SensorTestError
-from khep_twin.lab.mat_file import read_variables
 from khep_twin.lab.sensor_files import SUFFIXES, load, save
 from khep_twin.lab.sensor_test import SensorRun, SensorTest
 from khep_twin.log.reader import read_label
+from khep_twin.mat_file import read_variables
 
 LINEAR = SensorTest("light", linear_cm=-12.5, speed=7, acceleration=30, return_to_zero=True)
 TURN = SensorTest(rotate_deg=360)

@@ -1,0 +1,224 @@
+"""Playpens from bitmaps: solid pixels become blocks, solid edges the arena's walls.
+
+The blocks cover the solid pixels exactly and do not overlap. Equal runs of pixels in rows that follow each
+other are one block, or the same by columns, whichever gives fewer. A slanting edge is a flight of steps, and
+each step costs a block.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import toml_files
+from khep_twin.errors import BitmapError
+from khep_twin.placement import THING_LIMIT
+from khep_twin.playpen import Playpen
+from khep_twin.units import BODY_RADIUS
+
+SIDE_LIMIT = 4096
+"""Most rows, and most columns, of a bitmap."""
+
+CLEARANCE_MM = 1.0
+"""Least space around a robot that is put in a free place [mm]."""
+
+_THICKNESS_MM, _LEAST_MM, _HIGHEST_MM = 10.0, 1.0, 1000.0
+_ARENA_MM = (100.0, 10_000.0)
+
+Pixels = NDArray[np.bool_]
+"""Solid pixels (rows, columns), the first row at the top."""
+
+Pose = tuple[float, float, float]
+"""x, y [mm] and heading [deg]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Borders:
+    """How many rows and columns at the edges are wholly solid [pixels]."""
+
+    left: int
+    right: int
+    bottom: int
+    top: int
+
+    @property
+    def equal(self) -> bool:
+        """Whether there are as many on all four sides."""
+        return self.left == self.right == self.bottom == self.top
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """A playpen and what it was made of."""
+
+    playpen: Playpen
+    borders: Borders
+
+
+def to_playpen(
+    solid: Pixels,
+    name: str,
+    *,
+    mm_per_pixel: float = 1.0,
+    height_mm: float = 50.0,
+    robot: Pose | None = None,
+    find_place: bool = True,
+) -> Imported:
+    """A playpen as a bitmap shows it.
+
+    Args:
+        solid: the bitmap (rows, columns), its first row at the top, where y is largest.
+        name: of the playpen.
+        mm_per_pixel: side of a pixel [mm].
+        height_mm: of the blocks [mm].
+        robot: where one stands.
+        find_place: without `robot`, whether one is put in the free place nearest to the middle.
+
+    Raises:
+        BitmapError: the arena or a block would have a size that there is none of, or there are too many.
+        PlaypenError: the robot cannot stand where it should.
+    """
+    for key, value, limit in (("mm per pixel", mm_per_pixel, 1000.0), ("height", height_mm, 1000.0)):
+        # Not the other way round: comparing nan is false.
+        if not (0 < value <= limit):
+            raise BitmapError(f"{key} = {value:g}: right is a number above 0 up to {limit:g}")
+    if not solid.size or max(solid.shape) > SIDE_LIMIT:
+        raise BitmapError(f"{_shape(solid)} pixels; right are 1 to {SIDE_LIMIT} rows and columns")
+    inner, borders = strip(solid)
+    height, width = (float(side * mm_per_pixel) for side in inner.shape)
+    if not all(_ARENA_MM[0] <= side <= _ARENA_MM[1] for side in (width, height)):
+        raise BitmapError(
+            f"an arena of {width:g} x {height:g} mm within the walls; right are {_ARENA_MM[0]:g} to "
+            f"{_ARENA_MM[1]:g} mm a side, which another --mm-per-pixel may give"
+        )
+    boxes = rectangles(inner)
+    limit = THING_LIMIT - 1
+    if len(boxes) > limit:
+        raise BitmapError(
+            f"{len(boxes)} blocks; right are up to {limit}, as a picture of fewer pixels with a larger "
+            "--mm-per-pixel gives"
+        )
+    if len(boxes) and boxes[:, 2:].min() * mm_per_pixel < _LEAST_MM:
+        raise BitmapError(
+            f"blocks of {boxes[:, 2:].min() * mm_per_pixel:g} mm; right is at least {_LEAST_MM:g} mm, as a "
+            "picture of fewer pixels with a larger --mm-per-pixel gives"
+        )
+    # Columns and rows from the top become x and y of the middle.
+    low = np.column_stack((boxes[:, 1], inner.shape[0] - boxes[:, 0] - boxes[:, 2])) * mm_per_pixel
+    size = boxes[:, [3, 2]] * mm_per_pixel
+    if robot is None and find_place:
+        robot = free_place(low, size, width, height)
+    thickness = borders.left * mm_per_pixel
+    if not borders.equal or not _LEAST_MM <= thickness <= _HIGHEST_MM:
+        thickness = _THICKNESS_MM
+    data: dict[str, Any] = {
+        "version": 1,
+        "name": name,
+        "arena": {
+            "width_mm": _round(width),
+            "height_mm": _round(height),
+            "wall_thickness_mm": _round(thickness),
+        },
+        "block": [
+            {
+                "x_mm": _round(x + length / 2),
+                "y_mm": _round(y + depth / 2),
+                "length_mm": _round(length),
+                "width_mm": _round(depth),
+                "height_mm": float(height_mm),
+            }
+            for (x, y), (length, depth) in zip(low.tolist(), size.tolist(), strict=True)
+        ],
+        "robot": [] if robot is None else [dict(zip(("x_mm", "y_mm", "heading_deg"), robot, strict=True))],
+    }
+    try:
+        return Imported(toml_files.check(Playpen, data, "playpen", BitmapError), borders)
+    except BitmapError as error:
+        raise BitmapError(str(error).replace("playpen: ", "")) from None
+
+
+def strip(solid: Pixels) -> tuple[Pixels, Borders]:
+    """What is left within the wholly solid rows and columns at the edges, and how many these are.
+
+    Raises:
+        BitmapError: nothing is left.
+    """
+    rows, columns = solid.all(axis=1), solid.all(axis=0)
+    if rows.all():
+        raise BitmapError("every pixel is solid; right is a bitmap with a free floor")
+    top, bottom, left, right = (int(np.argmin(line)) for line in (rows, rows[::-1], columns, columns[::-1]))
+    inner = solid[top : solid.shape[0] - bottom, left : solid.shape[1] - right]
+    return inner, Borders(left, right, bottom, top)
+
+
+def rectangles(solid: Pixels) -> NDArray[np.int64]:
+    """Rectangles that cover the solid pixels exactly, without overlap.
+
+    Returns:
+        Row and column of the first pixel, rows, columns (rectangles, 4), from the top left on.
+    """
+    by_rows, by_columns = _merged_runs(solid), _merged_runs(solid.T)[:, [1, 0, 3, 2]]
+    boxes = by_rows if len(by_rows) <= len(by_columns) else by_columns
+    return boxes[np.lexsort((boxes[:, 1], boxes[:, 0]))]
+
+
+def _merged_runs(solid: Pixels) -> NDArray[np.int64]:
+    """The rectangles of equal runs in rows that follow each other (rectangles, 4)."""
+    rows, columns = solid.shape
+    edges = np.diff(np.pad(solid, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, start = np.nonzero(edges == 1)
+    end = np.nonzero(edges == -1)[1]
+    # Sorted by run, then by row, those that are one rectangle lie side by side.
+    keys = np.sort((start * (columns + 1) + end) * (rows + 1) + row)
+    first = np.flatnonzero(np.diff(keys, prepend=-2) != 1)
+    depth = np.diff(first, append=len(keys))
+    run, row = np.divmod(keys[first], rows + 1)
+    start, end = np.divmod(run, columns + 1)
+    return np.column_stack((row, start, depth, end - start)).astype(np.int64)
+
+
+def free_place(
+    low_mm: NDArray[np.float64], size_mm: NDArray[np.float64], width_mm: float, height_mm: float
+) -> Pose | None:
+    """The place for a robot, nearest to the middle of an arena, that is clear of all rectangles and walls.
+
+    Args:
+        low_mm: the rectangles' lower left corners (rectangles, 2) [mm].
+        size_mm: their extents along x and y (rectangles, 2) [mm].
+        width_mm: of the arena.
+        height_mm: of the arena.
+
+    Returns:
+        It, looking along y; None where there is none on a grid of a thousandth of the arena, at least 1 mm.
+    """
+    step = max(1.0, math.ceil(max(width_mm, height_mm) / 1000))
+    reach = BODY_RADIUS * 1000 + CLEARANCE_MM
+    axes = [np.arange(0.0, side + step / 2, step) + (side / 2) % step for side in (width_mm, height_mm)]
+    x, y = (axis[(axis >= reach) & (axis <= side - reach)] for axis, side in zip(axes, (width_mm, height_mm)))
+    free = np.ones((len(y), len(x)), dtype=np.bool_)
+    for (left, bottom), (length, depth) in zip(low_mm.tolist(), size_mm.tolist(), strict=True):
+        across = slice(*np.searchsorted(x, (left - reach, left + length + reach)).tolist())
+        along = slice(*np.searchsorted(y, (bottom - reach, bottom + depth + reach)).tolist())
+        dx, dy = _beyond(x[across], left, length), _beyond(y[along], bottom, depth)
+        free[along, across] &= dx**2 + dy[:, None] ** 2 >= reach**2
+    if not free.any():
+        return None
+    away = (x - width_mm / 2) ** 2 + (y[:, None] - height_mm / 2) ** 2
+    row, column = np.unravel_index(np.argmin(np.where(free, away, np.inf)), free.shape)
+    return float(x[column]), float(y[row]), 90.0
+
+
+def _beyond(places: NDArray[np.float64], low: float, size: float) -> NDArray[np.float64]:
+    """How far places lie outside an interval."""
+    return np.maximum(np.maximum(low - places, places - low - size), 0.0)
+
+
+def _round(value_mm: float) -> float:
+    return round(value_mm, 6)
+
+
+def _shape(array: NDArray[Any] | Sequence[int]) -> str:
+    return " x ".join(map(str, array.shape if isinstance(array, np.ndarray) else array))

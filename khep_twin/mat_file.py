@@ -1,0 +1,241 @@
+"""Variables of MAT files, Matlab 4 to 7.2: matrices of real numbers and of characters.
+
+scipy reads them too, but a damaged file can end the whole process there. Here it is an error that says where,
+and what a file may cost is limited before it is spent.
+
+    Matlab 4        one header of five int32 a matrix: kind, rows, columns, imaginary, length of the name
+    Matlab 5 to 7.2 128 bytes, then elements of type and size, each matrix packed by zlib or not
+"""
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import MatError
+
+SIZE_LIMIT = 2**26
+"""Most bytes of a file, and of all that is packed in it [bytes]."""
+
+VARIABLE_LIMIT = 10_000
+"""Most variables in a file."""
+
+TEXT_LIMIT = 2**20
+"""Most characters in a matrix of them."""
+
+_DIMENSION_LIMIT = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Foreign:
+    """A variable that is neither real numbers nor characters.
+
+    Attributes:
+        kind: in words, such as "a struct".
+    """
+
+    kind: str
+
+
+Numbers = NDArray[np.number[Any]]
+Variable = Numbers | tuple[str, ...] | Foreign
+"""A matrix of numbers (rows, columns) in the type that they are stored in, the rows of one of characters, or
+something else."""
+
+_MATRIX, _PACKED, _INT32 = 14, 15, 5
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_ENCODINGS = {16: "utf-8", 17: "utf-16", 18: "utf-32"}
+_CHARACTERS, _NUMBERS, _OPAQUE, _COMPLEX = 4, range(6, 16), 17, 0x0800
+_FOREIGN = {1: "a cell array", 2: "a struct", 3: "an object", 5: "a sparse matrix", 16: "a function"}
+_TYPES_OF_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
+
+
+def read_variables(data: bytes) -> dict[str, Variable]:
+    """The variables of a MAT file, by name.
+
+    Raises:
+        MatError: it is no whole MAT file of Matlab 4 to 7.2, or larger than the limits.
+    """
+    if len(data) < 20:
+        raise MatError(f"no MAT file: only {len(data)} bytes; right is one of Matlab 4 to 7.2")
+    if len(data) > SIZE_LIMIT:
+        raise MatError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
+    variables: dict[str, Variable] = {}
+    # A name of text begins the newer files; the older ones have a small number there.
+    found = _of_4(data) if 0 in data[:4] else _of_5(data)
+    for number, (name, value) in enumerate(found):
+        if number >= VARIABLE_LIMIT:
+            raise MatError(f"more than {VARIABLE_LIMIT} variables; right is a file with fewer")
+        # What has no name is a store of Matlab's own.
+        if name:
+            variables[name] = value
+    return variables
+
+
+@dataclass(slots=True)
+class _Bytes:
+    """What is left to read."""
+
+    data: memoryview
+    order: str
+    place: int = 0
+
+    def take(self, size: int) -> memoryview:
+        missing = self.place + size - len(self.data)
+        if missing > 0:
+            raise _broken(f"{missing} bytes are missing at its end")
+        self.place += size
+        return self.data[self.place - size : self.place]
+
+    def words(self, count: int) -> tuple[int, ...]:
+        return struct.unpack(f"{self.order}{count}I", self.take(4 * count))
+
+    def element(self) -> tuple[int, memoryview]:
+        """Type and bytes of the next element; small ones have both in four bytes."""
+        (kind,) = self.words(1)
+        if kind >> 16:
+            content = self.take(4)[: min(kind >> 16, 4)]
+            return kind & 0xFFFF, content
+        (size,) = self.words(1)
+        content = self.take(size)
+        if kind != _PACKED:
+            self.place += min(-size % 8, len(self.data) - self.place)
+        return kind, content
+
+    @property
+    def empty(self) -> bool:
+        return self.place >= len(self.data)
+
+
+def _broken(what: str) -> MatError:
+    return MatError(f"no whole MAT file: {what}; right is the file as saved")
+
+
+def _of_5(data: bytes) -> Iterator[tuple[str, Variable]]:
+    if data[:4] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
+        raise MatError("a MAT file of Matlab 7.3; right is one of Matlab 4 to 7.2, as save -v7 writes it")
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if order is None or data[124:126] not in (b"\x00\x01", b"\x01\x00"):
+        raise MatError(f"no MAT file: begins {data[:20]!r}; right is one of Matlab 4 to 7.2")
+    rest, room = _Bytes(memoryview(data), order, 128), SIZE_LIMIT
+    elements = 0
+    while not rest.empty:
+        elements += 1
+        if elements > VARIABLE_LIMIT:
+            raise MatError(f"more than {VARIABLE_LIMIT} variables; right is a file with fewer")
+        kind, content = rest.element()
+        if kind == _PACKED:
+            unpacked = _unpacked(content, room)
+            room -= len(unpacked)
+            kind, content = _Bytes(unpacked, order).element()
+        if kind == _MATRIX and len(content):
+            yield _matrix(_Bytes(content, order))
+
+
+def _unpacked(content: memoryview, room: int) -> memoryview:
+    try:
+        unpacked = zlib.decompressobj().decompress(content, room + 1)
+    except zlib.error as error:
+        raise _broken(str(error)) from None
+    if len(unpacked) > room:
+        raise MatError(f"unpacked larger than {SIZE_LIMIT} bytes, the most that is read")
+    return memoryview(unpacked)
+
+
+def _matrix(rest: _Bytes) -> tuple[str, Variable]:
+    flags = rest.element()[1]
+    if len(flags) != 8:
+        raise _broken("a matrix without its kind")
+    (word,) = struct.unpack(f"{rest.order}I", flags[:4])
+    kind = word & 0xFF
+    # These alone have no size before their name.
+    shape = [] if kind == _OPAQUE else _shape(*rest.element(), rest.order)
+    name = bytes(rest.element()[1][:1000]).decode("latin-1")
+    if kind != _CHARACTERS and kind not in _NUMBERS:
+        return name, Foreign(_FOREIGN.get(kind, "an object"))
+    if word & _COMPLEX:
+        return name, Foreign("complex")
+    stored, content = rest.element() if not rest.empty else (1, memoryview(b""))
+    if kind == _CHARACTERS:
+        return name, _rows(_text(stored, content, rest.order), shape)
+    return name, _shaped(_numbers(stored, content, rest.order), shape, name)
+
+
+def _shape(kind: int, content: memoryview, order: str) -> list[int]:
+    if kind != _INT32 or not 2 <= len(content) // 4 <= _DIMENSION_LIMIT:
+        raise _broken(f"a matrix of {len(content) // 4} dimensions")
+    shape = list(struct.unpack(f"{order}{len(content) // 4}i", content[: len(content) // 4 * 4]))
+    if min(shape) < 0:
+        raise _broken(f"a matrix of {' x '.join(map(str, shape))}")
+    return shape
+
+
+def _numbers(kind: int, content: memoryview, order: str) -> Numbers:
+    if kind not in _TYPES:
+        raise _broken(f"numbers of type {kind}")
+    dtype = np.dtype(order + _TYPES[kind])
+    return np.frombuffer(content, dtype, len(content) // dtype.itemsize)
+
+
+def _shaped(values: Numbers, shape: list[int], name: str) -> Numbers:
+    size = " x ".join(map(str, shape))
+    if math.prod(shape) != len(values):
+        raise MatError(f"{name[:40]!r}: {len(values)} values; right are {size}")
+    try:
+        return values.reshape(shape, order="F")
+    except ValueError:
+        # Nothing at all in too many ways.
+        raise _broken(f"a matrix of {size}") from None
+
+
+def _text(kind: int, content: memoryview, order: str) -> str:
+    if kind not in _ENCODINGS:
+        return _from_codes(_numbers(kind, content, order))
+    if len(content) > TEXT_LIMIT:
+        raise MatError(f"text of {len(content)} bytes; right is up to {TEXT_LIMIT}")
+    byte_order = "" if kind == 16 else "-le" if order == "<" else "-be"
+    return bytes(content).decode(_ENCODINGS[kind] + byte_order, "replace")
+
+
+def _from_codes(codes: Numbers) -> str:
+    if len(codes) > TEXT_LIMIT:
+        raise MatError(f"text of {len(codes)} characters; right is up to {TEXT_LIMIT}")
+    listed: list[float] = codes.tolist()
+    return "".join(chr(int(code)) if 0 <= code < 0x110000 else "�" for code in listed)
+
+
+def _rows(text: str, shape: list[int]) -> tuple[str, ...]:
+    """The rows of a char matrix, which is stored by columns."""
+    if len(shape) != 2 or shape[0] < 2 or not text or math.prod(shape) != len(text):
+        return (text,) if text else ()
+    return tuple(text[row :: shape[0]] for row in range(shape[0]))
+
+
+def _of_4(data: bytes) -> Iterator[tuple[str, Variable]]:
+    order = "<" if struct.unpack("<I", data[:4])[0] < 5000 else ">"
+    rest = _Bytes(memoryview(data), order)
+    while not rest.empty:
+        kind, rows, columns, imaginary, length = rest.words(5)
+        number, text = kind // 10 % 10, kind % 10
+        if kind >= 5000 or number >= len(_TYPES_OF_4) or text > 2 or length > 1000:
+            raise MatError(
+                f"no MAT file: a matrix of kind {kind} at byte {rest.place - 20}; "
+                "right is one of Matlab 4 to 7.2"
+            )
+        name = bytes(rest.take(length)).split(b"\0")[0].decode("latin-1")
+        dtype = np.dtype(order + _TYPES_OF_4[number])
+        content = rest.take(rows * columns * dtype.itemsize)
+        if imaginary:
+            rest.take(len(content))
+        values = np.frombuffer(content, dtype)
+        if text == 1:
+            yield name, _rows(_from_codes(values), [rows, columns])
+        elif text == 2 or imaginary:
+            yield name, Foreign("a sparse matrix" if text == 2 else "complex")
+        else:
+            yield name, _shaped(values, [rows, columns], name)
