@@ -6,7 +6,6 @@ each step costs a block.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +24,7 @@ SIDE_LIMIT = 4096
 CLEARANCE_MM = 1.0
 """Least space around a robot that is put in a free place [mm]."""
 
-_THICKNESS_MM, _LEAST_MM, _HIGHEST_MM = 10.0, 1.0, 1000.0
+_THICKNESS_MM, _LEAST_MM, _THICKEST_MM = 10.0, 1.0, 1000.0
 _ARENA_MM = (100.0, 10_000.0)
 
 Pixels = NDArray[np.bool_]
@@ -78,15 +77,10 @@ def to_playpen(
         find_place: without `robot`, whether one is put in the free place nearest to the middle.
 
     Raises:
-        BitmapError: the arena or a block would have a size that there is none of, or there are too many.
-        PlaypenError: the robot cannot stand where it should.
+        BitmapError: the arena or a block would have a size that there is none of, there are too many blocks,
+            or the robot cannot stand where it should; one line per problem.
     """
-    for key, value, limit in (("mm per pixel", mm_per_pixel, 1000.0), ("height", height_mm, 1000.0)):
-        # Not the other way round: comparing nan is false.
-        if not (0 < value <= limit):
-            raise BitmapError(f"{key} = {value:g}: right is a number above 0 up to {limit:g}")
-    if not solid.size or max(solid.shape) > SIDE_LIMIT:
-        raise BitmapError(f"{_shape(solid)} pixels; right are 1 to {SIDE_LIMIT} rows and columns")
+    _check_scale(solid, mm_per_pixel, height_mm)
     inner, borders = strip(solid)
     height, width = (float(side * mm_per_pixel) for side in inner.shape)
     if not all(_ARENA_MM[0] <= side <= _ARENA_MM[1] for side in (width, height)):
@@ -94,25 +88,11 @@ def to_playpen(
             f"an arena of {width:g} x {height:g} mm within the walls; right are {_ARENA_MM[0]:g} to "
             f"{_ARENA_MM[1]:g} mm a side, which another --mm-per-pixel may give"
         )
-    boxes = rectangles(inner)
-    limit = THING_LIMIT - 1
-    if len(boxes) > limit:
-        raise BitmapError(
-            f"{len(boxes)} blocks; right are up to {limit}, as a picture of fewer pixels with a larger "
-            "--mm-per-pixel gives"
-        )
-    if len(boxes) and boxes[:, 2:].min() * mm_per_pixel < _LEAST_MM:
-        raise BitmapError(
-            f"blocks of {boxes[:, 2:].min() * mm_per_pixel:g} mm; right is at least {_LEAST_MM:g} mm, as a "
-            "picture of fewer pixels with a larger --mm-per-pixel gives"
-        )
-    # Columns and rows from the top become x and y of the middle.
-    low = np.column_stack((boxes[:, 1], inner.shape[0] - boxes[:, 0] - boxes[:, 2])) * mm_per_pixel
-    size = boxes[:, [3, 2]] * mm_per_pixel
+    low, size = _blocks(inner, mm_per_pixel)
     if robot is None and find_place:
         robot = free_place(low, size, width, height)
     thickness = borders.left * mm_per_pixel
-    if not borders.equal or not _LEAST_MM <= thickness <= _HIGHEST_MM:
+    if not borders.equal or not _LEAST_MM <= thickness <= _THICKEST_MM:
         thickness = _THICKNESS_MM
     data: dict[str, Any] = {
         "version": 1,
@@ -137,7 +117,36 @@ def to_playpen(
     try:
         return Imported(toml_files.check(Playpen, data, "playpen", BitmapError), borders)
     except BitmapError as error:
-        raise BitmapError(str(error).replace("playpen: ", "")) from None
+        lines = (line.removeprefix("playpen: ") for line in str(error).splitlines())
+        raise BitmapError("\n".join(lines)) from None
+
+
+def _check_scale(solid: Pixels, mm_per_pixel: float, height_mm: float) -> None:
+    for key, value, least in (("--mm-per-pixel", mm_per_pixel, 0.001), ("--height-mm", height_mm, 1.0)):
+        # Not the other way round: comparing nan is false.
+        if not least <= value <= 1000:
+            raise BitmapError(f"{key} {value:g}: right is a number from {least:g} to 1000")
+    if not solid.size or max(solid.shape) > SIDE_LIMIT:
+        rows, columns = solid.shape
+        raise BitmapError(f"{rows} x {columns} pixels; right are 1 to {SIDE_LIMIT} rows and columns")
+
+
+def _blocks(inner: Pixels, mm_per_pixel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lower left corners and extents along x and y of the blocks, (blocks, 2) each [mm]."""
+    boxes = rectangles(inner)
+    limit = THING_LIMIT - 1
+    advice = "as a picture of fewer pixels with a larger --mm-per-pixel gives"
+    if len(boxes) > limit:
+        raise BitmapError(f"{len(boxes)} blocks; right are up to {limit}, {advice}")
+    least = float(boxes[:, 2:].min(initial=SIDE_LIMIT) * mm_per_pixel)
+    if least < _LEAST_MM:
+        raise BitmapError(f"a block of {least:g} mm; right is at least {_LEAST_MM:g} mm, {advice}")
+    row, column, rows, columns = boxes.T
+    low = np.column_stack((column, inner.shape[0] - row - rows)).astype(np.float64)
+    size = np.column_stack((columns, rows)).astype(np.float64)
+    low *= mm_per_pixel
+    size *= mm_per_pixel
+    return low, size
 
 
 def strip(solid: Pixels) -> tuple[Pixels, Borders]:
@@ -146,10 +155,10 @@ def strip(solid: Pixels) -> tuple[Pixels, Borders]:
     Raises:
         BitmapError: nothing is left.
     """
-    rows, columns = solid.all(axis=1), solid.all(axis=0)
-    if rows.all():
+    rows, columns = np.all(solid, axis=1).tolist(), np.all(solid, axis=0).tolist()
+    if all(rows):
         raise BitmapError("every pixel is solid; right is a bitmap with a free floor")
-    top, bottom, left, right = (int(np.argmin(line)) for line in (rows, rows[::-1], columns, columns[::-1]))
+    top, bottom, left, right = (line.index(False) for line in (rows, rows[::-1], columns, columns[::-1]))
     inner = solid[top : solid.shape[0] - bottom, left : solid.shape[1] - right]
     return inner, Borders(left, right, bottom, top)
 
@@ -196,8 +205,7 @@ def free_place(
     """
     step = max(1.0, math.ceil(max(width_mm, height_mm) / 1000))
     reach = BODY_RADIUS * 1000 + CLEARANCE_MM
-    axes = [np.arange(0.0, side + step / 2, step) + (side / 2) % step for side in (width_mm, height_mm)]
-    x, y = (axis[(axis >= reach) & (axis <= side - reach)] for axis, side in zip(axes, (width_mm, height_mm)))
+    x, y = (_grid(side, step, reach) for side in (width_mm, height_mm))
     free = np.ones((len(y), len(x)), dtype=np.bool_)
     for (left, bottom), (length, depth) in zip(low_mm.tolist(), size_mm.tolist(), strict=True):
         across = slice(*np.searchsorted(x, (left - reach, left + length + reach)).tolist())
@@ -211,6 +219,12 @@ def free_place(
     return float(x[column]), float(y[row]), 90.0
 
 
+def _grid(side_mm: float, step_mm: float, reach_mm: float) -> NDArray[np.float64]:
+    """Places along a side, the middle among them, that are as far as `reach_mm` from its ends."""
+    places = np.arange(0.0, side_mm, step_mm) + side_mm / 2 % step_mm
+    return places[(places >= reach_mm) & (places <= side_mm - reach_mm)]
+
+
 def _beyond(places: NDArray[np.float64], low: float, size: float) -> NDArray[np.float64]:
     """How far places lie outside an interval."""
     return np.maximum(np.maximum(low - places, places - low - size), 0.0)
@@ -218,7 +232,3 @@ def _beyond(places: NDArray[np.float64], low: float, size: float) -> NDArray[np.
 
 def _round(value_mm: float) -> float:
     return round(value_mm, 6)
-
-
-def _shape(array: NDArray[Any] | Sequence[int]) -> str:
-    return " x ".join(map(str, array.shape if isinstance(array, np.ndarray) else array))

@@ -119,9 +119,7 @@ def _chosen(variables: Mapping[str, Variable], wanted: str | None) -> tuple[str,
         raise BitmapError(f"no variable {wanted[:40]!r}; {choices(wanted, list(told)[:20])}")
     matrix = told[wanted]
     if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or not matrix.size:
-        raise BitmapError(
-            f"{wanted}: is {_kind(matrix)}; right is a matrix of real numbers, full, of rows and columns"
-        )
+        raise BitmapError(f"{wanted}: is {_kind(matrix)}; right is a full matrix of real numbers")
     if max(matrix.shape) > SIDE_LIMIT:
         raise BitmapError(f"{wanted}: is {_kind(matrix)}; right are up to {SIDE_LIMIT} rows and columns")
     return wanted, matrix
