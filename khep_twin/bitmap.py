@@ -21,11 +21,15 @@ from khep_twin.units import BODY_RADIUS
 SIDE_LIMIT = 4096
 """Most rows, and most columns, of a bitmap."""
 
+BLOCK_LIMIT = THING_LIMIT - 1
+"""Most blocks, which leave room for a robot."""
+
 CLEARANCE_MM = 1.0
 """Least space around a robot that is put in a free place [mm]."""
 
 _THICKNESS_MM, _LEAST_MM, _THICKEST_MM = 10.0, 1.0, 1000.0
 _ARENA_MM = (100.0, 10_000.0)
+_ADVICE = "as a picture of fewer pixels with a larger --mm-per-pixel gives"
 
 Pixels = NDArray[np.bool_]
 """Solid pixels (rows, columns), the first row at the top."""
@@ -134,13 +138,9 @@ def _check_scale(solid: Pixels, mm_per_pixel: float, height_mm: float) -> None:
 def _blocks(inner: Pixels, mm_per_pixel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lower left corners and extents along x and y of the blocks, (blocks, 2) each [mm]."""
     boxes = rectangles(inner)
-    limit = THING_LIMIT - 1
-    advice = "as a picture of fewer pixels with a larger --mm-per-pixel gives"
-    if len(boxes) > limit:
-        raise BitmapError(f"{len(boxes)} blocks; right are up to {limit}, {advice}")
     least = float(boxes[:, 2:].min(initial=SIDE_LIMIT) * mm_per_pixel)
     if least < _LEAST_MM:
-        raise BitmapError(f"a block of {least:g} mm; right is at least {_LEAST_MM:g} mm, {advice}")
+        raise BitmapError(f"a block of {least:g} mm; right is at least {_LEAST_MM:g} mm, {_ADVICE}")
     row, column, rows, columns = boxes.T
     low = np.column_stack((column, inner.shape[0] - row - rows)).astype(np.float64)
     size = np.column_stack((columns, rows)).astype(np.float64)
@@ -168,25 +168,41 @@ def rectangles(solid: Pixels) -> NDArray[np.int64]:
 
     Returns:
         Row and column of the first pixel, rows, columns (rectangles, 4), from the top left on.
+
+    Raises:
+        BitmapError: there are more than a playpen may hold beside a robot.
     """
-    by_rows, by_columns = _merged_runs(solid), _merged_runs(solid.T)[:, [1, 0, 3, 2]]
-    boxes = by_rows if len(by_rows) <= len(by_columns) else by_columns
+    (fewest, boxes), (others, turned) = _merged_runs(solid), _merged_runs(solid.T)
+    if others < fewest:
+        fewest, boxes = others, turned[:, [1, 0, 3, 2]]
+    if fewest > BLOCK_LIMIT:
+        raise BitmapError(f"{fewest} blocks; right are up to {BLOCK_LIMIT}, {_ADVICE}")
     return boxes[np.lexsort((boxes[:, 1], boxes[:, 0]))]
 
 
-def _merged_runs(solid: Pixels) -> NDArray[np.int64]:
-    """The rectangles of equal runs in rows that follow each other (rectangles, 4)."""
+def _merged_runs(solid: Pixels) -> tuple[int, NDArray[np.int64]]:
+    """How many rectangles the equal runs of adjoining rows are, and these where they are not too many."""
     rows, columns = solid.shape
-    edges = np.diff(np.pad(solid, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    row, start = np.nonzero(edges == 1)
-    end = np.nonzero(edges == -1)[1]
-    # Sorted by run, then by row, those that are one rectangle lie side by side.
-    keys = np.sort((start * (columns + 1) + end) * (rows + 1) + row)
-    first = np.flatnonzero(np.diff(keys, prepend=-2) != 1)
-    depth = np.diff(first, append=len(keys))
-    run, row = np.divmod(keys[first], rows + 1)
-    start, end = np.divmod(run, columns + 1)
-    return np.column_stack((row, start, depth, end - start)).astype(np.int64)
+    count, done = 0, [np.zeros((0, 4), dtype=np.int64)]
+    # A run is one number here: its first column and the one behind its last.
+    runs = since = np.zeros(0, dtype=np.int64)
+    for row in range(rows + 1):
+        line = np.zeros(columns + 2, dtype=np.int8)
+        if row < rows:
+            line[1:-1] = solid[row]
+        edges = np.diff(line)
+        found = np.flatnonzero(edges == 1) * (columns + 1) + np.flatnonzero(edges == -1)
+        kept, same, old = np.intersect1d(found, runs, assume_unique=True, return_indices=True)
+        ended = np.ones(len(runs), dtype=np.bool_)
+        ended[old] = False
+        count += len(runs) - len(kept)
+        if count <= BLOCK_LIMIT and ended.any():
+            first, behind = np.divmod(runs[ended], columns + 1)
+            done.append(np.column_stack((since[ended], first, row - since[ended], behind - first)))
+        began = np.full(len(found), row, dtype=np.int64)
+        began[same] = since[old]
+        runs, since = found, began
+    return count, np.concatenate(done)
 
 
 def free_place(

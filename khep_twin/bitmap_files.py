@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from khep_twin.bitmap import SIDE_LIMIT, Pixels
 from khep_twin.errors import BitmapError, MatError, choices
@@ -107,7 +107,7 @@ def _chosen(variables: Mapping[str, Variable], wanted: str | None) -> tuple[str,
         bitmaps = [name for name, value in told.items() if _may_be_bitmap(value)]
         if len(bitmaps) > 1:
             raise BitmapError(
-                f"several matrices: {_listed(told, bitmaps)}; right is --variable with one of them"
+                f"several matrices ({_listed(told, bitmaps)}); right is --variable with one of them"
             )
         if not bitmaps:
             raise BitmapError(
@@ -153,6 +153,8 @@ def _dark(data: bytes) -> Pixels:
                 dark = _dark_pixels(picture)
     except BitmapError:
         raise
+    except UnidentifiedImageError:
+        raise BitmapError("no whole PNG: its head is damaged; right is the file as saved") from None
     # Pillow raises whatever it comes across in a damaged file.
     except Exception as error:
         reason = str(error).split("\n")[0][:100] or type(error).__name__

@@ -23,7 +23,8 @@ SECONDS, MEMORY = 2.0, 2**29
 
 TOKENS = {
     "toml": [
-        *(b"nan inf -1 0 1e999 1_0 0x10 1979-05-27 [ ] [[ ]] { } = . , # \" ' \"\"\" ''' \\u0000 true".split()),
+        *(b"nan inf -1 0 1e999 1_0 0x10 1979-05-27 true [ ] [[ ]] { } = . , #".split()),
+        *(b"\" ' \"\"\" ''' \\u0000 \\".split()),
         *(b"\n[[block]]\n \n[[robot]]\n \n[arena]\n \xff \xef\xbb\xbf \0 x_mm name a.a.a.a.a.a".split(b" ")),
         *(b"[" * 3000, b"a." * 3000, b"9" * 5000, b"{a=" * 500),
     ],
@@ -48,13 +49,13 @@ def toml_target(data: bytes) -> None:
         text = data.decode()
     except UnicodeDecodeError:
         return
+    told = ""
     try:
-        found = playpen.parse(text, "x.toml")
+        playpen.parse(text, "x.toml")
     except PlaypenError as error:
-        assert str(error).isprintable() or "\n" in str(error), str(error)
-        assert all(line.startswith("x.toml: ") for line in str(error).splitlines()), str(error)
-    else:
-        assert found.version == 1
+        told = str(error)
+    assert told.replace("\n", "").isprintable(), told
+    assert all(line.startswith("x.toml: ") for line in told.split("\n") if told), told
 
 
 def bitmap_target(data: bytes) -> None:
@@ -62,16 +63,19 @@ def bitmap_target(data: bytes) -> None:
     from khep_twin import bitmap, bitmap_files
     from khep_twin.errors import BitmapError, MatError
 
+    told = ""
     try:
-        found = bitmap_files.decode(data)
-        made = bitmap.to_playpen(found.solid, "x", mm_per_pixel=5.0)
+        bitmap.to_playpen(bitmap_files.decode(data).solid, "x", mm_per_pixel=5.0)
     except (BitmapError, MatError) as error:
-        assert str(error).isprintable(), str(error)
-    else:
-        assert len(made.playpen.robots) <= 1
+        told = str(error)
+    assert told.isprintable(), told
 
 
-TARGETS: dict[str, Callable[[bytes], None]] = {"toml": toml_target, "mat": bitmap_target, "png": bitmap_target}
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "toml": toml_target,
+    "mat": bitmap_target,
+    "png": bitmap_target,
+}
 
 
 def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
