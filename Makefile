@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format fuzz soak pyserial bench lock build clean
+.PHONY: help run test check format fuzz fuzz-files soak pyserial bench lock build clean
 
 help: ## show this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
 
 run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated seconds
 	@mkdir -p out
@@ -29,6 +29,11 @@ format: $(VENV)/dev.stamp ## put the code into its layout
 
 fuzz: $(VENV)/dev.stamp ## a million inputs for the board; about ten minutes
 	@$(BIN)/python tests/fuzz_board.py -runs=1000000
+
+fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 million; about ten minutes
+	@$(BIN)/python tests/fuzz_files.py mat 200000 --jobs 2
+	@$(BIN)/python tests/fuzz_files.py png 200000 --jobs 2
+	@$(BIN)/python tests/fuzz_files.py toml 1000000 --jobs 2
 
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each
 	@KHEP_RUBBISH_SECONDS=60 $(BIN)/python -m pytest tests/ports/test_chaos.py

@@ -111,7 +111,7 @@ def import_bitmap(
             find_place=robot is None,
         )
     except BitmapError as error:
-        raise BitmapError("\n".join(f"{file}: {line}" for line in str(error).splitlines())) from None
+        raise BitmapError(f"{file}: {error}") from None
     target = output or Path(f"{name}.toml")
     head = f"# Imported from {toml_files.show(file.name)} by khep-twin playpen import.\n\n"
     write_whole(target, (head + playpens.dump(made.playpen)).encode("utf-8"))
@@ -127,9 +127,7 @@ def import_bitmap(
         f"bitmap   {found.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, "
         f"{int(found.solid.sum())} of them solid"
     )
-    typer.echo(
-        f"flip     its first row is the {first}{why}; --{'no-' * upside_down}flip for the other way round"
-    )
+    typer.echo(f"flip     its first row is the {first}{why}; --{'no-' * upside_down}flip for the other way")
     typer.echo(f"walls    {sides}; now {arena.wall_thickness_mm:g} mm thick")
     typer.echo(f"arena    {arena.width_mm:g} x {arena.height_mm:g} mm within the walls")
     typer.echo(f"blocks   {len(made.playpen.blocks)}")

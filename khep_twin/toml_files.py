@@ -110,7 +110,7 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
     if _DEEP_KEY.search(text):
         raise error(f"{source}: a key has more than 32 parts")
     try:
-        data = tomllib.loads(text)
+        data = _frozen(tomllib.loads(text))
     except tomllib.TOMLDecodeError as trouble:
         raise error(f"{source}: not TOML: {trouble}") from None
     except ValueError:
@@ -121,13 +121,13 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
 
 
 def check(model: type[Model], data: Mapping[str, Any], source: str, error: type[KhepTwinError]) -> Model:
-    """The tables of a file as `model`.
+    """The tables of a file, arrays as tuples, as `model`.
 
     Raises:
         error: they are not what the model asks for; one line per problem.
     """
     try:
-        return model.model_validate(_frozen(data))
+        return model.model_validate(data)
     except ValidationError as trouble:
         problems = list(islice(_problems(model, trouble), PROBLEM_LIMIT + 1))
         if len(problems) > PROBLEM_LIMIT:
@@ -171,7 +171,15 @@ def show(value: object) -> str:
     """A value as it stands in a message: short, and as TOML writes it."""
     if isinstance(value, bool):
         return str(value).lower()
-    return _plain(f'"{value}"' if isinstance(value, str) else str(value))
+    return _plain(f'"{value}"' if isinstance(value, str) else _text(value))
+
+
+def _text(value: object) -> str:
+    """A value in words; Python refuses to write out a whole number of thousands of digits."""
+    try:
+        return str(value)
+    except ValueError:
+        return "a number of thousands of digits"
 
 
 def _plain(text: str) -> str:
@@ -234,7 +242,7 @@ def _reason(model: type[BaseModel], location: Sequence[str | int], key: str, pro
     if kind == "extra_forbidden":
         return f"{given}: unknown key; {choices(key, keys)}"
     if kind == "literal_error" and field is not None:
-        return f"{given}: unknown; {choices(problem['input'], _literals(field.annotation))}"
+        return f"{given}: unknown; {choices(_text(problem['input']), _literals(field.annotation))}"
     return f"{given}: right is {_wish(field)}"
 
 

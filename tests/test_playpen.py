@@ -631,3 +631,28 @@ def test_any_text_is_a_playpen_or_is_refused_as_one(text: str) -> None:
     except PlaypenError as error:
         told = str(error).splitlines()
     assert all(re.match(r"p\.toml:(\d+:)? ", line) for line in told)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line"),
+    [
+        ("version = 1", "version = 0x" + "9" * 5000, "version = a number of thousands of digits: right is 1"),
+        (
+            "[arena]",
+            "[lighting]\nmode = 0x" + "9" * 5000 + "\n[arena]",
+            "lighting: mode = a number of thousands of digits: unknown; (choices: all, random, sequenced)",
+        ),
+    ],
+)
+def test_a_number_too_long_to_write_out_is_told(before: str, after: str, line: str) -> None:
+    text = 'version = 1\nname = "x"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
+    with pytest.raises(PlaypenError) as caught:
+        playpens.parse(text.replace(before, after), "x")
+    assert re.sub(r"^x:\d+:", "x:", str(caught.value)) == f"x: {line}"
+
+
+def test_nesting_of_any_depth_is_an_error_of_ours() -> None:
+    for depth in range(440, 500):
+        for head in ("", "[" + ".".join("a" * 31) + "]\n"):
+            with pytest.raises(PlaypenError):
+                playpens.parse(f"{head}b = {'[' * depth}{']' * depth}\n", "x")
