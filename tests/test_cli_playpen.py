@@ -1,5 +1,6 @@
 """The command `khep-twin playpen import`: what it writes, tells and refuses."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUn
 from khep_twin import playpen
 
 DRAWN = drawn()
+PAGE = (Path(__file__).parents[1] / "docs" / "import.md").read_text()
 
 
 def command(*arguments: str | int | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -132,3 +134,13 @@ def test_what_cannot_be_imported_is_told_in_one_line_and_nothing_is_written(
 def test_a_mistake_in_the_command_is_told_in_one_line(words: str, line: str, folder: Path) -> None:
     done = command("import", *words.split(), cwd=folder)
     assert (done.returncode, done.stderr) == (1, f"khep-twin: {line}\n")
+
+
+def test_the_page_on_the_import_tells_what_the_command_does(tmp_path: Path, monkeypatch: Any) -> None:
+    (paints,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    (told,) = re.findall(r"```\n(bitmap .*?)```", PAGE, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(paints, "import.md", "exec"), {})
+    assert command("import", "scan.mat", "-o", "scan.toml", cwd=tmp_path).stdout == told
+    (block,) = playpen.load(tmp_path / "scan.toml").blocks
+    assert (block.x_mm, block.y_mm) == (300, 120)
