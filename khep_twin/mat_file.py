@@ -26,7 +26,7 @@ VARIABLE_LIMIT = 10_000
 """Most variables in a file."""
 
 TEXT_LIMIT = 2**20
-"""Most characters in a matrix of them."""
+"""Most characters in all matrices of them together."""
 
 _DIMENSION_LIMIT = 32
 
@@ -66,11 +66,16 @@ def read_variables(data: bytes) -> dict[str, Variable]:
     if len(data) > SIZE_LIMIT:
         raise MatError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
     variables: dict[str, Variable] = {}
+    characters = 0
     # A name of text begins the newer files; the older ones have a small number there.
     found = _of_4(data) if 0 in data[:4] else _of_5(data)
     for number, (name, value) in enumerate(found):
         if number >= VARIABLE_LIMIT:
             raise MatError(f"more than {VARIABLE_LIMIT} variables; right is a file with fewer")
+        if isinstance(value, tuple):
+            characters += sum(map(len, value))
+        if characters > TEXT_LIMIT:
+            raise _too_long(characters)
         # What has no name is a store of Matlab's own.
         if name:
             variables[name] = value
@@ -196,17 +201,23 @@ def _shaped(values: Numbers, shape: list[int], name: str) -> Numbers:
 def _text(kind: int, content: memoryview, order: str) -> str:
     if kind not in _ENCODINGS:
         return _from_codes(_numbers(kind, content, order))
-    if len(content) > TEXT_LIMIT:
-        raise MatError(f"text of {len(content)} bytes; right is up to {TEXT_LIMIT}")
+    if len(content) > 4 * TEXT_LIMIT:
+        raise _too_long(len(content))
     byte_order = "" if kind == 16 else "-le" if order == "<" else "-be"
     return bytes(content).decode(_ENCODINGS[kind] + byte_order, "replace")
 
 
 def _from_codes(codes: Numbers) -> str:
     if len(codes) > TEXT_LIMIT:
-        raise MatError(f"text of {len(codes)} characters; right is up to {TEXT_LIMIT}")
-    listed: list[float] = codes.tolist()
-    return "".join(chr(int(code)) if 0 <= code < 0x110000 else "�" for code in listed)
+        raise _too_long(len(codes))
+    known = np.full(len(codes), 0xFFFD, dtype="<u4")
+    there = (codes >= 0) & (codes < 0x110000)
+    known[there] = codes[there]
+    return known.tobytes().decode("utf-32-le", "replace")
+
+
+def _too_long(characters: int) -> MatError:
+    return MatError(f"text of {characters} characters; right is up to {TEXT_LIMIT}")
 
 
 def _rows(text: str, shape: list[int]) -> tuple[str, ...]:

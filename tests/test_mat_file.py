@@ -2,11 +2,13 @@
 
 import io
 import struct
+import time
 import zlib
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 from scipy.sparse import csc_array  # pyright: ignore[reportMissingTypeStubs]
 
@@ -165,8 +167,8 @@ def bomb() -> bytes:
             "text of 2097152 characters; right is up to 1048576",
         ),
         (
-            five(matrix([1, 2**21], 4, bytes(2**21), stored=16)),
-            "text of 2097152 bytes; right is up to 1048576",
+            five(matrix([1, 2**21], 4, b"a" * 2**21, stored=16)),
+            "text of 2097152 characters; right is up to 1048576",
         ),
     ],
 )  # fmt: skip
@@ -174,6 +176,27 @@ def test_a_bomb_is_refused(data: bytes, line: str) -> None:
     with pytest.raises(MatError) as caught:
         read_variables(data)
     assert str(caught.value) == line
+
+
+def test_much_text_in_many_rows_and_matrices_is_refused_in_time() -> None:
+    rows = matrix([2**20, 1], 4, "♞".encode("utf-16-le") * 2**20, stored=17)
+    begun = time.perf_counter()
+    with pytest.raises(MatError, match="text of 2097152 characters; right is up to 1048576"):
+        read_variables(five(rows * 30))
+    assert time.perf_counter() - begun < 2
+
+
+@pytest.mark.parametrize(
+    ("codes", "stored"),
+    [
+        (np.array([97, -1, 1e300, np.nan, 0xD800, 98]), 9),
+        (np.array([97, -1, -128, -2, -3, 98], dtype=np.int8), 1),
+        (np.array([97, -1, 2**62, 0xDC00, 0x110000, 98], dtype=np.int64), 12),
+    ],
+)
+def test_characters_that_there_are_none_of_become_marks(codes: NDArray[Any], stored: int) -> None:
+    data = five(matrix([1, 6], 4, codes.tobytes(), stored))
+    assert read_variables(data)["x"] == ("a\ufffd\ufffd\ufffd\ufffdb",)
 
 
 def test_no_text_in_very_many_rows_is_no_text() -> None:
