@@ -1,12 +1,18 @@
 """The command line's part for playpens: `khep-twin playpen COMMAND`."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from khep_twin.files import write_whole
+
+if TYPE_CHECKING:
+    from khep_twin.bitmap import Imported
+    from khep_twin.bitmap_files import Bitmap
+    from khep_twin.playpen import Playpen
 
 playpen_app = typer.Typer(
     help="Check, compile, draw and import playpens.", no_args_is_help=True, rich_markup_mode=None
@@ -115,25 +121,35 @@ def import_bitmap(
     target = output or Path(f"{name}.toml")
     head = f"# Imported from {toml_files.show(file.name)} by khep-twin playpen import.\n\n"
     write_whole(target, (head + playpens.dump(made.playpen)).encode("utf-8"))
+    for line in _summary(found, made, upside_down, mm_per_pixel):
+        typer.echo(line)
+    typer.echo(f"robot    {_robot(made.playpen, wanted=robot != 'none')}")
+    typer.echo(f"playpen  {target}")
 
+
+def _summary(found: "Bitmap", made: "Imported", upside_down: bool, mm_per_pixel: float) -> Iterator[str]:
+    """What was found in a bitmap, and what was made of it."""
     rows, columns = found.solid.shape
-    first = "bottom" if upside_down else "top"
-    why = (" (the toolbox's scan turned the right way up)" if upside_down else "") if found.scanned else ""
-    borders, arena, robots = made.borders, made.playpen.arena, made.playpen.robots
-    sides = ", ".join(
-        f"{getattr(borders, side) * mm_per_pixel:g} mm {side}" for side in ("left", "right", "bottom", "top")
-    )
-    typer.echo(
+    borders, arena = made.borders, made.playpen.arena
+    yield (
         f"bitmap   {found.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, "
         f"{int(found.solid.sum())} of them solid"
     )
-    typer.echo(f"flip     its first row is the {first}{why}; --{'no-' * upside_down}flip for the other way")
-    typer.echo(f"walls    {sides}; now {arena.wall_thickness_mm:g} mm thick")
-    typer.echo(f"arena    {arena.width_mm:g} x {arena.height_mm:g} mm within the walls")
-    typer.echo(f"blocks   {len(made.playpen.blocks)}")
-    stands = [f"at ({each.x_mm:g}, {each.y_mm:g}), heading {each.heading_deg:g} degrees" for each in robots]
-    typer.echo(f"robot    {stands[0] if stands else 'none' if robot else 'none: no place is free'}")
-    typer.echo(f"playpen  {target}")
+    first = "bottom" if upside_down else "top"
+    why = " (the toolbox's scan turned the right way up)" if upside_down and found.scanned else ""
+    yield f"flip     its first row is the {first}{why}; --{'no-' if upside_down else ''}flip for the other way"
+    sides = {"left": borders.left, "right": borders.right, "bottom": borders.bottom, "top": borders.top}
+    told = ", ".join(f"{pixels * mm_per_pixel:g} mm {side}" for side, pixels in sides.items())
+    yield f"walls    {told}; now {arena.wall_thickness_mm:g} mm thick"
+    yield f"arena    {arena.width_mm:g} x {arena.height_mm:g} mm within the walls"
+    yield f"blocks   {len(made.playpen.blocks)}"
+
+
+def _robot(playpen: "Playpen", wanted: bool) -> str:
+    """Where the robot stands, in words."""
+    for robot in playpen.robots:
+        return f"at ({robot.x_mm:g}, {robot.y_mm:g}), heading {robot.heading_deg:g} degrees"
+    return "none: no place is free" if wanted else "none"
 
 
 def _pose(text: str) -> tuple[float, float, float]:
