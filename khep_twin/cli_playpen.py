@@ -137,7 +137,8 @@ def _summary(found: "Bitmap", made: "Imported", upside_down: bool, mm_per_pixel:
     )
     first = "bottom" if upside_down else "top"
     why = " (the toolbox's scan turned the right way up)" if upside_down and found.scanned else ""
-    yield f"flip     its first row is the {first}{why}; --{'no-' if upside_down else ''}flip for the other way"
+    other = "--no-flip" if upside_down else "--flip"
+    yield f"flip     its first row is the {first}{why}; {other} for the other way"
     sides = {"left": borders.left, "right": borders.right, "bottom": borders.bottom, "top": borders.top}
     told = ", ".join(f"{pixels * mm_per_pixel:g} mm {side}" for side, pixels in sides.items())
     yield f"walls    {told}; now {arena.wall_thickness_mm:g} mm thick"
