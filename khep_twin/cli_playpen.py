@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
 
 if TYPE_CHECKING:
     from khep_twin.bitmap import Imported
     from khep_twin.bitmap_files import Bitmap
     from khep_twin.playpen import Playpen
+
+if TYPE_CHECKING:
+    from khep_twin.drawing import Track
 
 playpen_app = typer.Typer(
     help="Check, compile, draw and import playpens.", no_args_is_help=True, rich_markup_mode=None
@@ -52,15 +56,82 @@ def compile_playpen(playpen: PlaypenName, output: Output = None) -> None:
 
 
 @playpen_app.command()
-def draw(playpen: PlaypenName, output: Output = None) -> None:
-    """Draws a playpen to scale, as PNG or SVG; to NAME.png by default."""
+def draw(
+    playpen: PlaypenName,
+    output: Output = None,
+    log: Annotated[Path | None, typer.Option(help="Log of a run in it, whose ways are drawn, too.")] = None,
+    perspective: Annotated[
+        bool, typer.Option("--perspective", help="As a camera above it would see it; needs OpenGL.")
+    ] = False,
+) -> None:
+    """Draws a playpen to scale, as PNG, SVG or PDF; to NAME.png by default."""
     from khep_twin import drawing
     from khep_twin import playpen as playpens
 
     found = playpens.load(playpen)
     target = output or Path(f"{found.name}.png")
-    drawing.save(drawing.draw(found), target)
+    if perspective:
+        from khep_twin.perspective import render
+
+        if log is not None:
+            raise KhepTwinError("--log draws on a map; right is without --perspective")
+        write_whole(target, render(found, target))
+    else:
+        drawing.save(drawing.draw(found, _ways(log) if log is not None else ()), target)
     typer.echo(f"picture  {target}")
+
+
+@playpen_app.command()
+def schema(output: Output = None) -> None:
+    """Writes the format as JSON schema, for editors; to standard output by default."""
+    import json
+
+    from khep_twin import playpen as playpens
+
+    text = json.dumps(playpens.schema(), indent=2) + "\n"
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        write_whole(output, text.encode("utf-8"))
+        typer.echo(f"schema   {output}")
+
+
+@playpen_app.command()
+def scatter(
+    density: Annotated[float, typer.Option(help="Part of the floor that obstacles cover, 0 to 0.1.")] = 0.06,
+    seed: Annotated[int, typer.Option(help="Seed of the field.")] = 0,
+    width_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Of the arena.")] = 1000,
+    height_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Of the arena.")] = 1000,
+    output: Output = None,
+) -> None:
+    """Draws a field of obstacles by chance as a playpen file; to standard output by default."""
+    from khep_twin import playpen as playpens
+    from khep_twin.obstacle_field import obstacle_field
+    from khep_twin.randomness import stream
+
+    try:
+        chance = stream(seed, "obstacle field")
+    except ValueError as error:
+        raise KhepTwinError(f"--seed {seed}: {error}") from None
+    field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, chance)
+    text = f"# khep-twin playpen scatter --density {density:g} --seed {seed}\n\n{playpens.dump(field)}"
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        write_whole(output, text.encode("utf-8"))
+        typer.echo(f"playpen  {output}: {len(field.blocks)} blocks, {len(field.cylinders)} cylinders")
+
+
+def _ways(log: Path) -> "list[Track]":
+    """Where the robots of a log went."""
+    from khep_twin.drawing import Track
+    from khep_twin.log.reader import read
+
+    return [
+        Track(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3)
+        for name, track in read(log).robots.items()
+        if len(track.pose)
+    ]
 
 
 @playpen_app.command("import")

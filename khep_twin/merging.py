@@ -27,7 +27,9 @@ def merged(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
 def _merged_along(blocks: list[tuple[int, Block]], lengthwise: bool) -> list[tuple[int, Block]]:
     """Blocks of which those in one line along their length, or across it, are one."""
     found: list[tuple[int, Block]] = []
-    rows = sorted(((_row(block, lengthwise), number, block) for number, block in blocks), key=lambda row: row[:2])
+    rows = sorted(
+        ((_row(block, lengthwise), number, block) for number, block in blocks), key=lambda row: row[:2]
+    )
     for _, row in groupby(rows, key=lambda row: row[0]):
         stretches = sorted((*_stretch(block, lengthwise), number, block) for _, number, block in row)
         start, end, number, block = stretches[0]

@@ -1,7 +1,7 @@
 """Fields of obstacles by chance: a playpen whose blocks and cylinders cover a given part of the floor.
 
-Obstacles are as far apart as a lane is wide, and as far from the walls, so that a robot fits between any two of
-them; the middle is left free for it.
+Obstacles are as far apart as a lane is wide, and as far from the walls, so that a robot fits between any two
+of them; the middle is left free for it.
 """
 
 import math
@@ -13,10 +13,10 @@ from khep_twin.footprint import Circle, Footprint, Rectangle, overlap
 from khep_twin.playpen import Arena, Block, Cylinder, Playpen, Robot
 from khep_twin.units import BODY_RADIUS
 
-LANE_MM = 75.0
+LANE_MM = 70.0
 """Between any two obstacles [mm]: a robot of 55 mm and some room."""
 
-HIGHEST_DENSITY = 0.25
+HIGHEST_DENSITY = 0.1
 """Part of the floor that obstacles with lanes between them can cover."""
 
 _TRIES = 20_000
@@ -48,24 +48,21 @@ def obstacle_field(
     for _ in range(_TRIES):
         if covered >= wanted:
             robot = Robot(x_mm=middle.x_mm, y_mm=middle.y_mm, heading_deg=0)
-            return Playpen(
-                version=1,
-                name=name,
-                arena=arena,
-                surfaces={},
-                block=tuple(blocks),
-                cylinder=tuple(cylinders),
-                robot=(robot,),
-            )
+            things = {"block": tuple(blocks), "cylinder": tuple(cylinders), "robot": (robot,)}
+            return Playpen.model_validate({"version": 1, "name": name, "arena": arena, **things})
         size, other, along, across, turn = chance.uniform(size=5).tolist()
         item: Block | Cylinder
         if chance.uniform() < 0.5:
-            radius_mm = round(10 + 20 * size, 1)
+            radius_mm = round(12.5 + 45 * size, 1)
             x_mm, y_mm = _place(arena, radius_mm + LANE_MM, along, across)
+            if x_mm < 0:
+                continue
             item = Cylinder(x_mm=x_mm, y_mm=y_mm, radius_mm=radius_mm, height_mm=50)
         else:
-            length_mm, thick_mm = round(30 + 70 * size, 1), round(15 + 15 * other, 1)
+            length_mm, thick_mm = round(60 + 140 * size, 1), round(20 + 50 * other, 1)
             x_mm, y_mm = _place(arena, math.hypot(length_mm, thick_mm) / 2 + LANE_MM, along, across)
+            if x_mm < 0:
+                continue
             item = Block(
                 x_mm=x_mm,
                 y_mm=y_mm,
@@ -75,7 +72,7 @@ def obstacle_field(
                 angle_deg=round(180 * turn, 1),
             )
         room = _grown(item.footprint, LANE_MM)
-        if x_mm < 0 or any(overlap(room, shape) for shape in kept):
+        if any(overlap(room, shape) for shape in kept):
             continue
         kept.append(item.footprint)
         if isinstance(item, Cylinder):

@@ -1,10 +1,11 @@
 """From a playpen to a scene: Playpen -> MjSpec -> MJCF that opens in MuJoCo without us.
 
 Names in the scene: "floor"; "wall_left", "wall_right", "wall_bottom", "wall_top", or "wall_1" … along an
-outline; "block0", "cylinder0", "patch0", "lamp0" … and pieces of walls "wall0_0" … in the file's order; the
-robots as bodies "khepera0/base" … with everything of theirs behind the same prefix, their turrets as
-"khepera0/gripper/arm" …. What the sensors need travels inside the MJCF: a geom's `user` values are its
-infrared reflectance and its electrical conductance [S], a lamp is a site whose `user` value is its power [W].
+outline; "block0", "cylinder0", "patch0", "lamp0" … and pieces of walls "wall0_0" … in the file's order, but
+that nameless blocks that continue each other are one, with the first one's number; the robots as bodies
+"khepera0/base" … with everything of theirs behind the same prefix, their turrets as "khepera0/gripper/arm" ….
+What the sensors need travels inside the MJCF: a geom's `user` values are its infrared reflectance and its
+electrical conductance [S], a lamp is a site whose `user` value is its power [W].
 
 Contacts are explicit pairs where a robot is concerned (tyres and supports with the floor, shell with what
 stands on it), which is faster and keeps the ball-shaped tyres from touching walls; movable objects collide
@@ -19,6 +20,7 @@ import mujoco
 
 from khep_twin import calibration, units
 from khep_twin.footprint import Circle, Footprint
+from khep_twin.merging import merged
 from khep_twin.outline import walls_around
 from khep_twin.playpen import Block, Cylinder, Patch, Playpen, Robot, Wall
 from khep_twin.turrets import find
@@ -65,7 +67,7 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
         spec.option.impratio = 10
         spec.option.noslip_iterations = 5
     obstacles = _add_arena(spec, playpen)
-    for index, block in enumerate(playpen.blocks):
+    for index, block in merged(playpen.blocks):
         obstacles.append(_add_block(spec, playpen, f"block{index}", block))
     for index, cylinder in enumerate(playpen.cylinders):
         obstacles.append(_add_cylinder(spec, playpen, f"cylinder{index}", cylinder))

@@ -117,11 +117,13 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
         raise error(f"{source}: not TOML that can be read: a number has thousands of digits") from None
     except RecursionError:
         raise error(f"{source}: not TOML that can be read: nested too deeply") from None
-    return check(model, data, source, error)
+    return check(model, data, source, error, text)
 
 
-def check(model: type[Model], data: Mapping[str, Any], source: str, error: type[KhepTwinError]) -> Model:
-    """The tables of a file, arrays as tuples, as `model`.
+def check(
+    model: type[Model], data: Mapping[str, Any], source: str, error: type[KhepTwinError], text: str = ""
+) -> Model:
+    """The tables of a file, arrays as tuples, as `model`; its text tells the lines where they stand.
 
     Raises:
         error: they are not what the model asks for; one line per problem.

@@ -166,10 +166,15 @@ def test_ctrl_c_in_the_middle_of_a_write_waits_for_its_end(
             twin.world.tell(None, "halfway")
             after.append("never")
 
-    with pytest.raises(KeyboardInterrupt):
-        run()
-    assert after == ["still here"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    # What runs in the background of a shell has Ctrl-C switched off.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run()
+        assert after == ["still here"]
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert [event.text for event in read(tmp_path / "run.mcap").events] == ["halfway"]
 
 

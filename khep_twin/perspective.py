@@ -1,0 +1,101 @@
+"""A playpen as a camera above it would see it, rendered by MuJoCo where there is OpenGL."""
+
+# MuJoCo's renderer and its libraries of OpenGL are not typed here.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportAttributeAccessIssue=false, reportUnknownParameterType=false
+
+import contextlib
+import importlib
+import os
+import sys
+import warnings
+from collections.abc import Generator
+from io import BytesIO, StringIO
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from PIL import Image
+
+from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
+from khep_twin.playpen_to_mjcf import to_spec
+
+WIDTH, HEIGHT = 1280, 960
+"""Of a picture [pixels]."""
+
+
+def render(playpen: Playpen, target: Path) -> bytes:
+    """A picture of a playpen as it is at the start, as PNG.
+
+    Args:
+        playpen: what is seen.
+        target: the file's name, which has to fit.
+
+    Raises:
+        KhepTwinError: the name does not end in .png, or there is no OpenGL here.
+    """
+    if target.suffix.lower() != ".png":
+        raise KhepTwinError(f"{target}: right is a name that ends in .png, or no --perspective")
+    spec = to_spec(playpen)
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.25] * 3
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.98, 0.98, 0.99],
+        rgb2=[0.86, 0.89, 0.93],
+        width=64,
+        height=384,
+    )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    arena = playpen.arena
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = arena.width_mm / 2000, arena.height_mm / 2000, 0
+    camera.distance = 1.25 * max(arena.width_mm, 1.2 * arena.height_mm) / 1000
+    camera.azimuth, camera.elevation = 90, -52
+    scene = mujoco.MjvScene(model, maxgeom=20_000)
+    everything = int(mujoco.mjtCatBit.mjCAT_ALL)
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
+    pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
+    with _window(model, target) as window:
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, window)
+        mujoco.mjr_render(view, scene, window)
+        mujoco.mjr_readPixels(pixels, None, view, window)
+    picture = BytesIO()
+    Image.fromarray(pixels[::-1]).save(picture, format="PNG")
+    return picture.getvalue()
+
+
+@contextlib.contextmanager
+def _window(model: mujoco.MjModel, target: Path) -> Generator[Any, None, None]:
+    """What MuJoCo renders into: by the screen's driver, or without a screen."""
+    screen = bool(os.environ.get("DISPLAY")) or sys.platform != "linux"
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    kinds = [wanted] if wanted in ("egl", "osmesa", "glfw") else (["glfw"] if screen else ["egl", "osmesa"])
+    reasons: list[str] = []
+    for kind in kinds:
+        # These libraries print what they miss, and raise whatever they like.
+        try:
+            with warnings.catch_warnings(), contextlib.redirect_stderr(StringIO()):
+                warnings.simplefilter("ignore")
+                context = importlib.import_module(f"mujoco.{kind}").GLContext(WIDTH, HEIGHT)
+                context.make_current()
+                window = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:
+            reasons.append(f"{kind}: {type(error).__name__}")
+            continue
+        try:
+            yield window
+        finally:
+            window.free()
+            context.free()
+        return
+    raise KhepTwinError(
+        f"{target}: there is no OpenGL to render with ({', '.join(reasons)}); right is a graphics driver "
+        "with EGL, or libOSMesa, or no --perspective"
+    )
