@@ -8,7 +8,7 @@ matplotlib is set up to do.
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -128,7 +128,8 @@ def draw(playpen: Playpen, tracks: Sequence[Track] = (), *, title: str | None = 
         for spot in playpen.spots:
             draw_spot(axes, spot)
         if ways:
-            _draw_ways(figure, axes, ways)
+            radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
+            _draw_ways(figure, axes, ways, radii)
         for index, robot in enumerate(playpen.robots):
             if robot.spots:
                 continue  # it may stand at any of them
@@ -179,7 +180,7 @@ def _sheet(playpen: Playpen, *, scale: bool, legend: bool) -> tuple[Figure, Axes
     return figure, axes
 
 
-def _draw_ways(figure: Figure, axes: Axes, tracks: Sequence[Track]) -> None:
+def _draw_ways(figure: Figure, axes: Axes, tracks: Sequence[Track], radii: Mapping[str, float]) -> None:
     first = min(float(track.time_s[0]) for track in tracks)
     last = max(float(track.time_s[-1]) for track in tracks)
     norm = Normalize(first, last if last > first else first + 1)
@@ -196,12 +197,13 @@ def _draw_ways(figure: Figure, axes: Axes, tracks: Sequence[Track]) -> None:
         lines.set_capstyle("round")
         axes.add_collection(lines, autolim=False)
         (start_x, start_y), (end_x, end_y) = track.xy_mm[[0, -1]].tolist()
-        outline = Circle((end_x, end_y), 1000 * BODY_RADIUS, fill=False, edgecolor=INK, lw=0.9, ls="--")
+        radius_mm = 1000 * radii.get(track.robot, BODY_RADIUS)
+        outline = Circle((end_x, end_y), radius_mm, fill=False, edgecolor=INK, lw=0.9, ls="--")
         axes.add_patch(outline).set_zorder(6)
         axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START))
         axes.add_line(Line2D([end_x], [end_y], zorder=7, **_END))
         if len(tracks) > 1:
-            write_below(axes, end_x, end_y - 1000 * BODY_RADIUS - 4, track.robot)
+            write_below(axes, end_x, end_y - radius_mm - 4, track.robot)
     box, width = axes.get_position(), figure.get_figwidth()
     beside = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
     scale = figure.colorbar(ScalarMappable(norm, colours), cax=beside)

@@ -13,7 +13,7 @@ import numpy as np
 
 from khep_twin.outline import distance
 from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
-from khep_twin.units import BODY_RADIUS, metres
+from khep_twin.units import metres
 
 
 class Lamps:
@@ -52,12 +52,12 @@ class Lamps:
         """Which one is on, where they are on one at a time; else None."""
         return self._lit
 
-    def update(self, time_ns: int, robots: Sequence[tuple[float, float]]) -> bool:
+    def update(self, time_ns: int, robots: Sequence[tuple[float, float, float]]) -> bool:
         """Lets time pass.
 
         Args:
             time_ns: now [ns].
-            robots: places of their centres, x and y [m].
+            robots: places of their centres and their radii: x, y, radius [m].
 
         Returns:
             Whether another lamp is on now.
@@ -76,10 +76,10 @@ class Lamps:
             return False
         return _in_its_turn(self._lamps[index], self._time_ns)
 
-    def _switch(self, lit: int, robots: Sequence[tuple[float, float]]) -> bool:
+    def _switch(self, lit: int, robots: Sequence[tuple[float, float, float]]) -> bool:
         """Goes on to the next lamp if a robot has just come near this one, or near a wall."""
-        reach = BODY_RADIUS + metres(self._lighting.switch_distance_mm)
-        near_wall = any(distance(self._corners, x, y) < reach for x, y in robots)
+        reach = metres(self._lighting.switch_distance_mm)
+        near_wall = any(distance(self._corners, x, y) < reach + radius for x, y, radius in robots)
         near_lamp = self._near(lit, reach, robots)
         came = (near_wall and not self._near_wall) or (near_lamp and not self._near_lamp)
         self._near_wall, self._near_lamp = near_wall, near_lamp
@@ -92,9 +92,10 @@ class Lamps:
         self._near_lamp = self._near(self._lit, reach, robots)
         return True
 
-    def _near(self, index: int, reach: float, robots: Sequence[tuple[float, float]]) -> bool:
+    def _near(self, index: int, reach: float, robots: Sequence[tuple[float, float, float]]) -> bool:
         x, y, _ = self.positions[index]
-        return any(math.hypot(x - at_x, y - at_y) < reach + metres(BULB_RADIUS_MM) for at_x, at_y in robots)
+        reach += metres(BULB_RADIUS_MM)
+        return any(math.hypot(x - at_x, y - at_y) < reach + radius for at_x, at_y, radius in robots)
 
 
 def _in_its_turn(lamp: Lamp, time_ns: int) -> bool:

@@ -24,7 +24,7 @@ from khep_twin import toml_files
 from khep_twin.errors import PlaypenError
 from khep_twin.footprint import overlap
 from khep_twin.placement import label
-from khep_twin.playpen_checks import at_spot, playpen_problems, with_robots_at_spots
+from khep_twin.playpen_checks import at_spot, completed, playpen_problems
 from khep_twin.playpen_parts import (
     BULB_RADIUS_MM,
     Arena,
@@ -89,9 +89,9 @@ class Playpen(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _robots_stand_at_their_spots(cls, data: Any) -> Any:
+    def _robots_have_what_follows(cls, data: Any) -> Any:
         # Before a seed has drawn one, a robot stands at the first of its spots.
-        return with_robots_at_spots(data) if isinstance(data, dict) else data  # pyright: ignore
+        return completed(data) if isinstance(data, dict) else data  # pyright: ignore
 
     @model_validator(mode="after")
     def _is_a_place(self) -> Self:

@@ -38,14 +38,15 @@ def at_spot(robot: Robot, spot: Spot) -> Robot:
     return robot.model_copy(update={"x_mm": spot.x_mm, "y_mm": spot.y_mm, "heading_deg": spot.heading_deg})
 
 
-def with_robots_at_spots(data: dict[str, Any]) -> dict[str, Any]:
-    """A file's content, in which robots that only name spots have the place of the first that there is."""
+def completed(data: dict[str, Any]) -> dict[str, Any]:
+    """A file's content, in which robots have what follows from their spots and their model."""
     spots = {str(spot.get("name")): spot for spot in _tables(data, "spot")}
     robots: list[dict[str, Any]] = []
     for robot in _tables(data, "robot"):
         known = [spots[name] for name in map(str, _items(robot, "spots")) if name in spots]
         place = {key: known[0][key] for key in ("x_mm", "y_mm", "heading_deg") if known and key in known[0]}
-        robots.append({**place, **robot})
+        second = {"calibration": "khepera2", "rom": "khepera2"} if robot.get("model") == "khepera2" else {}
+        robots.append({**second, **place, **robot})
     return {**data, "robot": tuple(robots)} if robots else data
 
 

@@ -10,7 +10,7 @@ from khep_twin.outline import Point, area, crossing, edges, pieces
 from khep_twin.surfaces import Colour
 from khep_twin.toml_files import NAME_WISH, Name, Table
 from khep_twin.turrets import installed
-from khep_twin.units import BODY_RADIUS, BULB_RADIUS
+from khep_twin.units import BODIES, BULB_RADIUS, Body
 
 BULB_RADIUS_MM = BULB_RADIUS * 1000
 """Of a lamp [mm]."""
@@ -251,6 +251,7 @@ class Robot(Table):
     """A robot at its start.
 
     Attributes:
+        model: its body; for "khepera2" calibration and rom are "khepera2", too, unless they are given.
         calibration: of its sensors: a name in assets/calibration, or the path of a file.
         mode: its running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
             demonstration that drives by itself, 7 for the self-test, with rom khepera2 also 8 and 9 for
@@ -269,7 +270,7 @@ class Robot(Table):
     spots: Annotated[
         tuple[str, ...], Field(max_length=1000, description='names of spots, such as ["a", "b"]')
     ] = ()
-    model: Literal["khepera1"] = "khepera1"
+    model: Literal["khepera1", "khepera2"] = "khepera1"
     calibration: Annotated[
         str,
         Field(min_length=1, max_length=1024, description="the name of a calibration, or the path of a file"),
@@ -280,8 +281,13 @@ class Robot(Table):
     battery_used_min: Annotated[float | None, Field(ge=0, le=1000)] = None
 
     @property
+    def body(self) -> Body:
+        """That of its model."""
+        return BODIES[self.model]
+
+    @property
     def footprint(self) -> Circle:
         """What it covers of the floor, with the turrets that there are."""
         known = installed()
         reaches = [known[name].reach for name in self.turrets if name in known]
-        return Circle(self.x_mm, self.y_mm, max(BODY_RADIUS, *reaches, 0.0) * 1000)
+        return Circle(self.x_mm, self.y_mm, max([self.body.radius, *reaches]) * 1000)

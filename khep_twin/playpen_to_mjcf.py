@@ -254,6 +254,7 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
     for key in list(child.keys):
         child.delete(key)  # the scene's own start pose stands for it
     measured = calibration.read(robot.calibration)[0]
+    _fit_body(child, units.BODIES[robot.model])
     _fit_wheels(child, measured.wheels)
     _fit_motors(child, measured.motors)
     for sensor, heading_deg in zip(units.Sensor, measured.heading_deg, strict=True):
@@ -278,6 +279,24 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
         # Polished balls: without friction, which also keeps odometry clean.
         _add_contact(spec, prefix + support, "floor", 0.0)
     return hands
+
+
+def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
+    """Gives the robot the body of its model; assets/khepera.xml has the Khepera's."""
+    if body is units.BODIES["khepera1"]:
+        return
+    for name, rim in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
+        geom = robot.geom(name)
+        geom.size = [body.radius - rim, *geom.size[1:]]
+    for name, side in (("front_support", 1), ("back_support", -1)):
+        support = robot.geom(name)
+        support.pos = [side * body.support_position, 0, support.pos[2]]
+    for sensor, (x, y) in zip(units.Sensor, body.sensor_positions, strict=True):
+        robot.camera(sensor.name.lower()).pos = [x, y, body.sensor_height]
+    base, mass = robot.body("base"), body.mass - 2 * units.WHEEL_MASS
+    base.mass = mass
+    across = mass * (3 * body.radius**2 + units.BODY_HEIGHT**2) / 12
+    base.inertia = [across, across, mass * body.radius**2 / 2]
 
 
 def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> None:

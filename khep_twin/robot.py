@@ -88,6 +88,7 @@ class Robot:
         self._warned: set[tuple[LineSettings, int]] = set()
         self._stage = stage
         self.index = index
+        self._radius = entry.body.radius
         self._left_angle, self._right_angle = (
             int(model.joint(f"{self.name}/{side}_axle").qposadr[0]) for side in ("left", "right")
         )
@@ -123,6 +124,12 @@ class Robot:
         """True x, y [m] and heading [rad] in the playpen."""
         x, y, _, qw, qx, qy, qz = self._qpos[self._pose : self._pose + 7].tolist()
         return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+
+    @property
+    def disc(self) -> tuple[float, float, float]:
+        """What it covers of the floor: x, y and radius [m]."""
+        x, y, _ = self.pose
+        return x, y, self._radius
 
     def compare_line(self, host: LineSettings | None) -> str:
         """Takes how the host has set its end of the line; None for as the robot has it.

@@ -138,7 +138,7 @@ def draw_lamp(axes: Axes, lamp: Lamp) -> None:
 
 def draw_robot(axes: Axes, robot: Robot, name: str) -> None:
     """A robot with its wheels, its front and its name."""
-    radius = 1000 * BODY_RADIUS
+    radius = 1000 * robot.body.radius
     heading = np.radians(robot.heading_deg)
     centre = np.array((robot.x_mm, robot.y_mm))
     ahead = np.array((np.cos(heading), np.sin(heading)))

@@ -10,6 +10,7 @@ Sources, as cited below:
 """
 
 import math
+from dataclasses import dataclass
 from enum import IntEnum
 
 # Time --------------------------------------------------------------------------------------------------
@@ -113,6 +114,48 @@ SENSOR_POSITIONS = (
 
 SENSOR_HEIGHT = 0.0134
 """Above the ground [m] (manual, side view)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """The body of a model of the robot.
+
+    Attributes:
+        radius: of it [m].
+        mass: of the whole robot [kg].
+        support_position: of the sliding supports, before and behind the centre [m].
+        sensor_positions: of the sensors' faces, x forward and y left of the centre (8, 2) [m].
+        sensor_height: of the sensors above the ground [m].
+    """
+
+    radius: float
+    mass: float
+    support_position: float
+    sensor_positions: tuple[tuple[float, float], ...]
+    sensor_height: float
+
+
+BODIES = {
+    "khepera1": Body(BODY_RADIUS, MASS, SUPPORT_POSITION, SENSOR_POSITIONS, SENSOR_HEIGHT),
+    "khepera2": Body(
+        0.035,
+        0.080,
+        0.0295,
+        (
+            (0.0133, 0.0266),
+            (0.0227, 0.0227),
+            (0.0300, 0.0078),
+            (0.0300, -0.0078),
+            (0.0227, -0.0227),
+            (0.0133, -0.0266),
+            (-0.0289, -0.0111),
+            (-0.0289, 0.0111),
+        ),
+        0.017,
+    ),
+}
+"""By model. The Khepera II: 70 mm and 80 g (simulators, host libraries), sensors as in its manual's figure 7,
+scaled to that diameter, their height after Webots; supports and height like the Khepera's (assumed)."""
 
 SENSOR_HEADINGS = (
     math.radians(88),

@@ -198,7 +198,7 @@ class World:
             self._show()
 
     def _light(self) -> None:
-        if self.lamps.update(self.time_ns, [robot.pose[:2] for robot in self.robots]):
+        if self.lamps.update(self.time_ns, [robot.disc for robot in self.robots]):
             self.tell(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
 
     def _show(self) -> None:

@@ -42,7 +42,7 @@ def test_a_lamp_blinks_by_its_period_and_duty() -> None:
     assert not found.steady
     shown = []
     for step in range(1, 81):
-        found.update(step * STEP_NS, [MIDDLE])
+        found.update(step * STEP_NS, [(*MIDDLE, 0.0275)])
         shown.append(found.powers[0])
     expected = [2.0 if step * STEP_NS % 100_000_000 < 30_000_000 else 0.0 for step in range(1, 81)]
     assert shown == expected
@@ -52,7 +52,7 @@ def test_a_lamp_that_fades_goes_on_and_off_along_a_line() -> None:
     found = lamps(lamp(200, 200, "blink_period_s = 1\nfade_s = 0.2\n"))
     shown = {}
     for step in range(1, 401):
-        found.update(step * STEP_NS, [MIDDLE])
+        found.update(step * STEP_NS, [(*MIDDLE, 0.0275)])
         shown[step * STEP_NS] = found.powers[0]
     assert shown[500_000_000 - STEP_NS] == 2
     assert shown[600_000_000 - STEP_NS] == pytest.approx(1)
@@ -63,7 +63,7 @@ def test_a_lamp_that_fades_goes_on_and_off_along_a_line() -> None:
 def walk(found: Lamps, *places: tuple[float, float]) -> list[int | None]:
     lit = []
     for number, place in enumerate(places, 1):
-        found.update(number * STEP_NS, [place])
+        found.update(number * STEP_NS, [(*place, 0.0275)])
         lit.append(found.lit)
     return lit
 

@@ -1,5 +1,6 @@
 """Playpen files: what they say, what they may not say, and how they are told so."""
 
+import json
 import os
 import re
 from pathlib import Path
@@ -236,8 +237,13 @@ WRONG = {
     + ARENA
     + ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; right is a number from "
     "-360 to 360",
-    HEAD + ARENA + ROBOT + 'model = "khepera2"\n': 'robot 1: model = "khepera2": unknown; did you mean '
-    "'khepera1'? (choices: khepera1)",
+    HEAD + ARENA + ROBOT + 'model = "khepera3"\n': 'robot 1: model = "khepera3": unknown; did you mean '
+    "'khepera2'? (choices: khepera1, khepera2)",
+    HEAD
+    + ARENA
+    + ROBOT.replace("300", "30")
+    + 'model = "khepera2"\n': "robot 1 at (30, 250) overlaps the left "
+    "wall at x = 0; right is 5 mm further in",
     HEAD + ARENA + ROBOT + "mode = 4\n": "robot 1: mode = 4: mode 4 runs a user's program from the "
     "robot's memory, and the twin runs no machine code; right is a running mode that the twin has "
     "(0, 1, 2, 3, 7)",
@@ -656,3 +662,23 @@ def test_nesting_of_any_depth_is_an_error_of_ours() -> None:
         for head in ("", "[" + ".".join("a" * 31) + "]\n"):
             with pytest.raises(PlaypenError):
                 playpens.parse(f"{head}b = {'[' * depth}{']' * depth}\n", "x")
+
+
+# For editors ---------------------------------------------------------------------------------------------
+
+
+def test_the_published_schema_is_that_of_the_format() -> None:
+    published = Path(__file__).parent.parent / "docs" / "playpen.schema.json"
+    assert json.loads(published.read_text()) == playpens.schema(), (
+        "run `khep-twin playpen schema -o docs/...`"
+    )
+
+
+def test_the_schema_names_every_table_and_its_limits() -> None:
+    schema = playpens.schema()
+    tables = {field.alias or name for name, field in Playpen.model_fields.items()}
+    assert set(schema["properties"]) == tables
+    arena = schema["$defs"]["Arena"]
+    assert arena["additionalProperties"] is False
+    width = arena["properties"]["width_mm"]
+    assert (width["minimum"], width["maximum"]) == (100, 10_000)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from khep_twin import calibration, playpen, units
+from khep_twin.kernel import PROXIMITY
 from khep_twin.playpen_to_mjcf import ROBOT_FILE, to_mjcf, to_spec
 from khep_twin.units import Sensor
+from khep_twin.world import World
 
 
 @pytest.fixture(scope="module")
@@ -195,3 +197,27 @@ def test_islands_are_off_unless_something_moves() -> None:
     assert still.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
     assert not moving.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
     assert moving.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP
+
+
+def test_a_khepera_2_has_its_own_body_and_senses() -> None:
+    text = (
+        'version = 1\nname = "two"\n[arena]\nwidth_mm = 600\nheight_mm = 400\n'
+        '[[robot]]\nmodel = "khepera2"\nx_mm = 300\ny_mm = 200\nheading_deg = 0\n'
+    )
+    found = playpen.parse(text, "two")
+    assert (found.robots[0].calibration, found.robots[0].rom) == ("khepera2", "khepera2")
+    model = to_spec(found).compile()
+    assert model.geom_size[model.geom("khepera0/shell").id][0] == 0.035
+    assert model.body_mass[1:].sum() == pytest.approx(0.080)
+    inertia = model.body_inertia[model.body("khepera0/base").id]
+    np.testing.assert_allclose(sorted(inertia), [2.745e-05, 2.745e-05, 4.41e-05], rtol=0.01)
+    wheels = [model.body(f"khepera0/{side}_wheel").pos[1] for side in ("left", "right")]
+    assert wheels == [0.0275, -0.0275]
+    world = World(found, noise=False)
+    world.robots[0].send(b"D,10,10\n")
+    world.advance_to(2_000_000_000)
+    x, y, _ = world.robots[0].pose
+    assert 0.3 + 0.14 < x < 0.3 + 0.16
+    assert y == pytest.approx(0.2, abs=1e-4)
+    # Its rest is never 0, as that of a Khepera is.
+    assert (world.robots[0].registers[PROXIMITY] > 30).all()

@@ -138,12 +138,15 @@ class MjsOrientation:
 
 class MjsCamera:
     alt: MjsOrientation
+    pos: Sequence[float]
 
 class MjsActuator:
     def set_to_dcmotor(self, motorconst: Sequence[float], resistance: float) -> None: ...
 
 class MjsBody:
     pos: Sequence[float]
+    mass: float
+    inertia: Sequence[float]
 
     def add_body(self, **attributes: Any) -> MjsBody: ...
     def add_frame(self, **attributes: Any) -> MjsFrame: ...
