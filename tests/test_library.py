@@ -6,10 +6,10 @@ from khep_twin import playpen as playpens
 from khep_twin.host import Khepera
 from khep_twin.lab.controllers import BUILT_IN
 from khep_twin.lab.experiment import run
-from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.toml_files import folder
+from khep_twin.world import World
 
 NAMES = [
     "default",
@@ -49,6 +49,14 @@ def test_a_shipped_playpen_says_what_it_is(name: str) -> None:
 
 
 def test_what_moves_sleeps_until_it_is_pushed() -> None:
-    twin = open_twin("garbage", TwinOptions())
-    with twin:
-        assert to_spec(twin.world.playpen).option.enableflags
+    world = World(playpens.load("garbage"), noise=False)
+    world.advance_to(2_000_000_000)
+    # Below 0 is awake: the robot, and it alone.
+    assert (world.data.tree_asleep >= 0).tolist() == [True] * 5 + [False]
+    # It drives through where the cylinder on its right stands.
+    world.robots[0].send(b"C,-340,340\nD,10,10\n")
+    awake = set[int]()
+    for tick in range(201, 1200):
+        world.advance_to(tick * 10_000_000)
+        awake |= {tree for tree, asleep in enumerate(world.data.tree_asleep.tolist()) if asleep < 0}
+    assert len(awake) > 1
