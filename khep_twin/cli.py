@@ -284,10 +284,23 @@ def serve(
 def view(
     log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.")],
     save: Annotated[Path | None, typer.Option(help="Write a rerun recording instead of opening it.")] = None,
+    png: Annotated[
+        Path | None, typer.Option(help="Write a still as this PNG file instead, without a screen.")
+    ] = None,
+    at: Annotated[float, typer.Option(min=0, help="Of the still: simulated time [s].")] = 0.0,
 ) -> None:
-    """Shows a log in rerun: arena, robot, sensor curves and transcript."""
+    """Shows a log in rerun: arena, robot, sensors and motors from above, curves and transcript."""
     from khep_twin.log.replay import view as view_log
+    from khep_twin.log.replay import view_still
 
+    if png is not None:
+        if save is not None or png.suffix.lower() != ".png":
+            raise _usage(f"--png {png}: right is a name that ends in .png, and no --save")
+        if reason := unusable(png):
+            raise _usage(f"--png {png}: cannot be written: {reason}")
+        view_still(log, png, at)
+        typer.echo(f"picture  {png}")
+        return
     view_log(log, save)
     if save is not None:
         typer.echo(f"recording  {save}      look at it: rerun {save}")

@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING
 
 from khep_twin.errors import LogError
 from khep_twin.files import put_whole
-from khep_twin.log.reader import Label, read_label
+from khep_twin.log.khepbase import panel, send_fans, send_panel
+from khep_twin.log.reader import Label, read, read_label
+from khep_twin.log.still import still
 from khep_twin.units import Sensor
 
 if TYPE_CHECKING:
@@ -68,6 +70,24 @@ def view(path: Path, save: Path | None = None) -> None:
         _show(path, recording)
 
 
+def view_still(path: Path, target: Path, at_s: float) -> None:
+    """Writes what the viewer shows of a log at a time, as PNG, without a screen.
+
+    Args:
+        path: of a finished log.
+        target: the PNG file.
+        at_s: simulated time [s].
+
+    Raises:
+        LogError: the log cannot be read, or the viewer cannot be had.
+    """
+    label = read_label(path)
+    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+        recording = Path(folder) / f"{path.stem}.rrd"
+        _save(path, label, recording)
+        still(recording, _TIMELINE, at_s, target)
+
+
 def _save(path: Path, label: Label, save: Path) -> None:
     if save.is_dir() or (save.exists() and save.samefile(path)):
         what = "a directory" if save.is_dir() else "the log itself"
@@ -92,6 +112,12 @@ def _recording(path: Path, label: Label) -> bytes:
         recording.send_blueprint(_layout(label))
         recording.send_recording_name(path.stem)
         rr.send_chunks(McapReader(path, timeline_type="duration_ns").stream(), recording=recording)
+        for robot, track in read(path).robots.items():
+            if len(track.times_ns):
+                send_panel(recording, robot, track, _TIMELINE)
+            text = label.attachments.get(f"calibration/{robot}.toml")
+            if text is not None:
+                send_fans(recording, robot, tuple(tomllib.loads(text)["heading_deg"]))
         # Read once: each reading ends the file.
         return stream.read() or b""
 
@@ -103,8 +129,11 @@ def _layout(label: Label) -> "rrb.Blueprint":
     # Of a real robot nobody knows where it was.
     known = "playpen.toml" in label.attachments
     solid = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
+    shown = ["/**", *(f"- {panel(robot)}/**" for robot in label.robots)]
     arena = [
-        rrb.Spatial3DView(name="arena", eye_controls=_eye(label), line_grid=False, defaults=solid)
+        rrb.Spatial3DView(
+            name="arena", contents=shown, eye_controls=_eye(label), line_grid=False, defaults=solid
+        )
         for _ in range(known)
     ]
     transcripts = [
@@ -115,6 +144,15 @@ def _layout(label: Label) -> "rrb.Blueprint":
             format_options=rrb.TextLogFormat(monospace_body=True),
         )
         for robot in label.robots
+    ]
+    bases = [
+        rrb.Spatial2DView(
+            origin=panel(robot),
+            name=f"{robot} from above",
+            visual_bounds=rrb.VisualBounds2D(x_range=(-0.045, 0.045), y_range=(-0.055, 0.045)),
+        )
+        for robot in label.robots
+        for _ in range(known)
     ]
     curves = [
         rrb.Vertical(
@@ -127,7 +165,11 @@ def _layout(label: Label) -> "rrb.Blueprint":
     ]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(*arena, rrb.Tabs(*transcripts), row_shares=[2, 1] if known else [1]),
+            rrb.Vertical(
+                *arena,
+                rrb.Horizontal(*(rrb.Tabs(*bases) for _ in range(known)), rrb.Tabs(*transcripts)),
+                row_shares=[2, 1] if known else [1],
+            ),
             rrb.Tabs(*curves),
         ),
         rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),

@@ -6,11 +6,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import rerun as rr
+from PIL import Image
 from rerun.chunk import Chunk, McapReader, RrdReader
 
 from khep_twin.errors import LogError
-from khep_twin.log.replay import view
+from khep_twin.log import khepbase
+from khep_twin.log.replay import view, view_still
 
 
 def components(chunks: list[Chunk]) -> set[tuple[str, str]]:
@@ -54,7 +58,7 @@ def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path)
     (recording,), (layout,) = reader.recordings(), reader.blueprints()
     assert components(list(reader.stream(store=recording))) >= EXPECTED
     views = components(list(reader.stream(store=layout)))
-    assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 5
+    assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 6
     assert os.listdir(tmp_path) == ["run.rrd"]
 
 
@@ -142,3 +146,37 @@ def test_a_viewer_that_fails_is_one_line(log: Path, viewer: Path) -> None:
     (viewer.parent / "viewer").write_text("#!/bin/sh\necho 'Error: no screen' >&2\nexit 1\n")
     with pytest.raises(LogError, match=r"run\.mcap: rerun's viewer failed: no screen; .*--save run\.rrd"):
         view(log)
+
+
+def test_a_recording_has_khepbase_and_what_the_sensors_look_at(log: Path, tmp_path: Path) -> None:
+    view(log, tmp_path / "run.rrd")
+    reader = RrdReader(tmp_path / "run.rrd")
+    (recording,) = reader.recordings()
+    found = components(list(reader.stream(store=recording)))
+    assert {
+        ("/khepera0/khepbase/outline", "LineStrips2D:strips"),
+        ("/khepera0/khepbase/proximity", "Boxes2D:half_sizes"),
+        ("/khepera0/khepbase/light", "Boxes2D:centers"),
+        ("/khepera0/khepbase/speed", "Boxes2D:centers"),
+        ("/obstacles/khepera0_sensors", "LineStrips3D:strips"),
+        ("/obstacles/khepera0_sensors", "CoordinateFrame:frame"),
+    } <= found
+
+
+def test_bars_are_as_long_as_what_they_tell() -> None:
+    values = np.array([[0.0, 0.5], [1.0, -1.0]])
+    columns = {
+        str(each.component_descriptor()): each
+        for each in khepbase._bars(rr, values, np.zeros((2, 2)), (1, 2, 3))
+    }
+    (halves,) = (each for name, each in columns.items() if "half_sizes" in name)
+    heights = np.array(halves.as_arrow_array().flatten().to_pylist()).reshape(-1, 2)[:, 1]
+    np.testing.assert_allclose(heights, [2e-4, 0.003, 0.006, 0.006], rtol=1e-6)
+
+
+def test_a_still_is_a_picture_of_the_viewer(log: Path, tmp_path: Path) -> None:
+    target = tmp_path / "still.png"
+    view_still(log, target, 1.0)
+    picture = Image.open(target)
+    assert picture.size[0] > 1000
+    assert len(picture.convert("RGB").getcolors(maxcolors=1 << 24) or []) > 50
