@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from khep_twin.calibration import AmbientCalibration
 from khep_twin.lamps import Lamps
 from khep_twin.playpen import Lighting
+from khep_twin.sightlines import SightLines
 from khep_twin.units import BULB_RADIUS, Sensor, radians
 
 _NOTHING = 0.5
@@ -83,6 +84,7 @@ class Receivers:
     ) -> None:
         self._model, self._data = model, data
         self._calibration, self._lamps, self._lighting = calibration, lamps, lighting
+        self._sight_lines = SightLines(model, prefix, lamps.positions)
         self._bulb, self._ray = np.zeros((3, 3)), np.zeros(3)
         self._few, self._many = _Disc(_rim()), _Disc(_seeds(64))
         self._body = model.body(prefix + "base").id
@@ -104,9 +106,10 @@ class Receivers:
         calibration = self._calibration
         flat = self._lighting.law == "toolbox"
         total = 0.0
-        for (lamp_x, lamp_y, lamp_z), power in zip(self._lamps.positions, self._lamps.powers, strict=True):
+        for lamp, power in enumerate(self._lamps.powers):
             if not power:
                 continue
+            lamp_x, lamp_y, lamp_z = self._lamps.positions[lamp]
             way = dx, dy, dz = lamp_x - x, lamp_y - y, 0.0 if flat else lamp_z - z
             distance = math.sqrt(dx * dx + dy * dy + dz * dz) or BULB_RADIUS
             cosine = (dx * axis_x + dy * axis_y + dz * axis_z) / distance
@@ -114,7 +117,9 @@ class Receivers:
                 total += power * received_by_toolbox(distance, cosine, channel, calibration, self._lighting)
                 continue
             counts = power * received(distance, cosine, channel, calibration)
-            if counts >= _FAINT:
+            if counts > _NOTHING and self._sight_lines.clear(lamp, x, y):
+                total += counts
+            elif counts >= _FAINT:
                 total += counts * self._in_sight(channel, way, distance)
             elif counts > _NOTHING and self._centre_in_sight(channel, way, distance):
                 total += counts
