@@ -9,16 +9,20 @@ the sensors look: a fan of lines at each of them.
 # pyright: reportUnknownMemberType=false
 
 import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.log.reader import Track
 from khep_twin.units import BODIES, COUNTS_LIMIT, WHEEL_BASE, WHEEL_RADIUS
 
 if TYPE_CHECKING:
     import rerun as rr
+    from rerun.chunk import Chunk
+
+Floats = NDArray[np.float64]
 
 SAMPLES_PER_PICTURE = 5
 """Of the log's samples of 20 ms so many make one picture: ten a second are enough for the eye."""
@@ -36,7 +40,55 @@ _OUTLINE = (150, 150, 150)
 _DARK_COUNTS, _FASTEST = 500.0, 20.0
 _RAYS = 9
 
-Floats = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """What the panel shows of one robot.
+
+    Attributes:
+        times_ns: of the samples (n,) [ns].
+        proximity: counts (n, 8).
+        ambient: counts (n, 8).
+        speed: left, right and more (n, 2 and more) [pulses/10 ms].
+    """
+
+    times_ns: NDArray[np.int64]
+    proximity: Floats
+    ambient: Floats
+    speed: Floats
+
+
+class Gatherer:
+    """Picks samples out of a log while rerun reads it, which is quicker than to read it again."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
+
+    def passing(self, chunks: "Iterable[Chunk]", timeline: str) -> "Iterator[Chunk]":
+        """Lets the chunks of a log pass on, and notes those with samples."""
+        for chunk in chunks:
+            if chunk.entity_path.endswith(("/proximity", "/ambient", "/speed")):
+                self._note(chunk, timeline)
+            yield chunk
+
+    def samples(self, robot: str) -> Samples | None:
+        """Those of a robot; None if there are none, or not for each time."""
+        parts = [self._rows.get(f"/{robot}/{topic}", []) for topic in ("proximity", "ambient", "speed")]
+        if not all(parts):
+            return None
+        times = [np.concatenate([at for at, _ in part]) for part in parts]
+        if not all(np.array_equal(times[0], each) for each in times[1:]):
+            return None  # a real robot's, which answers one by one
+        return Samples(times[0], *(np.concatenate([values for _, values in part]) for part in parts))
+
+    def _note(self, chunk: "Chunk", timeline: str) -> None:
+        batch: Any = chunk.to_record_batch()
+        if "Scalars:scalars" not in batch.schema.names:
+            return
+        column: Any = batch.column(batch.schema.get_field_index("Scalars:scalars"))
+        at: NDArray[Any] = batch.column(batch.schema.get_field_index(timeline)).to_numpy(zero_copy_only=False)
+        values: Floats = column.flatten().to_numpy(zero_copy_only=False).reshape(len(at), -1)
+        self._rows.setdefault(chunk.entity_path, []).append((at.astype(np.int64), values))
 
 
 def panel(robot: str) -> str:
@@ -44,7 +96,7 @@ def panel(robot: str) -> str:
     return f"/{robot}/khepbase"
 
 
-def send_panel(recording: "rr.RecordingStream", robot: str, track: Track, timeline: str) -> None:
+def send_panel(recording: "rr.RecordingStream", robot: str, track: Samples, timeline: str) -> None:
     """Adds the panel of one robot to a recording.
 
     Args:
@@ -63,7 +115,7 @@ def send_panel(recording: "rr.RecordingStream", robot: str, track: Track, timeli
     nose = np.array([(-0.004, -0.020), (0, -0.0245), (0.004, -0.020)])
     recording.log(f"{place}/parts", rr.LineStrips2D([*wheels, nose], colors=[_OUTLINE] * 3), static=True)
     every = slice(None, None, SAMPLES_PER_PICTURE)
-    times = rr.TimeColumn(timeline, duration=[np.timedelta64(int(t), "ns") for t in track.times_ns[every]])
+    times = rr.TimeColumn(timeline, duration=track.times_ns[every].astype("timedelta64[ns]"))
     # Pictures have y downwards: ahead is up, left is left.
     feet = np.array([(-left, -forward) for forward, left in _BODY.sensor_positions]) * 1.35
     near = np.clip(track.proximity[every] / COUNTS_LIMIT, 0, 1)

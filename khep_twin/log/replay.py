@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 from khep_twin.errors import LogError
 from khep_twin.files import put_whole
-from khep_twin.log.khepbase import panel, send_fans, send_panel
-from khep_twin.log.reader import Label, read, read_label
+from khep_twin.log.khepbase import Gatherer, panel, send_fans, send_panel
+from khep_twin.log.reader import Label, read_label
 from khep_twin.log.still import still
 from khep_twin.units import Sensor
 
@@ -111,10 +111,12 @@ def _recording(path: Path, label: Label) -> bytes:
         stream = recording.binary_stream()
         recording.send_blueprint(_layout(label))
         recording.send_recording_name(path.stem)
-        rr.send_chunks(McapReader(path, timeline_type="duration_ns").stream(), recording=recording)
-        for robot, track in read(path).robots.items():
-            if len(track.times_ns):
-                send_panel(recording, robot, track, _TIMELINE)
+        gatherer = Gatherer()
+        chunks = McapReader(path, timeline_type="duration_ns").stream()
+        rr.send_chunks(gatherer.passing(chunks, _TIMELINE), recording=recording)
+        for robot in label.robots:
+            if (samples := gatherer.samples(robot)) is not None:
+                send_panel(recording, robot, samples, _TIMELINE)
             text = label.attachments.get(f"calibration/{robot}.toml")
             if text is not None:
                 send_fans(recording, robot, tuple(tomllib.loads(text)["heading_deg"]))
