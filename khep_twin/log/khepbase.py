@@ -6,7 +6,7 @@ the sensors look: a fan of lines at each of them.
 """
 
 # rerun's types are partly unknown.
-# pyright: reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import math
 from collections.abc import Iterable, Iterator
