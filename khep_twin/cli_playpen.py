@@ -35,10 +35,22 @@ def check(playpen: PlaypenName) -> None:
     found = playpens.load(playpen)
     for robot in found.robots:
         calibration.read(robot.calibration)
-    typer.echo(
-        f"{found.name}: {len(found.blocks)} blocks, {len(found.cylinders)} cylinders, "
-        f"{len(found.lamps)} lamps, {len(found.robots)} robots: no problem"
-    )
+    kinds = {
+        "block": found.blocks,
+        "cylinder": found.cylinders,
+        "wall": found.walls,
+        "patch": found.patches,
+        "lamp": found.lamps,
+        "spot": found.spots,
+        "robot": found.robots,
+    }
+    plural = {"patch": "patches"}
+    counts = [
+        f"{len(items)} {kind if len(items) == 1 else plural.get(kind, kind + 's')}"
+        for kind, items in kinds.items()
+        if items
+    ]
+    typer.echo(f"{found.name}: {', '.join(counts) or 'an empty arena'}: no problem")
 
 
 @playpen_app.command("compile")
