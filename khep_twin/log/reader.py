@@ -86,6 +86,34 @@ class Run:
     events: list[Line]
 
 
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One channel of numbers.
+
+    Attributes:
+        times_ns: of the messages (n,) [ns].
+        values: as they were written (n, length).
+    """
+
+    times_ns: NDArray[np.int64]
+    values: NDArray[np.int64] | NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A whole log with each channel at its own times, as logs of real robots have them.
+
+    Attributes:
+        label: what the log says of itself.
+        series: channels of numbers by topic; "/khepera0/pose" is x, y [m] and heading [rad] out of /tf.
+        lines: channels of text by topic, in order of time.
+    """
+
+    label: Label
+    series: Mapping[str, Series]
+    lines: Mapping[str, list[Line]]
+
+
 def read(path: Path) -> Run:
     """A log as arrays.
 
@@ -130,6 +158,37 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
             topic: (np.array(times[topic], np.int64), np.array(values, np.float64))
             for topic, values in rows.items()
         }
+
+
+def read_series(path: Path) -> Recording:
+    """A log with each channel at its own times.
+
+    Raises:
+        LogError: there is none, or it is not whole.
+    """
+    times: dict[str, list[int]] = {}
+    rows: dict[str, list[tuple[float, ...]]] = {}
+    columns = _Columns()
+    with _opened(path) as reader:
+        label = _label(path, reader)
+        for schema, channel, message in reader.iter_messages():
+            kind = _KINDS.get("" if schema is None else schema.name)
+            if kind is None:
+                columns.add(channel.topic, message.log_time, message.data)
+            else:
+                times.setdefault(channel.topic, []).append(message.log_time)
+                rows.setdefault(channel.topic, []).append(read_array(message.data, kind))
+        # In here, since rows of several lengths are damage, too.
+        series = {topic: Series(np.array(times[topic], np.int64), np.array(rows[topic])) for topic in rows}
+        tracks = {name: columns.track(name) for name in label.robots}
+    for name, track in tracks.items():
+        if len(track.pose):
+            series[f"/{name}/pose"] = Series(track.times_ns, track.pose)
+    return Recording(label, series, dict(columns.lines))
+
+
+_KINDS = {"std_msgs/msg/Float64MultiArray": "d", "std_msgs/msg/Int64MultiArray": "q"}
+"""How the numbers of a message type are packed."""
 
 
 @contextmanager

@@ -1,0 +1,66 @@
+"""The command line's part for what is made of a log: `khep-twin export`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from khep_twin.errors import LogError
+from khep_twin.files import unusable, write_whole
+
+LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.")]
+
+
+def export(
+    log: LogFile,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Table to write: .csv, .parquet or .mat.")
+    ] = None,
+    channels: Annotated[
+        str | None,
+        typer.Option(help="Only these, such as proximity,speed; without, all but registers."),
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Name of the robot, such as khepera1; without, the first.")
+    ] = None,
+    transcript: Annotated[
+        Path | None, typer.Option(help="Write what was said on the serial line as this CSV file.")
+    ] = None,
+) -> None:
+    """Writes what a log holds of a robot as tables for other programs."""
+    from khep_twin.lab import export as tables
+    from khep_twin.log.reader import read_series
+
+    if output is None and transcript is None:
+        raise LogError("nothing to write; right is -o FILE.csv, .parquet or .mat, or --transcript FILE.csv")
+    _check_outputs(log, *filter(None, (output, transcript)))
+    kind = "" if output is None else tables.checked_suffix(output)
+    if transcript is not None and transcript.suffix.lower() != ".csv":
+        raise LogError(f"--transcript {transcript}: right is a name that ends in .csv")
+    wanted = None if channels is None else [name.strip() for name in channels.split(",")]
+    recording = read_series(log)
+    name = tables.chosen_robot(recording, robot)
+    found = tables.chosen_channels(recording, name, wanted)
+    if output is not None:
+        if kind != ".mat" and not found:
+            raise LogError(f"{log}: {name} has no samples; right is --transcript, or -o FILE.mat")
+        data = tables.matrices(recording, name, found) if kind == ".mat" else tables.table(found, kind)
+        write_whole(output, data)
+        rows = len({time_ns for channel in found for time_ns in channel.series.times_ns.tolist()})
+        what = ", ".join(channel.name for channel in found) or "no samples"
+        typer.echo(f"table       {output}: {name}: {what}; {rows} rows")
+    if transcript is not None:
+        lines = recording.lines.get(f"/{name}/serial", [])
+        write_whole(transcript, tables.transcript(lines))
+        typer.echo(f"transcript  {transcript}: {name}: {len(lines)} lines")
+
+
+def _check_outputs(log: Path, *outputs: Path) -> None:
+    """Refuses files that could not be written at the end, and the log itself."""
+    for path in outputs:
+        if reason := unusable(path):
+            raise LogError(f"{path}: cannot be written: {reason}")
+        if path.resolve() == log.resolve() or (path.exists() and log.exists() and path.samefile(log)):
+            raise LogError(f"{path}: this is the log; right is a file of its own")
+    if len({path.resolve() for path in outputs}) < len(outputs):
+        raise LogError(f"{outputs[0]}: named twice; right is a file of its own for each")
