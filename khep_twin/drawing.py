@@ -67,7 +67,7 @@ STYLE: list[Any] = [
 
 _START: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
 _END: dict[str, Any] = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
-_METADATA: dict[str, dict[str, None]] = {
+METADATA: dict[str, dict[str, None]] = {
     "png": {"Software": None},
     "svg": {"Date": None, "Creator": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
@@ -150,12 +150,17 @@ def save(figure: Figure, file: Path) -> None:
         KhepTwinError: the suffix is another one, or the file cannot be written.
     """
     kind = file.suffix.lower().removeprefix(".")
-    if kind not in _METADATA:
+    if kind not in METADATA:
         raise KhepTwinError(f"{file}: right is a name that ends in .png, .svg or .pdf")
-    picture = BytesIO()
+    write_whole(file, picture(figure, kind))
+
+
+def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:
+    """A drawing as the bytes of a file, `kind` being "png", "svg" or "pdf"."""
+    data = BytesIO()
     with matplotlib.style.context(STYLE):
-        figure.savefig(picture, format=kind, dpi=160, metadata=_METADATA[kind])
-    write_whole(file, picture.getvalue())
+        figure.savefig(data, format=kind, dpi=dpi, metadata=METADATA[kind])
+    return data.getvalue()
 
 
 def _sheet(playpen: Playpen, *, scale: bool, legend: bool) -> tuple[Figure, Axes]:
