@@ -19,7 +19,7 @@ from khep_twin import __version__
 from khep_twin.cli_fit import fit
 from khep_twin.cli_playpen import PlaypenName, playpen_app
 from khep_twin.cli_progress import progress as progress_bar
-from khep_twin.cli_report import export
+from khep_twin.cli_report import export, report
 from khep_twin.cli_sense import sense
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import unusable, write_whole
@@ -39,6 +39,7 @@ app = typer.Typer(
 app.add_typer(playpen_app, name="playpen")
 app.command()(export)
 app.command()(fit)
+app.command()(report)
 app.command()(sense)
 
 

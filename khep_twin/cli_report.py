@@ -1,4 +1,4 @@
-"""The command line's part for what is made of a log: `khep-twin export`."""
+"""The command line's part for what is made of a log: `khep-twin export` and `khep-twin report`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -53,6 +53,31 @@ def export(
         lines = recording.lines.get(f"/{name}/serial", [])
         write_whole(transcript, tables.transcript(lines))
         typer.echo(f"transcript  {transcript}: {name}: {len(lines)} lines")
+
+
+def report(
+    log: LogFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Page to write: .html or .pdf.")],
+) -> None:
+    """Writes a page about a run: its path, sensors, wheels, and its numbers."""
+    kind = output.suffix.lower()
+    if kind not in (".html", ".pdf"):
+        raise LogError(f"{output}: right is a name that ends in .html or .pdf")
+    _check_outputs(log, output)
+    from khep_twin.lab.report import report as report_on
+    from khep_twin.log.reader import read_series
+
+    found = report_on(read_series(log), str(log))
+    if kind == ".html":
+        from khep_twin.lab.report_pages import html
+
+        data = html(found)
+    else:
+        from khep_twin.lab.report_pdf import pdf
+
+        data = pdf(found)
+    write_whole(output, data)
+    typer.echo(f"report  {output}")
 
 
 def _check_outputs(log: Path, *outputs: Path) -> None:
