@@ -34,6 +34,9 @@ USUAL_DARK_COUNTS = 500
 """What a sensor reads in the dark, where the log has no calibration [counts]."""
 
 
+_UNSET = ("None", "()")
+
+
 @dataclass(frozen=True, slots=True)
 class RobotReport:
     """One robot's part.
@@ -110,7 +113,7 @@ def report(recording: Recording, source: str) -> Report:
         tracks,
         tuple(_robot(recording, playpen, index, name) for index, name in enumerate(names)),
         tuple((f"{line.time_ns / 1e9:.2f} s, {line.name}", line.text) for line in _events(recording)),
-        tuple((key.replace("_", " "), value) for key, value in facts.items() if value != "None"),
+        tuple((key.replace("_", " "), value) for key, value in facts.items() if value not in _UNSET),
     )
 
 

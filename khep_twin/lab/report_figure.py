@@ -60,7 +60,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
             axes.set(ylim=limits, yticks=limits if sensor == 0 else [], xlim=_times(robot))
             axes.tick_params(labelsize=7, length=2)
             axes.spines[["top", "right"]].set_visible(False)
-            axes.xaxis.set_major_locator(MaxNLocator(8))
+            axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
             _mark_contact(axes, robot)
             if sensor < 7:
                 axes.tick_params(labelbottom=False)
@@ -131,7 +131,7 @@ def _draw_strip(axes: Axes, series: Series, sensor: int, colour: str, dark: floa
     """One sensor: proximity filled from below, ambient light as deep as it goes below the dark level."""
     times_s, values = _thinned(series.times_ns / 1e9, series.values[:, sensor])
     level = 0.0 if dark is None else dark
-    axes.fill_between(times_s, values, level, color=colour, alpha=0.25, lw=0)
+    axes.fill_between(times_s, values, level, color=colour, alpha=0.4, lw=0)
     axes.plot(times_s, values, color=colour, lw=0.7)
     axes.axhline(NEAR_COUNTS if dark is None else dark, color=INK, alpha=0.4, lw=0.5, ls=":")
 
@@ -149,7 +149,7 @@ def _mark_contact(axes: Axes, robot: RobotReport) -> None:
     spans: Iterable[list[float]] = robot.contact[:_MARK_LIMIT].tolist()
     for number, (begin, end) in enumerate(spans):
         label = "in touch with something" if number == 0 else None
-        axes.axvspan(begin, end, color=_CONTACT, alpha=0.18, lw=0.6, label=label)
+        axes.axvspan(begin, end, color=_CONTACT, alpha=0.18, lw=0.6, label=label, zorder=0)
 
 
 def _times(robot: RobotReport) -> tuple[float, float]:

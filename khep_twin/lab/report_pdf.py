@@ -44,18 +44,18 @@ def pdf(report: Report) -> bytes:
         if report.playpen is not None:
             pages.picture(drawing.picture(draw_map(report), "png", DPI))
         for robot in report.robots:
-            pages.heading(robot.name)
+            pages.heading(robot.name, 0.25 * len(robot.rows))
             pages.table(robot.rows, _TEXT)
             if robot.missing:
                 pages.text(robot.missing, _SMALL)
             for draw, height, _ in pictures(robot):
                 bottom = pages.room(height)
                 draw(pages.figures[-1], robot, (_SIDE, bottom))
-        pages.heading("Faults and events")
+        pages.heading("Faults and events", 1)
         pages.table(listed(report.events) or [("none", "")], _TEXT)
-        pages.heading("Versions and settings")
+        pages.heading("Versions and settings", 2.5)
         pages.table(report.settings, _SMALL)
-        pages.heading("What the numbers mean")
+        pages.heading("What the numbers mean", 2.5)
         pages.table(DEFINITIONS, _SMALL)
         data = BytesIO()
         with PdfPages(data, metadata=METADATA["pdf"]) as file:
@@ -89,9 +89,9 @@ class _Pages:
         bottom = self.room((len(lines) + 0.5) * _line_height(size))
         self._write(_SIDE, bottom + 0.5 * _line_height(size), lines, size)
 
-    def heading(self, text: str) -> None:
-        """Writes a heading with a line below, and keeps it with something of what follows."""
-        if self._left < 1.5:
+    def heading(self, text: str, keep: float) -> None:
+        """Writes a heading with a line below, on a page with room for so much of what follows [inch]."""
+        if self._left < 0.42 + keep:
             self._left = 0.0
         bottom = self.room(0.42)
         self._write(_SIDE, bottom + 0.1, [text], _HEADING)
@@ -138,5 +138,5 @@ def _line_height(size: float) -> float:
 
 def _lines(text: str, size: float, width: float) -> list[str]:
     """A text cut into lines that fit a width [inch]."""
-    # A letter of the font is 0.58 of its size wide in the mean of such texts.
-    return textwrap.wrap(text, int(width * 72 / (0.58 * size))) or [""]
+    # A letter of the font is 0.56 of its size wide in the mean of such texts, with some to spare.
+    return textwrap.wrap(text, int(width * 72 / (0.56 * size))) or [""]

@@ -28,7 +28,7 @@ DEFINITIONS: tuple[Row, ...] = (
     ),
     ("Light gained", "how far a reading of ambient light lies below the dark level; lamps lower it"),
     (
-        "By the counters",
+        "By counters",
         "way and heading reckoned from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels; "
         "slip, and wheels of another size, make them differ from the truth",
     ),
@@ -70,10 +70,10 @@ def slip_rows(pose: Series, registers: Series) -> Iterator[Row]:
     found = statistics.slip(times_s, truth, pulses)
     true_way = statistics.way(truth[:, :2])
     more = f", {_signed(100 * (found.distance / true_way - 1), 1)} %" if true_way else ""
-    yield "Distance by the counters", f"{_length(found.distance)}{more}"
+    yield "Distance by counters", f"{_length(found.distance)}{more}"
     heading = _signed(math.degrees(found.heading), 1)
-    yield "Heading by the counters", f"at most {heading}° off, at {found.heading_s:.1f} s"
-    yield "End by the counters", f"{1000 * found.end:.0f} mm off"
+    yield "Heading by counters", f"at most {heading}° off, at {found.heading_s:.1f} s"
+    yield "End by counters", f"{1000 * found.end:.0f} mm off"
 
 
 def light_rows(ambient: Series, dark: float) -> Iterator[Row]:
