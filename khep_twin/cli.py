@@ -17,6 +17,7 @@ import typer
 
 from khep_twin import __version__
 from khep_twin.cli_fit import fit
+from khep_twin.cli_log import recover
 from khep_twin.cli_playpen import PlaypenName, playpen_app
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_report import export, report
@@ -40,6 +41,7 @@ app.add_typer(playpen_app, name="playpen")
 app.command()(export)
 app.command()(fit)
 app.command()(report)
+app.command()(recover)
 app.command()(sense)
 
 
@@ -453,7 +455,11 @@ def _tell_served(duration_ns: int, dropped: int) -> None:
 def _tell_kept(recorder: "Recorder | LineRecorder | None") -> None:
     """Says that an unfinished log of an earlier run was found and where it is now."""
     if recorder is not None and recorder.kept is not None:
-        typer.echo(f"khep-twin: an unfinished log of an earlier run is kept as {recorder.kept}", err=True)
+        remedy = f"{_program()} recover {recorder.kept}"
+        typer.echo(
+            f"khep-twin: an unfinished log of an earlier run is kept as {recorder.kept}; rescue it: {remedy}",
+            err=True,
+        )
 
 
 def _complain(text: str) -> None:

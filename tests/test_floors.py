@@ -53,7 +53,7 @@ FLOORS = [
     ["robot", "world"],
     ["ports", "host", "log"],
     ["lab"],
-    ["cli", "cli_fit", "cli_playpen", "cli_progress", "cli_report", "cli_sense"],
+    ["cli", "cli_fit", "cli_log", "cli_playpen", "cli_progress", "cli_report", "cli_sense"],
     ["__main__"],
 ]
 """From the ground up; a file imports from floors below its own."""
@@ -104,6 +104,7 @@ WITHIN_A_FLOOR = {
     ("drawing", "symbols"),
     ("ports", "log"),
     ("cli", "cli_fit"),
+    ("cli", "cli_log"),
     ("cli", "cli_playpen"),
     ("cli", "cli_progress"),
     ("cli", "cli_report"),

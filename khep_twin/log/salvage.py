@@ -1,0 +1,155 @@
+"""What is still whole in the bytes of a damaged MCAP file.
+
+The file is walked record by record. Where one does not hold what it promises, the next place is looked for at
+which a record can be proved: by its checksum, or by parsing to its last byte with another record behind it.
+
+A chunk that the end of the file cuts off is unpacked as far as it goes. One damaged in the middle fails its
+checksum and is left out as a whole: nobody can tell which of its values are still those of the run.
+"""
+
+from collections.abc import Generator
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
+
+from khep_twin.log.record_bytes import (
+    HEAD,
+    MESSAGE,
+    PLACES,
+    READERS,
+    RecordBytes,
+    parsed,
+    records_in,
+    unpacked,
+)
+
+
+class Salvage:
+    """Looks through a file for what is whole in it.
+
+    Args:
+        data: the file.
+
+    Attributes:
+        header: of the file.
+        schemas: by number.
+        channels: by number.
+        attachments: those that fail their checksum are called damaged/NAME.
+        metadata: facts about the run.
+        damaged: how many places could not be read.
+        torn: whether the end of the file cuts off something that carried content.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._bytes = RecordBytes(data)
+        self.header = Header("", "")
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.attachments: list[Attachment] = []
+        self.metadata: list[Metadata] = []
+        self.damaged = 0
+        self.torn = False
+        self._pieces: list[int | bytes] = []
+        # A few wrong bytes there are damage like any other.
+        if sum(a == b for a, b in zip(data, MCAP0_MAGIC, strict=False)) >= 5:
+            self._walk()
+
+    def messages(self) -> Generator[Message, None, None]:
+        """The messages whose channels are known, in the order of the file."""
+        for piece in self._pieces:
+            records = piece if isinstance(piece, bytes) else self._bytes.chunk(piece)[0]
+            for opcode, start, end in records_in(records or b""):
+                if opcode == Opcode.MESSAGE and end - start >= MESSAGE.size:
+                    channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records or b"", start)
+                    if channel in self.channels:
+                        content = (records or b"")[start + MESSAGE.size : end]
+                        yield Message(channel, log_time, content, publish_time, sequence)
+
+    def _walk(self) -> None:
+        place = len(MCAP0_MAGIC)
+        if self._data[:place] != MCAP0_MAGIC:
+            self.damaged += 1
+        while place < len(self._data):
+            if self._data.startswith(MCAP0_MAGIC, place):
+                return
+            end = self._take(place)
+            if end is None:
+                if self._is_torn(place):
+                    return
+                self.damaged += 1
+                end = self._bytes.next_record(place + 1)
+                if end is None:
+                    return
+            place = end
+
+    def _take(self, place: int) -> int | None:
+        """Keeps what the record at a place holds; returns where the next begins, None if it is none."""
+        opcode, end = self._bytes.head(place)
+        if opcode == Opcode.CHUNK:
+            records, end = self._bytes.chunk(place)
+            if records is None:
+                return None
+            self._define(records)
+            self._pieces.append(place)
+            return end
+        if end is None:
+            return None
+        if opcode == Opcode.MESSAGE:
+            self._pieces.append(self._data[place:end])
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = self._bytes.attachment(place, end)
+            if attachment is None:
+                return None
+            self.attachments.append(attachment)
+            self.damaged += attachment.name.startswith("damaged/")
+        elif opcode in READERS:
+            return self._keep(parsed(opcode, self._data[place + HEAD.size : end]), end)
+        elif opcode not in PLACES:
+            return None
+        return end
+
+    def _keep(self, record: McapRecord | None, end: int) -> int | None:
+        match record:
+            case Header():
+                self.header = record
+            case Schema():
+                self.schemas.setdefault(record.id, record)
+            case Channel():
+                self.channels.setdefault(record.id, record)
+            case Metadata():
+                self.metadata.append(record)
+            case None:
+                return None
+            case _:
+                pass
+        return end
+
+    def _define(self, records: bytes) -> None:
+        for opcode, start, end in records_in(records):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._keep(parsed(opcode, records[start:end]), end)
+
+    def _is_torn(self, place: int) -> bool:
+        """Whether the file ends within the record at a place; what can be had of it is kept."""
+        data = self._data
+        opcode, end = self._bytes.head(place)
+        if end is not None:
+            return False
+        if opcode in PLACES and len(data) - place < HEAD.size:
+            return True
+        if opcode in PLACES:
+            # Of a list of places nothing is lost, if this is one and not a length gone wrong.
+            return self._bytes.next_record(place + 1) is None
+        if opcode == Opcode.CHUNK and (found := self._bytes.chunk_head(place)) is not None:
+            size, _, compression, start, inner = found
+            if inner != place + HEAD.size + HEAD.unpack_from(data, place)[1]:
+                return False
+            records = unpacked(compression, data[start:], size)
+            self._define(records)
+            self._pieces.append(records)
+        elif self._bytes.next_record(place + 1) is not None:
+            return False
+        self.torn = True
+        return True

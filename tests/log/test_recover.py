@@ -1,0 +1,241 @@
+"""Rescue: all that is whole is kept, what is lost is said, nothing is half-written."""
+
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from driving import COMMANDS, SECOND
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.writer import Writer
+
+from khep_twin.errors import LogError
+from khep_twin.log.part_file import PartFile
+from khep_twin.log.reader import read
+from khep_twin.log.recover import Rescue, recover
+from khep_twin.log.salvage import Salvage
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+ATTACHMENTS = ["playpen.toml", "scene.xml", "configuration.json", "calibration/khepera0.toml"]
+
+
+@pytest.fixture(scope="module")
+def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of several chunks."""
+    path = tmp_path_factory.mktemp("logs") / "run.mcap"
+    with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
+        for _ in range(3):
+            for command in COMMANDS:
+                twin.robot.send(command)
+                twin.advance_to(twin.world.time_ns + SECOND)
+            twin.world.tell(None, "so far")
+            twin.advance_to(twin.world.time_ns + SECOND)
+    return path
+
+
+def contents(path: Path) -> list[tuple[str, Message]]:
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        return [(channel.topic, message) for _, channel, message in reader.iter_messages()]
+
+
+def rescued(folder: Path, data: bytes) -> Rescue | None:
+    """What can be rescued of these bytes; the file is opened, too."""
+    part = folder / "torn.mcap.part"
+    part.write_bytes(data)
+    target = folder / "torn.mcap"
+    target.unlink(missing_ok=True)
+    try:
+        found = recover(part)
+    except LogError:
+        assert os.listdir(folder) == [part.name]
+        return None
+    assert sorted(os.listdir(folder)) == [target.name, part.name]
+    assert part.read_bytes() == data
+    assert len(contents(target)) == found.messages
+    return found
+
+
+def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(long_log.read_bytes())
+    found = recover(path)
+    assert found.path == tmp_path / "run.recovered.mcap"
+    assert found.whole
+    assert found.until_ns == 12 * SECOND
+    before, after = contents(path), contents(found.path)
+    assert [(topic, each.log_time, each.data) for topic, each in before] == [
+        (topic, each.log_time, each.data) for topic, each in after
+    ]
+    assert read(found.path).attachments == read(path).attachments
+    assert read(found.path).metadata == read(path).metadata
+    assert recover(path).path == tmp_path / "run.recovered.2.mcap"
+
+
+def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) -> None:
+    data = long_log.read_bytes()
+    points = sorted(random.Random(1).sample(range(len(data) + 1), 1000))
+    before, opened = (0, 0), 0
+    for point in points:
+        salvage = Salvage(data[:point])
+        now = sum(1 for _ in salvage.messages()), len(salvage.attachments)
+        assert now >= before, point
+        assert now[1] >= before[1], point
+        before = now
+    # Opening each takes its time: every twentieth, and what is in it is what was there.
+    whole = [(topic, each.log_time, each.data) for topic, each in contents(long_log)]
+    for point in points[::20]:
+        if (found := rescued(tmp_path, data[:point])) is None:
+            continue
+        opened += 1
+        kept = contents(found.path)
+        assert {(topic, each.log_time, each.data) for topic, each in kept} <= set(whole)
+        if found.messages:
+            run = read(found.path)
+            assert list(run.attachments) == ATTACHMENTS
+            assert run.metadata["playpen"] == "obstacles"
+    assert opened > 40
+    assert before[0] == len(whole)
+
+
+def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(tmp_path: Path, long_log: Path) -> None:
+    data = long_log.read_bytes()
+    whole = {(topic, each.log_time, each.data) for topic, each in contents(long_log)}
+    chance = random.Random(2)
+    for _ in range(300):
+        place = chance.randrange(8, len(data))
+        damaged = bytearray(data)
+        damaged[place] ^= 1 << chance.randrange(8)
+        salvage = Salvage(bytes(damaged))
+        # Channels are named in the summary, too: only the chunk that was hit is lost.
+        kept = {
+            (salvage.channels[each.channel_id].topic, each.log_time, each.data) for each in salvage.messages()
+        }
+        assert len(kept) >= len(whole) * 0.4, place
+        assert sum(not name.name.startswith("damaged/") for name in salvage.attachments) >= 3, place
+        if salvage.damaged == 0 and not salvage.torn:
+            assert len(kept) == len(whole), place
+        assert {each[1:] for each in kept} <= {each[1:] for each in whole}, place
+
+
+def test_damage_in_the_middle_is_skipped_and_said(tmp_path: Path, long_log: Path) -> None:
+    data = bytearray(long_log.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 40] = bytes(40)
+    found = rescued(tmp_path, bytes(data))
+    assert found is not None
+    assert (found.damaged, found.torn) == (1, False)
+    assert found.until_ns == 12 * SECOND
+    assert 0 < found.messages < len(contents(long_log))
+
+
+def test_a_damaged_attachment_does_not_pass_for_a_good_one(tmp_path: Path, long_log: Path) -> None:
+    data = long_log.read_bytes()
+    place = data.index(b"obstacles")
+    found = rescued(tmp_path, data[:place] + b"0bstacles" + data[place + 9 :])
+    assert found is not None
+    assert found.damaged == 1
+    assert list(read(found.path).attachments) == ["damaged/playpen.toml", *ATTACHMENTS[1:]]
+
+
+def test_messages_outside_of_chunks_are_kept(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start("", "another program")
+        channel = writer.register_channel("/a", "json", 0)
+        for number in range(100):
+            writer.add_message(channel, number, b'{"a": 1}', number)
+        writer.finish()
+    data = path.read_bytes()
+    counts = [sum(1 for _ in Salvage(data[:size]).messages()) for size in range(0, len(data), 7)]
+    assert counts == sorted(counts)
+    assert counts[-1] == 100
+    found = rescued(folder, data[: len(data) // 2])
+    assert found is not None
+    assert (found.messages, found.torn) == (counts[len(data) // 14], True)
+
+
+def khep_twin(*words: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "khep_twin", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_exit_codes_tell_all_part_and_nothing(tmp_path: Path, long_log: Path) -> None:
+    data = long_log.read_bytes()
+    folder = tmp_path / "a folder.mcap.part"
+    folder.mkdir()
+    cases: dict[str, tuple[bytes, int]] = {
+        "whole": (data, 0),
+        "no summary": (data[: data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")], 0),
+        "torn": (data[: len(data) // 2], 3),
+        "empty": (b"", 1),
+        "text": (b"no log at all\n" * 100, 1),
+        "start": (data[:30], 1),
+    }
+    for name, (content, code) in cases.items():
+        part = tmp_path / f"{name}.mcap.part"
+        part.write_bytes(content)
+        done = khep_twin("recover", part)
+        assert done.returncode == code, (name, done)
+        assert len((done.stdout + done.stderr).splitlines()) == (1 if code == 1 else 2), (name, done)
+        assert (tmp_path / f"{name}.mcap").exists() == (code != 1)
+    for path in (folder, tmp_path / "not there.mcap.part"):
+        done = khep_twin("recover", path)
+        assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (1, "", 1)
+
+
+def test_a_log_that_a_run_is_writing_is_left_alone(tmp_path: Path) -> None:
+    file = PartFile(tmp_path / "run.mcap.part")
+    with pytest.raises(LogError, match="a run is writing it"):
+        recover(tmp_path / "run.mcap.part")
+    file.close()
+
+
+def test_a_full_disk_leaves_nothing_behind(
+    tmp_path: Path, long_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = tmp_path / "run.mcap.part"
+    part.write_bytes(long_log.read_bytes())
+
+    def full(self: Writer) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Writer, "finish", full)
+    with pytest.raises(LogError, match=r"run\.mcap: cannot be written: No space left on device"):
+        recover(part)
+    assert os.listdir(tmp_path) == ["run.mcap.part"]
+
+
+def test_a_killed_run_is_rescued_and_the_next_one_says_how(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    command = [sys.executable, "-m", "khep_twin", "run", "--seconds", "900", "--log", str(log)]
+    part = tmp_path / "run.mcap.part"
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 30
+        while (not part.exists() or part.stat().st_size < 60_000) and time.monotonic() < deadline:
+            time.sleep(0.02)
+    finally:
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+    done = subprocess.run(
+        [*command[:5], "1", *command[6:]], capture_output=True, text=True, check=True, timeout=60
+    )
+    (told,) = [line for line in done.stderr.splitlines() if "unfinished" in line]
+    remedy = re.search(r"recover (\S+)$", told)
+    assert remedy is not None
+    assert remedy[1] == f"{log}.part.1"
+    done = khep_twin("recover", remedy[1])
+    assert (done.returncode, done.stderr) == (0, "")
+    run = read(tmp_path / "run.recovered.mcap")
+    assert list(run.attachments) == ATTACHMENTS
+    # In lock-step what was written up to every fifth simulated second is there.
+    assert run.robots["khepera0"].times_ns[-1] >= 4 * SECOND
