@@ -17,7 +17,7 @@ import typer
 
 from khep_twin import __version__
 from khep_twin.cli_fit import fit
-from khep_twin.cli_log import recover
+from khep_twin.cli_log import recover, repeat
 from khep_twin.cli_playpen import PlaypenName, playpen_app
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_report import export, report
@@ -42,6 +42,7 @@ app.command()(export)
 app.command()(fit)
 app.command()(report)
 app.command()(recover)
+app.command()(repeat)
 app.command()(sense)
 
 

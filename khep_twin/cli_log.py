@@ -1,9 +1,12 @@
-"""The command line's part for logs: `khep-twin recover`."""
+"""The command line's part for logs: `khep-twin recover` and `khep-twin repeat`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from khep_twin.cli_progress import progress as progress_bar
+from khep_twin.clock import NS_PER_S
 
 
 def recover(
@@ -18,3 +21,28 @@ def recover(
     typer.echo(f"log      {found.path}")
     if not found.whole:
         raise typer.Exit(3)
+
+
+def repeat(
+    log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.")],
+) -> None:
+    """Runs a log's run again and compares; ends with 0 if it is the same, 3 if not, 1 if it cannot be."""
+    from khep_twin.lab.repeat import check, elsewhere, read_recorded
+    from khep_twin.lab.repeat import repeat as run_again
+
+    recorded = read_recorded(log)
+    check(recorded)
+    for line in elsewhere(recorded):
+        typer.echo(f"khep-twin: {line}", err=True)
+    with progress_bar() as progress:
+        difference = run_again(recorded, progress)
+    if difference is None:
+        count = sum(map(len, recorded.lines))
+        typer.echo(
+            f"identical: {recorded.end_ns / NS_PER_S:.2f} s, {len(recorded.states)} states, {count} lines"
+        )
+        return
+    typer.echo(f"different from {difference.time_ns / NS_PER_S:.4f} s on, {difference.channel}")
+    typer.echo(f"recorded  {difference.recorded}")
+    typer.echo(f"repeated  {difference.repeated}")
+    raise typer.Exit(3)

@@ -22,7 +22,7 @@ from khep_twin.rom import ROMS
 from khep_twin.sensors import InfraredScan
 from khep_twin.supply import Supply
 from khep_twin.turrets import find
-from khep_twin.uart import LineSettings, Uart
+from khep_twin.uart import Act, HostAct, LineSettings, Uart
 
 REPLY_LIMIT = 256
 """Bytes of replies that wait to be sent before the firmware takes no more commands (assumed)."""
@@ -43,6 +43,10 @@ class Stage(Protocol):
 
     def hear(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Takes a note of bytes on a line, the last of them at `time_ns`."""
+        ...
+
+    def act(self, robot: int, act: HostAct) -> None:
+        """Takes a note of what a host does now."""
         ...
 
 
@@ -140,6 +144,8 @@ class Robot:
         Returns:
             What is to be said about it; empty if all is well, or if it was said before.
         """
+        if host != self._host:
+            self._stage.act(self.index, HostAct(Act.SET, self._stage.time_ns, host))
         self._host, baud = host, self._baud
         if host is None or (host, baud) in self._warned or host == LineSettings(baud, 2):
             return ""
@@ -153,13 +159,20 @@ class Robot:
     def send(self, data: bytes, time_ns: int = 0) -> None:
         """Puts bytes of the host on the line, now or at a later time [ns]."""
         time_ns = max(time_ns, self._stage.time_ns)
+        self._stage.act(self.index, HostAct(Act.SEND, time_ns, self._host, data))
         if not self._unpaced:
             self.uart.rx.baud = (self._host and self._host.baud) or self._baud
         self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
 
+    def take_back(self) -> None:
+        """The host takes back what has not reached the robot yet."""
+        self._stage.act(self.index, HostAct(Act.TAKE_BACK, self._stage.time_ns, self._host))
+        self.uart.rx.take_back(self._stage.time_ns)
+
     def hang_up(self) -> None:
         """The host has gone: its whole commands are carried out unanswered, one just begun is forgotten."""
         time_ns = self._stage.time_ns
+        self._stage.act(self.index, HostAct(Act.HANG_UP, time_ns, self._host))
         rx, tx = self.uart.rx, self.uart.tx
         if sent := rx.read(rx.arrival(len(rx)) or time_ns):
             self._stage.hear(time_ns, self.index, True, sent)

@@ -6,6 +6,7 @@ t0 + k * 11 * 10^9 // baud; a burst that finds the line busy starts when the lin
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from enum import IntEnum
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.units import BITS_PER_BYTE
@@ -27,6 +28,32 @@ class LineSettings:
 
     baud: int
     stop_bits: int
+
+
+class Act(IntEnum):
+    """What a host does to the line."""
+
+    SEND = 0
+    HANG_UP = 1
+    TAKE_BACK = 2
+    SET = 3
+
+
+@dataclass(frozen=True, slots=True)
+class HostAct:
+    """One thing that a host did to its robot's line: with the same ones, a run can be repeated.
+
+    Attributes:
+        kind: what it was.
+        at_ns: from when on it holds, now or later [ns].
+        host: how the host had set its end of the line, None for as the robot has it.
+        data: what was sent, as it left the host.
+    """
+
+    kind: Act
+    at_ns: int
+    host: LineSettings | None = None
+    data: bytes = b""
 
 
 class Line:

@@ -21,6 +21,7 @@ from khep_twin.playpen import Playpen, placed
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot
+from khep_twin.uart import HostAct
 
 SAMPLE_NS = units.SCAN_NS
 """How often taps are shown the world [ns]."""
@@ -40,6 +41,10 @@ class Tap(Protocol):
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Hears the bytes that crossed a robot's line, the last of them at `time_ns`."""
+        ...
+
+    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+        """Is told what a robot's host does to the line."""
         ...
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
@@ -159,6 +164,11 @@ class World:
         """Passes bytes that crossed a robot's line on to the taps."""
         for tap in self.taps:
             tap.wire(time_ns, robot, to_robot, data)
+
+    def act(self, robot: int, act: HostAct) -> None:
+        """Passes what a host does on to the taps."""
+        for tap in self.taps:
+            tap.act(self.time_ns, robot, act)
 
     def _switch_on(self) -> None:
         # The rangefinders' first turn comes in the second step.

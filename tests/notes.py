@@ -1,5 +1,6 @@
 """A tap that keeps the events of a world."""
 
+from khep_twin.uart import HostAct
 from khep_twin.world import World
 
 
@@ -13,6 +14,9 @@ class Notes:
         """Nothing."""
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Nothing."""
+
+    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
         """Nothing."""
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:

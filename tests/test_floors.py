@@ -109,6 +109,7 @@ WITHIN_A_FLOOR = {
     ("cli", "cli_progress"),
     ("cli", "cli_report"),
     ("cli", "cli_sense"),
+    ("cli_log", "cli_progress"),
     ("cli_sense", "cli_progress"),
 }
 """(importer, imported) pairs of one floor that are allowed all the same."""

@@ -132,6 +132,8 @@ def test_a_robot_that_drives_to_a_lamp_sees_the_next_one_come_on() -> None:
 
         def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None: ...
 
+        def act(self, time_ns: int, robot: int, act: object) -> None: ...
+
         def event(self, time_ns: int, robot: int | None, text: str) -> None:
             told.append(text)
 

@@ -11,6 +11,8 @@
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
     /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
     /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
+    /khepera0/wire              std_msgs/Int64MultiArray    what its host did, to repeat it (`wire`)
+    /state                      std_msgs/Int64MultiArray    hash of the whole state (`wire`)
     /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change
     /events                     rcl_interfaces/Log          notes
 

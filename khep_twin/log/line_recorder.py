@@ -16,7 +16,9 @@ from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED
 from khep_twin.log.transcript import Transcript
+from khep_twin.log.wire import act_message
 from khep_twin.protocol import Command, LineReader, parse
+from khep_twin.uart import Act, HostAct
 
 ROBOT = "khepera0"
 """Name that the robot has in the log."""
@@ -62,6 +64,9 @@ class LineRecorder:
         """Writes bytes that cross the line now."""
         time_ns = self._now()
         self._transcript.hear(time_ns, 0, to_robot, data)
+        if to_robot:
+            message = act_message(HostAct(Act.SEND, time_ns, None, data))
+            self._log.add(f"/{ROBOT}/wire", "std_msgs/msg/Int64MultiArray", time_ns, message)
         for line in self._lines[to_robot].feed(data):
             if to_robot:
                 self._take_setpoints(line)

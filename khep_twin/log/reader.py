@@ -1,7 +1,7 @@
 """Reading a log back: what was recorded as arrays, without ROS, rerun or the simulator."""
 
 import struct
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -189,6 +189,31 @@ def read_series(path: Path) -> Recording:
 
 _KINDS = {"std_msgs/msg/Float64MultiArray": "d", "std_msgs/msg/Int64MultiArray": "q"}
 """How the numbers of a message type are packed."""
+
+
+def read_raw(
+    path: Path, wanted: Callable[[str], bool]
+) -> tuple[Label, dict[str, list[tuple[int, bytes]]], bool]:
+    """What a log says of itself, times [ns] and bytes of its messages by topic, in the order of the file.
+
+    Args:
+        path: of a finished log.
+        wanted: whether a topic is.
+
+    Returns:
+        Label, messages, and whether the log was recovered, so that its end may be missing.
+
+    Raises:
+        LogError: there is none, or it is not whole.
+    """
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with _opened(path) as reader:
+        label = _label(path, reader)
+        recovered = any(record.name == "recovered" for record in reader.iter_metadata())
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            if wanted(channel.topic):
+                found.setdefault(channel.topic, []).append((message.log_time, message.data))
+    return label, found, recovered
 
 
 @contextmanager

@@ -6,6 +6,7 @@ machine or the file's own name goes in: the same run gives the same bytes.
 """
 
 import json
+import platform
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +26,9 @@ from khep_twin.log.channels import ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.transcript import Transcript
+from khep_twin.log.wire import StateHash, act_message
 from khep_twin.robot import Robot
+from khep_twin.uart import HostAct
 from khep_twin.world import SAMPLE_NS, World
 
 FLUSH_NS = 5 * NS_PER_S
@@ -34,6 +37,7 @@ FLUSH_NS = 5 * NS_PER_S
 _BATCH = FLUSH_NS // SAMPLE_NS
 
 _FLOATS = "std_msgs/msg/Float64MultiArray"
+_INTEGERS = "std_msgs/msg/Int64MultiArray"
 
 SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
     ("proximity", _FLOATS, "f8", "counts", list(PROXIMITY)),
@@ -80,6 +84,9 @@ class Recorder:
         self._streams = [_RobotStream(robot) for robot in world.robots]
         self._lamps = None if world.lamps.steady else ArrayFrame(len(world.lamps.names), "f8", "power [W]")
         self._powers = np.zeros((_BATCH, len(world.lamps.names)))
+        self._state, self._state_frame = StateHash(world), ArrayFrame(1, "i8", "hash of the state")
+        self._states = np.zeros((_BATCH, 1), np.int64)
+        self._acts: list[tuple[list[int], list[bytes]]] = [([], []) for _ in world.robots]
         self._rows = 0
         self._times_ns = np.zeros(_BATCH, np.int64)
         self._positions = np.zeros((_BATCH, len(self._moving), 3))
@@ -103,6 +110,7 @@ class Recorder:
         self._positions[row] = world.data.xpos[self._moving]
         self._quaternions[row] = world.data.xquat[self._moving]
         self._powers[row] = world.lamps.powers
+        self._states[row] = self._state.value()
         for stream in self._streams:
             stream.note(row)
         self._rows = row + 1
@@ -113,6 +121,15 @@ class Recorder:
         """Notes bytes of the transcript."""
         if self._log.open:
             self._transcript.hear(time_ns, robot, to_robot, data)
+            if not to_robot:
+                self._state.hear(time_ns, robot, data)
+
+    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+        """Notes what a host did."""
+        if self._log.open:
+            times_ns, messages = self._acts[robot]
+            times_ns.append(time_ns)
+            messages.append(act_message(act))
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Writes a note, and everything so far to the file."""
@@ -152,6 +169,13 @@ class Recorder:
             for topic, schema, messages in stream.messages(rows):
                 self._log.add_rows(topic, schema, times_ns, messages)
         self._transcript.write()
+        for robot, (at_ns, acts) in zip(self._world.robots, self._acts, strict=True):
+            if acts:
+                self._log.add_each(f"/{robot.name}/wire", _INTEGERS, at_ns, acts)
+                at_ns.clear()
+                acts.clear()
+        # At the end, so that what a torn file has of it can be repeated with what came before.
+        self._log.add_rows("/state", _INTEGERS, times_ns, self._state_frame.messages(self._states[:rows]))
 
     def _begin(self, settings: Mapping[str, object]) -> None:
         world = self._world
@@ -168,14 +192,22 @@ class Recorder:
         facts = {
             "playpen": world.playpen.name,
             "robots": ",".join(robot.name for robot in world.robots),
-            "khep_twin": __version__,
-            "mujoco": mujoco.__version__,
-            "numpy": version("numpy"),
+            **versions(),
         }
         self._log.describe(attachments, {**facts, **{key: str(value) for key, value in settings.items()}})
         message = channels.text_message(urdf(world.model))
         self._log.add("/robot_description", "std_msgs/msg/String", 0, message)
         self._log.flush()
+
+
+def versions() -> dict[str, str]:
+    """What the last bits of a run may depend on: packages, and the kind of machine, not which one it is."""
+    return {
+        "khep_twin": __version__,
+        "mujoco": mujoco.__version__,
+        "numpy": version("numpy"),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
 
 
 class _RobotStream:
@@ -186,14 +218,13 @@ class _RobotStream:
         self._sources = [robot.registers, *(turret.registers for turret in turrets.values())]
         starts = np.cumsum([0, *(len(source) for source in self._sources)])
         self._noted = np.zeros((_BATCH, starts[-1]), np.int64)
-        integers = "std_msgs/msg/Int64MultiArray"
         self._channels = [
             (f"/{robot.name}/{topic}", schema, ArrayFrame(len(columns), kind, label), columns)
             for topic, schema, kind, label, columns in (
                 *SAMPLED,
-                ("registers", integers, "i8", "registers", list(range(N_REGISTERS))),
+                ("registers", _INTEGERS, "i8", "registers", list(range(N_REGISTERS))),
                 *(
-                    (kind.name, integers, "i8", "registers", list(range(start, end)))
+                    (kind.name, _INTEGERS, "i8", "registers", list(range(start, end)))
                     for kind, start, end in zip(turrets, starts[1:], starts[2:], strict=False)
                 ),
             )

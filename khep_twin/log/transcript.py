@@ -1,13 +1,21 @@
 """The transcript of serial lines: bytes as they come, written as whole lines, at the time of their end."""
 
 import re
+from typing import Protocol
 
 from khep_twin.log import channels
 from khep_twin.log.channels import Level, Line
-from khep_twin.log.log_file import LogFile
 
 _LINE_ENDS = re.compile(rb"[\r\n]")
 _LINE_LIMIT = 1024
+
+
+class Lines(Protocol):
+    """Where lines go, such as a `LogFile`."""
+
+    def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
+        """Takes lines of one robot."""
+        ...
 
 
 class Transcript:
@@ -18,7 +26,7 @@ class Transcript:
         robots: their names.
     """
 
-    def __init__(self, log: LogFile, robots: list[str]) -> None:
+    def __init__(self, log: Lines, robots: list[str]) -> None:
         self._log = log
         self._robots = robots
         self._heard: list[tuple[int, int, bool, bytes]] = []

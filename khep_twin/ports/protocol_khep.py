@@ -159,7 +159,7 @@ class Serial(SerialBase):
     def reset_output_buffer(self) -> None:
         """Takes back what has not reached the robot yet."""
         self._check_open()
-        self._uart.rx.take_back(self.time_ns)
+        self.twin.robot.take_back()
 
     def _read(self, wanted: Callable[[], int | None], limit: int | None) -> bytes:
         """Waits until as many bytes as `wanted` says have arrived, and takes them."""

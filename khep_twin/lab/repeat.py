@@ -1,0 +1,277 @@
+"""Repeating a run from its log alone: the same world, the same acts of its hosts at the same times.
+
+The world is rebuilt from the log's attachments, calibrations included, and its hosts' acts are carried out as
+they stand there. Then every sample's state and every line of the transcript must be the recorded one.
+"""
+
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+from khep_twin import __version__
+from khep_twin import playpen as playpens
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import KhepTwinError, LogError
+from khep_twin.log.channels import Line, read_array, read_line
+from khep_twin.log.reader import Label, read_raw
+from khep_twin.log.recorder import versions
+from khep_twin.log.transcript import Transcript
+from khep_twin.log.wire import StateHash, read_act
+from khep_twin.playpen import Playpen
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.uart import Act, HostAct
+from khep_twin.world import SAMPLE_NS, World
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a log tells of a run that is to be repeated.
+
+    Attributes:
+        path: of the log.
+        label: what it says of itself.
+        acts: time of the world [ns], robot and what its host did, in order.
+        states: hash of each sample.
+        lines: the transcripts by robot.
+        torn: whether the end of the run may be missing.
+    """
+
+    path: Path
+    label: Label
+    acts: Sequence[tuple[int, int, HostAct]]
+    states: Sequence[int]
+    lines: Sequence[Sequence[Line]]
+    torn: bool
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last sample [ns]."""
+        return (len(self.states) - 1) * SAMPLE_NS
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Difference:
+    """Where a repeated run left the recorded one.
+
+    Attributes:
+        time_ns: of the difference [ns].
+        channel: on which it was seen.
+        recorded: what the log has.
+        repeated: what came now.
+    """
+
+    time_ns: int
+    channel: str
+    recorded: str = field(compare=False)
+    repeated: str = field(compare=False)
+
+
+def read_recorded(path: Path) -> Recorded:
+    """What a log tells of a run.
+
+    Raises:
+        LogError: there is no log, it is not whole, or it does not hold what a repetition needs.
+    """
+    label, found, recovered = read_raw(path, lambda topic: topic.endswith(("/wire", "/serial", "/state")))
+    try:
+        acts = [
+            (time_ns, index, read_act(data))
+            for index, name in enumerate(label.robots)
+            for time_ns, data in found.get(f"/{name}/wire", [])
+        ]
+        times_ns = [time_ns for time_ns, _ in found.get("/state", [])]
+        states = [int(read_array(data, "q")[0]) for _, data in found.get("/state", [])]
+        lines = [[read_line(data) for _, data in found.get(f"/{name}/serial", [])] for name in label.robots]
+    except (ValueError, LookupError) as error:
+        raise LogError(f"{path}: no log of khep_twin: {error}") from error
+    for place, time_ns in enumerate(times_ns):
+        if time_ns != place * SAMPLE_NS:
+            raise LogError(
+                f"{path}: cannot be repeated: the state at {place * SAMPLE_NS / NS_PER_S:.2f} s is missing"
+            )
+    # Of several robots the acts of one time are in the order of the robots, which do not hear each other.
+    return Recorded(path, label, sorted(acts, key=lambda each: each[0]), states, lines, recovered)
+
+
+def elsewhere(recorded: Recorded) -> list[str]:
+    """What differs between where a log was made and here, a line each."""
+    here = versions()
+    made = recorded.label.metadata
+    return [
+        f"made with {key} {made.get(key, 'unknown')}, here is {value}"
+        for key, value in here.items()
+        if made.get(key) != value
+    ]
+
+
+def check(recorded: Recorded) -> None:
+    """Refuses a log that has nothing to compare a run with.
+
+    Raises:
+        LogError: it is such a log.
+    """
+    if not recorded.states:
+        made = recorded.label.metadata.get("khep_twin", "an unknown version")
+        reason = (
+            "it was made at a real robot; right is --port, with one to send the same to"
+            if "through" in recorded.label.metadata
+            else f"it has no states to compare, as logs of khep_twin {__version__} have; this is of {made}"
+        )
+        raise LogError(f"{recorded.path}: cannot be repeated: {reason}")
+
+
+def repeat(recorded: Recorded, progress: Callable[[float], None] | None = None) -> Difference | None:
+    """Runs again what a log tells and compares; returns the first difference, None if there is none.
+
+    Raises:
+        LogError: the log does not hold what a repetition needs.
+    """
+    check(recorded)
+    try:
+        with _twin(recorded) as twin:
+            return _run(recorded, twin, progress)
+    except LogError:
+        raise
+    except KhepTwinError as error:
+        raise LogError(f"{recorded.path}: cannot be repeated: {error}") from error
+
+
+def _twin(recorded: Recorded) -> Twin:
+    """The twin of a log, made of nothing but what is attached to it."""
+    path, attached = recorded.path, recorded.label.attachments
+    for name in ("playpen.toml", "configuration.json"):
+        if name not in attached:
+            raise LogError(f"{path}: cannot be repeated: its {name} is missing")
+    try:
+        settings: dict[str, Any] = json.loads(attached["configuration.json"])
+        settings["faults"] = tuple(settings.get("faults", ()))
+        # A log writes no file but its reader's own.
+        settings.pop("log", None)
+        options = TwinOptions(**settings)
+    except (ValueError, TypeError, AttributeError, KhepTwinError) as error:
+        known = ", ".join(each.name for each in fields(TwinOptions))
+        raise LogError(f"{path}: cannot be repeated: configuration.json: {error} (keys: {known})") from error
+    playpen = playpens.parse(attached["playpen.toml"], f"{path}: playpen.toml")
+    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+        return open_twin(_calibrated(recorded, playpen, Path(folder)), options)
+
+
+def _calibrated(recorded: Recorded, playpen: Playpen, folder: Path) -> Playpen:
+    """The playpen, its robots' calibrations taken from the log and not from this machine."""
+    robots = list(playpen.robots)
+    for index, robot in enumerate(robots):
+        name = f"khepera{index}.toml"
+        text = recorded.label.attachments.get(f"calibration/{name}")
+        if text is None:
+            raise LogError(f"{recorded.path}: cannot be repeated: its calibration/{name} is missing")
+        (folder / name).write_text(text, encoding="utf-8")
+        robots[index] = robot.model_copy(update={"calibration": str(folder / name)})
+    return playpen.model_copy(update={"robots": tuple(robots)})
+
+
+def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | None) -> Difference | None:
+    world = twin.world
+    watch = _Watch(world, recorded)
+    world.add_tap(watch)
+    last_ns = max([recorded.end_ns, *(line.time_ns for lines in recorded.lines for line in lines)])
+    acts = [each for each in recorded.acts if not recorded.torn or each[0] <= recorded.end_ns]
+    end: list[tuple[int, int, HostAct | None]] = [(recorded.end_ns if recorded.torn else last_ns, 0, None)]
+    for time_ns, index, act in [*acts, *end]:
+        while world.time_ns < time_ns and watch.difference is None:
+            world.advance_to(min(time_ns, world.time_ns + NS_PER_S))
+            if progress is not None:
+                progress(min(world.time_ns / max(last_ns, 1), 1.0))
+        if watch.difference is not None:
+            break
+        if act is not None:
+            _act(twin, index, act)
+    return min(filter(None, [watch.difference, *watch.lines(recorded)]), default=None)
+
+
+def _act(twin: Twin, index: int, act: HostAct) -> None:
+    """Does to a robot's line what its host has done."""
+    robot = twin.world.robots[index]
+    # What has arrived is of no use any more; that it is taken away changes nothing for the robot.
+    robot.uart.tx.read(twin.world.time_ns)
+    match act.kind:
+        case Act.SEND:
+            robot.send(act.data, act.at_ns)
+        case Act.HANG_UP:
+            robot.hang_up()
+        case Act.TAKE_BACK:
+            robot.take_back()
+        case Act.SET:
+            robot.compare_line(act.host)
+
+
+class _Watch:
+    """A tap that compares each sample with the recorded one and keeps the transcript.
+
+    Attributes:
+        difference: the first one between states.
+    """
+
+    def __init__(self, world: World, recorded: Recorded) -> None:
+        self.difference: Difference | None = None
+        self._recorded = recorded.states
+        self._state = StateHash(world)
+        self._names = [robot.name for robot in world.robots]
+        self._lines: dict[str, list[Line]] = {f"/{name}/serial": [] for name in self._names}
+        self._transcript = Transcript(self, self._names)
+
+    def sample(self, world: World) -> None:
+        """Compares the state."""
+        place = world.time_ns // SAMPLE_NS
+        if self.difference is None and place < len(self._recorded):
+            before, now = self._recorded[place], self._state.value()
+            if before != now:
+                self.difference = Difference(world.time_ns, "/state", _hexadecimal(before), _hexadecimal(now))
+
+    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Keeps bytes of the transcript."""
+        self._transcript.hear(time_ns, robot, to_robot, data)
+        if not to_robot:
+            self._state.hear(time_ns, robot, data)
+
+    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+        """Nothing: the acts are the recorded ones."""
+
+    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+        """Nothing: what is told follows from the state."""
+
+    def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
+        """Takes whole lines from the transcript."""
+        self._lines[topic] += map(read_line, messages)
+
+    def lines(self, recorded: Recorded) -> list[Difference]:
+        """The first difference of each robot's transcript."""
+        self._transcript.write()
+        if not recorded.torn:
+            self._transcript.write_rests(recorded.end_ns)
+        until_ns = recorded.end_ns if self.difference is None else self.difference.time_ns
+        found: list[Difference] = []
+        for name, before in zip(self._names, recorded.lines, strict=True):
+            topic = f"/{name}/serial"
+            for old, new in zip_longest(before, self._lines[topic]):
+                if (old and (old.name, old.text)) == (new and (new.name, new.text)) and (
+                    old is None or new is None or old.time_ns == new.time_ns or old.time_ns >= recorded.end_ns
+                ):
+                    continue
+                time_ns = min(line.time_ns for line in (old, new) if line is not None)
+                # Beyond the last sample nobody knows when the run ended.
+                if time_ns <= until_ns or (old is not None and self.difference is None and not recorded.torn):
+                    found.append(Difference(time_ns, topic, _told(old), _told(new)))
+                break
+        return found
+
+
+def _told(line: Line | None) -> str:
+    return "nothing" if line is None else f"{line.name}: {line.text} at {line.time_ns / NS_PER_S:.4f} s"
+
+
+def _hexadecimal(state: int) -> str:
+    return f"{state % 2**64:016x}"
