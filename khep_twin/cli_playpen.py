@@ -17,11 +17,13 @@ if TYPE_CHECKING:
 
 if TYPE_CHECKING:
     from khep_twin.drawing import Track
+    from khep_twin.playpen import Playpen
 
 playpen_app = typer.Typer(
     help="Check, compile, draw and import playpens.", no_args_is_help=True, rich_markup_mode=None
 )
 
+SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put to their spots.")]
 PlaypenName = Annotated[str, typer.Argument(help="Name of a shipped playpen, or path of a playpen file.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")]
 
@@ -54,12 +56,13 @@ def check(playpen: PlaypenName) -> None:
 
 
 @playpen_app.command("compile")
-def compile_playpen(playpen: PlaypenName, output: Output = None) -> None:
+def compile_playpen(playpen: PlaypenName, output: Output = None, seed: SpotSeed = 0) -> None:
     """Writes a playpen as MJCF, which opens in MuJoCo without khep_twin; to standard output by default."""
     from khep_twin import playpen as playpens
     from khep_twin.playpen_to_mjcf import to_mjcf
 
-    mjcf = to_mjcf(playpens.load(playpen))
+    _check_not_input(output, playpen)
+    mjcf = to_mjcf(_placed(playpens.load(playpen), seed))
     if output is None:
         typer.echo(mjcf, nl=False)
     else:
@@ -75,6 +78,7 @@ def draw(
     perspective: Annotated[
         bool, typer.Option("--perspective", help="As a camera above it would see it; needs OpenGL.")
     ] = False,
+    seed: SpotSeed = 0,
 ) -> None:
     """Draws a playpen to scale, as PNG, SVG or PDF; to NAME.png by default."""
     from khep_twin import drawing
@@ -87,7 +91,7 @@ def draw(
 
         if log is not None:
             raise KhepTwinError("--log draws on a map; right is without --perspective")
-        write_whole(target, render(found, target))
+        write_whole(target, render(_placed(found, seed), target))
     else:
         drawing.save(drawing.draw(found, _ways(log) if log is not None else ()), target)
     typer.echo(f"picture  {target}")
@@ -132,6 +136,23 @@ def scatter(
     else:
         write_whole(output, text.encode("utf-8"))
         typer.echo(f"playpen  {output}: {len(field.blocks)} blocks, {len(field.cylinders)} cylinders")
+
+
+def _placed(playpen: "Playpen", seed: int) -> "Playpen":
+    """A playpen with its robots where a run with this seed puts them."""
+    from khep_twin.playpen import placed
+    from khep_twin.randomness import stream
+
+    try:
+        return placed(playpen, stream(seed, "spots"))
+    except ValueError as error:
+        raise KhepTwinError(f"--seed {seed}: {error}") from None
+
+
+def _check_not_input(output: Path | None, source: str | Path) -> None:
+    """Refuses to write over what is read."""
+    if output is not None and output.exists() and Path(source).exists() and output.samefile(source):
+        raise KhepTwinError(f"{output}: this is what is read; right is a file of its own")
 
 
 def _ways(log: Path) -> "list[Track]":
@@ -186,6 +207,7 @@ def import_bitmap(
     from khep_twin import playpen as playpens
     from khep_twin.errors import BitmapError
 
+    _check_not_input(output, file)
     pose = None if robot in (None, "none") else _pose(robot)
     found = bitmap_files.read(file, variable, solid)
     upside_down = found.scanned if flip is None else flip

@@ -80,6 +80,26 @@ def walls_around(points: Sequence[Point], thickness_mm: float) -> list[Rectangle
     return walls
 
 
+def reaching_in(points: Sequence[Point], thickness_mm: float) -> list[int]:
+    """Numbers from 1 of the edges whose walls, as of `walls_around`, stand in the polygon itself."""
+    ring = list(points) if area(points) > 0 else list(reversed(points))
+    found: list[int] = []
+    for number, wall in enumerate(walls_around(points, thickness_mm), 1):
+        (ahead_x, ahead_y), (left_x, left_y) = wall.axes()
+        for step in range(-9, 10):
+            along = step / 10 * wall.length_mm / 2
+            for across in (-0.45 * thickness_mm, 0.0, 0.4 * thickness_mm):
+                x = wall.x_mm + along * ahead_x + across * left_x
+                y = wall.y_mm + along * ahead_y + across * left_y
+                if contains(ring, x, y) and distance(ring, x, y) > 1e-6:
+                    found.append(number)
+                    break
+            else:
+                continue
+            break
+    return found
+
+
 def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Iterator[Footprint]:
     """A wall along a line as rectangles, with round corners between them."""
     for (x0, y0), (x1, y1) in edges(points, closed=closed):

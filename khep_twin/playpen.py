@@ -22,9 +22,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from khep_twin import toml_files
 from khep_twin.errors import PlaypenError
-from khep_twin.footprint import overlap
-from khep_twin.placement import label
-from khep_twin.playpen_checks import at_spot, completed, playpen_problems
+from khep_twin.playpen_checks import assigned, completed, playpen_problems
 from khep_twin.playpen_parts import (
     BULB_RADIUS_MM,
     Arena,
@@ -135,13 +133,42 @@ def edited(text: str, playpen: Playpen) -> str:
     Args:
         text: of a file that `parse` takes.
         playpen: what the file is to say.
+
+    Raises:
+        PlaypenError: the text is no playpen, or written in a way that leaves no room for the change.
     """
-    return toml_files.edited(text, parse(text, "the file to be edited"), playpen)
+    before = parse(text, "the file to be edited")
+    changed = toml_files.edited(text, before, playpen, _with_what_follows)
+    try:
+        if parse(changed, "the edited file") == playpen:
+            return changed
+    except PlaypenError:
+        pass
+    raise PlaypenError(
+        f"{playpen.name}: this file cannot be changed where it stands; right is a new one, by `dump`"
+    )
 
 
 def schema() -> dict[str, Any]:
     """The format as JSON schema, with which editors complete and check playpen files."""
-    return toml_files.schema(Playpen)
+    found = toml_files.schema(Playpen)
+    robot, place = found["$defs"]["Robot"], ["x_mm", "y_mm", "heading_deg"]
+    robot["required"] = [key for key in robot["required"] if key not in place]
+    robot["anyOf"] = [{"required": place}, {"required": ["spots"]}]
+    return found
+
+
+def _with_what_follows(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    """What a file said, less the keys of robots that follow from others which change."""
+    robots = list(before.get("robot", []))
+    for index, (old, new) in enumerate(zip(robots, after.get("robot", []), strict=False)):
+        follows: list[str] = []
+        if (old["spots"], before.get("spot")) != (new["spots"], after.get("spot")):
+            follows += ["x_mm", "y_mm", "heading_deg"]
+        if old["model"] != new["model"]:
+            follows += ["calibration", "rom"]
+        robots[index] = {key: value for key, value in old.items() if key not in follows}
+    return {**before, "robot": robots} if robots else before
 
 
 def placed(playpen: Playpen, chance: np.random.Generator) -> Playpen:
@@ -152,26 +179,12 @@ def placed(playpen: Playpen, chance: np.random.Generator) -> Playpen:
     """
     if not any(robot.spots for robot in playpen.robots):
         return playpen
-    spots = {spot.name: spot for spot in playpen.spots}
-    taken = [robot.footprint for robot in playpen.robots if not robot.spots]
-    robots: list[Robot] = []
-    for number, robot in enumerate(playpen.robots, 1):
-        drawn = robot
-        if robot.spots:
-            free = [
-                spots[name]
-                for name in robot.spots
-                if not any(overlap(other, at_spot(robot, spots[name]).footprint) for other in taken)
-            ]
-            if not free:
-                raise PlaypenError(
-                    f"{playpen.name}: {label('robot', number, robot.name)}: other robots have taken all "
-                    "its spots; right is a spot more"
-                )
-            drawn = at_spot(robot, free[int(chance.integers(len(free)))])
-            taken.append(drawn.footprint)
-        robots.append(drawn.model_copy(update={"spots": ()}))
-    return playpen.model_copy(update={"robots": tuple(robots)})
+    robots = assigned(playpen, lambda spots: [spots[int(i)] for i in chance.permutation(len(spots))])
+    if robots is None:
+        raise PlaypenError(f"{playpen.name}: no way was found to give each robot a spot; right is one more")
+    return playpen.model_copy(
+        update={"robots": tuple(robot.model_copy(update={"spots": ()}) for robot in robots)}
+    )
 
 
 def names() -> list[str]:

@@ -1,10 +1,11 @@
 """What makes a playpen's parts a place: surfaces exist, robots can be what they are, and all have room."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from khep_twin.errors import TurretError, choices
+from khep_twin.footprint import Circle, overlap
 from khep_twin.outline import edges
 from khep_twin.placement import Thing, label, placement_problems
 from khep_twin.playpen_parts import BULB_RADIUS_MM, SHORTEST_BLINK_S, Robot, Spot
@@ -38,6 +39,41 @@ def at_spot(robot: Robot, spot: Spot) -> Robot:
     return robot.model_copy(update={"x_mm": spot.x_mm, "y_mm": spot.y_mm, "heading_deg": spot.heading_deg})
 
 
+def assigned(playpen: "Playpen", order: Callable[[Sequence[str]], Sequence[str]]) -> list[Robot] | None:
+    """The robots, each with spots at one of them, none on another; None if that cannot be.
+
+    Args:
+        playpen: says who may stand where.
+        order: in which a robot's spots are tried.
+    """
+    spots = {spot.name: spot for spot in playpen.spots}
+    robots = list(playpen.robots)
+    drawn = [index for index, robot in enumerate(robots) if robot.spots]
+    tries = {index: [spots[name] for name in order(robots[index].spots)] for index in drawn}
+    steps = 0
+
+    def place(depth: int, taken: list[Circle]) -> bool:
+        nonlocal steps
+        steps += 1
+        if depth == len(drawn):
+            return True
+        index = drawn[depth]
+        for spot in tries[index] if steps < _ASSIGNMENT_LIMIT else ():
+            robot = at_spot(robots[index], spot)
+            if any(overlap(other, robot.footprint) for other in taken):
+                continue
+            if place(depth + 1, [*taken, robot.footprint]):
+                robots[index] = robot
+                return True
+        return False
+
+    return robots if place(0, [robot.footprint for robot in robots if not robot.spots]) else None
+
+
+_ASSIGNMENT_LIMIT = 20_000
+"""Most robots that are tried to be placed at a spot."""
+
+
 def completed(data: dict[str, Any]) -> dict[str, Any]:
     """A file's content, in which robots have what follows from their spots and their model."""
     spots = {str(spot.get("name")): spot for spot in _tables(data, "spot")}
@@ -45,6 +81,8 @@ def completed(data: dict[str, Any]) -> dict[str, Any]:
     for robot in _tables(data, "robot"):
         known = [spots[name] for name in map(str, _items(robot, "spots")) if name in spots]
         place = {key: known[0][key] for key in ("x_mm", "y_mm", "heading_deg") if known and key in known[0]}
+        if not known and _items(robot, "spots"):
+            place = {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}  # that the names are wrong is told later
         second = {"calibration": "khepera2", "rom": "khepera2"} if robot.get("model") == "khepera2" else {}
         robots.append({**second, **place, **robot})
     return {**data, "robot": tuple(robots)} if robots else data
@@ -149,6 +187,10 @@ def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
             if name not in known:
                 text = f'{place}: spots: "{name}": unknown; {choices(name, known)}'
                 yield Problem(("robot", index, "spots"), text)
+    if all(name in known for robot in playpen.robots for name in robot.spots) and not assigned(playpen, list):
+        if any(robot.spots for robot in playpen.robots):
+            text = "robots: there is not a spot for each of them, clear of the others; right is a spot more"
+            yield Problem(("robot",), text)
 
 
 def things(playpen: "Playpen") -> Iterator[Thing]:
@@ -163,12 +205,12 @@ def things(playpen: "Playpen") -> Iterator[Thing]:
     for number, item in enumerate(playpen.lamps, 1):
         low_mm, high_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
         yield Thing("lamp", number, item.name, item.footprint, low_mm, high_mm, False)
-    users = {name: robot for robot in playpen.robots for name in robot.spots}
     for number, spot in enumerate(playpen.spots, 1):
-        # As large as the robot that may be drawn to it; where none may, as a bare one.
+        # As large as the largest robot that may be drawn to it; where none may, as a bare one.
         bare = Robot(x_mm=spot.x_mm, y_mm=spot.y_mm, heading_deg=spot.heading_deg)
-        user = at_spot(users.get(spot.name, bare), spot)
-        yield Thing("spot", number, spot.name, user.footprint, 0, BODY_HEIGHT * 1000, True)
+        users = [at_spot(robot, spot) for robot in playpen.robots if spot.name in robot.spots] or [bare]
+        largest = max((user.footprint for user in users), key=lambda disc: disc.radius_mm)
+        yield Thing("spot", number, spot.name, largest, 0, BODY_HEIGHT * 1000, True)
     for number, item in enumerate(playpen.robots, 1):
         if not item.spots:
             yield Thing("robot", number, item.name, item.footprint, 0, BODY_HEIGHT * 1000, True)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from khep_twin.footprint import Circle, Footprint, Rectangle
-from khep_twin.outline import Point, area, crossing, edges, pieces
+from khep_twin.outline import Point, area, crossing, edges, pieces, reaching_in
 from khep_twin.surfaces import Colour
 from khep_twin.toml_files import NAME_WISH, Name, Table
 from khep_twin.turrets import installed
@@ -88,6 +88,12 @@ class Arena(Table):
             )
         elif abs(area(corners)) < 10_000:
             yield f"arena: outline_mm: {abs(area(corners)):g} mm2; right are 10000 and more"
+        else:
+            for number in reaching_in(corners, self.wall_thickness_mm):
+                yield (
+                    f"arena: outline_mm: the wall after corner {number} is thicker than the room behind it; "
+                    "right are thinner walls, or more room"
+                )
 
 
 class Wall(Table):

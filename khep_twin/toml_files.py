@@ -8,7 +8,7 @@ the table, the key, the value found and what would be right:
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from itertools import islice
 from pathlib import Path
@@ -146,18 +146,25 @@ def dump(table: Table) -> str:
     return tomlkit.dumps(_plain_data(table))
 
 
-def edited(text: str, before: Table, after: Table) -> str:
+def edited(
+    text: str,
+    before: Table,
+    after: Table,
+    said: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda before, _: before,
+) -> str:
     """A file's text, `before` to its reader, changed so that it is `after`; comments and all else stay.
 
     Args:
         text: of the file.
         before: what it says.
         after: what it is to say.
+        said: given both as data, what of `before` stands in the file by itself.
     """
     if before == after:
         return text
-    document = tomlkit.parse(text)
-    change(document, _plain_data(before), _plain_data(after))
+    document = tomlkit.parse(text if text.endswith("\n") else text + "\n")
+    old, new = _plain_data(before), _plain_data(after)
+    change(document, said(old, new), new)
     return tomlkit.dumps(document)
 
 

@@ -72,6 +72,7 @@ WITHIN_A_FLOOR = {
     ("playpen_parts", "surfaces"),
     ("playpen_parts", "toml_files"),
     ("playpen_parts", "turrets"),
+    ("playpen_checks", "footprint"),
     ("playpen_checks", "outline"),
     ("playpen_checks", "placement"),
     ("playpen_checks", "playpen"),

@@ -5,6 +5,7 @@ import os
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -383,9 +384,7 @@ WRONG = {
     "is 17.5 mm further in",
     HEAD + ARENA + SPOT + '[[robot]]\nspots = ["b"]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n': "robot 1: "
     'spots: "b": unknown; (choices: a)',
-    HEAD
-    + ARENA
-    + '[[robot]]\nspots = ["b"]\n': "robot 1: x_mm is missing; right is a number from 0 to 10000",
+    HEAD + ARENA + '[[robot]]\nspots = ["b"]\n': 'robot 1: spots: "b": unknown; (choices: none)',
     HEAD
     + ARENA
     + SPOT
@@ -662,6 +661,57 @@ def test_nesting_of_any_depth_is_an_error_of_ours() -> None:
         for head in ("", "[" + ".".join("a" * 31) + "]\n"):
             with pytest.raises(PlaypenError):
                 playpens.parse(f"{head}b = {'[' * depth}{']' * depth}\n", "x")
+
+
+# Spots ---------------------------------------------------------------------------------------------------
+
+TWO_SPOTS = SPOT + SPOT.replace('"a"', '"b"').replace("300", "100")
+
+
+def drawn(text: str, seed: int) -> list[float]:
+    playpen = playpens.placed(parse(text), np.random.default_rng(seed))
+    assert not any(robot.spots for robot in playpen.robots)
+    return [robot.x_mm for robot in playpen.robots]
+
+
+def test_a_robot_stands_at_one_of_its_spots_by_the_seed() -> None:
+    places = [drawn(TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n', seed) for seed in range(20)]
+    assert {x for (x,) in places} == {100, 300}
+    assert places[0] == drawn(TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n', 0)
+
+
+def test_robots_that_share_spots_always_find_room_where_there_is() -> None:
+    text = TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n[[robot]]\nspots = ["a"]\n'
+    assert all(drawn(text, seed) == [100, 300] for seed in range(20))
+
+
+@pytest.mark.parametrize(
+    "robots",
+    ['[[robot]]\nspots = ["a"]\n[[robot]]\nspots = ["a"]\n', '[[robot]]\nspots = ["a"]\n' + ROBOT],
+)
+def test_too_few_spots_are_told(robots: str) -> None:
+    (line,) = lines_about(HEAD + ARENA + SPOT + robots)
+    assert line == (
+        "p.toml: robots: there is not a spot for each of them, clear of the others; right is a spot more"
+    )
+
+
+def test_a_spot_has_room_for_the_largest_robot_that_may_stand_there() -> None:
+    text = SPOT.replace("300", "30")
+    assert parse(text, '[[robot]]\nspots = ["a"]\n')
+    robots = '[[robot]]\nspots = ["a"]\nturrets = ["gripper"]\n[[robot]]\nspots = ["a"]\n'
+    assert any(
+        "spot 1 (a) at (30, 250) overlaps the left wall" in line
+        for line in lines_about(HEAD + ARENA + text + robots)
+    )
+
+
+def test_a_wall_thicker_than_a_notch_is_refused() -> None:
+    corners = "[0, 0], [600, 0], [600, 500], [204, 500], [204, 300], [200, 300], [200, 500], [0, 500]"
+    notch = f"outline_mm = [{corners}]\n"
+    lines = lines_about(HEAD + ARENA + notch)
+    assert any("is thicker than the room behind it" in line for line in lines)
+    assert parse(arena=ARENA + notch + "wall_thickness_mm = 1\n")
 
 
 # For editors ---------------------------------------------------------------------------------------------

@@ -1,8 +1,11 @@
 """Saving into a file that has comments: what does not change stays as it is."""
 
+import contextlib
+
 import pytest
 
 from khep_twin import playpen as playpens
+from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Block, Lamp
 
 TEXT = """# My playpen, measured on Monday.
@@ -86,3 +89,47 @@ def test_the_first_thing_of_a_kind_can_be_given() -> None:
 
 def test_all_things_of_a_kind_can_be_taken_away() -> None:
     assert "[[block]]" not in changed(blocks=())
+
+
+def test_a_file_without_a_last_line_end_can_be_added_to() -> None:
+    text = TEXT.rstrip()
+    playpen = playpens.parse(text, "mine")
+    more = playpen.model_copy(update={"lamps": (Lamp(x_mm=50, y_mm=50, power_w=2),)})
+    assert playpens.parse(playpens.edited(text, more), "edited") == more
+
+
+SPOTS = (
+    '[[spot]]\nname = "a"\nx_mm = 100\ny_mm = 400\nheading_deg = 0\n\n'
+    '[[spot]]\nname = "b"\nx_mm = 500\ny_mm = 400\nheading_deg = 90\n\n'
+)
+
+
+def test_what_follows_from_spots_and_model_is_written_where_they_change() -> None:
+    head, robot = TEXT.split("[[robot]]\n")
+    text = head + SPOTS + '[[robot]]\nspots = ["a"]\n'
+    playpen = playpens.parse(text, "mine")
+    for update in (
+        {"spots": ("b",)},
+        {"spots": ()},
+        {"spots": ("b", "a"), "x_mm": 500.0, "heading_deg": 90.0},
+        {"model": "khepera2"},
+        {"model": "khepera2", "calibration": "khepera2", "rom": "khepera2"},
+    ):
+        changed_robot = playpen.robots[0].model_copy(update=update)
+        more = playpen.model_copy(update={"robots": (changed_robot,)})
+        assert playpens.parse(playpens.edited(text, more), "edited") == more
+    moved = (playpen.spots[0].model_copy(update={"x_mm": 120.0}), playpen.spots[1])
+    more = playpen.model_copy(update={"spots": moved})
+    assert playpens.parse(playpens.edited(text, more), "edited") == more
+    assert robot
+
+
+def test_a_file_in_other_styles_is_changed_rightly_or_not_at_all() -> None:
+    text = 'version = 1\nname = "p"\nsurfaces.a = {reflectance = 0.5, rgb = [1, 2, 3]}\n'
+    text += 'lighting.mode = "all"\narena = {width_mm = 600, height_mm = 500}\n'
+    playpen = playpens.parse(text, "p")
+    more = playpen.model_copy(update={"surfaces": {**playpen.surfaces, "z": playpen.surfaces["a"]}})
+    found = None
+    with contextlib.suppress(PlaypenError):
+        found = playpens.parse(playpens.edited(text, more), "edited")
+    assert found in (None, more)
