@@ -295,6 +295,23 @@ def read_array(message: bytes, kind: str) -> tuple[float, ...]:
     return decoder.get(kind, decoder.number())
 
 
+def read_arrays_of(messages: Sequence[bytes], kind: str) -> NDArray[np.int64] | NDArray[np.float64]:
+    """The values of several messages of a channel (n, length), `kind` as for `read_array`.
+
+    Raises:
+        ValueError: they have several lengths.
+    """
+    length = len(read_array(messages[0], kind))
+    # Where all begin alike, as a log's writer makes them, the values lie at the same place in each.
+    head = messages[0][: len(messages[0]) - 8 * length]
+    if length and all(len(each) == len(messages[0]) and each.startswith(head) for each in messages):
+        whole = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
+        values = np.ascontiguousarray(whole[:, len(head) :])
+        return values.view("<i8") if kind == "q" else values.view("<f8")
+    rows = [read_array(each, kind) for each in messages]
+    return np.array(rows, np.int64) if kind == "q" else np.array(rows, np.float64)
+
+
 def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
     """The poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w."""
     decoder = Decoder(message)

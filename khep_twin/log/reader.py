@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zstandard import ZstdError
 
 from khep_twin.errors import LogError
-from khep_twin.log.channels import Line, read_array, read_line, read_transforms
+from khep_twin.log.channels import Line, read_array, read_arrays_of, read_line, read_transforms
 
 _DAMAGE = (
     McapError,
@@ -105,7 +105,7 @@ class Recording:
 
     Attributes:
         label: what the log says of itself.
-        series: channels of numbers by topic; "/khepera0/pose" is x, y [m] and heading [rad] out of /tf.
+        series: channels of samples by topic; "/khepera0/pose" is x, y [m] and heading [rad] out of /tf.
         lines: channels of text by topic, in order of time.
     """
 
@@ -166,29 +166,46 @@ def read_series(path: Path) -> Recording:
     Raises:
         LogError: there is none, or it is not whole.
     """
-    times: dict[str, list[int]] = {}
-    rows: dict[str, list[tuple[float, ...]]] = {}
+    times: dict[tuple[str, str], list[int]] = {}
+    messages: dict[tuple[str, str], list[bytes]] = {}
     columns = _Columns()
     with _opened(path) as reader:
         label = _label(path, reader)
-        for schema, channel, message in reader.iter_messages():
+        # In the file's order, in which each channel is in order of time anyway: to sort all takes long.
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
             kind = _KINDS.get("" if schema is None else schema.name)
+            if channel.topic.rpartition("/")[2] in _FOR_REPEAT:
+                continue
             if kind is None:
                 columns.add(channel.topic, message.log_time, message.data)
             else:
-                times.setdefault(channel.topic, []).append(message.log_time)
-                rows.setdefault(channel.topic, []).append(read_array(message.data, kind))
+                times.setdefault((channel.topic, kind), []).append(message.log_time)
+                messages.setdefault((channel.topic, kind), []).append(message.data)
         # In here, since rows of several lengths are damage, too.
-        series = {topic: Series(np.array(times[topic], np.int64), np.array(rows[topic])) for topic in rows}
-        tracks = {name: columns.track(name) for name in label.robots}
-    for name, track in tracks.items():
-        if len(track.pose):
-            series[f"/{name}/pose"] = Series(track.times_ns, track.pose)
-    return Recording(label, series, dict(columns.lines))
+        series = {
+            topic: _in_order(np.array(times[topic, kind], np.int64), read_arrays_of(found, kind))
+            for (topic, kind), found in messages.items()
+        }
+        for name in label.robots:
+            track = columns.track(name)
+            if len(track.pose):
+                series[f"/{name}/pose"] = _in_order(track.times_ns, track.pose)
+    lines = {topic: sorted(found, key=lambda line: line.time_ns) for topic, found in columns.lines.items()}
+    return Recording(label, series, lines)
+
+
+def _in_order(times_ns: NDArray[np.int64], values: NDArray[np.int64] | NDArray[np.float64]) -> Series:
+    if len(times_ns) != len(values):
+        raise ValueError(f"{len(values)} rows at {len(times_ns)} times")
+    order = np.argsort(times_ns, kind="stable")
+    return Series(times_ns[order], values[order])
 
 
 _KINDS = {"std_msgs/msg/Float64MultiArray": "d", "std_msgs/msg/Int64MultiArray": "q"}
 """How the numbers of a message type are packed."""
+
+_FOR_REPEAT = ("wire", "state")
+"""Channels that hold no samples but what `khep-twin repeat` needs, in rows of any length."""
 
 
 def read_raw(

@@ -97,3 +97,16 @@ def test_what_is_encoded_can_be_read_back() -> None:
         TransformFrame(["a"]).messages(np.zeros(1, np.int64), np.ones((1, 1, 3)), np.eye(4)[None, :1])
     )
     assert channels.read_transforms(message) == {"a": (1, 1, 1, 0, 0, 0, 1)}
+
+
+@pytest.mark.parametrize(("kind", "letter"), [("f8", "d"), ("i8", "q")])
+def test_many_arrays_are_read_at_once_as_one_by_one(kind: str, letter: str) -> None:
+    values = np.arange(12).reshape(4, 3) - 5
+    messages = rows(ArrayFrame(3, kind, "counts").messages(values))
+    found = channels.read_arrays_of(messages, letter)
+    assert found.dtype == np.dtype(kind)
+    assert found.tolist() == values.tolist()
+    other = rows(ArrayFrame(3, kind, "another label").messages(values))
+    assert channels.read_arrays_of(messages + other, letter).tolist() == [*values.tolist(), *values.tolist()]
+    with pytest.raises(ValueError, match="inhomogeneous"):
+        channels.read_arrays_of([*messages, *rows(ArrayFrame(2, kind, "").messages(values[:, :2]))], letter)

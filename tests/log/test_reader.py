@@ -8,7 +8,7 @@ from mcap.writer import Writer
 
 from khep_twin.errors import LogError
 from khep_twin.kernel import AMBIENT, PROXIMITY
-from khep_twin.log.reader import read, read_label
+from khep_twin.log.reader import read, read_label, read_series
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 SCAN_NS = 20_000_000
@@ -40,6 +40,18 @@ def test_values_are_those_of_the_world(tmp_path: Path) -> None:
         assert track.ambient[row].tolist() == ambient
     assert track.registers[-1].tolist() == registers.tolist()
     assert track.speed[-1, 2:].tolist() == [10, 6]
+
+
+def test_each_channel_comes_back_at_its_own_times(log: Path) -> None:
+    run, recording = read(log), read_series(log)
+    track, series = run.robots["khepera0"], recording.series
+    for name in ("pose", "proximity", "ambient", "speed", "duty", "registers"):
+        found = series[f"/khepera0/{name}"]
+        assert found.times_ns.tolist() == track.times_ns.tolist()
+        assert found.values.tolist() == getattr(track, name).tolist()
+    assert series["/khepera0/registers"].values.dtype == np.int64
+    assert recording.lines == {"/khepera0/serial": track.serial, "/events": run.events}
+    assert recording.label.metadata == run.metadata
 
 
 def test_the_transcript_has_both_sides_at_the_time_of_their_last_byte(log: Path) -> None:
@@ -95,6 +107,7 @@ def reading(path: Path) -> str | None:
     """What is wrong with a log, None if nothing is."""
     try:
         read(path)
+        read_series(path)
     except LogError as error:
         return str(error)
     return None
