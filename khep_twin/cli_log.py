@@ -25,12 +25,27 @@ def recover(
 
 def repeat(
     log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.")],
+    port: Annotated[
+        str | None,
+        typer.Option(
+            help="Send the log's host bytes to this robot or twin instead, and compare its replies."
+        ),
+    ] = None,
 ) -> None:
     """Runs a log's run again and compares; ends with 0 if it is the same, 3 if not, 1 if it cannot be."""
     from khep_twin.lab.repeat import check, elsewhere, read_recorded
     from khep_twin.lab.repeat import repeat as run_again
 
     recorded = read_recorded(log)
+    if port is not None:
+        from khep_twin.lab.resend import resend
+
+        with progress_bar() as progress:
+            comparison = resend(recorded, port, progress)
+        typer.echo(comparison.text())
+        if not comparison.identical:
+            raise typer.Exit(3)
+        return
     check(recorded)
     for line in elsewhere(recorded):
         typer.echo(f"khep-twin: {line}", err=True)

@@ -63,6 +63,9 @@ class Transcript:
 
 
 def _message(time_ns: int, to_robot: bool, line: bytes) -> bytes:
-    # Readable and whole: control characters and noise on the line become \n, \x00, \xff.
-    text = line.decode("latin-1").encode("unicode_escape").decode("ascii")
-    return channels.line_message(Line(time_ns, Level.INFO, "host" if to_robot else "robot", text))
+    return channels.line_message(Line(time_ns, Level.INFO, "host" if to_robot else "robot", text_of(line)))
+
+
+def text_of(line: bytes) -> str:
+    """A line readable and whole: control characters and noise on the line become escapes of Python's."""
+    return line.decode("latin-1").encode("unicode_escape").decode("ascii")
