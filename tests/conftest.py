@@ -1,9 +1,14 @@
 """What several tests need."""
 
+import hypothesis
 import pytest
 
 from khep_twin import playpen
 from khep_twin.playpen import Playpen
+
+# Machines are as slow as they are: no example fails for the time that it takes.
+hypothesis.settings.register_profile("patient", deadline=None)
+hypothesis.settings.load_profile("patient")
 
 FIELD = """
 version = 1

@@ -12,15 +12,17 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from khep_twin import __version__
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
-from khep_twin.log.channels import Line, read_array, read_line
+from khep_twin.log.channels import Line, read_line
 from khep_twin.log.reader import Label, read_raw
 from khep_twin.log.recorder import versions
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import StateHash, read_act
+from khep_twin.log.wire import Answered, boards, hashes, read_acts, read_states
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.uart import Act, HostAct
@@ -79,20 +81,20 @@ def read_recorded(path: Path) -> Recorded:
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(("/wire", "/serial", "/state")))
     try:
         acts = [
-            (time_ns, index, read_act(data))
+            (time_ns, index, act)
             for index, name in enumerate(label.robots)
-            for time_ns, data in found.get(f"/{name}/wire", [])
+            for _, data in found.get(f"/{name}/wire", [])
+            for time_ns, act in read_acts(data)
         ]
-        times_ns = [time_ns for time_ns, _ in found.get("/state", [])]
-        states = [int(read_array(data, "q")[0]) for _, data in found.get("/state", [])]
+        states: list[int] = []
+        for time_ns, data in found.get("/state", []):
+            if time_ns != len(states) * SAMPLE_NS:
+                at_s = len(states) * SAMPLE_NS / NS_PER_S
+                raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
+            states += read_states(data)
         lines = [[read_line(data) for _, data in found.get(f"/{name}/serial", [])] for name in label.robots]
     except (ValueError, LookupError) as error:
         raise LogError(f"{path}: no log of khep_twin: {error}") from error
-    for place, time_ns in enumerate(times_ns):
-        if time_ns != place * SAMPLE_NS:
-            raise LogError(
-                f"{path}: cannot be repeated: the state at {place * SAMPLE_NS / NS_PER_S:.2f} s is missing"
-            )
     # Of several robots the acts of one time are in the order of the robots, which do not hear each other.
     return Recorded(path, label, sorted(acts, key=lambda each: each[0]), states, lines, recovered)
 
@@ -218,7 +220,7 @@ class _Watch:
     def __init__(self, world: World, recorded: Recorded) -> None:
         self.difference: Difference | None = None
         self._recorded = recorded.states
-        self._state = StateHash(world)
+        self._answers = Answered(len(world.robots))
         self._names = [robot.name for robot in world.robots]
         self._lines: dict[str, list[Line]] = {f"/{name}/serial": [] for name in self._names}
         self._transcript = Transcript(self, self._names)
@@ -227,7 +229,9 @@ class _Watch:
         """Compares the state."""
         place = world.time_ns // SAMPLE_NS
         if self.difference is None and place < len(self._recorded):
-            before, now = self._recorded[place], self._state.value()
+            registers = (each for robot in world.robots for each in boards(robot))
+            parts = (np.array(self._answers.numbers), world.data.qpos, world.data.qvel, *registers)
+            before, now = self._recorded[place], int(hashes(*(part.reshape(1, -1) for part in parts))[0])
             if before != now:
                 self.difference = Difference(world.time_ns, "/state", _hexadecimal(before), _hexadecimal(now))
 
@@ -235,7 +239,7 @@ class _Watch:
         """Keeps bytes of the transcript."""
         self._transcript.hear(time_ns, robot, to_robot, data)
         if not to_robot:
-            self._state.hear(time_ns, robot, data)
+            self._answers.hear(time_ns, robot, data)
 
     def act(self, time_ns: int, robot: int, act: HostAct) -> None:
         """Nothing: the acts are the recorded ones."""

@@ -60,7 +60,7 @@ class BatchWriter:
 
     def __init__(self, sink: Sink, profile: str, library: str) -> None:
         self._sink = sink
-        self._compressor = zstandard.ZstdCompressor()
+        self._compressor = zstandard.ZstdCompressor(level=1)
         self._schemas: dict[str, Schema] = {}
         self._channels: dict[str, Channel] = {}
         self._pieces: list[bytes] = []

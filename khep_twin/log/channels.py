@@ -12,7 +12,7 @@
     /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
     /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
     /khepera0/wire              std_msgs/Int64MultiArray    what its host did, to repeat it (`wire`)
-    /state                      std_msgs/Int64MultiArray    hash of the whole state (`wire`)
+    /state                      std_msgs/Int64MultiArray    hashes of the whole state (`wire`)
     /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change
     /events                     rcl_interfaces/Log          notes
 
@@ -162,9 +162,7 @@ class ArrayFrame:
             Encoder().put("I", 1).text(label).put("I", length).put("I", length).put("I", 0).put("I", length)
         )
         values = frame.align(8)
-        for _ in range(length):
-            frame.put("q", 0)
-        self._frame = frame.message()
+        self._frame = frame.message() + bytes(8 * length)
         self._type = _layout(len(self._frame), {"values": (f"({length},)<{kind}", values)})
 
     def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
@@ -232,24 +230,31 @@ def text_message(text: str) -> bytes:
 
 def line_message(line: Line) -> bytes:
     """An rcl_interfaces/Log."""
-    # Written by hand: there are two of them to every command of the host.
-    name, text = line.name.encode("utf-8") + b"\0", line.text.encode("utf-8") + b"\0"
-    stamp = _LINE_HEAD.pack(line.time_ns // NS_PER_S, line.time_ns % NS_PER_S, line.level, len(name))
-    return b"".join(
-        (
-            _HEADER,
-            stamp,
-            name,
-            bytes(-len(name) % 4),
-            _COUNT.pack(len(text)),
-            text,
-            bytes(-len(text) % 4),
-            _LINE_TAIL,
-        )
-    )
+    return LineFrame(line.name, line.level).message(line.time_ns, line.text.encode("utf-8"))
 
 
-_LINE_HEAD = struct.Struct("<iIB3xI")
+class LineFrame:
+    """Messages of one rcl_interfaces/Log channel that come from one side.
+
+    Args:
+        name: of who tells it.
+        level: how grave it is.
+    """
+
+    def __init__(self, name: str, level: int) -> None:
+        frame = Encoder().time(0).put("B", level).text(name)
+        frame.align(4)
+        self._middle = frame.message()[len(_HEADER) + _STAMP.size :]
+
+    def message(self, time_ns: int, text: bytes) -> bytes:
+        """One line, `text` in UTF-8."""
+        seconds, rest_ns = divmod(time_ns, NS_PER_S)
+        size = len(text) + 1
+        stamp, padding = _STAMP.pack(seconds, rest_ns), bytes(1 + -size % 4)
+        return b"".join((_HEADER, stamp, self._middle, _COUNT.pack(size), text, padding, _LINE_TAIL))
+
+
+_STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
 _LINE_TAIL = Encoder().text("").text("").put("I", 0).message()[len(_HEADER) :]
 

@@ -16,7 +16,7 @@ from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import act_message
+from khep_twin.log.wire import TYPE, acts_message
 from khep_twin.protocol import Command, LineReader, parse
 from khep_twin.uart import Act, HostAct
 
@@ -48,6 +48,7 @@ class LineRecorder:
         self._now = now
         self._transcript = Transcript(self._log, [ROBOT])
         self._lines = {True: LineReader(), False: LineReader()}
+        self._acts: list[tuple[int, HostAct]] = []
         self._setpoints = (0, 0)
         self._frames = {
             topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
@@ -65,8 +66,7 @@ class LineRecorder:
         time_ns = self._now()
         self._transcript.hear(time_ns, 0, to_robot, data)
         if to_robot:
-            message = act_message(HostAct(Act.SEND, time_ns, None, data))
-            self._log.add(f"/{ROBOT}/wire", "std_msgs/msg/Int64MultiArray", time_ns, message)
+            self._acts.append((time_ns, HostAct(Act.SEND, time_ns, None, data)))
         for line in self._lines[to_robot].feed(data):
             if to_robot:
                 self._take_setpoints(line)
@@ -80,15 +80,21 @@ class LineRecorder:
 
     def flush(self) -> None:
         """Hands everything so far to the file system."""
-        self._transcript.write()
+        self._write()
         self._log.flush()
 
     def close(self) -> None:
         """Completes the file and gives it its name."""
         if self._log.open:
-            self._transcript.write()
+            self._write()
             self._transcript.write_rests(self._now())
             self._log.finish()
+
+    def _write(self) -> None:
+        self._transcript.write()
+        if self._acts:
+            self._log.add(f"/{ROBOT}/wire", TYPE, self._acts[0][0], acts_message(self._acts))
+            self._acts.clear()
 
     def _take_setpoints(self, line: bytes) -> None:
         match parse(line):

@@ -77,12 +77,9 @@ class LogFile:
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
         """Writes lines of a transcript."""
-        self.add_each(topic, "rcl_interfaces/msg/Log", times_ns, messages)
-
-    def add_each(self, topic: str, schema: str, times_ns: list[int], messages: list[bytes]) -> None:
-        """Writes messages of different sizes."""
         with self.guarded():
-            self._writer.add_lines(self._channel(topic, schema), times_ns, messages)
+            channel = self._channel(topic, "rcl_interfaces/msg/Log")
+            self._writer.add_lines(channel, times_ns, messages)
 
     def add_event(self, time_ns: int, name: str, text: str) -> None:
         """Writes a note."""

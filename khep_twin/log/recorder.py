@@ -26,7 +26,7 @@ from khep_twin.log.channels import ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import StateHash, act_message
+from khep_twin.log.wire import TYPE, Answered, acts_message, boards, hashes, states_message
 from khep_twin.robot import Robot
 from khep_twin.uart import HostAct
 from khep_twin.world import SAMPLE_NS, World
@@ -78,19 +78,22 @@ class Recorder:
         self._world = world
         self._transcript = Transcript(self._log, [robot.name for robot in world.robots])
         # What moves is shown at every sample, what stands is part of the description.
-        model = world.model
-        self._moving: list[int] = np.flatnonzero(model.body_weldid != 0).tolist()
+        model, data = world.model, world.data
+        self._moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
         self._transforms = TransformFrame([body_name(model, body) for body in self._moving])
         self._streams = [_RobotStream(robot) for robot in world.robots]
         self._lamps = None if world.lamps.steady else ArrayFrame(len(world.lamps.names), "f8", "power [W]")
         self._powers = np.zeros((_BATCH, len(world.lamps.names)))
-        self._state, self._state_frame = StateHash(world), ArrayFrame(1, "i8", "hash of the state")
-        self._states = np.zeros((_BATCH, 1), np.int64)
-        self._acts: list[tuple[list[int], list[bytes]]] = [([], []) for _ in world.robots]
+        self._answers = Answered(len(world.robots))
+        self._acts: list[list[tuple[int, HostAct]]] = [[] for _ in world.robots]
+        # What follows from these is worked out batch by batch.
         self._rows = 0
         self._times_ns = np.zeros(_BATCH, np.int64)
+        self._answered = np.zeros((_BATCH, len(world.robots)), np.int64)
+        self._xpos, self._xquat, self._qpos, self._qvel = data.xpos, data.xquat, data.qpos, data.qvel
         self._positions = np.zeros((_BATCH, len(self._moving), 3))
         self._quaternions = np.zeros((_BATCH, len(self._moving), 4))
+        self._physics = np.zeros((_BATCH, len(self._qpos) + len(self._qvel)))
         self._begin(settings)
 
     def __enter__(self) -> Self:
@@ -106,11 +109,15 @@ class Recorder:
         if not self._log.open:
             return
         row = self._rows
+        self._xpos.take(self._moving, 0, self._positions[row], "clip")
+        self._xquat.take(self._moving, 0, self._quaternions[row], "clip")
+        physics = self._physics[row]
+        physics[: len(self._qpos)] = self._qpos
+        physics[len(self._qpos) :] = self._qvel
         self._times_ns[row] = world.time_ns
-        self._positions[row] = world.data.xpos[self._moving]
-        self._quaternions[row] = world.data.xquat[self._moving]
-        self._powers[row] = world.lamps.powers
-        self._states[row] = self._state.value()
+        self._answered[row] = self._answers.numbers
+        if self._lamps is not None:
+            self._powers[row] = world.lamps.powers
         for stream in self._streams:
             stream.note(row)
         self._rows = row + 1
@@ -122,14 +129,12 @@ class Recorder:
         if self._log.open:
             self._transcript.hear(time_ns, robot, to_robot, data)
             if not to_robot:
-                self._state.hear(time_ns, robot, data)
+                self._answers.hear(time_ns, robot, data)
 
     def act(self, time_ns: int, robot: int, act: HostAct) -> None:
         """Notes what a host did."""
         if self._log.open:
-            times_ns, messages = self._acts[robot]
-            times_ns.append(time_ns)
-            messages.append(act_message(act))
+            self._acts[robot].append((time_ns, act))
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Writes a note, and everything so far to the file."""
@@ -169,13 +174,18 @@ class Recorder:
             for topic, schema, messages in stream.messages(rows):
                 self._log.add_rows(topic, schema, times_ns, messages)
         self._transcript.write()
-        for robot, (at_ns, acts) in zip(self._world.robots, self._acts, strict=True):
+        for robot, acts in zip(self._world.robots, self._acts, strict=True):
             if acts:
-                self._log.add_each(f"/{robot.name}/wire", _INTEGERS, at_ns, acts)
-                at_ns.clear()
+                self._log.add(f"/{robot.name}/wire", TYPE, acts[0][0], acts_message(acts))
                 acts.clear()
         # At the end, so that what a torn file has of it can be repeated with what came before.
-        self._log.add_rows("/state", _INTEGERS, times_ns, self._state_frame.messages(self._states[:rows]))
+        if rows:
+            self._log.add("/state", TYPE, int(times_ns[0]), states_message(self._states(rows)))
+
+    def _states(self, rows: int) -> NDArray[np.int64]:
+        """Hashes of the state, for the first rows of the batch (rows,)."""
+        noted = (stream.noted[:rows] for stream in self._streams)
+        return hashes(self._answered[:rows], self._physics[:rows], *noted)
 
     def _begin(self, settings: Mapping[str, object]) -> None:
         world = self._world
@@ -211,13 +221,17 @@ def versions() -> dict[str, str]:
 
 
 class _RobotStream:
-    """One robot's sampled channels: all of them are parts of the registers of its board and its turrets."""
+    """One robot's sampled channels: all of them are parts of the registers of its board and its turrets.
+
+    Attributes:
+        noted: the registers of a batch (samples, registers).
+    """
 
     def __init__(self, robot: Robot) -> None:
         turrets = robot.firmware.turrets
-        self._sources = [robot.registers, *(turret.registers for turret in turrets.values())]
+        self._sources = boards(robot)
         starts = np.cumsum([0, *(len(source) for source in self._sources)])
-        self._noted = np.zeros((_BATCH, starts[-1]), np.int64)
+        self.noted = np.zeros((_BATCH, starts[-1]), np.int64)
         self._channels = [
             (f"/{robot.name}/{topic}", schema, ArrayFrame(len(columns), kind, label), columns)
             for topic, schema, kind, label, columns in (
@@ -232,11 +246,11 @@ class _RobotStream:
 
     def note(self, row: int) -> None:
         """Keeps the board's state as a row of the batch."""
-        self._noted[row] = np.concatenate(self._sources) if len(self._sources) > 1 else self._sources[0]
+        self.noted[row] = np.concatenate(self._sources) if len(self._sources) > 1 else self._sources[0]
 
     def messages(self, rows: int) -> list[tuple[str, str, NDArray[np.void]]]:
         """Topic, message type and messages of each channel, for the first rows of the batch."""
         return [
-            (topic, schema, frame.messages(self._noted[:rows, columns]))
+            (topic, schema, frame.messages(self.noted[:rows, columns]))
             for topic, schema, frame, columns in self._channels
         ]

@@ -1,13 +1,13 @@
 """The transcript of serial lines: bytes as they come, written as whole lines, at the time of their end."""
 
-import re
 from typing import Protocol
 
-from khep_twin.log import channels
-from khep_twin.log.channels import Level, Line
+from khep_twin.log.channels import Level, LineFrame
 
-_LINE_ENDS = re.compile(rb"[\r\n]")
+_LINE_ENDS = (b"\r", b"\n", b"")
 _LINE_LIMIT = 1024
+_PLAIN = bytes(each for each in range(0x20, 0x7F) if each != ord("\\"))
+_FROM = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to_robot in (True, False)}
 
 
 class Lines(Protocol):
@@ -38,32 +38,34 @@ class Transcript:
 
     def write(self) -> None:
         """Writes the lines that the noted bytes complete."""
-        lines: dict[int, list[tuple[int, bytes]]] = {}
+        lines: list[tuple[list[int], list[bytes]]] = [([], []) for _ in self._robots]
         for time_ns, robot, to_robot, data in self._heard:
-            *whole, rest = _LINE_ENDS.split(self._rests.get((robot, to_robot), b"") + data)
-            if len(rest) > _LINE_LIMIT:  # noise, or a host that knows no line ends
-                whole, rest = [*whole, rest], b""
-            self._rests[robot, to_robot] = rest
-            lines.setdefault(robot, []).extend(
-                (time_ns, _message(time_ns, to_robot, line)) for line in whole if line
-            )
+            text = self._rests.pop((robot, to_robot), b"") + data
+            whole = text.splitlines()
+            # Beyond the limit it is noise, or a host that knows no line ends.
+            if text[-1:] not in _LINE_ENDS and len(whole[-1]) <= _LINE_LIMIT:
+                self._rests[robot, to_robot] = whole.pop()
+            times_ns, messages = lines[robot]
+            for line in whole:
+                if line:
+                    times_ns.append(time_ns)
+                    messages.append(_message(time_ns, to_robot, line))
         self._heard.clear()
-        for robot, messages in lines.items():
-            self._add(robot, messages)
+        for robot, (times_ns, messages) in enumerate(lines):
+            if messages:
+                self._log.add_lines(f"/{self._robots[robot]}/serial", times_ns, messages)
 
     def write_rests(self, time_ns: int) -> None:
         """Writes lines that were begun and never ended."""
         for (robot, to_robot), rest in self._rests.items():
-            if rest:
-                self._add(robot, [(time_ns, _message(time_ns, to_robot, rest))])
-
-    def _add(self, robot: int, messages: list[tuple[int, bytes]]) -> None:
-        times_ns, lines = [time_ns for time_ns, _ in messages], [line for _, line in messages]
-        self._log.add_lines(f"/{self._robots[robot]}/serial", times_ns, lines)
+            message = _message(time_ns, to_robot, rest)
+            self._log.add_lines(f"/{self._robots[robot]}/serial", [time_ns], [message])
 
 
 def _message(time_ns: int, to_robot: bool, line: bytes) -> bytes:
-    return channels.line_message(Line(time_ns, Level.INFO, "host" if to_robot else "robot", text_of(line)))
+    # Nearly all lines are readable as they are.
+    text = text_of(line).encode("ascii") if line.translate(None, _PLAIN) else line
+    return _FROM[to_robot].message(time_ns, text)
 
 
 def text_of(line: bytes) -> str:

@@ -1,70 +1,113 @@
 """What a log needs to be repeated and compared: the hosts' acts, and the state in eight bytes.
 
-    /khepera0/wire   std_msgs/Int64MultiArray   one act of the host, when the world came to know of it: what
-                                                (0 sends, 1 hangs up, 2 takes back, 3 sets its line), from
-                                                when on it holds [ns], baud and stop bits of the host's end
-                                                (-1 for as the robot has it), then each byte
-    /state           std_msgs/Int64MultiArray   hash of the whole world's state every 20 ms
+    /khepera0/wire   std_msgs/Int64MultiArray   acts of the host, one after the other: when the world came to
+                                                know of it [ns], what (0 sends, 1 hangs up, 2 takes back,
+                                                3 sets its line), from when on it holds [ns], baud and stop
+                                                bits of the host's end (-1 for as the robot has it), how many
+                                                bytes, then each byte
+    /state           std_msgs/Int64MultiArray   hashes of the whole world's state, every 20 ms from the
+                                                message's own time on
 
-The bytes are those that left the host; the transcript has what reached the robot.
+The bytes are those that left the host; the transcript has what reached the robot. A message has all since the
+last one: they are written where a log hands what it has to the file system.
 """
 
-import struct
 import zlib
-from hashlib import blake2b
+from collections.abc import Iterator, Sequence
 
-from khep_twin.log.channels import Encoder, read_array
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.log.channels import ArrayFrame, read_array
+from khep_twin.robot import Robot
 from khep_twin.uart import Act, HostAct, LineSettings
-from khep_twin.world import World
 
-_LABEL = "act, at [ns], baud, stop bits, bytes"
-_FRAME = Encoder().put("I", 1).text(_LABEL)
-_FRAME.align(4)
-_HEAD = _FRAME.message()
-_PADDING = bytes(-(len(_HEAD) - 4 + 16) % 8)
+TYPE = "std_msgs/msg/Int64MultiArray"
+
+_LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
 
-def act_message(act: HostAct) -> bytes:
-    """An act as a message of /khepera0/wire."""
-    # Written by hand, as there is one for every command of the host.
-    baud, stop_bits = (act.host.baud, act.host.stop_bits) if act.host is not None else (-1, -1)
-    length = 4 + len(act.data)
-    layout = struct.pack("<4I", length, length, 0, length)
-    return b"".join(
-        (
-            _HEAD,
-            layout,
-            _PADDING,
-            struct.pack(f"<{length}q", act.kind, act.at_ns, baud, stop_bits, *act.data),
-        )
-    )
+def acts_message(acts: Sequence[tuple[int, HostAct]]) -> bytes:
+    """Acts and when the world came to know of them [ns] as a message of /khepera0/wire."""
+    numbers: list[int] = []
+    for time_ns, act in acts:
+        baud, stop_bits = (act.host.baud, act.host.stop_bits) if act.host is not None else (-1, -1)
+        numbers += time_ns, act.kind, act.at_ns, baud, stop_bits, len(act.data)
+        numbers += act.data
+    return _message(np.array(numbers, np.int64), _LABEL)
 
 
-def read_act(message: bytes) -> HostAct:
-    """An act from its message."""
-    kind, at_ns, baud, stop_bits, *data = map(int, read_array(message, "q"))
-    host = None if baud < 0 else LineSettings(baud, stop_bits)
-    return HostAct(Act(kind), at_ns, host, bytes(data))
+def read_acts(message: bytes) -> Iterator[tuple[int, HostAct]]:
+    """Acts and their times [ns] from their message.
+
+    Raises:
+        ValueError: it is none.
+    """
+    numbers = list(map(int, read_array(message, "q")))
+    while numbers:
+        time_ns, kind, at_ns, baud, stop_bits, size = numbers[:6]
+        data, numbers = bytes(numbers[6 : 6 + size]), numbers[6 + size :]
+        host = None if baud < 0 else LineSettings(baud, stop_bits)
+        yield time_ns, HostAct(Act(kind), at_ns, host, data)
 
 
-class StateHash:
-    """The state of a world in eight bytes: its physics, its boards, and all that was answered so far."""
+def states_message(states: NDArray[np.int64]) -> bytes:
+    """Hashes of consecutive samples as a message of /state."""
+    return _message(states, "hash of the state every 20 ms")
 
-    def __init__(self, world: World) -> None:
-        self._sources = [world.data.qpos.data, world.data.qvel.data]
-        for robot in world.robots:
-            boards = (robot.registers, *(each.registers for each in robot.firmware.turrets.values()))
-            self._sources += [board.data for board in boards]
+
+def read_states(message: bytes) -> list[int]:
+    """Hashes of consecutive samples from their message."""
+    return list(map(int, read_array(message, "q")))
+
+
+def _message(numbers: NDArray[np.int64], label: str) -> bytes:
+    return ArrayFrame(len(numbers), "i8", label).messages(numbers.reshape(1, -1))[0].tobytes()
+
+
+def boards(robot: Robot) -> list[NDArray[np.int64]]:
+    """The registers of a robot's board and its turrets."""
+    return [robot.registers, *(turret.registers for turret in robot.firmware.turrets.values())]
+
+
+class Answered:
+    """All that robots have answered so far, in a number each.
+
+    Args:
+        robots: how many there are.
+
+    Attributes:
+        numbers: of the robots.
+    """
+
+    def __init__(self, robots: int) -> None:
         # Each robot's for itself: which of two was heard first within a step depends on who asked when.
-        self._answered = [0] * len(world.robots)
+        self.numbers = [0] * robots
 
     def hear(self, time_ns: int, robot: int, data: bytes) -> None:
         """Takes bytes that a robot has answered."""
-        self._answered[robot] = zlib.crc32(b"%d " % time_ns + data, self._answered[robot])
+        self.numbers[robot] = zlib.crc32(b"%d " % time_ns + data, self.numbers[robot])
 
-    def value(self) -> int:
-        """The hash as of now, a number of 64 bits with sign."""
-        state = blake2b(struct.pack(f"<{len(self._answered)}I", *self._answered), digest_size=8)
-        for source in self._sources:
-            state.update(source)
-        return int.from_bytes(state.digest(), "little", signed=True)
+
+def hashes(*parts: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.int64]:
+    """Samples of a state in eight bytes each (n,).
+
+    A sum of the parts' words, each times an odd number of its own, modulo 2^64: any change of one word is
+    seen, and of several all but one in 2^64.
+
+    Args:
+        parts: of the state, a row for each sample (n, length): what was answered, positions and speeds, and
+            the registers of every robot's boards.
+    """
+    words = np.hstack([np.ascontiguousarray(part).view(np.uint64) for part in parts])
+    # The highest bit of a word, the sign of a float, would only ever change the sum's highest.
+    words ^= words >> np.uint64(32)
+    return (words * _odd_numbers(words.shape[1])).sum(axis=1).view(np.int64)
+
+
+def _odd_numbers(count: int) -> NDArray[np.uint64]:
+    """Odd numbers (count,) that look random: the finalizer of splitmix64 over 1, 2, 3, ..."""
+    numbers = np.arange(1, count + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
+        numbers = (numbers ^ (numbers >> np.uint64(shift))) * np.uint64(factor)
+    return numbers | np.uint64(1)

@@ -111,8 +111,8 @@ def test_every_channel_has_its_messages_at_simulated_times(log: Path) -> None:
     assert times.pop("/robot_description") == [0]
     assert times.pop("/events") == [2 * SECOND]
     assert len(times.pop("/khepera0/serial")) == 40
-    assert times.pop("/state") == samples
-    assert times.pop("/khepera0/wire") == list(range(0, 2 * SECOND, SECOND // 10))
+    assert times.pop("/state") == [0]
+    assert times.pop("/khepera0/wire") == [0]
     assert not times
 
 
