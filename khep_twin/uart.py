@@ -31,12 +31,13 @@ class LineSettings:
 
 
 class Act(IntEnum):
-    """What a host does to the line."""
+    """What a host does to the line, and a hand to the robot."""
 
     SEND = 0
     HANG_UP = 1
     TAKE_BACK = 2
     SET = 3
+    PUT = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +48,7 @@ class HostAct:
         kind: what it was.
         at_ns: from when on it holds, now or later [ns].
         host: how the host had set its end of the line, None for as the robot has it.
-        data: what was sent, as it left the host.
+        data: what was sent, as it left the host; where the robot was put, as `khep_twin.placing` has it.
     """
 
     kind: Act

@@ -23,6 +23,7 @@ from khep_twin.log.reader import Label, read_raw
 from khep_twin.log.recorder import versions
 from khep_twin.log.transcript import Transcript
 from khep_twin.log.wire import Answered, boards, hashes, read_acts, read_states
+from khep_twin.placing import put_again
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.uart import Act, HostAct
@@ -208,6 +209,8 @@ def _act(twin: Twin, index: int, act: HostAct) -> None:
             robot.take_back()
         case Act.SET:
             robot.compare_line(act.host)
+        case Act.PUT:
+            put_again(twin.world, index, act)
 
 
 class _Watch:

@@ -40,6 +40,7 @@ class _Named:
 
     id: int
     name: str
+    bodyid: NDArray[np.int32]
     adr: NDArray[np.int32]
     dim: NDArray[np.int32]
     fovy: NDArray[np.float64]
@@ -54,6 +55,8 @@ class MjModel:
     body_mass: NDArray[np.float64]
     body_rootid: NDArray[np.int32]
     body_weldid: NDArray[np.int32]
+    dof_bodyid: NDArray[np.int32]
+    qpos0: NDArray[np.float64]
     cam_resolution: NDArray[np.int32]
     geom_bodyid: NDArray[np.int32]
     geom_group: NDArray[np.int32]

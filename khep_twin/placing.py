@@ -1,0 +1,111 @@
+"""Putting a robot down somewhere in a world that runs, as a hand does.
+
+It is put upright and at rest. Its board knows nothing of it: counters, registers and motors go on as they
+are. It is an act like those of its host, so that a log repeats it.
+"""
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+
+from khep_twin.errors import PlaypenError
+from khep_twin.footprint import Circle
+from khep_twin.placement import Thing, placement_problems
+from khep_twin.playpen import Playpen
+from khep_twin.playpen_checks import things
+from khep_twin.uart import Act, HostAct
+from khep_twin.units import BODY_HEIGHT
+from khep_twin.world import World
+
+_PLACE = struct.Struct("<3d")
+
+
+def put(world: World, index: int, x_mm: float, y_mm: float, heading_deg: float) -> None:
+    """Puts a robot down.
+
+    Args:
+        world: in which it is.
+        index: which robot.
+        x_mm: of its centre, from the arena's lower left inner corner [mm].
+        y_mm: likewise.
+        heading_deg: where it looks, counter-clockwise from x [degrees].
+
+    Raises:
+        PlaypenError: there is no room for it; it stays where it was.
+    """
+    place = {"x_mm": x_mm, "y_mm": y_mm, "heading_deg": heading_deg}
+    if not all(map(math.isfinite, place.values())):
+        raise PlaypenError(
+            f"a robot cannot be put to ({x_mm}, {y_mm}), {heading_deg} degrees; right are numbers"
+        )
+    _check_room(world, index, place)
+    world.act(index, HostAct(Act.PUT, world.time_ns, None, _PLACE.pack(x_mm, y_mm, heading_deg)))
+    model, data = world.model, world.data
+    joint = model.joint(f"{world.robots[index].name}/pose")
+    at, half = int(joint.qposadr[0]), math.radians(heading_deg) / 2
+    data.qpos[at : at + 3] = x_mm / 1e3, y_mm / 1e3, model.qpos0[at + 2]
+    data.qpos[at + 3 : at + 7] = math.cos(half), 0, 0, math.sin(half)
+    base = int(joint.bodyid[0])
+    data.qvel[model.body_rootid[model.dof_bodyid] == base] = 0
+    # What the robots' places are read from is as of now again.
+    mujoco.mj_kinematics(model, data)
+    world.tell(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
+
+
+def put_again(world: World, index: int, act: HostAct) -> None:
+    """Puts a robot down as a log has it."""
+    put(world, index, *_PLACE.unpack(act.data))
+
+
+def _check_room(world: World, index: int, place: dict[str, float]) -> None:
+    entry = world.playpen.robots[index].model_copy(update=place)
+    thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, BODY_HEIGHT * 1e3, True)
+    for problem in placement_problems([*_near(world, index, entry.footprint), thing], world.playpen.arena):
+        if problem.location[:2] == thing.place:
+            raise PlaypenError(problem.text)
+
+
+def _near(world: World, index: int, disc: Circle) -> Iterator[Thing]:
+    """What stands in reach of a disc as of now, but for one robot, spots, and lamps, which robots pass."""
+    for thing in things(as_it_stands(world)):
+        at = thing.footprint
+        away = max(
+            abs(at.x_mm - disc.x_mm) - at.reach((1.0, 0.0)), abs(at.y_mm - disc.y_mm) - at.reach((0.0, 1.0))
+        )
+        own = (thing.kind, thing.number) == ("robot", index + 1)
+        if away <= disc.radius_mm and not own and thing.kind not in ("lamp", "spot"):
+            yield replace(thing, free=False)
+
+
+def as_it_stands(world: World) -> Playpen:
+    """A playpen with its robots and movable things where they are by now, all taken as upright."""
+
+    def moved(items: tuple[Any, ...], kind: str) -> tuple[Any, ...]:
+        return tuple(
+            item.model_copy(update=_place(world, f"{kind}{number}", kind)) if item.movable else item
+            for number, item in enumerate(items)
+        )
+
+    playpen = world.playpen
+    robots = tuple(
+        entry.model_copy(
+            update={"x_mm": x * 1e3, "y_mm": y * 1e3, "heading_deg": math.degrees(heading)},
+        )
+        for entry, (x, y, heading) in zip(playpen.robots, (robot.pose for robot in world.robots), strict=True)
+    )
+    blocks, cylinders = moved(playpen.blocks, "block"), moved(playpen.cylinders, "cylinder")
+    return playpen.model_copy(update={"blocks": blocks, "cylinders": cylinders, "robots": robots})
+
+
+def _place(world: World, name: str, kind: str) -> dict[str, float]:
+    body = world.model.body(name).id
+    x, y, _ = world.data.xpos[body].tolist()
+    place = {"x_mm": x * 1e3, "y_mm": y * 1e3}
+    if kind == "block":
+        along_x, along_y = world.data.xmat[body].reshape(3, 3)[:2, 0].tolist()
+        place["angle_deg"] = math.degrees(math.atan2(along_y, along_x))
+    return place
