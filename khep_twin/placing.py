@@ -37,12 +37,12 @@ def put(world: World, index: int, x_mm: float, y_mm: float, heading_deg: float) 
     Raises:
         PlaypenError: there is no room for it; it stays where it was.
     """
-    place = {"x_mm": x_mm, "y_mm": y_mm, "heading_deg": heading_deg}
-    if not all(map(math.isfinite, place.values())):
+    if not all(map(math.isfinite, (x_mm, y_mm, heading_deg))):
         raise PlaypenError(
             f"a robot cannot be put to ({x_mm}, {y_mm}), {heading_deg} degrees; right are numbers"
         )
-    _check_room(world, index, place)
+    if reason := no_room(as_it_stands(world), index, x_mm, y_mm):
+        raise PlaypenError(reason)
     world.act(index, HostAct(Act.PUT, world.time_ns, None, _PLACE.pack(x_mm, y_mm, heading_deg)))
     model, data = world.model, world.data
     joint = model.joint(f"{world.robots[index].name}/pose")
@@ -61,17 +61,19 @@ def put_again(world: World, index: int, act: HostAct) -> None:
     put(world, index, *_PLACE.unpack(act.data))
 
 
-def _check_room(world: World, index: int, place: dict[str, float]) -> None:
-    entry = world.playpen.robots[index].model_copy(update=place)
+def no_room(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:
+    """Why one of a playpen's robots cannot stand at a place [mm]; empty if it can."""
+    entry = playpen.robots[index].model_copy(update={"x_mm": x_mm, "y_mm": y_mm, "spots": ()})
     thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, BODY_HEIGHT * 1e3, True)
-    for problem in placement_problems([*_near(world, index, entry.footprint), thing], world.playpen.arena):
+    for problem in placement_problems([*_near(playpen, index, entry.footprint), thing], playpen.arena):
         if problem.location[:2] == thing.place:
-            raise PlaypenError(problem.text)
+            return problem.text
+    return ""
 
 
-def _near(world: World, index: int, disc: Circle) -> Iterator[Thing]:
-    """What stands in reach of a disc as of now, but for one robot, spots, and lamps, which robots pass."""
-    for thing in things(as_it_stands(world)):
+def _near(playpen: Playpen, index: int, disc: Circle) -> Iterator[Thing]:
+    """What stands in reach of a disc, but for one robot, spots, and lamps, which robots pass."""
+    for thing in things(playpen):
         at = thing.footprint
         away = max(
             abs(at.x_mm - disc.x_mm) - at.reach((1.0, 0.0)), abs(at.y_mm - disc.y_mm) - at.reach((0.0, 1.0))

@@ -234,6 +234,9 @@ class Lamp(Table):
         return Circle(self.x_mm, self.y_mm, BULB_RADIUS_MM)
 
 
+LightingMode = Literal["all", "random", "sequenced"]
+
+
 class Lighting(Table):
     """Which lamps are on, and how their light is reckoned.
 
@@ -246,7 +249,7 @@ class Lighting(Table):
         max_angle_deg: the toolbox's, from which on nothing is left.
     """
 
-    mode: Literal["all", "random", "sequenced"] = "all"
+    mode: LightingMode = "all"
     switch_distance_mm: Annotated[float, Field(ge=0, le=10_000)] = 30.0
     law: Literal["optics", "toolbox"] = "optics"
     min_angle_deg: Annotated[float, Field(ge=0, le=180)] = MIN_ANGLE_DEG

@@ -1,11 +1,104 @@
-"""Controllers that ship with the package. A controller is a function of a robot, called once a cycle."""
+"""Controllers: what they are, and those that ship with the package.
+
+A controller is a function of a robot, called once a cycle, or a `Controller` with places for what is to be
+done before, between and after.
+"""
 
 from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin.host import Khepera
 from khep_twin.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
 
-Controller = Callable[[Khepera], None]
+
+class Controller:
+    """A controller with places for what is done around its cycles; a subclass fills those that it needs.
+
+        class Counting(Controller):
+            def start(self, robot):
+                self.near = 0
+
+            def cycle(self, robot):
+                self.near += max(robot.proximity()) > 500
+
+    One object is there for a whole series, so what it learns in a run it knows in the next one. What its
+    attributes hold at a run's end is kept with the run, but for those whose name begins with "_".
+    """
+
+    def start(self, robot: Khepera) -> None:
+        """Called before the first cycle of each run."""
+
+    def cycle(self, robot: Khepera) -> None:
+        """Called again and again; it has to let time pass, as every command to the robot does."""
+        raise NotImplementedError(f"{type(self).__name__} needs a cycle(self, robot)")
+
+    def end(self, robot: Khepera) -> None:
+        """Called after the last cycle of each run; the motors stand."""
+
+    def stop(self, robot: Khepera) -> None:
+        """Called when this robot is done with, after the last run or trouble, to leave it in order."""
+
+
+class FunctionController(Controller):
+    """A function as a controller; a mapping that it returns has its variables.
+
+    Attributes:
+        function: called once a cycle.
+    """
+
+    def __init__(self, function: Callable[[Khepera], Any]) -> None:
+        self.function = function
+        self._told: Mapping[str, Any] = {}
+
+    def start(self, robot: Khepera) -> None:
+        """Forgets what was told in another run."""
+        self._told = {}
+
+    def cycle(self, robot: Khepera) -> None:
+        """Calls the function."""
+        told = self.function(robot)
+        if isinstance(told, Mapping):
+            self._told = told
+
+    def told(self) -> dict[str, Any]:
+        """What the function has returned last."""
+        return {str(name): value for name, value in self._told.items()}
+
+
+AnyController = Controller | Callable[[Khepera], Any]
+
+
+def as_controller(controller: AnyController) -> Controller:
+    """A controller with its places."""
+    return controller if isinstance(controller, Controller) else FunctionController(controller)
+
+
+def variables(controller: Controller) -> dict[str, Any]:
+    """What a controller holds: truths, numbers, texts, and arrays and lists of numbers, as copies."""
+    held = controller.told() if isinstance(controller, FunctionController) else vars(controller)
+    found: dict[str, Any] = {}
+    for name, value in sorted(held.items()):
+        if name.startswith("_"):
+            continue
+        if isinstance(value, bool | int | float | str):
+            found[name] = value
+        elif isinstance(value, np.generic | np.ndarray | list | tuple):
+            array = _numbers(value)
+            if array is not None:
+                found[name] = array.item() if array.ndim == 0 else array
+    return found
+
+
+def _numbers(value: Any) -> NDArray[Any] | None:
+    """A copy as an array; None for what is none of numbers."""
+    try:
+        array: NDArray[Any] = np.array(value)
+    except ValueError:  # rows of several lengths
+        return None
+    return array if array.dtype.kind in "biuf" else None
 
 
 def braitenberg(robot: Khepera) -> None:
@@ -20,5 +113,5 @@ def braitenberg(robot: Khepera) -> None:
     )
 
 
-BUILT_IN: Mapping[str, Controller] = {"braitenberg": braitenberg}
+BUILT_IN: Mapping[str, Callable[[Khepera], Any]] = {"braitenberg": braitenberg}
 """By the name that `khep-twin run` knows them by."""

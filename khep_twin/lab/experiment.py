@@ -11,7 +11,7 @@ from typing import Any
 
 from khep_twin.errors import ControllerError, KhepTwinError, choices
 from khep_twin.host import Khepera
-from khep_twin.lab.controllers import BUILT_IN, Controller
+from khep_twin.lab.controllers import BUILT_IN, AnyController, Controller, as_controller
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,22 +21,25 @@ class Outcome:
     Attributes:
         cycles: how often the controller was called.
         duration: how long the run took in the port's own time [s].
+        complete: whether it came to its end.
     """
 
     cycles: int
     duration: float
+    complete: bool = True
 
 
 def run(
-    controller: Controller,
+    controller: AnyController,
     robot: Khepera,
     *,
     cycles: int | None = None,
     seconds: float | None = None,
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
+    after_cycle: Callable[[], None] | None = None,
 ) -> Outcome:
-    """Calls a controller once a cycle, then stops the motors.
+    """Starts a controller, calls it once a cycle, then stops the motors and lets it end.
 
     Args:
         controller: what drives the robot.
@@ -45,6 +48,7 @@ def run(
         seconds: end after this time, in the port's own time [s].
         progress: is told after each cycle which part of the run is done, 0 to 1.
         stop: is asked before each cycle whether to end early.
+        after_cycle: is called after each.
 
     Raises:
         ValueError: neither cycles nor seconds are given, or one is not above 0.
@@ -54,84 +58,124 @@ def run(
         raise ValueError("a run needs an end: cycles or seconds")
     if (cycles is not None and cycles < 1) or (seconds is not None and not seconds > 0):
         raise ValueError(f"cycles {cycles} and seconds {seconds} must be above 0")
+    algorithm = as_controller(controller)
     start = robot.time
     done = 0
     part = 0.0
     try:
+        call(algorithm.start, robot)
         while part < 1 and not (stop is not None and stop()):
             before = robot.time
-            _cycle(controller, robot)
+            call(algorithm.cycle, robot)
             if robot.time == before:
                 raise ControllerError(
-                    f"{_place(controller)}: a cycle lets no time pass; right is to ask the robot something, "
+                    f"{source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is to ask the robot something, "
                     "or robot.sleep"
                 )
             done += 1
+            if after_cycle is not None:
+                after_cycle()
             by_cycles = done / cycles if cycles else 0.0
             by_time = (robot.time - start) / seconds if seconds else 0.0
             part = max(by_cycles, by_time)
             if progress is not None:
                 progress(min(part, 1.0))
+        duration = robot.time - start
+        robot.set_speed(0, 0)
+        call(algorithm.end, robot)
     except BaseException:
         # What went wrong is told; that the motors cannot be stopped any more would only hide it.
         with suppress(KhepTwinError):
             robot.set_speed(0, 0)
         raise
-    robot.set_speed(0, 0)
-    return Outcome(done, robot.time - start)
+    return Outcome(done, duration, part >= 1)
 
 
-def _cycle(controller: Controller, robot: Khepera) -> None:
-    """Calls the controller once; what fails in it is told by place, as one line."""
+def call(place: Callable[[Khepera], Any], robot: Khepera) -> None:
+    """Calls one of a controller's places; what fails in it is told by place, as one line.
+
+    Raises:
+        ControllerError: it failed.
+    """
     try:
-        controller(robot)
+        place(robot)
     except KhepTwinError:
         raise
     except (Exception, SystemExit) as error:
-        file = Path(inspect.getsourcefile(controller) or "")
-        raise ControllerError(f"{file}{_line_in(error, file)}: {type(error).__name__}: {error}") from error
+        file = source_file(place)
+        raise ControllerError(
+            f"{file}{_line_in(error, Path(file))}: {type(error).__name__}: {error}"
+        ) from error
 
 
-def _place(controller: Controller) -> str:
-    return f"{inspect.getsourcefile(controller)}: {controller.__name__}"
+def name_of(controller: AnyController) -> str:
+    """What a controller is called in its file."""
+    return str(getattr(controller, "__name__", type(controller).__name__))
 
 
-def find_controller(name: str) -> Controller:
-    """A controller by its built-in name, or as FILE.py or FILE.py:FUNCTION.
+def source_file(controller: Any) -> str:
+    """The file that defines a controller or one of its places; empty if none does."""
+    owner = getattr(controller, "__self__", controller)
+    source = getattr(owner, "function", None) or (type(owner) if isinstance(owner, Controller) else owner)
+    try:
+        return inspect.getsourcefile(source) or ""
+    except TypeError:  # something callable that is written in no file
+        return ""
 
-    Without FUNCTION, the file's function `controller` is taken, or its only public one.
+
+def find_controller(name: str) -> AnyController:
+    """A controller by its built-in name, or as FILE.py or FILE.py:NAME.
+
+    Without NAME, the file's `controller` is taken, or its only public function or subclass of `Controller`.
 
     Raises:
         ControllerError: there is no such controller, or its file fails.
     """
     if name in BUILT_IN:
         return BUILT_IN[name]
-    path_text, _, function = name.partition(":")
+    path_text, _, wanted = name.partition(":")
     path = Path(path_text)
     if path.suffix != ".py":
         raise ControllerError(
-            f"{name}: no such controller; right is FILE.py, FILE.py:FUNCTION or a built-in name; "
+            f"{name}: no such controller; right is FILE.py, FILE.py:NAME or a built-in name; "
             f"{choices(name, BUILT_IN)}"
         )
-    functions = _functions_of(path)
-    if not function:
-        function = "controller" if "controller" in functions or len(functions) != 1 else next(iter(functions))
-    found = functions.get(function)
+    offers = _offers_of(path)
+    if not wanted:
+        classes = [each for each, offer in offers.items() if isinstance(offer, type)]
+        # Beside a class, functions are its tools.
+        single = next(iter(classes if len(classes) == 1 else offers), "")
+        wanted = (
+            "controller" if "controller" in offers or (len(offers) != 1 and len(classes) != 1) else single
+        )
+    found = offers.get(wanted)
     if found is None:
         raise ControllerError(
-            f"{path}: no function {function!r} that takes a robot; {choices(function, functions)}"
+            f"{path}: no function {wanted!r} that takes a robot, and no such subclass of Controller; "
+            f"{choices(wanted, offers)}"
         )
+    if isinstance(found, type):
+        return _made(path, wanted, found)
     if inspect.isgeneratorfunction(found) or inspect.iscoroutinefunction(found):
         raise ControllerError(
-            f"{path}: {function!r} is no plain function; right is one that returns each cycle"
+            f"{path}: {wanted!r} is no plain function; right is one that returns each cycle"
         )
     if len(inspect.signature(found).parameters) != 1:
-        raise ControllerError(f"{path}: {function!r} takes {inspect.signature(found)}; right is one robot")
+        raise ControllerError(f"{path}: {wanted!r} takes {inspect.signature(found)}; right is one robot")
     return found
 
 
-def _functions_of(path: Path) -> dict[str, Any]:
-    """The public functions that a file defines itself."""
+def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
+    """An object of a user's class."""
+    try:
+        return kind()
+    except (Exception, SystemExit) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ControllerError(f"{path}{_line_in(error, path)}: {name}() failed: {reason}") from error
+
+
+def _offers_of(path: Path) -> dict[str, Any]:
+    """The public functions and controllers that a file defines itself."""
     if not path.is_file():
         raise ControllerError(f"{path}: no such file")
     spec = importlib.util.spec_from_file_location(f"khep_twin_controller_{path.stem}", path)
@@ -150,9 +194,11 @@ def _functions_of(path: Path) -> dict[str, Any]:
         line = _line_in(error, path)
         raise ControllerError(f"{path}{line}: {type(error).__name__}: {error}") from error
     return {
-        name: function
-        for name, function in inspect.getmembers(module, inspect.isfunction)
-        if function.__module__ == module.__name__ and not name.startswith("_")
+        name: offer
+        for name, offer in vars(module).items()
+        if not name.startswith("_")
+        and getattr(offer, "__module__", None) == module.__name__
+        and (inspect.isfunction(offer) or (isinstance(offer, type) and issubclass(offer, Controller)))
     }
 
 
