@@ -1,0 +1,32 @@
+"""The Khepera Toolbox's example for its simulator, typed over from Matlab into its template for RoboRunner.
+
+python simsamp1.py              a twin, as long as 2 runs of 500 cycles take
+
+It goes ahead until a sensor sees something near, then turns. Without each `sim_`, and without the lines that
+name btmap1, it drives what KHEP_PORT_2 names: a robot, or the link of `khep-twin serve`.
+"""
+
+# The toolbox's names come all at once, as in Matlab.
+# ruff: noqa: F403, F405
+
+from khep_twin.lab.toolbox import *
+
+btmap1 = open_default(seed=1)
+
+
+def simsamp1(cycles_per_run, runs):
+    run_count = 0
+    while run_count < runs:
+        cycle_count = 0
+        while cycle_count < cycles_per_run:
+            sim_sms(2, 1, 1)
+            a = sim_rps(2)
+            if any(a > 900):
+                sim_sms(2, -1, 1)
+            kheprom(btmap1)
+            cycle_count = cycle_count + 1
+        run_count = run_count + 1
+    sim_sms(2, 0, 0)
+
+
+simsamp1(500, 2)

@@ -1,0 +1,57 @@
+"""All names of the Khepera Toolbox for Matlab, for programs typed over from it.
+
+    from khep_twin.lab.toolbox import *
+
+    btmap1 = open_default()
+    while True:
+        sim_sms(2, 1, 1)
+        a = sim_rps(2)
+        if any(a > 900):
+            sim_sms(2, -1, 1)
+        kheprom(btmap1)
+
+Without `sim_` and without the lines that name `btmap1` it is a program for a robot. Beside a robot, where
+there is no simulator, `khep_twin.host.toolbox` has the commands. docs/toolbox.md tells what became of each of
+the toolbox's functions and windows.
+"""
+
+from khep_twin.host.toolbox import cls as cls
+from khep_twin.host.toolbox import con as con
+from khep_twin.host.toolbox import cpid as cpid
+from khep_twin.host.toolbox import cspc as cspc
+from khep_twin.host.toolbox import ports as ports
+from khep_twin.host.toolbox import rad as rad
+from khep_twin.host.toolbox import rls as rls
+from khep_twin.host.toolbox import rmc as rmc
+from khep_twin.host.toolbox import rms as rms
+from khep_twin.host.toolbox import robot_at as robot_at
+from khep_twin.host.toolbox import rpc as rpc
+from khep_twin.host.toolbox import rps as rps
+from khep_twin.host.toolbox import skp as skp
+from khep_twin.host.toolbox import sms as sms
+from khep_twin.host.toolbox import spc as spc
+from khep_twin.lab.toolbox_figures import datameta as datameta
+from khep_twin.lab.toolbox_figures import dataprnt as dataprnt
+from khep_twin.lab.toolbox_figures import ddl as ddl
+from khep_twin.lab.toolbox_figures import ddlg as ddlg
+from khep_twin.lab.toolbox_figures import ddr as ddr
+from khep_twin.lab.toolbox_figures import ddrg as ddrg
+from khep_twin.lab.toolbox_figures import disonel as disonel
+from khep_twin.lab.toolbox_khepbase import khepbase as khepbase
+from khep_twin.lab.toolbox_places import checkobj as checkobj
+from khep_twin.lab.toolbox_places import movekhep as movekhep
+from khep_twin.lab.toolbox_places import putkhep as putkhep
+from khep_twin.lab.toolbox_places import rotkhep as rotkhep
+from khep_twin.lab.toolbox_simulator import close_playpen as close_playpen
+from khep_twin.lab.toolbox_simulator import kheprom as kheprom
+from khep_twin.lab.toolbox_simulator import open_custom as open_custom
+from khep_twin.lab.toolbox_simulator import open_default as open_default
+from khep_twin.lab.toolbox_simulator import sim_rls as sim_rls
+from khep_twin.lab.toolbox_simulator import sim_rmc as sim_rmc
+from khep_twin.lab.toolbox_simulator import sim_rms as sim_rms
+from khep_twin.lab.toolbox_simulator import sim_rpc as sim_rpc
+from khep_twin.lab.toolbox_simulator import sim_rps as sim_rps
+from khep_twin.lab.toolbox_simulator import sim_skp as sim_skp
+from khep_twin.lab.toolbox_simulator import sim_sms as sim_sms
+from khep_twin.lab.toolbox_simulator import sim_spc as sim_spc
+from khep_twin.lab.toolbox_simulator import userdata as userdata

@@ -1,0 +1,168 @@
+"""The Khepera Toolbox's graphs of sensor tests: `ddl`, `ddlg`, `ddr`, `ddrg`, `disonel`, and their files.
+
+    run = sensor_files.load(Path("wall.mat"))      # of khep-twin sense or the toolbox
+    ddlg(run.dv, 1500)                             # 12 cm in pulses
+    dataprnt("wall.pdf")
+
+`dv` has a row for each look: two position counters and eight sensors. `khep_pos` is how far a wheel went in
+the test [pulses]. A graph opens a window where there is a screen, and is returned in any case. Neither of the
+two knows the speed: the graph names the toolbox's, 20.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, SupportsFloat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import SensorTestError, choices
+from khep_twin.lab.sensor_test import (
+    PULSES_PER_CM,
+    PULSES_PER_DEGREE,
+    SENSORS,
+    SensorRun,
+    SensorTest,
+    What,
+)
+from khep_twin.lab.toolbox_windows import show
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Matrix = NDArray[Any] | Sequence[Sequence[SupportsFloat]]
+"""`dv` (n, 10)."""
+
+
+def ddl(dv: Matrix, khep_pos: SupportsFloat, what: What = "proximity") -> "Figure":
+    """All sensors over a straight way, which counts down to 0 cm at its end.
+
+    Args:
+        dv: what the test has gathered (n, 10).
+        khep_pos: how far it went [pulses], 5 to 60 cm.
+        what: the sensors told, "proximity" or "light".
+
+    Raises:
+        SensorTestError: `dv` is no such matrix, or no test goes so far.
+    """
+    return _drawn(dv, khep_pos, "linear", what)
+
+
+def ddlg(dv: Matrix, khep_pos: SupportsFloat, what: What = "proximity") -> "Figure":
+    """As `ddl`, with a grid."""
+    return _drawn(dv, khep_pos, "linear", what, grid=True)
+
+
+def ddr(dv: Matrix, khep_pos: SupportsFloat, what: What = "proximity") -> "Figure":
+    """All sensors over a turn, in degrees; arguments as for `ddl`, 15 to 360 degrees."""
+    return _drawn(dv, khep_pos, "rotational", what)
+
+
+def ddrg(dv: Matrix, khep_pos: SupportsFloat, what: What = "proximity") -> "Figure":
+    """As `ddr`, with a grid."""
+    return _drawn(dv, khep_pos, "rotational", what, grid=True)
+
+
+def disonel(
+    dv: Matrix,
+    khep_pos: SupportsFloat,
+    which_one: int | str,
+    what: What = "proximity",
+    *,
+    y_min: int = 0,
+    grid: bool = False,
+) -> "Figure":
+    """One sensor over the way or the turn; the counters tell which it was.
+
+    Args:
+        dv: what the test has gathered (n, 10).
+        khep_pos: how far it went [pulses].
+        which_one: the sensor, 1 to 8 in the order of `rps`, or its name, such as "left 10".
+        what: the sensors told, "proximity" or "light".
+        y_min: where the axis of counts begins.
+        grid: whether there are lines behind.
+
+    Raises:
+        SensorTestError: there is no such sensor, or as for `ddl`.
+    """
+    numbers = range(1, len(SENSORS) + 1)
+    if which_one not in numbers and which_one not in SENSORS:
+        raise SensorTestError(f"which_one = {which_one!r}: no such sensor; {choices(which_one, SENSORS)}")
+    sensor = which_one if isinstance(which_one, str) else SENSORS[which_one - 1]
+    rows = _matrix(dv)
+    motion = "rotational" if rows[-1, 0] * rows[-1, 1] < 0 else "linear"
+    return _drawn(rows, khep_pos, motion, what, sensor=sensor, y_min=y_min, grid=grid)
+
+
+def dataprnt(file: str | Path = "graph_data.pdf") -> Path:
+    """Writes the latest graph on a page to print: as PDF, or as PNG or SVG by the name's suffix.
+
+    Raises:
+        SensorTestError: there is no graph yet.
+        KhepTwinError: the file cannot be written, or has another suffix.
+    """
+    from khep_twin import drawing
+
+    if not _graphs:
+        raise SensorTestError("there is no graph yet; right is ddl, ddlg, ddr, ddrg or disonel before")
+    drawing.save(_graphs[-1], Path(file))
+    return Path(file)
+
+
+def datameta(file: str | Path = "graph_data.svg") -> Path:
+    """Writes the latest graph for a text: as SVG, which scales as the toolbox's metafile does.
+
+    Raises:
+        SensorTestError: there is no graph yet.
+        KhepTwinError: the file cannot be written, or has another suffix.
+    """
+    return dataprnt(file)
+
+
+_graphs: list["Figure"] = []
+"""The latest one."""
+
+
+def _drawn(
+    dv: Matrix,
+    khep_pos: SupportsFloat,
+    motion: Literal["linear", "rotational"],
+    what: What,
+    *,
+    sensor: str | None = None,
+    y_min: int = 0,
+    grid: bool = False,
+) -> "Figure":
+    from khep_twin.lab import sensor_figure
+
+    rows = _matrix(dv)
+    left, right = int(rows[-1, 0]), int(rows[-1, 1])
+    if motion == "linear":
+        test = SensorTest(what, linear_cm=_amount(khep_pos, left + right, PULSES_PER_CM))
+    else:
+        test = SensorTest(what, rotate_deg=_amount(khep_pos, right - left, PULSES_PER_DEGREE))
+    run = SensorRun(test, rows, np.full(len(rows), np.nan))
+    figure = sensor_figure.draw([run], sensor=sensor, y_min=y_min, grid=grid)
+    _graphs[:] = [figure]
+    show(figure, "graph_data")
+    return figure
+
+
+def _matrix(dv: Matrix) -> NDArray[np.int64]:
+    rows = np.asarray(dv, np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 10 or not len(rows):
+        shape = " x ".join(map(str, rows.shape))
+        raise SensorTestError(f"dv: is {shape}; right are rows of 10, two counters and eight sensors")
+    # Not the other way round: comparing what is not a number is false.
+    if not ((np.abs(rows) < 2**31) & (rows == np.round(rows))).all():
+        raise SensorTestError("dv: not all are whole numbers; right are counters and counts")
+    return rows.astype(np.int64)
+
+
+def _amount(khep_pos: SupportsFloat, direction: int, scale: float) -> float:
+    """How far a test went [cm or degrees], below 0 if the counters fell."""
+    amount = abs(float(khep_pos)) / scale
+    # Pulses are whole: 15 degrees are 85 pulses, which are 14.98 degrees.
+    if amount < 1e6 and abs(amount - round(amount)) * scale <= 0.5:
+        amount = float(round(amount))
+    return -amount if direction < 0 else amount

@@ -1,0 +1,182 @@
+"""The Khepera Toolbox's functions about the simulated robot's place: to put, move and turn it, to look around.
+
+A robot is put down only where there is room. To move and to turn are the robot's own doing here, by command
+C and through the physics: time passes, counters count, and wheels that push against a wall slip.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, SupportsFloat
+
+import mujoco
+
+from khep_twin.errors import PlaypenError
+from khep_twin.footprint import Circle
+from khep_twin.host import toolbox
+from khep_twin.lab.sensor_test import PULSES_PER_DEGREE
+from khep_twin.lab.toolbox_simulator import OpenPlaypen, opened
+from khep_twin.placement import Thing, placement_problems
+from khep_twin.playpen import Playpen
+from khep_twin.playpen_checks import things
+from khep_twin.units import BODY_HEIGHT, PULSE_LENGTH
+from khep_twin.world import World
+
+STEP_MM = 5.0
+"""Of `movekhep` [mm], the toolbox's `gran`."""
+
+SWEEP_DEG, SWEEP_STEP_DEG = 50, 5
+"""`checkobj` looks so far to either side, in such steps [degrees] (toolbox)."""
+
+CLEARANCE_MM = 1.5
+"""How far from the robot's edge `checkobj` looks [mm]: 29 mm from the centre of a Khepera (toolbox)."""
+
+_PATIENCE = 5.0
+"""After which a move has failed [s]."""
+
+_LOOK = 0.01
+"""Between two looks at a move [s]."""
+
+
+def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
+    """Whether something stands close before and close behind the robot: 1 or 0 each.
+
+    That is wherever its edge is met within 1.5 mm, 50 degrees to either side of ahead and of behind; walls,
+    objects where they are by now, and other robots.
+    """
+    scene = opened(btmap1)
+    index = scene.index(port_id)
+    robot = scene.twin.robots[index]
+    x, y, reach = (length * 1e3 for length in robot.disc)
+    heading_deg = math.degrees(robot.pose[2])
+    angles = [*range(-SWEEP_DEG, SWEEP_DEG + 1, SWEEP_STEP_DEG)]
+    probes: list[Thing] = []
+    for number, angle_deg in enumerate([*angles, *(180 + angle for angle in angles)], 1):
+        angle = math.radians(heading_deg + angle_deg)
+        way = reach + CLEARANCE_MM
+        point = Circle(x + way * math.cos(angle), y + way * math.sin(angle), 1e-3)
+        probes.append(Thing("probe", number, None, point, 0, BODY_HEIGHT * 1e3, True))
+    others = _near(scene.twin.world, index, Circle(x, y, reach + CLEARANCE_MM))
+    found = placement_problems([*others, *probes], scene.twin.world.playpen.arena)
+    met = {problem.location[1] for problem in found if problem.location[0] == "probe"}
+    front = any(number in met for number in range(len(angles)))
+    back = any(number in met for number in range(len(angles), 2 * len(angles)))
+    return int(front), int(back)
+
+
+def putkhep(
+    xabs: SupportsFloat, yabs: SupportsFloat, heading_deg: SupportsFloat | None = None, port_id: int = 1
+) -> None:
+    """Puts the robot down at a place, at rest and with its counters at 0.
+
+    Args:
+        xabs: of its centre, from the arena's lower left inner corner [mm].
+        yabs: likewise.
+        heading_deg: where it looks, counter-clockwise from x [degrees]; without, as before.
+        port_id: which one, where there are several.
+
+    Raises:
+        PlaypenError: there is no room for it; it stays where it was.
+    """
+    scene = opened()
+    index = scene.index(port_id)
+    world, robot = scene.twin.world, scene.twin.robots[index]
+    heading = robot.pose[2] if heading_deg is None else math.radians(float(heading_deg))
+    place = {"x_mm": float(xabs), "y_mm": float(yabs), "heading_deg": math.degrees(heading)}
+    if not all(map(math.isfinite, place.values())):
+        raise PlaypenError(f"putkhep: {place}: right are numbers")
+    entry = world.playpen.robots[index].model_copy(update=place)
+    thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, BODY_HEIGHT * 1e3, True)
+    for problem in placement_problems([*_near(world, index, entry.footprint), thing], world.playpen.arena):
+        if problem.location[:2] == thing.place:
+            raise PlaypenError(f"putkhep: {problem.text}")
+    toolbox.sms(scene.robots[index], 0, 0)
+    toolbox.spc(scene.robots[index], 0, 0)
+    joint = world.model.joint(f"{robot.name}/pose")
+    at, speeds = int(joint.qposadr[0]), int(joint.dofadr[0])
+    world.data.qpos[at : at + 2] = place["x_mm"] / 1e3, place["y_mm"] / 1e3
+    world.data.qpos[at + 3 : at + 7] = math.cos(heading / 2), 0, 0, math.sin(heading / 2)
+    world.data.qvel[speeds : speeds + 6] = 0
+    for side in ("left", "right"):
+        world.data.qvel[world.model.joint(f"{robot.name}/{side}_axle").dofadr[0]] = 0
+    mujoco.mj_kinematics(world.model, world.data)
+    world.tell(index, f"put to ({place['x_mm']:g}, {place['y_mm']:g}), {place['heading_deg']:.0f} degrees")
+
+
+def movekhep(dirn: int, btmap1: OpenPlaypen, port_id: int = 1) -> None:
+    """Drives the robot 5 mm straight on (1) or backwards (-1), as long as that takes.
+
+    Raises:
+        ValueError: `dirn` is neither.
+        PlaypenError: it does not get there.
+    """
+    if dirn not in (1, -1):
+        raise ValueError(f"movekhep: dirn = {dirn!r}: right is 1 for forward or -1 for reverse")
+    pulses = dirn * STEP_MM * 1e-3 / PULSE_LENGTH
+    _go(opened(btmap1), port_id, pulses, pulses)
+
+
+def rotkhep(alpha: SupportsFloat, port_id: int = 1) -> None:
+    """Turns the robot on the spot [degrees], to the left above 0, as long as that takes.
+
+    Raises:
+        PlaypenError: it does not get there.
+    """
+    pulses = float(alpha) * PULSES_PER_DEGREE
+    _go(opened(), port_id, -pulses, pulses)
+
+
+def _go(scene: OpenPlaypen, port_id: int, left: float, right: float) -> None:
+    """Moves the wheels by so many pulses."""
+    robot = scene.robots[scene.index(port_id)]
+    start, (left_before, right_before) = scene.time, robot.position()
+    toolbox.skp(robot, left_before + left, right_before + right)
+    while True:
+        scene.pass_time(_LOOK)
+        if all(wheel.on_target for wheel in robot.status()):
+            return
+        if scene.time > start + _PATIENCE + (abs(left) + abs(right)) / 1000:
+            raise PlaypenError(
+                f"the robot is still on its way after {scene.time - start:.1f} s, at {robot.position()} "
+                f"pulses; right is a free way"
+            )
+
+
+def _near(world: World, index: int, disc: Circle) -> Iterator[Thing]:
+    """What stands in reach of a disc as of now, but for one robot, spots, and lamps, which robots pass."""
+    for thing in things(_as_it_stands(world)):
+        at = thing.footprint
+        away = max(
+            abs(at.x_mm - disc.x_mm) - at.reach((1.0, 0.0)), abs(at.y_mm - disc.y_mm) - at.reach((0.0, 1.0))
+        )
+        own = (thing.kind, thing.number) == ("robot", index + 1)
+        if away <= disc.radius_mm and not own and thing.kind not in ("lamp", "spot"):
+            yield replace(thing, free=False)
+
+
+def _as_it_stands(world: World) -> Playpen:
+    """A playpen with its robots and movable things where they are by now."""
+
+    def moved(items: tuple[Any, ...], kind: str) -> tuple[Any, ...]:
+        return tuple(
+            item.model_copy(update=_place(world, f"{kind}{number}", kind)) if item.movable else item
+            for number, item in enumerate(items)
+        )
+
+    robots = tuple(
+        entry.model_copy(update={"x_mm": robot.pose[0] * 1e3, "y_mm": robot.pose[1] * 1e3})
+        for entry, robot in zip(world.playpen.robots, world.robots, strict=True)
+    )
+    blocks, cylinders = moved(world.playpen.blocks, "block"), moved(world.playpen.cylinders, "cylinder")
+    return world.playpen.model_copy(update={"blocks": blocks, "cylinders": cylinders, "robots": robots})
+
+
+def _place(world: World, name: str, kind: str) -> dict[str, float]:
+    """Where a movable thing is by now, taken as upright."""
+    body = world.model.body(name).id
+    x, y, _ = world.data.xpos[body].tolist()
+    place = {"x_mm": x * 1e3, "y_mm": y * 1e3}
+    if kind == "block":
+        along_x, along_y = world.data.xmat[body].reshape(3, 3)[:2, 0].tolist()
+        place["angle_deg"] = math.degrees(math.atan2(along_y, along_x))
+    return place
