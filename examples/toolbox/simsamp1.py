@@ -14,7 +14,7 @@ from khep_twin.lab.toolbox import *
 btmap1 = open_default(seed=1)
 
 
-def simsamp1(cycles_per_run, runs):
+def simsamp1(port_id, cycles_per_run, runs, pause_stat):
     run_count = 0
     while run_count < runs:
         cycle_count = 0
@@ -29,4 +29,4 @@ def simsamp1(cycles_per_run, runs):
     sim_sms(2, 0, 0)
 
 
-simsamp1(500, 2)
+simsamp1(2, 500, 2, 0)

@@ -1,4 +1,4 @@
-"""The Khepera Toolbox's functions about the simulated robot's place: to put, move and turn it, to look around.
+"""The Khepera Toolbox's functions of the simulated robot's place: to put, move and turn it, to look around.
 
 A robot is put down only where there is room. To move and to turn are the robot's own doing here, by command
 C and through the physics: time passes, counters count, and wheels that push against a wall slip.
@@ -11,6 +11,7 @@ from typing import Any, SupportsFloat
 
 import mujoco
 
+from khep_twin import kernel
 from khep_twin.errors import PlaypenError
 from khep_twin.footprint import Circle
 from khep_twin.host import toolbox
@@ -67,7 +68,7 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
 def putkhep(
     xabs: SupportsFloat, yabs: SupportsFloat, heading_deg: SupportsFloat | None = None, port_id: int = 1
 ) -> None:
-    """Puts the robot down at a place, at rest and with its counters at 0.
+    """Puts the robot down at a place, at rest and with its registers as after a reset.
 
     Args:
         xabs: of its centre, from the arena's lower left inner corner [mm].
@@ -90,8 +91,7 @@ def putkhep(
     for problem in placement_problems([*_near(world, index, entry.footprint), thing], world.playpen.arena):
         if problem.location[:2] == thing.place:
             raise PlaypenError(f"putkhep: {problem.text}")
-    toolbox.sms(scene.robots[index], 0, 0)
-    toolbox.spc(scene.robots[index], 0, 0)
+    kernel.reset(robot.registers)
     joint = world.model.joint(f"{robot.name}/pose")
     at, speeds = int(joint.qposadr[0]), int(joint.dofadr[0])
     world.data.qpos[at : at + 2] = place["x_mm"] / 1e3, place["y_mm"] / 1e3
@@ -99,6 +99,7 @@ def putkhep(
     world.data.qvel[speeds : speeds + 6] = 0
     for side in ("left", "right"):
         world.data.qvel[world.model.joint(f"{robot.name}/{side}_axle").dofadr[0]] = 0
+        world.data.ctrl[world.model.actuator(f"{robot.name}/{side}_motor").id] = 0
     mujoco.mj_kinematics(world.model, world.data)
     world.tell(index, f"put to ({place['x_mm']:g}, {place['y_mm']:g}), {place['heading_deg']:.0f} degrees")
 

@@ -32,7 +32,7 @@ from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 CYCLE = 0.05
-"""What `kheprom` lets pass, unless it is told otherwise [s] (assumed: about what `rps` and `sms` take a robot)."""
+"""What `kheprom` lets pass by default [s] (assumed: about what `rps` and `sms` take on a robot)."""
 
 
 class OpenPlaypen:
