@@ -2,8 +2,7 @@
 
 python simsamp1.py              a twin, as long as 2 runs of 500 cycles take
 
-It goes ahead until a sensor sees something near, then turns. Without each `sim_`, and without the lines that
-name btmap1, it drives what KHEP_PORT_2 names: a robot, or the link of `khep-twin serve`.
+It goes ahead until a sensor sees something near, then turns. docs/toolbox.md makes it a program for a robot.
 """
 
 # The toolbox's names come all at once, as in Matlab.
