@@ -196,7 +196,7 @@ def _port(port_id: int) -> str | Khepera:
     """What a number stands for."""
     if port_id not in PORT_IDS:
         raise PortError(f"port_id = {port_id!r}: right is 1 to 4, or a port such as '/dev/ttyUSB0'")
-    port = _chosen.get(port_id) or os.environ.get(f"{VARIABLE}{port_id}")
+    port = _chosen.get(port_id) or os.environ.get(f"{VARIABLE}{int(port_id)}")
     if port is None:
         raise PortError(
             f"port_id = {port_id}: no port is chosen; right is ports({{{port_id}: '/dev/ttyUSB0'}}), or "

@@ -42,6 +42,8 @@ from khep_twin.lab.toolbox_places import checkobj as checkobj
 from khep_twin.lab.toolbox_places import movekhep as movekhep
 from khep_twin.lab.toolbox_places import putkhep as putkhep
 from khep_twin.lab.toolbox_places import rotkhep as rotkhep
+from khep_twin.lab.toolbox_sense import simsense as simsense
+from khep_twin.lab.toolbox_sense import tstsense as tstsense
 from khep_twin.lab.toolbox_simulator import close_playpen as close_playpen
 from khep_twin.lab.toolbox_simulator import kheprom as kheprom
 from khep_twin.lab.toolbox_simulator import open_custom as open_custom

@@ -1,7 +1,7 @@
 """The Khepera Toolbox's graphs of sensor tests: `ddl`, `ddlg`, `ddr`, `ddrg`, `disonel`, and their files.
 
-    run = sensor_files.load(Path("wall.mat"))      # of khep-twin sense or the toolbox
-    ddlg(run.dv, 1500)                             # 12 cm in pulses
+    dv, khep_pos = tstsense(2, linear_cm=12)
+    ddlg(dv, khep_pos)
     dataprnt("wall.pdf")
 
 `dv` has a row for each look: two position counters and eight sensors. `khep_pos` is how far a wheel went in

@@ -13,44 +13,37 @@ from khep_twin.errors import PortError
 from khep_twin.host import Khepera, toolbox
 
 REPLIES = {
-    "E": b"e,-3,12",
-    "H": b"h,-1250,2147483647",
-    "I": b"i,625",
-    "K": b"k,1,0,-2,0,1,7",
-    "N": b"n,1,2,3,4,5,6,7,1023",
-    "O": b"o,500,499,498,497,496,495,494,50",
+    "E": "e,-3,12",
+    "H": "h,-1250,2147483647",
+    "I": "i,625",
+    "K": "k,1,0,-2,0,1,7",
+    "N": "n,1,2,3,4,5,6,7,1023",
+    "O": "o,500,499,498,497,496,495,494,50",
 }
 
 
-class Line:
-    """A port that notes what is sent and answers as the manual says."""
-
-    name = "line"
-    is_open = True
+class Listener(Khepera):
+    """A robot that notes what it is asked and answers as the manual says."""
 
     def __init__(self) -> None:
+        super().__init__("khep://default")
         self.sent: list[str] = []
 
-    def write(self, data: bytes) -> None:
-        self.sent.append(data.decode().strip())
-
-    def read_until(self, expected: bytes, size: int | None) -> bytes:
-        letter = self.sent[-1][0]
-        return REPLIES.get(letter, letter.lower().encode()) + b"\r\n"
-
-    def close(self) -> None:
-        self.is_open = False
+    def ask(self, request: str) -> str:
+        """Notes it, and answers."""
+        self.sent.append(request)
+        return REPLIES.get(request[0], request[0].lower())
 
 
 @pytest.fixture
-def line() -> Iterator[Line]:
-    line = Line()
-    toolbox.ports({2: Khepera(line)})
-    yield line
+def line() -> Iterator[Listener]:
+    robot = Listener()
+    toolbox.ports({2: robot})
+    yield robot
     toolbox.ports({})
 
 
-def test_commands_take_the_toolboxs_arguments_in_the_toolboxs_order(line: Line) -> None:
+def test_commands_take_the_toolboxs_arguments_in_the_toolboxs_order(line: Listener) -> None:
     toolbox.con(2, 3800, 800, 100)
     toolbox.skp(2, 100, -200)
     toolbox.sms(2, 5, -6)
@@ -78,7 +71,7 @@ def test_commands_take_the_toolboxs_arguments_in_the_toolboxs_order(line: Line) 
     ]
 
 
-def test_rows_have_the_toolboxs_numbers_in_the_toolboxs_order(line: Line) -> None:
+def test_rows_have_the_toolboxs_numbers_in_the_toolboxs_order(line: Listener) -> None:
     assert toolbox.rms(2).tolist() == [-3, 12]
     assert toolbox.rpc(2).tolist() == [-1250, 2147483647]
     assert toolbox.rmc(2).tolist() == [1, 0, -2, 0, 1, 7]
@@ -87,7 +80,7 @@ def test_rows_have_the_toolboxs_numbers_in_the_toolboxs_order(line: Line) -> Non
     assert toolbox.rad(2, 0) == 625
 
 
-def test_a_row_comes_to_matlab_as_1_by_8(line: Line) -> None:
+def test_a_row_comes_to_matlab_as_1_by_8(line: Listener) -> None:
     file = BytesIO()
     savemat(file, {"a": toolbox.rps(2), "b": toolbox.rpc(2), "c": toolbox.rmc(2)})
     assert [loadmat(file)[name].shape for name in "abc"] == [(1, 8), (1, 2), (1, 6)]
@@ -97,13 +90,13 @@ def test_a_row_comes_to_matlab_as_1_by_8(line: Line) -> None:
     ("given", "sent"),
     [(0.5, 1), (-0.5, -1), (2.5, 3), (-2.5, -3), (3.4999, 3), (-0.49999999999999994, 0), (np.float64(7), 7)],
 )
-def test_a_fractional_speed_is_rounded_half_away_from_zero(line: Line, given: float, sent: int) -> None:
+def test_a_fractional_speed_is_rounded_half_away_from_zero(line: Listener, given: float, sent: int) -> None:
     toolbox.sms(2, given, 0)
     assert line.sent == [f"D,{sent},0"]
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf"), 1e12, 10**400])
-def test_what_is_no_speed_is_not_sent(line: Line, wrong: float) -> None:
+def test_what_is_no_speed_is_not_sent(line: Listener, wrong: float) -> None:
     with pytest.raises(ValueError, match=r"sms: speed_right = .*: right is a number"):
         toolbox.sms(2, 0, wrong)
     assert line.sent == []

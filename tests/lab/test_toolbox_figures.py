@@ -15,12 +15,10 @@ from khep_twin.lab import toolbox, toolbox_figures, toolbox_khepbase
 @pytest.fixture(autouse=True)
 def no_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.chdir(tmp_path)
-    before = matplotlib.rcParams._get("backend")
     matplotlib.use("agg")
     yield
     toolbox_figures._graphs.clear()
     toolbox_khepbase._views.clear()
-    matplotlib.rcParams["backend"] = before
 
 
 def rows(left: int, right: int) -> np.ndarray:

@@ -1,0 +1,39 @@
+"""The toolbox's example for its simulator, converted for the robot by its manual's rule, on a terminal."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from khep_twin.log.reader import read
+
+from test_serve import served  # isort: skip
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "toolbox" / "simsamp1.py"
+
+
+def converted(text: str) -> str:
+    """A program for the simulator made one for the robot, as the toolbox's manual says."""
+    return "".join(
+        line for line in text.replace("sim_", "").splitlines(keepends=True) if "btmap1" not in line
+    )
+
+
+def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(tmp_path: Path) -> None:
+    program = converted(EXAMPLE.read_text())
+    assert "sms(2, 1, 1)" in program
+    assert "kheprom" not in program
+    (tmp_path / "samp1.py").write_text(program)
+    log = tmp_path / "run.mcap"
+    with served("default", "--clock", "wire", "--seed", "1", "--log", str(log)) as (_, path):
+        environment = {**os.environ, "KHEP_PORT_2": path}
+        command = [sys.executable, "samp1.py"]
+        subprocess.run(command, check=True, timeout=120, cwd=tmp_path, env=environment)
+    track = read(log).robots["khepera0"]
+    spoken = [line.text for line in track.serial]
+    assert spoken[:3] == ["D,1,1", "d", "N"]
+    # A thousand cycles, a stop of its own, and the one with which the host closes the port.
+    assert spoken.count("N") == 1000
+    assert spoken[-4:] == ["D,0,0", "d", "D,0,0", "d"]
+    assert "D,-1,1" in spoken
+    assert track.pose[-1, 1] > 0.40
