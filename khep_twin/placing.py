@@ -65,13 +65,13 @@ def no_room(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:
     """Why one of a playpen's robots cannot stand at a place [mm]; empty if it can."""
     entry = playpen.robots[index].model_copy(update={"x_mm": x_mm, "y_mm": y_mm, "spots": ()})
     thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, BODY_HEIGHT * 1e3, True)
-    for problem in placement_problems([*_near(playpen, index, entry.footprint), thing], playpen.arena):
+    for problem in placement_problems([*near(playpen, index, entry.footprint), thing], playpen.arena):
         if problem.location[:2] == thing.place:
             return problem.text
     return ""
 
 
-def _near(playpen: Playpen, index: int, disc: Circle) -> Iterator[Thing]:
+def near(playpen: Playpen, index: int, disc: Circle) -> Iterator[Thing]:
     """What stands in reach of a disc, but for one robot, spots, and lamps, which robots pass."""
     for thing in things(playpen):
         at = thing.footprint

@@ -69,8 +69,8 @@ def run(
             call(algorithm.cycle, robot)
             if robot.time == before:
                 raise ControllerError(
-                    f"{source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is to ask the robot something, "
-                    "or robot.sleep"
+                    f"{source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is to "
+                    "ask the robot something, or robot.sleep"
                 )
             done += 1
             if after_cycle is not None:

@@ -6,6 +6,7 @@ as a share of them, are the same on any port that answers alike; times are the p
 """
 
 import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,7 +96,8 @@ def fitness(left_pulses: float, right_pulses: float, nearest: float) -> float:
     """Floreano and Mondada's fitness (1994) of one moment: V (1 - sqrt(dV)) (1 - i).
 
     V is the mean of both wheels' speeds without their signs, dV the difference of the speeds with their
-    signs, both as parts of what there can be, and i the reading of the sensor that is nearest to something, 0 to 1.
+    signs, both as parts of what there can be, and i the reading of the sensor that is nearest to something,
+    0 to 1.
 
     Args:
         left_pulses: speed of the left wheel [pulses/10 ms].

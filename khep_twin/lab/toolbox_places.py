@@ -5,23 +5,16 @@ C and through the physics: time passes, counters count, and wheels that push aga
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any, SupportsFloat
+from typing import SupportsFloat
 
-import mujoco
-
-from khep_twin import kernel
 from khep_twin.errors import PlaypenError
 from khep_twin.footprint import Circle
 from khep_twin.host import toolbox
 from khep_twin.lab.sensor_test import PULSES_PER_DEGREE
 from khep_twin.lab.toolbox_simulator import OpenPlaypen, opened
 from khep_twin.placement import Thing, placement_problems
-from khep_twin.playpen import Playpen
-from khep_twin.playpen_checks import things
+from khep_twin.placing import as_it_stands, near, put
 from khep_twin.units import BODY_HEIGHT, PULSE_LENGTH
-from khep_twin.world import World
 
 STEP_MM = 5.0
 """Of `movekhep` [mm], the toolbox's `gran`."""
@@ -57,7 +50,7 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
         way = reach + CLEARANCE_MM
         point = Circle(x + way * math.cos(angle), y + way * math.sin(angle), 1e-3)
         probes.append(Thing("probe", number, None, point, 0, BODY_HEIGHT * 1e3, True))
-    others = _near(scene.twin.world, index, Circle(x, y, reach + CLEARANCE_MM))
+    others = near(as_it_stands(scene.twin.world), index, Circle(x, y, reach + CLEARANCE_MM))
     found = placement_problems([*others, *probes], scene.twin.world.playpen.arena)
     met = {problem.location[1] for problem in found if problem.location[0] == "probe"}
     front = any(number in met for number in range(len(angles)))
@@ -68,7 +61,7 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
 def putkhep(
     xabs: SupportsFloat, yabs: SupportsFloat, heading_deg: SupportsFloat | None = None, port_id: int = 1
 ) -> None:
-    """Puts the robot down at a place, at rest and with its registers as after a reset.
+    """Puts the robot down at a place, at rest, with speeds and counters at 0.
 
     Args:
         xabs: of its centre, from the arena's lower left inner corner [mm].
@@ -82,26 +75,13 @@ def putkhep(
     scene = opened()
     index = scene.index(port_id)
     world, robot = scene.twin.world, scene.twin.robots[index]
-    heading = robot.pose[2] if heading_deg is None else math.radians(float(heading_deg))
-    place = {"x_mm": float(xabs), "y_mm": float(yabs), "heading_deg": math.degrees(heading)}
-    if not all(map(math.isfinite, place.values())):
-        raise PlaypenError(f"putkhep: {place}: right are numbers")
-    entry = world.playpen.robots[index].model_copy(update=place)
-    thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, BODY_HEIGHT * 1e3, True)
-    for problem in placement_problems([*_near(world, index, entry.footprint), thing], world.playpen.arena):
-        if problem.location[:2] == thing.place:
-            raise PlaypenError(f"putkhep: {problem.text}")
-    kernel.reset(robot.registers)
-    joint = world.model.joint(f"{robot.name}/pose")
-    at, speeds = int(joint.qposadr[0]), int(joint.dofadr[0])
-    world.data.qpos[at : at + 2] = place["x_mm"] / 1e3, place["y_mm"] / 1e3
-    world.data.qpos[at + 3 : at + 7] = math.cos(heading / 2), 0, 0, math.sin(heading / 2)
-    world.data.qvel[speeds : speeds + 6] = 0
-    for side in ("left", "right"):
-        world.data.qvel[world.model.joint(f"{robot.name}/{side}_axle").dofadr[0]] = 0
-        world.data.ctrl[world.model.actuator(f"{robot.name}/{side}_motor").id] = 0
-    mujoco.mj_kinematics(world.model, world.data)
-    world.tell(index, f"put to ({place['x_mm']:g}, {place['y_mm']:g}), {place['heading_deg']:.0f} degrees")
+    heading = math.degrees(robot.pose[2]) if heading_deg is None else float(heading_deg)
+    try:
+        put(world, index, float(xabs), float(yabs), heading)
+    except PlaypenError as error:
+        raise PlaypenError(f"putkhep: {error}") from None
+    toolbox.sms(scene.robots[index], 0, 0)
+    toolbox.spc(scene.robots[index], 0, 0)
 
 
 def movekhep(dirn: int, btmap1: OpenPlaypen, port_id: int = 1) -> None:
@@ -141,43 +121,3 @@ def _go(scene: OpenPlaypen, port_id: int, left: float, right: float) -> None:
                 f"the robot is still on its way after {scene.time - start:.1f} s, at {robot.position()} "
                 f"pulses; right is a free way"
             )
-
-
-def _near(world: World, index: int, disc: Circle) -> Iterator[Thing]:
-    """What stands in reach of a disc as of now, but for one robot, spots, and lamps, which robots pass."""
-    for thing in things(_as_it_stands(world)):
-        at = thing.footprint
-        away = max(
-            abs(at.x_mm - disc.x_mm) - at.reach((1.0, 0.0)), abs(at.y_mm - disc.y_mm) - at.reach((0.0, 1.0))
-        )
-        own = (thing.kind, thing.number) == ("robot", index + 1)
-        if away <= disc.radius_mm and not own and thing.kind not in ("lamp", "spot"):
-            yield replace(thing, free=False)
-
-
-def _as_it_stands(world: World) -> Playpen:
-    """A playpen with its robots and movable things where they are by now."""
-
-    def moved(items: tuple[Any, ...], kind: str) -> tuple[Any, ...]:
-        return tuple(
-            item.model_copy(update=_place(world, f"{kind}{number}", kind)) if item.movable else item
-            for number, item in enumerate(items)
-        )
-
-    robots = tuple(
-        entry.model_copy(update={"x_mm": robot.pose[0] * 1e3, "y_mm": robot.pose[1] * 1e3})
-        for entry, robot in zip(world.playpen.robots, world.robots, strict=True)
-    )
-    blocks, cylinders = moved(world.playpen.blocks, "block"), moved(world.playpen.cylinders, "cylinder")
-    return world.playpen.model_copy(update={"blocks": blocks, "cylinders": cylinders, "robots": robots})
-
-
-def _place(world: World, name: str, kind: str) -> dict[str, float]:
-    """Where a movable thing is by now, taken as upright."""
-    body = world.model.body(name).id
-    x, y, _ = world.data.xpos[body].tolist()
-    place = {"x_mm": x * 1e3, "y_mm": y * 1e3}
-    if kind == "block":
-        along_x, along_y = world.data.xmat[body].reshape(3, 3)[:2, 0].tolist()
-        place["angle_deg"] = math.degrees(math.atan2(along_y, along_x))
-    return place

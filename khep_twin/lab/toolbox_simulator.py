@@ -95,7 +95,7 @@ def open_custom(
         seed: of every chance.
         noise: whether sensors are noisy.
         rom: of the robots, if not what the playpen says; with "4.06" `sim_rmc` counts modes as the toolbox.
-        log: file to record the run in. What `putkhep` does is no part of what `khep-twin repeat` repeats.
+        log: file to record the run in.
 
     Raises:
         PlaypenError: it cannot be used.
