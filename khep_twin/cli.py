@@ -87,6 +87,13 @@ Faults = Annotated[
     ),
 ]
 Log = Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")]
+CarryOn = Annotated[
+    bool,
+    typer.Option(
+        "--carry-on",
+        help="Go on without the log if it cannot be written any more, as on a full disk; ends with 3 then.",
+    ),
+]
 
 
 def main() -> None:
@@ -136,6 +143,7 @@ def run(
     battery_used_min: Battery = None,
     fault: Faults = None,
     log: Log = None,
+    carry_on: CarryOn = False,
     picture: Annotated[
         Path | None,
         typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log."),
@@ -151,6 +159,7 @@ def run(
     if port is not None and (ignored := _given(context) & _OF_A_TWIN):
         option = min(ignored).replace("_", "-")
         raise _usage(f"--{option} is for a twin in this process, not for one behind --port")
+    _check_carry_on(carry_on, log)
     if picture is not None:
         _check_picture(picture, log)
     if (seconds is not None and not 0 < seconds < math.inf) or (cycles is not None and cycles < 1):
@@ -159,8 +168,8 @@ def run(
     if seconds is None and cycles is None:
         seconds = 60.0
     port_or_twin: str | Serial
+    recorder = None
     if port is None:
-        log_name = None if log is None else str(log)
         options = TwinOptions(
             seed,
             robot,
@@ -170,10 +179,12 @@ def run(
             _mode(mode),
             battery_used_min,
             faults=tuple(fault or ()),
-            log=log_name,
         )
         twin = open_twin(playpen, options)
-        _tell_kept(twin.recorder)
+        if log is not None:
+            twin.record(log, carry_on=_complain if carry_on else None)
+        recorder = twin.recorder
+        _tell_kept(recorder)
         port_or_twin = Serial.of(twin, timeout=1.0)
     else:
         port_or_twin = port
@@ -187,6 +198,7 @@ def run(
         )
         stopped = stop()
     typer.echo(f"{outcome.cycles} cycles in {outcome.duration:.1f} s")
+    _check_log(recorder, carry_on)
     if log is not None and picture is not None:
         _draw_log(log, picture)
         typer.echo(f"picture  {picture}")
@@ -240,6 +252,7 @@ def serve(
     battery_used_min: Battery = None,
     fault: Faults = None,
     log: Log = None,
+    carry_on: CarryOn = False,
 ) -> None:
     """Serves a twin, or with --through a robot, behind pseudo-terminals or on the network until stopped.
 
@@ -250,12 +263,13 @@ def serve(
     from khep_twin.ports.serve import serve as serve_twin
     from khep_twin.ports.twin import TwinOptions, open_twin
 
+    _check_carry_on(carry_on, log)
     where = partial(far_ends, link=link, tcp=tcp, rfc2217=rfc2217, expose=expose)
     if through is not None:
-        if ignored := _given(context) & (_OF_A_TWIN | _OF_A_SERVED_TWIN) - {"mode", "log"}:
+        if ignored := _given(context) & (_OF_A_TWIN | _OF_A_SERVED_TWIN) - {"mode", "log", "carry_on"}:
             option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
             raise _usage(f"{option} is for a twin, not for a robot at --through")
-        _relay(through, _mode(mode), where, ready_fd, log)
+        _relay(through, _mode(mode), where, ready_fd, log, carry_on)
         return
     factor = WIRE if clock is Clock.WIRE else _speed(speed)
     options = TwinOptions(
@@ -276,7 +290,7 @@ def serve(
         where({robot.index: robot.firmware.baud for robot in twin.robots}) as cables,
     ):
         if log is not None:
-            twin.record(log)
+            twin.record(log, carry_on=_complain if carry_on else None)
             _tell_kept(twin.recorder)
         _announce(cables, ready_fd)
         pacer = serve_twin(twin, cables, factor, stop=stop, tell=_complain)
@@ -284,6 +298,7 @@ def serve(
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
     _tell_served(twin.world.time_ns, dropped)
+    _check_log(twin.recorder, carry_on)
 
 
 @app.command()
@@ -361,6 +376,7 @@ _OF_A_TWIN = {
     "battery_used_min",
     "fault",
     "log",
+    "carry_on",
     "picture",
 }
 
@@ -371,6 +387,21 @@ def _given(context: typer.Context) -> set[str]:
     """The options that the user has typed."""
     sources = {name: context.get_parameter_source(name) for name in context.params}
     return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def _check_carry_on(carry_on: bool, log: Path | None) -> None:
+    if carry_on and log is None:
+        raise _usage("--carry-on is about a log that fails; right is to give --log FILE.mcap too")
+
+
+def _check_log(recorder: "Recorder | LineRecorder | None", carry_on: bool) -> None:
+    """Ends a run whose log has failed with an exit code that says so."""
+    if recorder is None or recorder.failure is None:
+        return
+    if carry_on:
+        raise typer.Exit(3)
+    # A controller that catches every error has caught this one, too.
+    raise recorder.failure
 
 
 def _check_picture(picture: Path, log: Path | None) -> None:
@@ -417,6 +448,7 @@ def _relay(
     where: Callable[[Mapping[int, int]], AbstractContextManager[Sequence["Cable"]]],
     ready_fd: int | None,
     log: Path | None,
+    carry_on: bool,
 ) -> None:
     """Serves the robot at a port."""
     from khep_twin.log.line_recorder import LineRecorder
@@ -437,13 +469,15 @@ def _relay(
         now = since_now()
         recorder = None
         if log is not None:
-            recorder = LineRecorder(log, {"through": through, "baud": baud}, now)
+            told = _complain if carry_on else None
+            recorder = LineRecorder(log, {"through": through, "baud": baud}, now, carry_on=told)
             stack.enter_context(closing(recorder))
         _tell_kept(recorder)
         _announce(cables, ready_fd)
         relay(device, cables[0], recorder, stop=stop, tell=_complain)
         duration_ns, dropped = now(), cables[0].dropped
     _tell_served(duration_ns, dropped)
+    _check_log(recorder, carry_on)
 
 
 def _tell_served(duration_ns: int, dropped: int) -> None:

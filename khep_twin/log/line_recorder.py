@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin import __version__
+from khep_twin.errors import LogError
 from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED
@@ -34,6 +35,8 @@ class LineRecorder:
         path: of the finished log, by custom NAME.mcap.
         settings: how the line was set up, kept in the log as configuration.json.
         now: gives the time since the start [ns].
+        carry_on: takes the line about a log that cannot be written any more, and the relay goes on without
+            it; None ends it by a `LogError`.
 
     Attributes:
         kept: where an unfinished log of an earlier run was moved to, None if there was none.
@@ -42,7 +45,14 @@ class LineRecorder:
         LogError: the file cannot be made.
     """
 
-    def __init__(self, path: Path, settings: Mapping[str, object], now: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        settings: Mapping[str, object],
+        now: Callable[[], int],
+        *,
+        carry_on: Callable[[str], None] | None = None,
+    ) -> None:
         self._log = LogFile(path, now)
         self.kept = self._log.kept
         self._now = now
@@ -60,9 +70,17 @@ class LineRecorder:
             {**facts, **{key: str(value) for key, value in settings.items()}},
         )
         self._log.flush()
+        self._log.tell = carry_on
+
+    @property
+    def failure(self) -> LogError | None:
+        """Why the log could not be written any more, None if it could."""
+        return self._log.failure
 
     def wire(self, to_robot: bool, data: bytes) -> None:
         """Writes bytes that cross the line now."""
+        if not self._log.open:
+            return
         time_ns = self._now()
         self._transcript.hear(time_ns, 0, to_robot, data)
         if to_robot:
@@ -75,13 +93,15 @@ class LineRecorder:
 
     def event(self, text: str) -> None:
         """Writes a note, and everything so far to the file."""
-        self._log.add_event(self._now(), ROBOT, text)
-        self.flush()
+        if self._log.open:
+            self._log.add_event(self._now(), ROBOT, text)
+            self.flush()
 
     def flush(self) -> None:
         """Hands everything so far to the file system."""
-        self._write()
-        self._log.flush()
+        if self._log.open:
+            self._write()
+            self._log.flush()
 
     def close(self) -> None:
         """Completes the file and gives it its name."""

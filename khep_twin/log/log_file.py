@@ -5,7 +5,7 @@ It grows as NAME.mcap.part and gets its name when it is whole.
 
 import os
 from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,8 @@ class LogFile:
         part: of the file while it grows.
         kept: where an unfinished log of an earlier run was moved to, None if there was none.
         open: whether it takes anything more.
+        failure: what went wrong with it, None so far.
+        tell: takes the line about a failure, after which the run goes on without a log; None raises it.
 
     Raises:
         LogError: the file cannot be made.
@@ -48,6 +50,8 @@ class LogFile:
         self.part = self._target.with_name(self._target.name + ".part")
         self._now = now
         self.open = True
+        self.failure: LogError | None = None
+        self.tell: Callable[[str], None] | None = None
         try:
             self.kept = set_aside(self.part)
             self._file = PartFile(self.part)
@@ -101,17 +105,21 @@ class LogFile:
 
     @contextmanager
     def guarded(self) -> Generator[None, None, None]:
-        """Turns the first trouble with the file into an error, after which the file is left alone."""
+        """Turns the first trouble with the file into an error or a line; then the file is left alone."""
         try:
             with undisturbed():
                 yield
         except OSError as error:
             self.open = False
-            self._file.close()
-            raise LogError(
+            with suppress(OSError):
+                self._file.close()
+            self.failure = LogError(
                 f"{self.path}: the log cannot be written any more at {self._now() / NS_PER_S:.2f} s: "
                 f"{error.strerror}; what came before is kept in {self.part}"
-            ) from error
+            )
+            if self.tell is None:
+                raise self.failure from error
+            self.tell(f"{self.failure}; the run goes on without it")
 
     def _channel(self, topic: str, schema: str) -> int:
         return self._writer.channel(topic, schema, channels.SCHEMAS[schema])

@@ -50,7 +50,9 @@ class PartFile:
         """Ends the file."""
         if not self._closed:
             self._closed = True
-            os.close(self._descriptor)
+            # Its number may be another file's from now on.
+            descriptor, self._descriptor = self._descriptor, -1
+            os.close(descriptor)
 
 
 def set_aside(part: Path) -> Path | None:

@@ -7,7 +7,7 @@ machine or the file's own name goes in: the same run gives the same bytes.
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from khep_twin import __version__, calibration
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
+from khep_twin.errors import LogError
 from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS, Board
 from khep_twin.log import channels
 from khep_twin.log.channels import ArrayFrame, TransformFrame
@@ -68,6 +69,8 @@ class Recorder:
         path: of the finished log, by custom NAME.mcap.
         world: what is recorded.
         settings: how the run was set up, kept in the log as configuration.json.
+        carry_on: takes the line about a log that cannot be written any more, and the run goes on without it;
+            None ends the run by a `LogError`.
 
     Attributes:
         path: of the finished log.
@@ -78,7 +81,14 @@ class Recorder:
         LogError: the file cannot be made.
     """
 
-    def __init__(self, path: Path, world: World, settings: Mapping[str, object]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        world: World,
+        settings: Mapping[str, object],
+        *,
+        carry_on: Callable[[str], None] | None = None,
+    ) -> None:
         self._log = LogFile(path, lambda: world.time_ns)
         self.path, self.part, self.kept = path, self._log.part, self._log.kept
         self._world = world
@@ -101,6 +111,13 @@ class Recorder:
         self._quaternions = np.zeros((_BATCH, len(self._moving), 4))
         self._physics = np.zeros((_BATCH, len(self._qpos) + len(self._qvel)))
         self._begin(settings)
+        # A log that fails at its very start is an error in any case.
+        self._log.tell = carry_on
+
+    @property
+    def failure(self) -> LogError | None:
+        """Why the log could not be written any more, None if it could."""
+        return self._log.failure
 
     def __enter__(self) -> Self:
         return self

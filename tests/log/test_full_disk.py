@@ -1,0 +1,292 @@
+"""Disks that are full, files that may not grow, and descriptors that take nothing: what a log does then."""
+
+import os
+import re
+import resource
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+from driving import SECOND, drive
+from mcap.reader import make_reader
+from typer.testing import CliRunner
+
+from khep_twin.cli import app
+from khep_twin.errors import LogError
+from khep_twin.log.batch_writer import BatchWriter
+from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.log.part_file import PartFile
+from khep_twin.log.recover import recover
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+
+Start = Callable[[Path], Twin]
+
+KHEP_TWIN = [sys.executable, "-m", "khep_twin"]
+TOLD = re.compile(r"the log cannot be written any more at (\d+\.\d\d) s: (.*); what came before is kept in ")
+
+mountable = pytest.mark.skipif(
+    subprocess.run(
+        ["/bin/sh", "-c", "unshare -rm mount -t tmpfs tmpfs /mnt"], capture_output=True, check=False
+    ).returncode
+    != 0,
+    reason="no file system may be mounted here",
+)
+
+
+def until(part: Path) -> float:
+    """Recovers a part; returns the time of its last sample [s]."""
+    found = recover(part)
+    assert found.whole
+    with found.path.open("rb") as file:
+        messages = make_reader(file, validate_crcs=True).iter_messages(topics=["/state"])
+        return max(message.log_time for _, _, message in messages) / SECOND
+
+
+def limit(size: int) -> Callable[[], None]:
+    """No file of the process grows beyond so many bytes."""
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def on_a_small_disk(folder: Path, size: str, words: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """Runs a command on a disk of its own, which nobody else sees; what it leaves there comes to `folder`."""
+    disk = folder / "disk"
+    disk.mkdir()
+    script = (
+        'mount -t tmpfs -o size="$1" tmpfs "$2" || exit 99; disk="$2"; to="$3"; shift 3; "$@"; code=$?; '
+        'cp "$disk"/* "$to"; exit $code'
+    )
+    command = ["unshare", "-rm", "/bin/sh", "-c", script, "sh", size, str(disk), str(folder), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@mountable
+def test_a_run_on_a_full_disk_ends_with_one_line_and_what_was_written_is_rescued(tmp_path: Path) -> None:
+    words = [*KHEP_TWIN, "run", "--seconds", "200", "--log", str(tmp_path / "disk" / "run.mcap")]
+    done = on_a_small_disk(tmp_path, "200k", words)
+    (line,) = [line for line in done.stderr.splitlines() if "khep-twin: " in line]
+    assert done.returncode == 1, done
+    assert (told := TOLD.search(line)), line
+    assert told[2] == "No space left on device"
+    # What a lock-step run had not written yet is at most five simulated seconds.
+    assert float(told[1]) - 5 <= until(tmp_path / "run.mcap.part") <= float(told[1])
+
+
+@mountable
+def test_a_run_that_is_asked_to_carry_on_does_so_without_its_log(tmp_path: Path) -> None:
+    words = [*KHEP_TWIN, "run", "--seconds", "30", "--log", str(tmp_path / "disk" / "run.mcap"), "--carry-on"]
+    done = on_a_small_disk(tmp_path, "200k", words)
+    assert done.returncode == 3, done
+    (line,) = [line for line in done.stderr.splitlines() if "khep-twin: " in line]
+    assert line.endswith("run.mcap.part; the run goes on without it")
+    assert re.search(r"^\d+ cycles in 30\.\d s$", done.stdout, re.MULTILINE), done
+    assert "look at it" not in done.stdout
+    assert until(tmp_path / "run.mcap.part") >= 4
+
+
+def serve_until_it_is_full(log: Path, *options: str) -> tuple[subprocess.Popen[str], str]:
+    """Serves a twin whose log may not grow far, and polls it until it says so or ends."""
+    words = [*KHEP_TWIN, "serve", "default", "--noise", "off", "--log", str(log), *options]
+    server = subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit(60_000)
+    )
+    assert server.stdout is not None
+    assert server.stderr is not None
+    assert select.select([server.stdout], [], [], 60)[0], "nothing was served"
+    port = os.open(server.stdout.readline().strip(), os.O_RDWR | os.O_NOCTTY)
+    end = time.monotonic() + 60
+    while time.monotonic() < end and not select.select([server.stderr], [], [], 0.05)[0]:
+        os.write(port, b"N\n")
+        select.select([port], [], [], 1)
+        os.read(port, 4096)
+    os.close(port)
+    return server, server.stderr.readline()
+
+
+def test_a_server_whose_log_may_not_grow_loses_at_most_a_second_and_ends(tmp_path: Path) -> None:
+    server, line = serve_until_it_is_full(tmp_path / "run.mcap")
+    _, rest = server.communicate(timeout=20)
+    assert (server.returncode, rest) == (1, "")
+    assert (told := TOLD.search(line)), line
+    assert told[2] == "File too large"
+    assert float(told[1]) - 1 <= until(tmp_path / "run.mcap.part") <= float(told[1])
+
+
+def test_a_server_that_is_asked_to_carry_on_goes_on_answering(tmp_path: Path) -> None:
+    link = tmp_path / "khepera"
+    server, line = serve_until_it_is_full(tmp_path / "run.mcap", "--carry-on", "--link", str(link))
+    assert line.endswith("; the run goes on without it\n")
+    # What was written can be rescued while it goes on.
+    assert until(tmp_path / "run.mcap.part") > 0
+    port = os.open(link, os.O_RDWR | os.O_NOCTTY)
+    os.write(port, b"B\n")
+    reply = b""
+    while not reply.endswith(b"b,5.02,5.01\r\n") and select.select([port], [], [], 5)[0]:
+        reply += os.read(port, 4096)
+    os.close(port)
+    assert reply.endswith(b"b,5.02,5.01\r\n")
+    server.terminate()
+    _, rest = server.communicate(timeout=20)
+    assert server.returncode == 3
+    assert "cannot be written" not in rest
+
+
+def test_a_controller_that_catches_everything_does_not_hide_it(tmp_path: Path) -> None:
+    controller = tmp_path / "deaf.py"
+    controller.write_text(
+        "def controller(robot):\n    try:\n        robot.proximity()\n    except Exception:\n        pass\n"
+    )
+    log = tmp_path / "run.mcap"
+    done = subprocess.run(
+        [*KHEP_TWIN, "run", str(controller), "--seconds", "6", "--log", str(log)],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=limit(45_000),
+    )
+    assert done.returncode == 1, done
+    assert TOLD.search(done.stderr.splitlines()[-1])
+    assert "look at it" not in done.stdout
+
+
+@pytest.mark.parametrize("command", ["run", "serve"])
+def test_what_to_do_without_a_log_needs_a_log(command: str) -> None:
+    done = CliRunner().invoke(app, [command, "--carry-on"])
+    assert done.exit_code == 2
+    assert done.stderr == (
+        "khep-twin: --carry-on is about a log that fails; right is to give --log FILE.mcap too\n"
+    )
+
+
+def test_a_device_is_no_place_for_a_log() -> None:
+    done = subprocess.run(
+        [*KHEP_TWIN, "run", "--seconds", "1", "--log", "/dev/full"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("khep-twin: /dev/full: cannot write a log here: this is no regular file")
+
+
+def fill(twin: Twin) -> None:
+    """From here on the log's own descriptor leads to a device that is always full."""
+    assert twin.recorder is not None
+    found = twin.recorder.part.resolve()
+    (number,) = [
+        int(entry.name)
+        for entry in Path("/proc/self/fd").iterdir()
+        if entry.is_symlink() and os.path.realpath(entry) == str(found)
+    ]
+    full = os.open("/dev/full", os.O_WRONLY)
+    os.dup2(full, number)
+    os.close(full)
+
+
+def test_a_full_device_under_the_log_takes_nothing_of_what_is_there(tmp_path: Path, start: Start) -> None:
+    twin = start(tmp_path / "run.mcap")
+    drive(twin)
+    twin.world.tell(None, "still good")
+    fill(twin)
+    with pytest.raises(LogError, match="No space left on device"):
+        twin.advance_to(20 * SECOND)
+    assert until(tmp_path / "run.mcap.part") == 2
+
+
+def test_a_log_that_fails_is_told_once_and_the_run_is_the_same_without_it(
+    tmp_path: Path, start: Start
+) -> None:
+    told: list[str] = []
+    twin = open_twin("obstacles", TwinOptions(seed=3))
+    twin.record(tmp_path / "run.mcap", carry_on=told.append)
+    fill(twin)
+    drive(twin, 6)
+    twin.world.tell(None, "after")
+    twin.close()
+    twin.close()
+    (line,) = told
+    assert line.endswith("; the run goes on without it")
+    assert twin.recorder is not None
+    assert twin.recorder.failure is not None
+    plain = open_twin("obstacles", TwinOptions(seed=3))
+    drive(plain, 6)
+    assert twin.world.data.qpos.tolist() == plain.world.data.qpos.tolist()
+
+
+def test_a_relay_is_told_once_too_and_no_other_file_gets_its_bytes(tmp_path: Path) -> None:
+    told: list[str] = []
+    recorder = LineRecorder(tmp_path / "run.mcap", {"through": "/dev/robot"}, lambda: 0, carry_on=told.append)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    size = (tmp_path / "run.mcap.part").stat().st_size
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        recorder.wire(True, b"N\n")
+        recorder.flush()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    other = tmp_path / "other.txt"
+    with other.open("wb") as file:
+        file.flush()
+        recorder.wire(False, b"n,1,2,3,4,5,6,7,8\r\n")
+        recorder.event("too late")
+        recorder.flush()
+        recorder.close()
+    assert len(told) == 1
+    assert other.read_bytes() == b""
+    assert recorder.failure is not None
+
+
+def test_a_file_that_was_closed_takes_nothing(tmp_path: Path) -> None:
+    file = PartFile(tmp_path / "run.mcap.part")
+    file.close()
+    with (tmp_path / "other.txt").open("wb"), pytest.raises(OSError, match="Bad file descriptor"):
+        file.write(b"too late")
+    assert (tmp_path / "other.txt").read_bytes() == b""
+
+
+class Failing:
+    """A file that takes so many writes and no more."""
+
+    def __init__(self, writes: int) -> None:
+        self.data, self._left = b"", writes
+
+    def write(self, data: bytes) -> int:
+        if not self._left:
+            raise OSError(5, "Input/output error")
+        self._left -= 1
+        self.data += data
+        return len(data)
+
+    def tell(self) -> int:
+        return len(self.data)
+
+
+@pytest.mark.parametrize("writes", range(1, 8))
+def test_wherever_a_file_fails_what_it_took_before_is_rescued(tmp_path: Path, writes: int) -> None:
+    file = Failing(writes)
+    written: list[int] = []
+    with pytest.raises(OSError, match="Input/output error"):
+        write(file, written)
+    part = tmp_path / "run.mcap.part"
+    part.write_bytes(file.data)
+    if writes == 1:
+        with pytest.raises(LogError, match="nothing to rescue"):
+            recover(part)
+    else:
+        found = recover(part)
+        assert (found.messages, found.whole) == (len(written), True)
+
+
+def write(file: Failing, written: list[int]) -> None:
+    """Writes a log until the file fails, and notes which messages it has taken."""
+    writer = BatchWriter(file, "ros2", "test")
+    writer.attach("a.txt", "text")
+    writer.describe("run", {"robots": "khepera0"})
+    for time_ns in range(100):
+        writer.add(writer.channel("/a", "std_msgs/msg/String", "string data"), time_ns, b"\0\1\0\0")
+        writer.flush()
+        written.append(time_ns)
