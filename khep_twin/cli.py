@@ -152,6 +152,7 @@ def run(
     """Runs a controller on a twin or a robot."""
     from khep_twin.host import Khepera
     from khep_twin.lab import experiment
+    from khep_twin.lab.controller_source import source_of
     from khep_twin.ports.protocol_khep import Serial
     from khep_twin.ports.serve import stopping
     from khep_twin.ports.twin import TwinOptions, open_twin
@@ -182,7 +183,9 @@ def run(
         )
         twin = open_twin(playpen, options)
         if log is not None:
-            twin.record(log, carry_on=_complain if carry_on else None)
+            source = source_of(function)
+            told = _complain if carry_on else None
+            twin.record(log, facts=source.facts, attachments=source.attachments, carry_on=told)
         recorder = twin.recorder
         _tell_kept(recorder)
         port_or_twin = Serial.of(twin, timeout=1.0)

@@ -11,6 +11,7 @@ from typing import Any
 
 from khep_twin.errors import ControllerError, KhepTwinError, choices
 from khep_twin.host import Khepera
+from khep_twin.lab.controller_source import ReadOnceLoader
 from khep_twin.lab.controllers import BUILT_IN, AnyController, Controller, as_controller
 
 
@@ -178,7 +179,10 @@ def _offers_of(path: Path) -> dict[str, Any]:
     """The public functions and controllers that a file defines itself."""
     if not path.is_file():
         raise ControllerError(f"{path}: no such file")
-    spec = importlib.util.spec_from_file_location(f"khep_twin_controller_{path.stem}", path)
+    name = f"khep_twin_controller_{path.stem}"
+    # An absolute name, as the module keeps it wherever its controller goes.
+    loader = ReadOnceLoader(name, str(path.absolute()))
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader)
     if spec is None or spec.loader is None:
         raise ControllerError(f"{path}: cannot be loaded as Python")
     module = importlib.util.module_from_spec(spec)

@@ -60,7 +60,7 @@ class Label:
 
     Attributes:
         metadata: seed, versions, settings.
-        attachments: playpen.toml, scene.xml, configuration.json, calibration/*.toml.
+        attachments: playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
         robots: names.
     """
 
@@ -75,7 +75,7 @@ class Run:
 
     Attributes:
         metadata: seed, versions, settings.
-        attachments: playpen.toml, scene.xml, configuration.json, calibration/*.toml.
+        attachments: playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
         robots: the tracks, by name.
         events: notes, in order of time.
     """

@@ -43,6 +43,8 @@ _FINENESS = 2.0**30
 What is finer is noise of contacts, which no compressor can make smaller: a seventh of the file. The state's
 hash has all of it."""
 
+_NONE: Mapping[str, str] = {}
+
 _FLOATS = "std_msgs/msg/Float64MultiArray"
 _INTEGERS = "std_msgs/msg/Int64MultiArray"
 
@@ -69,6 +71,8 @@ class Recorder:
         path: of the finished log, by custom NAME.mcap.
         world: what is recorded.
         settings: how the run was set up, kept in the log as configuration.json.
+        facts: more to say of the run, in its metadata.
+        attachments: more texts to keep, by name.
         carry_on: takes the line about a log that cannot be written any more, and the run goes on without it;
             None ends the run by a `LogError`.
 
@@ -87,6 +91,8 @@ class Recorder:
         world: World,
         settings: Mapping[str, object],
         *,
+        facts: Mapping[str, str] = _NONE,
+        attachments: Mapping[str, str] = _NONE,
         carry_on: Callable[[str], None] | None = None,
     ) -> None:
         self._log = LogFile(path, lambda: world.time_ns)
@@ -110,7 +116,7 @@ class Recorder:
         self._positions = np.zeros((_BATCH, len(self._moving), 3))
         self._quaternions = np.zeros((_BATCH, len(self._moving), 4))
         self._physics = np.zeros((_BATCH, len(self._qpos) + len(self._qvel)))
-        self._begin(settings)
+        self._begin(settings, facts, attachments)
         # A log that fails at its very start is an error in any case.
         self._log.tell = carry_on
 
@@ -212,7 +218,9 @@ class Recorder:
         noted = (stream.noted[:rows] for stream in self._streams)
         return hashes(self._answered[:rows], self._physics[:rows], *noted)
 
-    def _begin(self, settings: Mapping[str, object]) -> None:
+    def _begin(
+        self, settings: Mapping[str, object], more_facts: Mapping[str, str], more: Mapping[str, str]
+    ) -> None:
         world = self._world
         robots = world.playpen.robots
         attachments = {
@@ -223,11 +231,13 @@ class Recorder:
                 f"calibration/{robot.name}.toml": calibration.read(entry.calibration)[1]
                 for robot, entry in zip(world.robots, robots, strict=True)
             },
+            **more,
         }
         facts = {
             "playpen": world.playpen.name,
             "robots": ",".join(robot.name for robot in world.robots),
             **versions(),
+            **more_facts,
         }
         self._log.describe(attachments, {**facts, **{key: str(value) for key, value in settings.items()}})
         message = channels.text_message(urdf(world.model))

@@ -4,7 +4,7 @@ Every way in (khep://, serve) and the command line describe a twin by the same o
 words give the same run.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -89,11 +89,20 @@ class Twin:
         """Lets time pass until `time_ns`."""
         self.world.advance_to(time_ns)
 
-    def record(self, path: Path, *, carry_on: Callable[[str], None] | None = None) -> None:
+    def record(
+        self,
+        path: Path,
+        *,
+        facts: Mapping[str, str] | None = None,
+        attachments: Mapping[str, str] | None = None,
+        carry_on: Callable[[str], None] | None = None,
+    ) -> None:
         """Records the run from here on.
 
         Args:
             path: of the finished log, by custom NAME.mcap.
+            facts: about the run besides those that the twin knows, such as what drives it.
+            attachments: texts by name besides the twin's own.
             carry_on: takes the line about a log that cannot be written any more, and the run goes on without
                 it; None ends the run by a `LogError`.
 
@@ -102,7 +111,9 @@ class Twin:
         """
         # The log's own name is no part of the run: the same run gives the same bytes under any name.
         settings = {key: value for key, value in asdict(self.options).items() if key != "log"}
-        self.recorder = Recorder(path, self.world, settings, carry_on=carry_on)
+        self.recorder = Recorder(
+            path, self.world, settings, facts=facts or {}, attachments=attachments or {}, carry_on=carry_on
+        )
         self.world.add_tap(self.recorder)
 
     def close(self) -> None:

@@ -236,6 +236,6 @@ def test_a_killed_run_is_rescued_and_the_next_one_says_how(tmp_path: Path) -> No
     done = khep_twin("recover", remedy[1])
     assert (done.returncode, done.stderr) == (0, "")
     run = read(tmp_path / "run.recovered.mcap")
-    assert list(run.attachments) == ATTACHMENTS
+    assert list(run.attachments) == [*ATTACHMENTS, "controller/controllers.py"]
     # In lock-step what was written up to every fifth simulated second is there.
     assert run.robots["khepera0"].times_ns[-1] >= 4 * SECOND
