@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format fuzz fuzz-files soak kills pyserial bench lock build clean
+.PHONY: help run test check format fuzz fuzz-files soak kills pyserial schemas bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -44,6 +44,9 @@ kills: $(VENV)/dev.stamp ## 200 served twins and 40 runs killed at random times,
 
 pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back line
 	@$(BIN)/python tests/pyserial_suite.py
+
+schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
+	@$(BIN)/python tests/log/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
 	@$(BIN)/python -m benchmarks

@@ -97,18 +97,26 @@ class BatchWriter:
         length = self._sink.write(_record(Metadata(name=name, metadata=dict(facts))))
         self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
 
-    def channel(self, topic: str, schema: str, definition: str) -> int:
-        """The number of a topic's channel, made at its first use."""
+    def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
+        """The number of a topic's channel, made at its first use.
+
+        Args:
+            topic: of the channel.
+            schema: name of its message type.
+            definition: of that type: text for ROS 2, a google.protobuf.FileDescriptorSet for protobuf.
+        """
+        ros = isinstance(definition, str)
         if topic not in self._channels:
             if schema not in self._schemas:
-                data = definition.encode("ascii")
-                known = Schema(id=len(self._schemas) + 1, name=schema, encoding="ros2msg", data=data)
+                data = definition.encode("ascii") if isinstance(definition, str) else definition
+                encoding = "ros2msg" if ros else "protobuf"
+                known = Schema(id=len(self._schemas) + 1, name=schema, encoding=encoding, data=data)
                 self._schemas[schema] = known
                 self._append(_record(known))
             channel = Channel(
                 id=len(self._channels) + 1,
                 topic=topic,
-                message_encoding="cdr",
+                message_encoding="cdr" if ros else "protobuf",
                 metadata={},
                 schema_id=self._schemas[schema].id,
             )

@@ -5,19 +5,51 @@ part of the link "world". Poses come from /tf, so the joints only say what hangs
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+Kind = Literal["box", "sphere", "cylinder", "capsule"]
+
 _PLANE, _SPHERE, _CAPSULE, _CYLINDER, _BOX = 0, 2, 3, 5, 6
-"""Kinds of `mujoco.mjtGeom` that are drawn; ellipsoids and meshes are left out."""
+_KINDS: dict[int, Kind] = {
+    _PLANE: "box",
+    _SPHERE: "sphere",
+    _CAPSULE: "capsule",
+    _CYLINDER: "cylinder",
+    _BOX: "box",
+}
+"""Kinds of `mujoco.mjtGeom` that are drawn, and as what; ellipsoids and meshes are left out."""
 
 _PLANE_THICKNESS = 0.0002
 _ENDLESS_SIZE = 10.0
 _HIDDEN_GROUP = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """One thing that is drawn of a body.
+
+    Attributes:
+        name: of the geom or site.
+        kind: what it is; those that are round have their axis along z.
+        size: along x, y and z [m]; of a capsule, z is without its ends.
+        position: in the body's frame (3,) [m].
+        quaternion: in the body's frame, w, x, y, z (4,).
+        rgba: its colour (4,) [0 to 1].
+    """
+
+    name: str
+    kind: Kind
+    size: tuple[float, float, float]
+    position: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
+    rgba: NDArray[np.float32]
 
 
 def urdf(model: mujoco.MjModel) -> str:
@@ -26,8 +58,7 @@ def urdf(model: mujoco.MjModel) -> str:
     for body in range(model.nbody):
         name = body_name(model, body)
         link = ElementTree.SubElement(robot, "link", name=name)
-        for visual in _visuals(model, body):
-            link.append(visual)
+        link.extend(map(_visual, shapes(model, body)))
         if body:
             joint = ElementTree.SubElement(robot, "joint", name=f"{name}_joint", type="floating")
             ElementTree.SubElement(joint, "parent", link="world")
@@ -41,55 +72,69 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body{body}"
 
 
-def _visuals(model: mujoco.MjModel, body: int) -> Iterator[ElementTree.Element]:
+def shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:
+    """What is drawn of a body; what is transparent, for contact only or of another kind is not."""
     for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
-        rgba = model.geom_rgba[geom]
-        shape = _shape(int(model.geom_type[geom]), model.geom_size[geom].tolist())
-        if shape is not None and rgba[3] > 0 and model.geom_group[geom] != _HIDDEN_GROUP:
+        if model.geom_group[geom] != _HIDDEN_GROUP:
             name = model.geom(geom).name or f"geom{geom}"
-            yield _visual(name, shape, model.geom_pos[geom], model.geom_quat[geom], rgba)
+            place = model.geom_pos[geom], model.geom_quat[geom]
+            kind, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
+            yield from _shape(name, kind, size, *place, model.geom_rgba[geom])
     for site in np.flatnonzero(model.site_bodyid == body).tolist():
-        rgba = model.site_rgba[site]
-        shape = _shape(int(model.site_type[site]), model.site_size[site].tolist())
-        if shape is not None and rgba[3] > 0:
-            name = model.site(site).name or f"site{site}"
-            yield _visual(name, shape, model.site_pos[site], model.site_quat[site], rgba)
+        name = model.site(site).name or f"site{site}"
+        place = model.site_pos[site], model.site_quat[site]
+        kind, size = int(model.site_type[site]), model.site_size[site].tolist()
+        yield from _shape(name, kind, size, *place, model.site_rgba[site])
 
 
-def _shape(kind: int, size: list[float]) -> ElementTree.Element | None:
-    """A shape of MuJoCo, which counts half sizes, as URDF has it; None for one that URDF lacks."""
-    if kind == _PLANE:
-        # Size 0 is a plane that never ends.
-        length, width = (2 * half or _ENDLESS_SIZE for half in size[:2])
-        return ElementTree.Element("box", size=_numbers([length, width, _PLANE_THICKNESS]))
-    if kind == _BOX:
-        return ElementTree.Element("box", size=_numbers([2 * half for half in size]))
-    if kind in (_CYLINDER, _CAPSULE):
-        name = "cylinder" if kind == _CYLINDER else "capsule"
-        return ElementTree.Element(name, radius=_numbers(size[:1]), length=_numbers([2 * size[1]]))
-    if kind == _SPHERE:
-        return ElementTree.Element("sphere", radius=_numbers(size[:1]))
-    return None
-
-
-def _visual(
+def _shape(
     name: str,
-    shape: ElementTree.Element,
+    kind: int,
+    halves: list[float],
     position: NDArray[np.float64],
     quaternion: NDArray[np.float64],
     rgba: NDArray[np.float32],
-) -> ElementTree.Element:
-    visual = ElementTree.Element("visual", name=name)
+) -> Iterator[Shape]:
+    """A shape of MuJoCo, which counts half sizes; nothing for one that cannot be seen or drawn."""
+    if rgba[3] <= 0 or kind not in _KINDS:
+        return
+    if kind == _PLANE:
+        # Size 0 is a plane that never ends.
+        length, width = (2 * half or _ENDLESS_SIZE for half in halves[:2])
+        size = length, width, _PLANE_THICKNESS
+    elif kind == _BOX:
+        size = 2 * halves[0], 2 * halves[1], 2 * halves[2]
+    else:
+        height = halves[0] if kind == _SPHERE else halves[1]
+        size = 2 * halves[0], 2 * halves[0], 2 * height
+    yield Shape(name, _KINDS[kind], size, position, quaternion, rgba)
+
+
+def _geometry(shape: Shape) -> ElementTree.Element:
+    """A shape as URDF has it."""
+    if shape.kind == "box":
+        return ElementTree.Element("box", size=_numbers(shape.size))
+    radius = _numbers([shape.size[0] / 2])
+    if shape.kind == "sphere":
+        return ElementTree.Element("sphere", radius=radius)
+    return ElementTree.Element(shape.kind, radius=radius, length=_numbers([shape.size[2]]))
+
+
+def _visual(shape: Shape) -> ElementTree.Element:
+    visual = ElementTree.Element("visual", name=shape.name)
     ElementTree.SubElement(
-        visual, "origin", xyz=_numbers(position.tolist()), rpy=_numbers(_roll_pitch_yaw(quaternion))
+        visual,
+        "origin",
+        xyz=_numbers(shape.position.tolist()),
+        rpy=_numbers(_roll_pitch_yaw(shape.quaternion)),
     )
-    ElementTree.SubElement(visual, "geometry").append(shape)
-    material = ElementTree.SubElement(visual, "material", name=f"{name}_colour")
-    ElementTree.SubElement(material, "color", rgba=_numbers(rgba.tolist()))
+    ElementTree.SubElement(visual, "geometry").append(_geometry(shape))
+    material = ElementTree.SubElement(visual, "material", name=f"{shape.name}_colour")
+    ElementTree.SubElement(material, "color", rgba=_numbers(shape.rgba.tolist()))
     return visual
 
 
-def _numbers(values: list[float]) -> str:
+def _numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value:.9g}" for value in values)
 
 

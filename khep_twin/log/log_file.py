@@ -72,6 +72,11 @@ class LogFile:
         with self.guarded():
             self._writer.add(self._channel(topic, schema), time_ns, message)
 
+    def add_protobuf(self, topic: str, schema: str, descriptors: bytes, time_ns: int, message: bytes) -> None:
+        """Writes one message in protobuf, whose type `descriptors` define."""
+        with self.guarded():
+            self._writer.add(self._writer.channel(topic, schema, descriptors), time_ns, message)
+
     def add_rows(
         self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]
     ) -> None:

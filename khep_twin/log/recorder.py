@@ -22,7 +22,7 @@ from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS, Board
-from khep_twin.log import channels
+from khep_twin.log import channels, foxglove_scene
 from khep_twin.log.channels import ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
@@ -242,6 +242,8 @@ class Recorder:
         self._log.describe(attachments, {**facts, **{key: str(value) for key, value in settings.items()}})
         message = channels.text_message(urdf(world.model))
         self._log.add("/robot_description", "std_msgs/msg/String", 0, message)
+        scene = foxglove_scene.scene_update(world.model)
+        self._log.add_protobuf("/scene", foxglove_scene.SCHEMA, foxglove_scene.descriptors(), 0, scene)
         self._log.flush()
 
 

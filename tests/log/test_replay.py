@@ -52,6 +52,11 @@ def test_the_boards_whole_state_opens_no_plot(log: Path) -> None:
     assert ("/khepera0/registers", "Scalars:scalars") not in found
 
 
+def test_the_scene_for_foxglove_draws_nothing_twice(log: Path) -> None:
+    found = {name for entity, name in components(list(McapReader(log).stream())) if entity == "/scene"}
+    assert {name for name in found if not name.startswith("Mcap")} == {"foxglove.SceneUpdate:message"}
+
+
 def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path) -> None:
     view(log, tmp_path / "run.rrd")
     reader = RrdReader(tmp_path / "run.rrd")

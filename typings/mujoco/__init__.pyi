@@ -51,7 +51,9 @@ class MjModel:
     nbody: int
     nuser_site: int
     names: bytes
+    body_parentid: NDArray[np.int32]
     body_pos: NDArray[np.float64]
+    body_quat: NDArray[np.float64]
     body_mass: NDArray[np.float64]
     body_rootid: NDArray[np.int32]
     body_weldid: NDArray[np.int32]
@@ -182,6 +184,14 @@ class MjSpec:
 
 def set_mju_user_warning(handler: Callable[[str], None]) -> None: ...
 def mj_kinematics(model: MjModel, data: MjData) -> None: ...
+def mju_mulPose(
+    posres: NDArray[np.float64],
+    quatres: NDArray[np.float64],
+    pos1: NDArray[np.float64],
+    quat1: NDArray[np.float64],
+    pos2: NDArray[np.float64],
+    quat2: NDArray[np.float64],
+) -> None: ...
 def mj_step(model: MjModel, data: MjData, nstep: int = 1) -> None: ...
 def mj_ray(
     model: MjModel,

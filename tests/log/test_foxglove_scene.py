@@ -1,0 +1,207 @@
+"""The scene for Foxglove, read by the classes that Foxglove publishes."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from foxglove_schema import published
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message_factory import GetMessages
+from mcap.reader import make_reader
+
+from khep_twin import playpen as playpens
+from khep_twin.log.channels import read_transforms
+from khep_twin.log.foxglove_scene import descriptors, scene_update
+from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+
+SHIPPED = sorted(
+    path.stem for path in (Path(playpens.__file__).parent / "assets" / "playpens").glob("*.toml")
+)
+
+PLAYPEN = """
+version = 1
+name = "mine"
+[arena]
+width_mm = 600
+height_mm = 500
+[[block]]
+x_mm = 120
+y_mm = 200
+angle_deg = 30
+length_mm = 60
+width_mm = 20
+height_mm = 50
+[[cylinder]]
+x_mm = 300
+y_mm = 400
+radius_mm = 12.5
+height_mm = 40
+[[cylinder]]
+x_mm = 400
+y_mm = 100
+radius_mm = 20
+height_mm = 30
+movable = true
+mass_g = 20
+[[lamp]]
+x_mm = 50
+y_mm = 450
+z_mm = 40
+power_w = 7
+[[robot]]
+x_mm = 300
+y_mm = 250
+heading_deg = 90
+"""
+
+
+@pytest.fixture(scope="module")
+def scene() -> SceneUpdate:
+    """The scene of a playpen with a block, a lamp and two cylinders, one of them movable."""
+    return SceneUpdate.FromString(scene_update(to_spec(playpens.parse(PLAYPEN, "mine")).compile()))
+
+
+def entity(scene: SceneUpdate, name: str) -> SceneUpdate:
+    (found,) = [each for each in scene.entities if each.id == name]
+    return found
+
+
+def place(pose: SceneUpdate) -> list[float]:
+    return [pose.position.x, pose.position.y, pose.position.z]
+
+
+def size(primitive: SceneUpdate) -> list[float]:
+    return [primitive.size.x, primitive.size.y, primitive.size.z]
+
+
+def test_the_definition_is_the_published_one() -> None:
+    assert FileDescriptorSet.FromString(descriptors()) == published()
+    # It is whole by itself, as a viewer needs it.
+    assert "foxglove.SceneUpdate" in GetMessages(FileDescriptorSet.FromString(descriptors()).file)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_is_written_is_what_protobuf_itself_would_write(name: str) -> None:
+    model = to_spec(playpens.load(name)).compile()
+    data = scene_update(model)
+    read = SceneUpdate.FromString(data)
+    read.DiscardUnknownFields()
+    assert read.SerializeToString(deterministic=True) == data
+    names = [each.id for each in read.entities]
+    assert len(set(names)) == len(names)
+    assert scene_update(to_spec(playpens.load(name)).compile()) == data
+
+
+def test_every_entity_holds_for_ever_and_follows_its_frame(scene: SceneUpdate) -> None:
+    for each in scene.entities:
+        assert each.frame_locked
+        assert each.HasField("timestamp")
+        assert (each.timestamp.seconds, each.timestamp.nanos) == (0, 0)
+        assert (each.lifetime.seconds, each.lifetime.nanos) == (0, 0)
+    assert not scene.deletions
+
+
+def test_walls_and_blocks_stand_in_the_world_as_the_playpen_has_them(scene: SceneUpdate) -> None:
+    world = {each.id for each in scene.entities if each.frame_id == "world"}
+    walls = {f"world/wall_{side}" for side in ("left", "right", "bottom", "top")}
+    assert world == walls | {"world/floor", "world/block0", "world/cylinder0", "world/lamp0"}
+    (block,) = entity(scene, "world/block0").cubes
+    assert place(block.pose) == pytest.approx([0.12, 0.2, 0.025])
+    assert size(block) == pytest.approx([0.06, 0.02, 0.05])
+    turn = block.pose.orientation
+    half = np.radians(15)
+    assert [turn.x, turn.y, turn.z, turn.w] == pytest.approx([0, 0, np.sin(half), np.cos(half)])
+    (cylinder,) = entity(scene, "world/cylinder0").cylinders
+    assert place(cylinder.pose) == pytest.approx([0.3, 0.4, 0.02])
+    assert size(cylinder) == pytest.approx([0.025, 0.025, 0.04])
+    assert (cylinder.bottom_scale, cylinder.top_scale) == (1, 1)
+    (lamp,) = entity(scene, "world/lamp0").spheres
+    assert place(lamp.pose) == pytest.approx([0.05, 0.45, 0.04])
+    (floor,) = entity(scene, "world/floor").cubes
+    assert size(floor)[0] >= 0.6
+    assert size(floor)[1] >= 0.5
+    for wall in walls:
+        (cube,) = entity(scene, wall).cubes
+        assert min(size(cube)) > 0
+        assert cube.color.a == 1
+
+
+def test_what_moves_is_drawn_in_its_own_frame(scene: SceneUpdate) -> None:
+    (post,) = entity(scene, "cylinder1").cylinders
+    assert entity(scene, "cylinder1").frame_id == "cylinder1"
+    assert size(post) == pytest.approx([0.04, 0.04, 0.03])
+    # Where it stands in the playpen is told by /tf alone.
+    assert np.abs(place(post.pose)).max() < 0.03
+    base = entity(scene, "khepera0/base")
+    assert base.frame_id == "khepera0/base"
+    assert max(size(each)[0] for each in base.cylinders) == pytest.approx(0.055, abs=0.002)
+    assert {"khepera0/left_wheel", "khepera0/right_wheel"} <= {each.id for each in scene.entities}
+
+
+def test_colours_are_the_models() -> None:
+    geom = '<geom name="g" type="box" size="1 2 3" rgba="0.25 0.5 0 0.75"/>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geom}</worldbody></mujoco>")
+    (cube,) = SceneUpdate.FromString(scene_update(model)).entities[0].cubes
+    assert [cube.color.r, cube.color.g, cube.color.b, cube.color.a] == [0.25, 0.5, 0, 0.75]
+
+
+def test_capsules_and_things_on_what_stands_still_are_drawn_where_they_are() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """
+        <mujoco><worldbody>
+          <body name="shelf" pos="1 0 0" euler="0 0 90">
+            <geom name="pin" type="capsule" size="0.01 0.05" pos="0.2 0 0" euler="90 0 0"/>
+            <body name="box" pos="0 0 0.3"><geom name="lid" type="box" size="0.1 0.1 0.1"/></body>
+          </body>
+        </worldbody></mujoco>
+        """
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    read = SceneUpdate.FromString(scene_update(model))
+    assert {each.frame_id for each in read.entities} == {"world"}
+    pin = entity(read, "world/pin")
+    (cylinder,) = pin.cylinders
+    assert place(cylinder.pose) == pytest.approx(data.geom("pin").xpos.tolist(), abs=1e-12)
+    assert size(cylinder) == pytest.approx([0.02, 0.02, 0.1])
+    axis = 0.05 * data.geom("pin").xmat.reshape(3, 3)[:, 2]
+    for ball, side in zip(pin.spheres, (-1, 1), strict=True):
+        assert place(ball.pose) == pytest.approx((data.geom("pin").xpos + side * axis).tolist(), abs=1e-12)
+        assert size(ball) == pytest.approx([0.02, 0.02, 0.02])
+    (lid,) = entity(read, "world/lid").cubes
+    assert place(lid.pose) == pytest.approx([1, 0, 0.3])
+
+
+def test_a_log_has_the_scene_once_and_a_frame_for_every_entity(
+    tmp_path: Path, start: Callable[[Path], Twin]
+) -> None:
+    log = tmp_path / "run.mcap"
+    with open_twin("gripper", TwinOptions(log=str(log))) as twin:
+        twin.advance_to(100_000_000)
+        expected = scene_update(twin.world.model)
+    with log.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = list(reader.iter_messages(topics=["/scene"]))
+        frames = {
+            name
+            for _, _, message in reader.iter_messages(topics=["/tf"])
+            for name in read_transforms(message.data)
+        }
+    ((schema, channel, message),) = found
+    assert schema is not None
+    assert (schema.name, schema.encoding, channel.message_encoding) == (
+        "foxglove.SceneUpdate",
+        "protobuf",
+        "protobuf",
+    )
+    assert FileDescriptorSet.FromString(schema.data) == published()
+    assert (message.log_time, message.data) == (0, expected)
+    # By the definition in the log itself, as a viewer that knows nothing else reads it.
+    kinds = GetMessages(FileDescriptorSet.FromString(schema.data).file)
+    scene = kinds["foxglove.SceneUpdate"].FromString(message.data)
+    assert {each.frame_id for each in scene.entities} <= frames | {"world"}
+    assert {"cylinder0", "khepera0/gripper/left_finger"} <= {each.frame_id for each in scene.entities}
