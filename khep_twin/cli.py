@@ -196,8 +196,13 @@ def run(
         Khepera(port_or_twin) as khepera,
         progress_bar() as progress,
     ):
+
+        def ends() -> bool:
+            # A controller that catches every error catches the log's, too.
+            return stop() or (not carry_on and recorder is not None and recorder.failure is not None)
+
         outcome = experiment.run(
-            function, khepera, cycles=cycles, seconds=seconds, progress=progress, stop=stop
+            function, khepera, cycles=cycles, seconds=seconds, progress=progress, stop=ends
         )
         stopped = stop()
     typer.echo(f"{outcome.cycles} cycles in {outcome.duration:.1f} s")
@@ -403,7 +408,6 @@ def _check_log(recorder: "Recorder | LineRecorder | None", carry_on: bool) -> No
         return
     if carry_on:
         raise typer.Exit(3)
-    # A controller that catches every error has caught this one, too.
     raise recorder.failure
 
 

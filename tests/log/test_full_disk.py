@@ -141,7 +141,7 @@ def test_a_controller_that_catches_everything_does_not_hide_it(tmp_path: Path) -
     )
     log = tmp_path / "run.mcap"
     done = subprocess.run(
-        [*KHEP_TWIN, "run", str(controller), "--seconds", "6", "--log", str(log)],
+        [*KHEP_TWIN, "run", str(controller), "--seconds", "5000", "--log", str(log)],
         capture_output=True,
         text=True,
         check=False,
