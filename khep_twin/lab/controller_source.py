@@ -9,7 +9,7 @@ from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType
 
-from khep_twin.lab.controllers import BUILT_IN, Controller
+from khep_twin.lab.controllers import BUILT_IN, AnyController, defining, name_of
 
 MOST_BYTES = 2**20
 """Longer sources are left out of logs; a program written by hand has no tenth of it (assumed)."""
@@ -47,15 +47,16 @@ class Source:
     attachments: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
-def source_of(controller: Controller) -> Source:
+def source_of(controller: AnyController) -> Source:
     """What a log says of a controller: of a file, just that file and not what it imports."""
-    file = inspect.getsourcefile(controller) or ""
+    defined = defining(controller)
+    file = inspect.getsourcefile(defined) or ""
     # The folder is the machine's business and no part of the run.
     name = Path(file).name.encode("utf-8", "backslashreplace").decode("utf-8")
     built_in = next((each for each, function in BUILT_IN.items() if function is controller), None)
-    facts = {"controller": built_in or f"{name}:{controller.__name__}"}
+    facts = {"controller": built_in or f"{name}:{name_of(controller)}"}
     try:
-        loader = getattr(inspect.getmodule(controller), "__loader__", None)
+        loader = getattr(inspect.getmodule(defined), "__loader__", None)
         data: bytes = loader.get_data(file) if loader is not None else Path(file).read_bytes()
         text = _text(data)
     except (OSError, SyntaxError, ValueError) as error:

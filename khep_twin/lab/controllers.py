@@ -76,6 +76,19 @@ def as_controller(controller: AnyController) -> Controller:
     return controller if isinstance(controller, Controller) else FunctionController(controller)
 
 
+def name_of(controller: AnyController) -> str:
+    """What a controller is called in its file."""
+    return str(getattr(defining(controller), "__name__", type(controller).__name__))
+
+
+def defining(controller: Any) -> Any:
+    """The function or class that defines a controller or one of its places."""
+    owner = getattr(controller, "__self__", controller)
+    if isinstance(owner, FunctionController):
+        return owner.function
+    return type(owner) if isinstance(owner, Controller) else owner
+
+
 def variables(controller: Controller) -> dict[str, Any]:
     """What a controller holds: truths, numbers, texts, and arrays and lists of numbers, as copies."""
     held = controller.told() if isinstance(controller, FunctionController) else vars(controller)

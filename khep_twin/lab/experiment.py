@@ -12,7 +12,14 @@ from typing import Any
 from khep_twin.errors import ControllerError, KhepTwinError, choices
 from khep_twin.host import Khepera
 from khep_twin.lab.controller_source import ReadOnceLoader
-from khep_twin.lab.controllers import BUILT_IN, AnyController, Controller, as_controller
+from khep_twin.lab.controllers import (
+    BUILT_IN,
+    AnyController,
+    Controller,
+    as_controller,
+    defining,
+    name_of,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +77,8 @@ def run(
             call(algorithm.cycle, robot)
             if robot.time == before:
                 raise ControllerError(
-                    f"{source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is to "
-                    "ask the robot something, or robot.sleep"
+                    f"{_source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is "
+                    "to ask the robot something, or robot.sleep"
                 )
             done += 1
             if after_cycle is not None:
@@ -103,23 +110,16 @@ def call(place: Callable[[Khepera], Any], robot: Khepera) -> None:
     except KhepTwinError:
         raise
     except (Exception, SystemExit) as error:
-        file = source_file(place)
+        file = _source_file(place)
         raise ControllerError(
             f"{file}{_line_in(error, Path(file))}: {type(error).__name__}: {error}"
         ) from error
 
 
-def name_of(controller: AnyController) -> str:
-    """What a controller is called in its file."""
-    return str(getattr(controller, "__name__", type(controller).__name__))
-
-
-def source_file(controller: Any) -> str:
+def _source_file(controller: Any) -> str:
     """The file that defines a controller or one of its places; empty if none does."""
-    owner = getattr(controller, "__self__", controller)
-    source = getattr(owner, "function", None) or (type(owner) if isinstance(owner, Controller) else owner)
     try:
-        return inspect.getsourcefile(source) or ""
+        return inspect.getsourcefile(defining(controller)) or ""
     except TypeError:  # something callable that is written in no file
         return ""
 

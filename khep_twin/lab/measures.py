@@ -176,7 +176,8 @@ def coverage(places: statistics.Floats, playpen: Playpen, radius: float) -> floa
     counts = [max(1, math.ceil(float(np.ptp(each)) / CELL - 1e-9)) for each in (xs, ys)]
     corner = np.array([xs.min(), ys.min()])
     columns, rows = np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij")
-    middles: statistics.Floats = corner + (np.column_stack([columns.ravel(), rows.ravel()]) + 0.5) * CELL
+    cells = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
+    middles = corner + (cells + 0.5) * CELL
     inside = np.array([contains(playpen.arena.corners, x * 1e3, y * 1e3) for x, y in middles.tolist()])
     free = inside & (statistics.clearance(middles, playpen) >= radius)
     been = np.clip(((places - corner) // CELL).astype(np.int64), 0, np.array(counts) - 1)
