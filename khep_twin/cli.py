@@ -22,6 +22,7 @@ from khep_twin.cli_playpen import PlaypenName, playpen_app
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_report import export, report
 from khep_twin.cli_sense import sense
+from khep_twin.cli_view import view
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import unusable, write_whole
 
@@ -44,6 +45,7 @@ app.command()(report)
 app.command()(recover)
 app.command()(repeat)
 app.command()(sense)
+app.command()(view)
 
 
 class Switch(StrEnum):
@@ -307,32 +309,6 @@ def serve(
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
     _tell_served(twin.world.time_ns, dropped)
     _check_log(twin.recorder, carry_on)
-
-
-@app.command()
-def view(
-    log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.")],
-    save: Annotated[Path | None, typer.Option(help="Write a rerun recording instead of opening it.")] = None,
-    png: Annotated[
-        Path | None, typer.Option(help="Write a still as this PNG file instead, without a screen.")
-    ] = None,
-    at: Annotated[float, typer.Option(min=0, help="Of the still: simulated time [s].")] = 0.0,
-) -> None:
-    """Shows a log in rerun: arena, robot, sensors and motors from above, curves and transcript."""
-    from khep_twin.log.replay import view as view_log
-    from khep_twin.log.replay import view_still
-
-    if png is not None:
-        if save is not None or png.suffix.lower() != ".png":
-            raise _usage(f"--png {png}: right is a name that ends in .png, and no --save")
-        if reason := unusable(png):
-            raise _usage(f"--png {png}: cannot be written: {reason}")
-        view_still(log, png, at)
-        typer.echo(f"picture  {png}")
-        return
-    view_log(log, save)
-    if save is not None:
-        typer.echo(f"recording  {save}      look at it: rerun {save}")
 
 
 @app.command()

@@ -53,7 +53,16 @@ FLOORS = [
     ["robot", "world", "placing"],
     ["ports", "host", "log"],
     ["lab"],
-    ["cli", "cli_fit", "cli_log", "cli_playpen", "cli_progress", "cli_report", "cli_sense"],
+    [
+        "cli",
+        "cli_fit",
+        "cli_log",
+        "cli_playpen",
+        "cli_progress",
+        "cli_report",
+        "cli_sense",
+        "cli_view",
+    ],
     ["__main__"],
 ]
 """From the ground up; a file imports from floors below its own."""
@@ -111,6 +120,7 @@ WITHIN_A_FLOOR = {
     ("cli", "cli_progress"),
     ("cli", "cli_report"),
     ("cli", "cli_sense"),
+    ("cli", "cli_view"),
     ("cli_log", "cli_progress"),
     ("cli_sense", "cli_progress"),
 }

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from khep_twin.units import BODIES, COUNTS_LIMIT, WHEEL_BASE, WHEEL_RADIUS
 
 if TYPE_CHECKING:
-    import rerun as rr
     from rerun.chunk import Chunk
 
 Floats = NDArray[np.float64]
@@ -96,43 +95,52 @@ def panel(robot: str) -> str:
     return f"/{robot}/khepbase"
 
 
-def send_panel(recording: "rr.RecordingStream", robot: str, track: Samples, timeline: str) -> None:
-    """Adds the panel of one robot to a recording.
+def panel_chunks(
+    robot: str, track: Samples, timeline: str, every: int = SAMPLES_PER_PICTURE
+) -> "list[Chunk]":
+    """The bars of one robot's panel.
 
     Args:
-        recording: of rerun.
         robot: its name.
         track: what was recorded of it.
         timeline: name of the recording's simulated time.
+        every: so many samples make one picture.
     """
     import rerun as rr
+    from rerun.chunk import Chunk
 
-    place = panel(robot)
-    recording.log(
-        f"{place}/outline", rr.LineStrips2D([_circle(_BODY.radius)], colors=[_OUTLINE]), static=True
-    )
-    wheels = [_box(side * WHEEL_BASE / 2, 0.0, 0.0015, WHEEL_RADIUS) for side in (-1, 1)]
-    nose = np.array([(-0.004, -0.020), (0, -0.0245), (0.004, -0.020)])
-    recording.log(f"{place}/parts", rr.LineStrips2D([*wheels, nose], colors=[_OUTLINE] * 3), static=True)
-    every = slice(None, None, SAMPLES_PER_PICTURE)
-    times = rr.TimeColumn(timeline, duration=track.times_ns[every].astype("timedelta64[ns]"))
+    place, some = panel(robot), slice(None, None, every)
+    times = rr.TimeColumn(timeline, duration=track.times_ns[some].astype("timedelta64[ns]"))
     # Pictures have y downwards: ahead is up, left is left.
     feet = np.array([(-left, -forward) for forward, left in _BODY.sensor_positions]) * 1.35
-    near = np.clip(track.proximity[every] / COUNTS_LIMIT, 0, 1)
-    light = np.clip(1 - track.ambient[every] / _DARK_COUNTS, 0, 1)
+    near = np.clip(track.proximity[some] / COUNTS_LIMIT, 0, 1)
+    light = np.clip(1 - track.ambient[some] / _DARK_COUNTS, 0, 1)
     shift = np.array([_HALF_WIDTH * 1.15, 0])
-    for name, values, at, colour in (
-        ("proximity", near, feet - shift, _PROXIMITY),
-        ("light", light, feet + shift, _LIGHT),
-    ):
-        recording.send_columns(f"{place}/{name}", [times], _bars(rr, values, at, colour))
     beside = np.array([(-WHEEL_BASE / 2 + 0.006, 0.0), (WHEEL_BASE / 2 - 0.006, 0.0)])
-    speeds = np.clip(track.speed[every, :2] / _FASTEST, -1, 1)
-    recording.send_columns(f"{place}/speed", [times], _bars(rr, speeds, beside, _SPEED))
+    speeds = np.clip(track.speed[some, :2] / _FASTEST, -1, 1)
+    return [
+        Chunk.from_columns(f"{place}/{name}", [times], _bars(rr, values, at, colour))
+        for name, values, at, colour in (
+            ("proximity", near, feet - shift, _PROXIMITY),
+            ("light", light, feet + shift, _LIGHT),
+            ("speed", speeds, beside, _SPEED),
+        )
+    ]
 
 
-def send_fans(recording: "rr.RecordingStream", robot: str, headings_deg: tuple[float, ...]) -> None:
-    """Adds to a recording where a robot's sensors look, in the arena."""
+def outline_chunks(robot: str) -> "list[Chunk]":
+    """What of one robot's panel stands still."""
+    import rerun as rr
+
+    wheels = [_box(side * WHEEL_BASE / 2, 0.0, 0.0015, WHEEL_RADIUS) for side in (-1, 1)]
+    nose = np.array([(-0.004, -0.020), (0, -0.0245), (0.004, -0.020)])
+    strips = [_circle(_BODY.radius), *wheels, nose]
+    lines = rr.LineStrips2D.columns(strips=strips, colors=[_OUTLINE] * len(strips))
+    return [_standing(f"{panel(robot)}/outline", lines.partition([len(strips)]))]
+
+
+def fan_chunks(robot: str, headings_deg: tuple[float, ...]) -> "list[Chunk]":
+    """Where a robot's sensors look, in the arena."""
     import rerun as rr
 
     strips: list[Floats] = []
@@ -142,9 +150,17 @@ def send_fans(recording: "rr.RecordingStream", robot: str, headings_deg: tuple[f
             start = np.array([x, y, _BODY.sensor_height])
             way = np.array([math.cos(angle), math.sin(angle), 0.0])
             strips.append(np.array([start, start + FAN_LENGTH * way]))
-    place = f"/obstacles/{robot}_sensors"
-    lines = rr.LineStrips3D(strips, colors=[(*_PROXIMITY, 90)] * len(strips), radii=0.0003)
-    recording.log(place, lines, rr.CoordinateFrame(f"{robot}/base"), static=True)
+    n = len(strips)
+    lines = rr.LineStrips3D.columns(strips=strips, colors=[(*_PROXIMITY, 90)] * n, radii=[0.0003] * n)
+    frame = rr.CoordinateFrame.columns(frame=[f"{robot}/base"])
+    return [_standing(f"/obstacles/{robot}_sensors", [*lines.partition([n]), *frame])]
+
+
+def _standing(place: str, columns: Any) -> "Chunk":
+    """Something that is there at all times."""
+    from rerun.chunk import Chunk
+
+    return Chunk.from_columns(place, [], columns)
 
 
 def _bars(rr: Any, values: Floats, feet: Floats, colour: tuple[int, int, int]) -> Any:

@@ -4,13 +4,13 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
 import os
-import socket
 import sys
 import time
 from pathlib import Path
 
 from khep_twin.errors import LogError
 from khep_twin.files import write_whole
+from khep_twin.log.viewer import free_ports
 
 _PATIENCE = 30.0
 """Longest wait for the viewer to have opened a recording [s]."""
@@ -42,7 +42,7 @@ def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
     try:
         viewer = rx.ViewerClient.spawn(
             headless=True,
-            port=_free_port(),
+            port=free_ports(1)[0],
             executable_path=str(program) if program.exists() else None,
             hide_welcome_screen=True,
         )
@@ -67,9 +67,3 @@ def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
 
 def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
-
-
-def _free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])

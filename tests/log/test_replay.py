@@ -58,7 +58,7 @@ def test_the_scene_for_foxglove_draws_nothing_twice(log: Path) -> None:
 
 
 def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path) -> None:
-    view(log, tmp_path / "run.rrd")
+    view([log], tmp_path / "run.rrd")
     reader = RrdReader(tmp_path / "run.rrd")
     (recording,), (layout,) = reader.recordings(), reader.blueprints()
     assert components(list(reader.stream(store=recording))) >= EXPECTED
@@ -68,7 +68,7 @@ def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path)
 
 
 def test_a_saved_recording_counts_seconds_of_the_run(log: Path, tmp_path: Path) -> None:
-    view(log, tmp_path / "run.rrd")
+    view([log], tmp_path / "run.rrd")
     reader = RrdReader(tmp_path / "run.rrd")
     types = {
         str(field.type)
@@ -90,14 +90,14 @@ def test_a_recording_that_cannot_be_saved_is_one_line(
     log: Path, tmp_path: Path, save: str, reason: str
 ) -> None:
     with pytest.raises(LogError, match=reason):
-        view(log, tmp_path / save)
+        view([log], tmp_path / save)
     assert os.listdir(tmp_path) == []
 
 
 def test_the_log_itself_is_not_overwritten(log: Path) -> None:
     before = log.read_bytes()
     with pytest.raises(LogError, match="this is the log itself"):
-        view(log, log)
+        view([log], log)
     assert log.read_bytes() == before
 
 
@@ -106,7 +106,7 @@ def test_a_recording_that_fills_the_disk_is_an_error(log: Path, tmp_path: Path, 
     program = (
         "import resource, sys; from pathlib import Path; from khep_twin.log.replay import view\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]),) * 2)\n"
-        "view(Path(sys.argv[1]), Path(sys.argv[2]))\n"
+        "view([Path(sys.argv[1])], Path(sys.argv[2]))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program, log, tmp_path / "run.rrd", str(size)],
@@ -125,7 +125,7 @@ def test_without_a_screen_the_way_out_is_named(log: Path, monkeypatch: pytest.Mo
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
     with pytest.raises(LogError, match=r"no screen .* --save run\.rrd"):
-        view(log)
+        view([log])
 
 
 @pytest.fixture
@@ -140,7 +140,7 @@ def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_viewer_listens_to_this_machine_only(log: Path, viewer: Path) -> None:
-    view(log)
+    view([log])
     recording, arguments = viewer.read_text().splitlines()
     assert recording.endswith("/run.rrd")
     assert "--bind 127.0.0.1" in arguments
@@ -150,11 +150,11 @@ def test_the_viewer_listens_to_this_machine_only(log: Path, viewer: Path) -> Non
 def test_a_viewer_that_fails_is_one_line(log: Path, viewer: Path) -> None:
     (viewer.parent / "viewer").write_text("#!/bin/sh\necho 'Error: no screen' >&2\nexit 1\n")
     with pytest.raises(LogError, match=r"run\.mcap: rerun's viewer failed: no screen; .*--save run\.rrd"):
-        view(log)
+        view([log])
 
 
 def test_a_recording_has_khepbase_and_what_the_sensors_look_at(log: Path, tmp_path: Path) -> None:
-    view(log, tmp_path / "run.rrd")
+    view([log], tmp_path / "run.rrd")
     reader = RrdReader(tmp_path / "run.rrd")
     (recording,) = reader.recordings()
     found = components(list(reader.stream(store=recording)))
@@ -181,7 +181,7 @@ def test_bars_are_as_long_as_what_they_tell() -> None:
 
 def test_a_still_is_a_picture_of_the_viewer(log: Path, tmp_path: Path) -> None:
     target = tmp_path / "still.png"
-    view_still(log, target, 1.0)
+    view_still([log], target, 1.0)
     picture = Image.open(target)
     assert picture.size[0] > 1000
     assert len(picture.convert("RGB").getcolors(maxcolors=1 << 24) or []) > 50

@@ -47,7 +47,7 @@ def test_both_directions_are_passed_on_and_logged_as_a_twins_are(tmp_path: Path)
     assert track.proximity.tolist() == [numbers(replies[1])]
     assert track.speed.tolist() == [[*numbers(replies[3]), 3, -4]]
     assert track.ambient.tolist() == [numbers(replies[4])]
-    view(log, tmp_path / "robot.rrd")
+    view([log], tmp_path / "robot.rrd")
     assert (tmp_path / "robot.rrd").stat().st_size > 1000
 
 

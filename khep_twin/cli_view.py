@@ -1,0 +1,81 @@
+"""The command line's part for looking at logs: `khep-twin view`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from khep_twin.errors import LogError
+from khep_twin.files import unusable
+
+
+def view(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="A log, FILE.mcap, or several to compare.")
+    ],
+    save: Annotated[Path | None, typer.Option(help="Write a rerun recording instead of opening it.")] = None,
+    png: Annotated[
+        Path | None, typer.Option(help="Write a still as this PNG file instead, without a screen.")
+    ] = None,
+    at: Annotated[float, typer.Option(min=0, help="Of the still: simulated time [s].")] = 0.0,
+    live: Annotated[
+        bool, typer.Option("--live", help="Follow the log of a run or serve that goes on, as it is written.")
+    ] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="Show it in a browser instead of a window; for this machine only.")
+    ] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="With --web: only tell the page's address.")
+    ] = False,
+) -> None:
+    """Shows a log in rerun, or several side by side: arena, robots from above, curves and transcript."""
+    from khep_twin.log.viewer import Web
+
+    _check(logs, save, png, live, web, no_browser)
+    if png is not None:
+        from khep_twin.log.replay import view_still
+
+        view_still(logs, png, at)
+        typer.echo(f"picture  {png}")
+        return
+    from khep_twin.ports.serve import stopping
+
+    page = Web(typer.echo, not no_browser) if web else None
+    with stopping() as stop:
+        if live:
+            from khep_twin.log.live import view_live
+
+            view_live(logs[0], page, stop, lambda text: typer.echo(f"khep-twin: {text}", err=True))
+            return
+        from khep_twin.log.replay import view as view_logs
+
+        view_logs(logs, save, page, stop)
+    if save is not None:
+        typer.echo(f"recording  {save}      look at it: rerun {save}")
+
+
+def _check(
+    logs: list[Path], save: Path | None, png: Path | None, live: bool, web: bool, no_browser: bool
+) -> None:
+    """Refuses options that do not go together, and files that could not be written at the end."""
+    ways = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
+    given = [name for name, there in ways.items() if there]
+    if len(given) > 1 and given != ["--web", "--live"]:
+        raise _usage(f"{' and '.join(given)}: right is one of them, or --web with --live")
+    if no_browser and not web:
+        raise _usage("--no-browser is for --web")
+    if live and len(logs) > 1:
+        raise _usage(f"--live follows one log, not {len(logs)}")
+    if png is not None:
+        if png.suffix.lower() != ".png":
+            raise _usage(f"--png {png}: right is a name that ends in .png")
+        if reason := unusable(png):
+            raise _usage(f"--png {png}: cannot be written: {reason}")
+        if any(log.exists() and png.exists() and png.samefile(log) for log in logs):
+            raise LogError(f"{png}: this is the log itself; right is a file of its own")
+
+
+def _usage(text: str) -> typer.Exit:
+    """One line about wrong usage, and the exit that goes with it."""
+    typer.echo(f"khep-twin: {text}", err=True)
+    return typer.Exit(2)
