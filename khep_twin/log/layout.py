@@ -47,12 +47,14 @@ class Shown:
         name: to be read above it; empty where it is the only one.
         place: the path below which its entities are, such as "/run"; empty where it is the only one.
         frame: of the arena's coordinates; empty for rerun's own choice, where it is the only one.
+        end_ns: where its curves end [ns], beside others; 0 for rerun's own choice.
     """
 
     label: Label
     name: str = ""
     place: str = ""
     frame: str = ""
+    end_ns: int = 0
 
 
 def layout(shown: Sequence[Shown], following: bool = False) -> "rrb.Blueprint":
@@ -151,21 +153,26 @@ def _curves(log: Shown) -> "list[rrb.Vertical]":
 
     return [
         rrb.Vertical(
-            _plot(f"{log.place}/{robot}/proximity", "proximity [counts]", _SENSORS),
-            _plot(f"{log.place}/{robot}/ambient", "ambient light [counts, low is bright]", _SENSORS),
-            _plot(f"{log.place}/{robot}/speed", "wheel speed [pulses/10 ms]", _WHEELS),
+            _plot(log, f"/{robot}/proximity", "proximity [counts]", _SENSORS),
+            _plot(log, f"/{robot}/ambient", "ambient light [counts, low is bright]", _SENSORS),
+            _plot(log, f"/{robot}/speed", "wheel speed [pulses/10 ms]", _WHEELS),
             name=robot,
         )
         for robot in log.label.robots
     ]
 
 
-def _plot(origin: str, name: str, curves: dict[str, Colour]) -> "rrb.TimeSeriesView":
+def _plot(log: Shown, topic: str, name: str, curves: dict[str, Colour]) -> "rrb.TimeSeriesView":
     import rerun as rr
     import rerun.blueprint as rrb
 
+    origin = f"{log.place}{topic}"
     lines = rr.SeriesLines.from_fields(names=list(curves), colors=list(curves.values()))
-    return rrb.TimeSeriesView(origin=origin, name=name, overrides={origin: lines})
+    axis = None
+    if log.end_ns:  # beside other logs the same time is at the same place
+        start, end = (rr.TimeRangeBoundary.absolute(nanos=ns) for ns in (0, log.end_ns))
+        axis = rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
+    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=axis, overrides={origin: lines})
 
 
 def _eye(label: Label) -> "rrb.EyeControls3D":

@@ -139,6 +139,20 @@ def read_label(path: Path) -> Label:
         return _label(path, reader)
 
 
+def read_end_ns(path: Path) -> int:
+    """The time of a log's last message [ns]; quick however long the run was.
+
+    Raises:
+        LogError: there is none, or it is not whole.
+    """
+    with _opened(path) as reader:
+        summary = reader.get_summary()
+        statistics = None if summary is None else summary.statistics
+        if statistics is None:
+            raise ValueError("no statistics")
+        return statistics.message_end_time
+
+
 def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
     """What a log says of itself, and its arrays of floats by topic: times (n,) [ns] and values (n, length).
 

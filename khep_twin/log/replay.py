@@ -4,7 +4,8 @@ rerun reads a log by itself. What is added here is a layout made for this robot,
 run instead of dates in 1970; both go into a rerun recording, which is kept or shown.
 """
 
-# rerun's types are partly unknown.
+# rerun and pyarrow are not typed, or in part.
+# pyright: reportMissingTypeStubs=false
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import tempfile
@@ -19,7 +20,7 @@ from khep_twin.errors import LogError
 from khep_twin.files import put_whole
 from khep_twin.log.khepbase import Gatherer, fan_chunks, outline_chunks, panel_chunks
 from khep_twin.log.layout import TIMELINE, Shown, layout
-from khep_twin.log.reader import Label, read_label
+from khep_twin.log.reader import Label, read_end_ns, read_label
 from khep_twin.log.still import still
 from khep_twin.log.viewer import Web, open_viewer
 
@@ -134,8 +135,9 @@ def _recording(paths: Sequence[Path], labels: Sequence[Label]) -> bytes:
             recording.send_blueprint(layout([Shown(labels[0])]))
             rr.send_chunks(_chunks(paths[0], labels[0]), recording=recording)
         else:
+            end_ns = max(map(read_end_ns, paths))
             shown = [
-                Shown(label, name, str(rr.new_entity_path([name])), f"{name}/world")
+                Shown(label, name, str(rr.new_entity_path([name])), f"{name}/world", end_ns)
                 for label, name in zip(labels, names, strict=True)
             ]
             recording.send_blueprint(layout(shown))
@@ -161,7 +163,7 @@ def _chunks(path: Path, label: Label) -> "Generator[Chunk, None, None]":
 
 def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":
     """The chunks of a log below its place, with frames of coordinates of its own."""
-    import pyarrow as pa  # pyright: ignore[reportMissingTypeStubs]
+    import pyarrow as pa
     from rerun.chunk import Chunk
 
     for chunk in chunks:
