@@ -61,7 +61,7 @@ def _check(
     ways = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
     given = [name for name, there in ways.items() if there]
     if len(given) > 1 and given != ["--web", "--live"]:
-        raise _usage(f"{' and '.join(given)}: right is one of them, or --web with --live")
+        raise _usage(f"{' and '.join(given)} do not go together; right is one of them, or --web and --live")
     if no_browser and not web:
         raise _usage("--no-browser is for --web")
     if live and len(logs) > 1:

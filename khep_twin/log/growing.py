@@ -17,7 +17,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
-from khep_twin.log.reader import Label
+from khep_twin.log.reader import Label, read_label
 from khep_twin.log.record_bytes import HEAD, MESSAGE, RecordBytes, parsed, records_in
 
 _BLOCK = 1 << 22
@@ -70,11 +70,10 @@ class GrowingLog:
         try:
             self._file = self.part.open("rb", buffering=0)
         except FileNotFoundError:
-            if self.path.exists():
-                raise LogError(
-                    f"{self.path}: this log is finished; right is to view it without --live"
-                ) from None
-            raise
+            if not self.path.exists():
+                raise
+            read_label(self.path)
+            raise LogError(f"{self.path}: this log is finished; right is to view it without --live") from None
         except OSError as error:
             raise LogError(f"{self.part}: cannot be read: {error.strerror}") from error
         self.finished = self.behind = False

@@ -48,6 +48,7 @@ class Shown:
         place: the path below which its entities are, such as "/run"; empty where it is the only one.
         frame: of the arena's coordinates; empty for rerun's own choice, where it is the only one.
         end_ns: where its curves end [ns], beside others; 0 for rerun's own choice.
+        last_s: of a run that goes on, so much is in the curves [s]; None for all of it.
     """
 
     label: Label
@@ -55,17 +56,14 @@ class Shown:
     place: str = ""
     frame: str = ""
     end_ns: int = 0
+    last_s: float | None = None
 
 
-def layout(shown: Sequence[Shown], following: bool = False) -> "rrb.Blueprint":
-    """One log's parts around each other, or several logs in a column each.
-
-    Args:
-        shown: the logs, from left to right.
-        following: whether the newest is shown, as it comes.
-    """
+def layout(shown: Sequence[Shown]) -> "rrb.Blueprint":
+    """One log's parts around each other, or several logs in a column each, from left to right."""
     import rerun.blueprint as rrb
 
+    following = any(log.last_s is not None for log in shown)
     return rrb.Blueprint(
         _alone(shown[0]) if len(shown) == 1 else rrb.Horizontal(*map(_column, shown)),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="following" if following else None),
@@ -172,7 +170,13 @@ def _plot(log: Shown, topic: str, name: str, curves: dict[str, Colour]) -> "rrb.
     if log.end_ns:  # beside other logs the same time is at the same place
         start, end = (rr.TimeRangeBoundary.absolute(nanos=ns) for ns in (0, log.end_ns))
         axis = rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
-    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=axis, overrides={origin: lines})
+    newest = None
+    if log.last_s is not None:
+        ago = rr.TimeRangeBoundary.cursor_relative(seconds=-log.last_s)
+        newest = rrb.VisibleTimeRange(TIMELINE, start=ago, end=rr.TimeRangeBoundary.cursor_relative())
+    return rrb.TimeSeriesView(
+        origin=origin, name=name, axis_x=axis, time_ranges=newest, overrides={origin: lines}
+    )
 
 
 def _eye(label: Label) -> "rrb.EyeControls3D":

@@ -8,11 +8,13 @@ the time that it took to come, in steps of 40 ms, so that the picture flows and 
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
+import os
 import re
 import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +47,9 @@ LONGEST_STRETCH = 0.5
 SHARE = 0.25
 """Of one processor core this takes at most, on average; with many robots the steps become longer."""
 
+LAST_S = 60.0
+"""Of a run that goes on the curves show so much [s]."""
+
 _TEXTS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
 _UNSEEN = re.compile("|".join(UNSEEN))
 _PATIENCE = 10.0
@@ -63,25 +68,46 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
     Raises:
         LogError: there is no such log, it is finished or no log, or the viewer fails.
     """
+    # A window that is closed is no trouble to tell of, though the line to it is cut.
+    os.environ.setdefault("RUST_LOG", "off")
     import rerun as rr
 
-    with (
-        _opened(path, stop) as log,
-        open_viewer(str(log.path), web, stop=stop) as viewer,
-        rr.RecordingStream("khep_twin", recording_id=f"{log.path.stem} live") as recording,
-    ):
-        recording.connect_grpc(viewer.address)
-        try:
-            follow(log, recording, lambda: stop() or not viewer.open())
-        except LogError as error:
-            tell(str(error))  # what there is can still be looked at
-        if log.finished:
-            tell(f"the run has ended; look at the whole of it: khep-twin view {log.path}")
-        viewer.wait(stop)
+    with _opened(path, stop) as log:
+        first: list[Message] = []
+        while log.label() is None and not stop():
+            first = log.new()
+            time.sleep(STEP)
+        if stop():
+            return
+        with open_viewer(str(log.path), web, stop=stop) as viewer:
+            recording = rr.RecordingStream("khep_twin", recording_id=f"{log.path.stem} live")
+            recording.connect_grpc(viewer.address)
+            try:
+                follow(log, recording, lambda: stop() or viewer.closed(), first)
+                if log.finished:
+                    tell(f"the run has ended; look at the whole of it: khep-twin view {log.path}")
+            except LogError as error:
+                tell(str(error))  # what there is can still be looked at
+            try:
+                viewer.wait(stop)
+            finally:
+                with suppress(RuntimeError):  # the line is cut where the window was closed
+                    recording.disconnect()
 
 
-def follow(log: GrowingLog, recording: "rr.RecordingStream", stop: Callable[[], bool]) -> None:
+def follow(
+    log: GrowingLog,
+    recording: "rr.RecordingStream",
+    stop: Callable[[], bool],
+    first: Sequence[Message] = (),
+) -> None:
     """Hands a log to rerun while it grows, until it is finished or `stop` says so.
+
+    Args:
+        log: that grows.
+        recording: of rerun.
+        stop: asked now and then whether to end.
+        first: what was read of it already.
 
     Raises:
         LogError: it turns out to be no log of khep_twin, or its run has ended without finishing it.
@@ -94,9 +120,9 @@ def follow(log: GrowingLog, recording: "rr.RecordingStream", stop: Callable[[], 
         translator = _Translator(Path(folder))
         while not stop() and not (log.finished and dealer.empty()):
             began, busy = time.monotonic(), time.process_time()
-            messages = log.new()
+            messages, first = first or log.new(), ()
             if label is None and (label := log.label()) is not None:
-                recording.send_blueprint(layout([Shown(label)], following=True))
+                recording.send_blueprint(layout([Shown(label, last_s=LAST_S)]))
                 recording.send_recording_name(f"{log.path.stem}, live")
                 rr.send_chunks(standing_chunks(label), recording=recording)
             if messages and label is not None:

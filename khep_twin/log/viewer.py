@@ -51,6 +51,10 @@ class Viewer:
         self._subject, self._process, self._said = subject, process, said
         self.address = f"rerun+http://{HERE}:{port}/proxy"
 
+    def closed(self) -> bool:
+        """Whether it has ended, well or not."""
+        return self._process.poll() is not None
+
     def open(self) -> bool:
         """Whether it still runs.
 
