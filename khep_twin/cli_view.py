@@ -29,8 +29,6 @@ def view(
     ] = False,
 ) -> None:
     """Shows a log in rerun, or several side by side: arena, robots from above, curves and transcript."""
-    from khep_twin.log.viewer import Web
-
     _check(logs, save, png, live, web, no_browser)
     if png is not None:
         from khep_twin.log.replay import view_still
@@ -38,6 +36,13 @@ def view(
         view_still(logs, png, at)
         typer.echo(f"picture  {png}")
         return
+    from khep_twin.log.replay import view as view_logs
+
+    if save is not None:
+        view_logs(logs, save)
+        typer.echo(f"recording  {save}      look at it: rerun {save}")
+        return
+    from khep_twin.log.viewer import Web
     from khep_twin.ports.serve import stopping
 
     page = Web(typer.echo, not no_browser) if web else None
@@ -46,12 +51,8 @@ def view(
             from khep_twin.log.live import view_live
 
             view_live(logs[0], page, stop, lambda text: typer.echo(f"khep-twin: {text}", err=True))
-            return
-        from khep_twin.log.replay import view as view_logs
-
-        view_logs(logs, save, page, stop)
-    if save is not None:
-        typer.echo(f"recording  {save}      look at it: rerun {save}")
+        else:
+            view_logs(logs, web=page, stop=stop)
 
 
 def _check(

@@ -147,6 +147,10 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
         (["run", "nobody.py"], "nobody.py: no such file"),
         (["run", "nobody"], "nobody: no such controller"),
         (["view", "nothing.mcap"], "nothing.mcap: "),
+        (["view", "a.mcap", "b.mcap", "--live"], "--live follows one log, not 2"),
+        (["view", "no/a.mcap", "--live"], "no/a.mcap: no run writes this log"),
+        (["view", "a.mcap", "--live", "--save", "a.rrd"], "--save and --live do not go together"),
+        (["view", "a.mcap", "--no-browser"], "--no-browser is for --web"),
         (
             ["playpen", "compile", "default", "-o", "/nowhere/x.xml"],
             "/nowhere/x.xml: cannot be written: there is no directory /nowhere",

@@ -93,11 +93,11 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
         for path, stem in zip(paths, stems, strict=True)
     ]
     seen: Counter[str] = Counter()
-    for index, name in enumerate(names):
+    distinct: list[str] = []
+    for name in names:
         seen[name] += 1
-        if names.count(name) > 1:
-            names[index] = f"{name} {seen[name]}"
-    return names
+        distinct.append(name if names.count(name) == 1 else f"{name} {seen[name]}")
+    return distinct
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """What rerun makes of a log, with and without our layout, asked of its readers and not of its pictures."""
 
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -14,7 +15,8 @@ from rerun.chunk import Chunk, McapReader, RrdReader
 
 from khep_twin.errors import LogError
 from khep_twin.log import khepbase
-from khep_twin.log.replay import view, view_still
+from khep_twin.log.reader import read_end_ns
+from khep_twin.log.replay import distinct_names, view, view_still
 
 
 def components(chunks: list[Chunk]) -> set[tuple[str, str]]:
@@ -124,7 +126,7 @@ def test_without_a_screen_the_way_out_is_named(log: Path, monkeypatch: pytest.Mo
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
-    with pytest.raises(LogError, match=r"no screen .* --save run\.rrd"):
+    with pytest.raises(LogError, match=r"no screen .* --web, .* --save run\.rrd"):
         view([log])
 
 
@@ -185,3 +187,49 @@ def test_a_still_is_a_picture_of_the_viewer(log: Path, tmp_path: Path) -> None:
     picture = Image.open(target)
     assert picture.size[0] > 1000
     assert len(picture.convert("RGB").getcolors(maxcolors=1 << 24) or []) > 50
+
+
+@pytest.fixture
+def twins(log: Path, tmp_path: Path) -> list[Path]:
+    """Two logs of one name in different folders."""
+    paths = [tmp_path / "first" / "run.mcap", tmp_path / "second" / "run.mcap"]
+    for path in paths:
+        path.parent.mkdir()
+        shutil.copy(log, path)
+    return paths
+
+
+def test_logs_side_by_side_keep_apart(twins: list[Path], tmp_path: Path) -> None:
+    view(twins, tmp_path / "both.rrd")
+    reader = RrdReader(tmp_path / "both.rrd")
+    (recording,), (blueprint,) = reader.recordings(), reader.blueprints()
+    found = components(list(reader.stream(store=recording)))
+    for place in (r"/first\/run", r"/second\/run"):
+        assert {(place + entity, name) for entity, name in EXPECTED} <= found
+        assert (f"{place}/khepera0/khepbase/proximity", "Boxes2D:half_sizes") in found
+    frames = {
+        (chunk.entity_path.split("/run")[0][1:-1], frame.split("/")[0])
+        for chunk in reader.stream(store=recording)
+        for batch in [chunk.to_record_batch()]
+        for name in ("CoordinateFrame:frame", "Transform3D:child_frame", "Transform3D:parent_frame")
+        if name in batch.schema.names
+        for row in batch[name].to_pylist()
+        for frame in row
+    }
+    assert frames == {("first", "first"), ("second", "second")}
+    views = components(list(reader.stream(store=blueprint)))
+    assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 12
+
+
+def test_logs_are_called_by_what_tells_them_apart() -> None:
+    names = distinct_names([Path("a/run.mcap"), Path("b/run.mcap"), Path("c/other.mcap"), Path("a/run.mcap")])
+    assert names == ["a/run 1", "b/run", "other", "a/run 2"]
+
+
+def test_a_log_among_others_is_not_overwritten(twins: list[Path]) -> None:
+    with pytest.raises(LogError, match="this is the log itself"):
+        view(twins, twins[1])
+
+
+def test_the_end_of_a_log_is_known_without_reading_it_all(log: Path) -> None:
+    assert read_end_ns(log) == 2_000_000_000
