@@ -11,7 +11,7 @@ from khep_twin.files import unusable
 
 def view(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="A log, FILE.mcap, or several to compare.")
+        list[Path], typer.Argument(metavar="LOG", help="A log, FILE.mcap, or several to compare.")
     ],
     save: Annotated[Path | None, typer.Option(help="Write a rerun recording instead of opening it.")] = None,
     png: Annotated[

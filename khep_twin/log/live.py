@@ -72,7 +72,10 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
     os.environ.setdefault("RUST_LOG", "off")
     import rerun as rr
 
-    with _opened(path, stop) as log:
+    found = _opened(path, stop)
+    if found is None:
+        return
+    with found as log:
         first: list[Message] = []
         while log.label() is None and not stop():
             first = log.new()
@@ -135,20 +138,21 @@ def follow(
                 time.sleep(max(STEP - (time.monotonic() - began), busy * (1 / SHARE - 1), 0.0))
 
 
-def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog:
-    """The log as soon as its run has begun it: run and view may be started together."""
+def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
+    """The log as soon as its run has begun it, for run and view may be started together; None if stopped."""
     deadline = time.monotonic() + _PATIENCE
-    while True:
+    while not stop():
         try:
             return GrowingLog(path)
         except FileNotFoundError as error:
             part = path if path.suffix == ".part" else f"{path}.part"
-            if stop() or not path.parent.is_dir() or time.monotonic() > deadline:
+            if not path.parent.is_dir() or time.monotonic() > deadline:
                 raise LogError(
                     f"{path}: no run writes this log, there is no {part}; "
                     f"right is the --log of a run or serve that goes on"
                 ) from error
             time.sleep(0.1)
+    return None
 
 
 class _Translator:

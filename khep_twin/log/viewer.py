@@ -129,7 +129,7 @@ def open_viewer(
                 viewer.wait_for(page, stop)
                 address = f"http://{HERE}:{page}/?url={quote(viewer.address, safe='')}"
                 web.tell(address)
-                if web.browser:
+                if web.browser and _screen():  # one in a terminal could show nothing
                     webbrowser.open(address)
             elif recording is None:
                 viewer.wait_for(port, stop)
