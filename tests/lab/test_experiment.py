@@ -83,7 +83,7 @@ def test_a_controller_is_found_by_name_or_in_a_file(tmp_path: Path) -> None:
             r"mine.py:1: ModuleNotFoundError: No module named 'nothing_like_it'",
         ),
         ("\n1 / 0", "{file}", r"mine.py:2: ZeroDivisionError"),
-        ("def f(robot): ...", "{file}:g", r"no function 'g' that takes a robot; .*choices: f"),
+        ("def f(robot): ...", "{file}:g", r"no function 'g' that takes a robot.*choices: f"),
         ("def f(r): ...\ndef g(r): ...", "{file}", r"no function 'controller' .*choices: f, g"),
     ],
 )

@@ -154,7 +154,7 @@ def _recover(log: Path) -> Recovered:
     last_ns, replies = 0, []
     with log.open("rb") as file:
         for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-            if channel.topic == "/state":
+            if channel.topic == "/tf":
                 last_ns = message.log_time
             elif channel.topic.endswith("/serial"):
                 line = read_line(message.data)

@@ -42,7 +42,7 @@ def until(part: Path) -> float:
     found = recover(part)
     assert found.whole
     with found.path.open("rb") as file:
-        messages = make_reader(file, validate_crcs=True).iter_messages(topics=["/state"])
+        messages = make_reader(file, validate_crcs=True).iter_messages(topics=["/tf"])
         return max(message.log_time for _, _, message in messages) / SECOND
 
 
