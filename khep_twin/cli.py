@@ -6,8 +6,8 @@ What a command needs is imported inside it, so that `khep-twin --help` comes at 
 import math
 import shutil
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -16,14 +16,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin import __version__
+from khep_twin.cli_drive import drive
 from khep_twin.cli_fit import fit
 from khep_twin.cli_log import recover, repeat
 from khep_twin.cli_playpen import PlaypenName, playpen_app
+from khep_twin.cli_ports import ports
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_report import export, report
 from khep_twin.cli_sense import sense
 from khep_twin.cli_view import view
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.files import unusable, write_whole
 
 if TYPE_CHECKING:
@@ -39,8 +41,10 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(playpen_app, name="playpen")
+app.command()(drive)
 app.command()(export)
 app.command()(fit)
+app.command()(ports)
 app.command()(report)
 app.command()(recover)
 app.command()(repeat)
@@ -302,8 +306,9 @@ def serve(
         if log is not None:
             twin.record(log, carry_on=_complain if carry_on else None)
             _tell_kept(twin.recorder)
-        _announce(cables, ready_fd)
-        pacer = serve_twin(twin, cables, factor, stop=stop, tell=_complain)
+        with _listed(cables, f"twin in {playpen}"):
+            _announce(cables, ready_fd)
+            pacer = serve_twin(twin, cables, factor, stop=stop, tell=_complain)
         dropped = sum(cable.dropped for cable in cables)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
@@ -456,11 +461,25 @@ def _relay(
             recorder = LineRecorder(log, {"through": through, "baud": baud}, now, carry_on=told)
             stack.enter_context(closing(recorder))
         _tell_kept(recorder)
+        stack.enter_context(_listed(cables, f"robot at {through}"))
         _announce(cables, ready_fd)
         relay(device, cables[0], recorder, stop=stop, tell=_complain)
         duration_ns, dropped = now(), cables[0].dropped
     _tell_served(duration_ns, dropped)
     _check_log(recorder, carry_on)
+
+
+@contextmanager
+def _listed(cables: Sequence["Cable"], what: str) -> Generator[None, None, None]:
+    """Lets `khep-twin ports` find what is served."""
+    from khep_twin.ports.register import registered
+
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(registered([cable.path for cable in cables], what))
+        except PortError as error:
+            _complain(f"not listed by khep-twin ports: {error}")
+        yield
 
 
 def _tell_served(duration_ns: int, dropped: int) -> None:

@@ -8,6 +8,7 @@
     ├── ProtocolError     an answer on the serial line that is not what the command asks for
     ├── PortError         a port that cannot be opened, or that went away
     │   └── PortTimeout   a port that stayed silent
+    ├── MoveError         a move that did not come to its end
     ├── ControllerError   a control program that cannot be found or started
     ├── LogError          a log that cannot be written or read
     ├── FaultError        a fault to inject that there is not
@@ -54,6 +55,10 @@ class PortError(KhepTwinError):
 
 class PortTimeout(PortError):
     """A port that stayed silent for longer than its timeout."""
+
+
+class MoveError(KhepTwinError):
+    """A move that did not come to its end."""
 
 
 class ControllerError(KhepTwinError):

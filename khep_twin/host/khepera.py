@@ -12,60 +12,60 @@ process, in lock-step.
         print(robot.proximity())
 """
 
-import time
-from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self, TypeVar, overload
 
 import serial
 
-from khep_twin.clock import NS_PER_S
-from khep_twin.errors import KhepTwinError, PortError, PortTimeout, ProtocolError
-from khep_twin.units import N_SENSORS
+from khep_twin.errors import PortError
+from khep_twin.host import commands, moves
+from khep_twin.host.commands import Command
+from khep_twin.host.line import Line
+from khep_twin.host.results import MotionStatus as MotionStatus
+from khep_twin.host.results import Positions, SensorCounts, Speeds, Versions
+from khep_twin.host.results import WheelStatus as WheelStatus
+from khep_twin.units import WHEEL_BASE
 
-QUIET = 0.15
-"""Silence after which no late reply is expected any more [s]: a long reply at 9600 baud takes 0.05 s."""
+A = TypeVar("A")
+B = TypeVar("B")
+C = TypeVar("C")
+D = TypeVar("D")
 
-
-@dataclass(frozen=True, slots=True)
-class WheelStatus:
-    """One wheel's motion control, as command K tells it.
-
-    Attributes:
-        on_target: whether the target is reached; after a reset, too.
-        mode: of the motor, as the robot's ROM counts (5.02: 0 speed, 1 position, 2 PWM).
-        error: of the controller [pulses in position mode, pulses/10 ms in speed mode].
-    """
-
-    on_target: bool
-    mode: int
-    error: int
+BURST = 7
+"""So many commands are sent without waiting; public host programs do as many."""
 
 
 class Khepera:
-    """A Khepera behind a serial port. Every method is one command; closing stops the motors.
+    """A Khepera behind a serial port. A method for each command; leaving it as a context stops the motors.
+
+    A reply that is missing or strange is told as an error with the exchange in it, after the line was found
+    in step again. Reads are asked once more before; what moves the robot is never sent twice.
 
     Args:
-        url: of the port, or an open port of pyserial.
-        timeout: longest wait for a reply [s], in the port's own time.
-        baudrate: of the line; a robot in running mode 1 speaks 9600.
+        url: of the port, or an open port of pyserial, which keeps its own timeout.
+        timeout: longest wait for a robot that is silent [s], in the port's own time; half of it for a reply,
+            half to find out whether anybody is there.
+        baudrate: of the line; a robot in running mode 1 speaks 9600; "auto" tries all that there are.
+        retries: how often a read is asked again.
+        wheel_base: distance of the wheels, by which `turn` turns [m].
 
     Raises:
-        PortError: the port cannot be opened.
+        PortError: the port cannot be opened, or with "auto" nobody answers.
     """
 
-    def __init__(self, url: str | serial.SerialBase, timeout: float = 1.0, baudrate: int = 9600) -> None:
-        if isinstance(url, str):
-            try:
-                self.port: Any = serial.serial_for_url(
-                    url, baudrate=baudrate, stopbits=serial.STOPBITS_TWO, timeout=timeout
-                )
-            except (serial.SerialException, OSError, ValueError) as error:
-                raise PortError(_why_not_opened(url, error)) from error
-        else:
-            self.port = url
-        self._unanswered = False
-        self.name: str = url if isinstance(url, str) else str(url.name)
+    def __init__(
+        self,
+        url: str | serial.SerialBase,
+        timeout: float = 1.0,
+        baudrate: int | Literal["auto"] = 9600,
+        *,
+        retries: int = 1,
+        wheel_base: float = WHEEL_BASE,
+    ) -> None:
+        self._line = Line(url, timeout / 2, baudrate, retries)
+        self._wheel_base = wheel_base
+        self._mode_codes: tuple[int, int, int] | None = None
+        self.name: str = self._line.name
 
     def __enter__(self) -> Self:
         return self
@@ -73,181 +73,188 @@ class Khepera:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        """Stops the motors and closes the port.
+
+        Raises:
+            PortError: they could not be stopped, or the port has failed before; with what was done about it.
+        """
+        if not self.port.is_open:
+            return
+        stopped, told = self._line.halt()
+        if isinstance(error, PortError):
+            raise type(error)(f"{error}; {told}") from error
+        if not stopped and error is None:
+            raise PortError(f"{self.name}: {told}")
+        if not stopped and error is not None:
+            error.add_note(f"{self.name}: {told}")
 
     def close(self) -> None:
         """Stops the motors, if the robot still answers, and closes the port."""
-        if not self.port.is_open:
-            return
-        try:
-            self.set_speed(0, 0)
-        except KhepTwinError:
-            pass  # the line or the twin is dead: there is nobody left to stop
-        finally:
-            self.port.close()
+        if self.port.is_open:
+            self._line.halt()
+
+    @property
+    def port(self) -> Any:
+        """The port, of pyserial."""
+        return self._line.port
 
     # Time ----------------------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
         """The port's own time [s]: simulated on khep://, else the wall clock's."""
-        time_ns = getattr(self.port, "time_ns", None)
-        return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
+        return self._line.time
 
     def sleep(self, duration: float) -> None:
         """Waits in the port's own time [s]."""
-        getattr(self.port, "sleep", time.sleep)(duration)
+        self._line.sleep(duration)
 
     # Motors --------------------------------------------------------------------------------------------
 
     def set_speed(self, left: int, right: int) -> None:
         """D: drives the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127."""
-        self._acknowledged("D", left, right)
+        self._do(commands.set_speed(left, right))
 
     def set_target(self, left: int, right: int) -> None:
-        """C: sends the wheels to these positions [pulses of 0.08 mm]."""
-        self._acknowledged("C", left, right)
+        """C: sends the wheels to these positions [pulses of 0.08 mm], and returns at once."""
+        self._do(commands.set_target(left, right))
 
     def set_duty(self, left: int, right: int) -> None:
         """P: drives the motors with a fixed duty, -255 to 255, uncontrolled."""
-        self._acknowledged("P", left, right)
+        self._do(commands.set_duty(left, right))
 
     def set_position(self, left: int, right: int) -> None:
         """G: sets the position counters [pulses]."""
-        self._acknowledged("G", left, right)
+        self._do(commands.set_position(left, right))
 
-    def speed(self) -> tuple[int, int]:
+    def speed(self) -> Speeds:
         """E: measured speed of the left and right wheel [pulses/10 ms]."""
-        left, right = self._values("E", 2)
-        return left, right
+        return self._do(commands.speed())
 
-    def position(self) -> tuple[int, int]:
+    def position(self) -> Positions:
         """H: position counters of the left and right wheel [pulses]."""
-        left, right = self._values("H", 2)
-        return left, right
+        return self._do(commands.position())
 
-    def status(self) -> tuple[WheelStatus, WheelStatus]:
-        """K: motion control of the left and right wheel."""
-        values = self._values("K", 6)
-        left, right = (WheelStatus(bool(each[0]), each[1], each[2]) for each in (values[:3], values[3:]))
-        return left, right
+    def status(self) -> MotionStatus:
+        """K: motion control of the left and right wheel.
+
+        The first time, B is asked too: the ROM's version says how K numbers the modes.
+        """
+        if self._mode_codes is None:
+            self._mode_codes = commands.mode_codes(self.versions().bios)
+        return self._do(commands.status(self._mode_codes))
 
     def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
         """A: gains of the speed controller; 3800, 800, 100 after a reset."""
-        self._acknowledged("A", kp, ki, kd)
+        self._do(commands.configure_speed_controller(kp, ki, kd))
 
     def configure_position_controller(self, kp: int, ki: int, kd: int) -> None:
         """F: gains of the position controller; 3000, 20, 4000 after a reset."""
-        self._acknowledged("F", kp, ki, kd)
+        self._do(commands.configure_position_controller(kp, ki, kd))
 
     def configure_profile(
         self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
     ) -> None:
         """J: trapezoid of `set_target`, by wheel: speed [pulses/10 ms], acceleration [3.125 mm/s^2]."""
-        self._acknowledged("J", left_speed, left_acceleration, right_speed, right_acceleration)
+        self._do(commands.configure_profile(left_speed, left_acceleration, right_speed, right_acceleration))
+
+    # Moves that wait -----------------------------------------------------------------------------------
+
+    def move(self, distance: float, timeout: float = 30.0) -> Positions:
+        """Drives straight on by a distance [m], back if it is below 0, and returns when it is done.
+
+        Raises:
+            MoveError: it was not done after `timeout` [s]; the motors are stopped.
+        """
+        pulses = moves.way_pulses(distance)
+        return moves.drive_by(self, pulses, pulses, timeout)
+
+    def turn(self, angle: float, timeout: float = 30.0) -> Positions:
+        """Turns on the spot by an angle [rad], left if it is above 0, and returns when it is done.
+
+        Raises:
+            MoveError: it was not done after `timeout` [s]; the motors are stopped.
+        """
+        pulses = moves.turn_pulses(angle, self._wheel_base)
+        return moves.drive_by(self, -pulses, pulses, timeout)
+
+    def wait_for_target(self, timeout: float = 30.0) -> None:
+        """Waits until both wheels are where `set_target` has sent them.
+
+        Raises:
+            MoveError: they were not after `timeout` [s], or are not on their way at all.
+        """
+        moves.wait_for_target(self, timeout)
 
     # Senses --------------------------------------------------------------------------------------------
 
-    def proximity(self) -> tuple[int, ...]:
+    def proximity(self) -> SensorCounts:
         """N: eight proximity counts, 0 to 1023; left 90, 45, 10, right 10, 45, 90, back right, back left."""
-        return self._values("N", N_SENSORS)
+        return self._do(commands.proximity())
 
-    def ambient(self) -> tuple[int, ...]:
+    def ambient(self) -> SensorCounts:
         """O: eight ambient counts in the order of `proximity`, about 500 (dark) to 50 (bright)."""
-        return self._values("O", N_SENSORS)
+        return self._do(commands.ambient())
 
     def converter(self, channel: int) -> int:
         """I: one channel of the 10-bit converter, 1024 = 4.09 V."""
-        return self._values("I", 1, channel)[0]
+        return self._do(commands.converter(channel))
 
     # The rest ------------------------------------------------------------------------------------------
 
-    def versions(self) -> tuple[str, str]:
+    def versions(self) -> Versions:
         """B: versions of the BIOS and of the protocol, e.g. ("5.02", "5.01")."""
-        fields = self._fields("B", 2)
-        return fields[0], fields[1]
+        return self._do(commands.versions())
 
     def set_led(self, led: int, action: int) -> None:
         """L: LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle."""
-        self._acknowledged("L", led, action)
+        self._do(commands.set_led(led, action))
 
     def read_bus(self, address: int) -> int:
         """R: a byte of the extension bus, addresses 0 to 63."""
-        return self._values("R", 1, address)[0]
+        return self._do(commands.read_bus(address))
 
     def write_bus(self, data: int, address: int) -> None:
         """W: writes a byte to the extension bus."""
-        self._acknowledged("W", data, address)
+        self._do(commands.write_bus(data, address))
 
     def turret(self, number: int, message: str) -> str:
         """T: passes a message such as "D,0" on to a turret; returns its answer without the head "t,1,"."""
-        request = f"T,{number},{message}"
-        answer = self.ask(request)
-        if not answer.startswith(f"t,{number},"):
-            raise ProtocolError(f"{self.name}: {request!r} was answered {answer!r}")
-        return answer.split(",", 2)[2]
+        return self._do(commands.turret(number, message))
+
+    # Whole exchanges -----------------------------------------------------------------------------------
+
+    @overload
+    def burst(self, first: Command[A], /) -> tuple[A]: ...
+    @overload
+    def burst(self, first: Command[A], second: Command[B], /) -> tuple[A, B]: ...
+    @overload
+    def burst(self, first: Command[A], second: Command[B], third: Command[C], /) -> tuple[A, B, C]: ...
+    @overload
+    def burst(
+        self, first: Command[A], second: Command[B], third: Command[C], fourth: Command[D], /
+    ) -> tuple[A, B, C, D]: ...
+    @overload
+    def burst(self, /, *wanted: Command[Any]) -> tuple[Any, ...]: ...
+    def burst(self, /, *wanted: Command[Any]) -> tuple[Any, ...]:
+        """Sends several commands of `khep_twin.host.commands` at once and gives what each of them tells.
+
+        While a reply comes back the next command is under way already, which saves line time. They are
+        repeated as a whole, if all may be; after an error some may have been carried out.
+        """
+        values: list[Any] = []
+        for start in range(0, len(wanted), BURST):
+            values += self._line.carry_out(wanted[start : start + BURST])
+        return tuple(values)
 
     def ask(self, request: str) -> str:
-        """Sends any line and returns the reply, both without their ending.
+        """Sends any line, once, and returns the reply, both without their ending.
 
         Raises:
             PortTimeout: no whole reply came within the timeout.
             PortError: the port failed or went away.
         """
-        try:
-            if self._unanswered:
-                self._resynchronise()
-            self._unanswered = True
-            self.port.write(request.encode("ascii") + b"\n")
-            line: bytes = self.port.read_until(b"\n", None)
-        except (serial.SerialException, OSError) as error:
-            raise PortError(f"{self.name}: the port failed at {request!r}: {error}") from error
-        if not line.endswith(b"\n"):
-            raise PortTimeout(
-                f"{self.name}: no reply to {request!r} within {self.port.timeout} s"
-                + (f", only {line!r}" if line else "")
-                + f"; is the robot on, in a serial mode of {self.port.baudrate} baud?"
-            )
-        self._unanswered = False
-        return line.decode("latin-1").rstrip("\r\n")
+        return self._line.ask(request)
 
-    def _resynchronise(self) -> None:
-        """After an exchange that was broken off: ends the line begun and lets pass what still comes."""
-        before, self.port.timeout = self.port.timeout, QUIET
-        try:
-            self.port.write(b"\n")
-            while self.port.read_until(b"\n", None):
-                pass
-        finally:
-            self.port.timeout = before
-
-    def _fields(self, letter: str, count: int, *arguments: int) -> list[str]:
-        request = ",".join([letter, *map(str, arguments)])
-        answer = self.ask(request)
-        head, *fields = answer.split(",")
-        if head != letter.lower() or len(fields) != count:
-            raise ProtocolError(
-                f"{self.name}: {request!r} was answered {answer!r}; "
-                f"right is {letter.lower()!r} and {count} values"
-            )
-        return fields
-
-    def _values(self, letter: str, count: int, *arguments: int) -> tuple[int, ...]:
-        fields = self._fields(letter, count, *arguments)
-        try:
-            return tuple(int(field) for field in fields)
-        except ValueError:
-            answer = ",".join([letter.lower(), *fields])
-            raise ProtocolError(
-                f"{self.name}: {letter!r} was answered {answer!r}: not whole numbers"
-            ) from None
-
-    def _acknowledged(self, letter: str, *arguments: int) -> None:
-        self._fields(letter, 0, *arguments)
-
-
-def _why_not_opened(url: str, error: Exception) -> str:
-    text = str(error)
-    if "://" not in url and isinstance(error, serial.SerialException):
-        return f"{url}: cannot open this port: {text}; `khep-twin serve` makes one, khep://default needs none"
-    return text if text.startswith(url) else f"{url}: {text}"
+    def _do(self, command: Command[A]) -> A:
+        return self._line.carry_out([command])[0]

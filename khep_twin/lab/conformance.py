@@ -9,6 +9,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -182,7 +183,8 @@ def conform(
 
     if baudrate < 1:
         raise PortError(f"baudrate = {baudrate}: right is the speed of the line, such as 9600")
-    with Khepera(url, baudrate=baudrate) as robot:
+    # What is broken may not even confirm the last stop; that is no reason to lose the report.
+    with closing(Khepera(url, baudrate=baudrate)) as robot:
         return examine(Line(robot.port), url, move=move, tell=tell)
 
 

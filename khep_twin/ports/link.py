@@ -29,7 +29,7 @@ class Link:
     """
 
     def __init__(self, wish: Path, target: str) -> None:
-        self.path = wish if len(wish.parts) > 1 else _private_folder() / wish
+        self.path = wish if len(wish.parts) > 1 else private_folder() / wish
         self._target = target
         self._lock_path = self.path.with_name(f".{self.path.name}.lock")
         if os.path.lexists(self.path) and not self.path.is_symlink():
@@ -78,7 +78,23 @@ class Link:
             raise PortError(f"{wish}: cannot make this link: {error.strerror}") from error
 
 
-def _private_folder() -> Path:
+def leads_to_ours(path: Path) -> bool:
+    """Whether this is a link that a living server has made, and leads where it wants it to."""
+    lock_path = path.with_name(f".{path.name}.lock")
+    try:
+        lock = os.open(lock_path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return path.is_symlink() and os.readlink(path) == os.pread(lock, 4096, 0).decode("utf-8", "replace")
+    finally:
+        os.close(lock)
+    return False
+
+
+def private_folder() -> Path:
     """A directory that nobody else can write to, made if need be."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     name = "khep_twin" if runtime else f"khep_twin-{os.getuid()}"

@@ -2,16 +2,14 @@
 
 import math
 import select
-import signal
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.ports.cable import Cable
 from khep_twin.ports.connection import Connection
+from khep_twin.ports.stopping import stopping as stopping
 from khep_twin.ports.twin import Twin
 from khep_twin.ports.wakeups import Timer
 from khep_twin.units import TICK_NS
@@ -140,25 +138,3 @@ class Flush:
         if self._log is not None and time.monotonic_ns() - self._flushed_ns > FLUSH_NS:
             self._log.flush()
             self._flushed_ns = time.monotonic_ns()
-
-
-@contextmanager
-def stopping() -> Generator[Callable[[], bool], None, None]:
-    """Says whether the process was asked to end, by SIGINT, SIGTERM or SIGHUP.
-
-    Asked once, it is left to come to an end by itself; asked again by SIGINT, it is interrupted.
-    """
-    asked = False
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        asked = True
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield lambda: asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -1,0 +1,39 @@
+"""`khep-twin ports`: where robots and twins are."""
+
+from typing import Annotated
+
+import typer
+
+from khep_twin.errors import PortError
+
+
+def ports(
+    ask: Annotated[
+        bool,
+        typer.Option(
+            "--ask", help="Open each port and ask who is there, at every speed; no program may use it."
+        ),
+    ] = False,
+) -> None:
+    """Lists the ports at which a robot or a twin may be: what is served on this machine, and serial ports."""
+    from khep_twin.host.discovery import found_ports
+
+    found = found_ports()
+    if not found:
+        typer.echo("no ports; khep-twin serve makes one, khep://default needs none", err=True)
+    width = max((len(port.url) for port in found), default=0)
+    for port in found:
+        typer.echo(f"{port.url:{width}}  {port.what}{_answer(port.url) if ask else ''}")
+
+
+def _answer(url: str) -> str:
+    from khep_twin.host.discovery import who_answers
+
+    try:
+        answer = who_answers(url)
+    except PortError as error:
+        return f": {error}"
+    if answer is None:
+        return ": nobody answers"
+    speed, versions = answer
+    return f": BIOS {versions.bios}, protocol {versions.protocol} at {speed} baud"

@@ -1,0 +1,65 @@
+"""Where a robot or a twin may be: this machine's serial ports, and what `khep-twin serve` offers on it."""
+
+import time
+from dataclasses import dataclass
+
+import serial
+from serial.tools import list_ports
+
+from khep_twin.errors import PortError, PortTimeout
+from khep_twin.host import commands
+from khep_twin.host.opening import find_speed, open_port
+from khep_twin.ports.register import served
+
+_WAIT = 0.3
+"""For an answer to B [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundPort:
+    """A port that can be opened.
+
+    Attributes:
+        url: what `Khepera` opens.
+        what: is there, in words: an adapter, or a twin and its playpen.
+        twin: whether a server of this project is behind it; nobody knows what is behind the others.
+    """
+
+    url: str
+    what: str
+    twin: bool
+
+
+def found_ports() -> list[FoundPort]:
+    """Served twins first, then serial ports; nothing is opened.
+
+    Raises:
+        PortError: the directory in which servers leave their notes is not this user's alone.
+    """
+    twins = [FoundPort(path, what, True) for path, what in served()]
+    adapters = [FoundPort(port.device, port.description, False) for port in sorted(list_ports.comports())]
+    return twins + adapters
+
+
+def who_answers(url: str) -> tuple[int, commands.Versions] | None:
+    """Asks a port for its robot's versions, at every speed of the line; the motors go on as they are.
+
+    No other program may have it open meanwhile: each would take half of the other's bytes.
+
+    Returns:
+        The speed [baud] and the versions; None if nobody answers.
+
+    Raises:
+        PortError: the port cannot be opened or fails.
+    """
+    port = open_port(url, 9600, _WAIT)
+    try:
+        speed = find_speed(port, url, time.monotonic)
+        port.write(b"B\n")
+        return speed, commands.versions().read(port.read_until(b"\n", None).decode("latin-1").strip())
+    except (PortTimeout, ValueError):
+        return None
+    except (serial.SerialException, OSError) as error:
+        raise PortError(f"{url}: the port failed at 'B': {error}") from error
+    finally:
+        port.close()

@@ -1,0 +1,263 @@
+"""The serial line to a robot: requests and replies, and what becomes of an exchange that went wrong.
+
+The robot answers each line with one line, in order. So when a reply is missing or strange, `B` is asked: all
+that comes before its answer belongs to the past, and the last of it is the reply that was waited for. Only
+then is a command sent again, and only one that does no harm twice.
+"""
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal
+
+import serial
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import PortError, PortTimeout, ProtocolError
+from khep_twin.host.commands import Command
+from khep_twin.host.opening import SPEEDS, find_speed, open_port
+from khep_twin.ports.link import leads_to_ours
+
+STOP_WAIT = 0.5
+"""Longest wait for the answer to the last command, which stops the motors [s]."""
+
+_PATIENCE = 1.0
+"""Wait for what comes where a port has no timeout of its own [s]."""
+
+_PROBES = "BHEK"
+"""Reads that tell where the robot's answers stand."""
+
+
+class Line:
+    """The line to one robot.
+
+    Args:
+        url: of the port, or an open port of pyserial.
+        timeout: longest wait for one try of a reply, and for a write [s], in the port's own time.
+        baudrate: of the line; "auto" tries `SPEEDS`.
+        retries: how often a command that may be repeated is sent again.
+
+    Attributes:
+        port: of pyserial.
+        name: of the port, for messages.
+
+    Raises:
+        PortError: the port cannot be opened, or at no speed anybody answers.
+    """
+
+    def __init__(
+        self,
+        url: str | serial.SerialBase,
+        timeout: float | None,
+        baudrate: int | Literal["auto"],
+        retries: int,
+    ) -> None:
+        self._url = url if isinstance(url, str) else None
+        self._timeout = timeout
+        self._retries = retries
+        self._unanswered: set[str] = set()
+        self.name: str = url if isinstance(url, str) else str(url.name)
+        speed = SPEEDS[0] if baudrate == "auto" else baudrate
+        self.port: Any = open_port(url, speed, timeout) if isinstance(url, str) else url
+        if baudrate == "auto":
+            try:
+                find_speed(self.port, self.name, lambda: self.time)
+            except BaseException:
+                self.port.close()
+                raise
+
+    # Time ----------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """The port's own time [s]: simulated on khep://, else the wall clock's."""
+        time_ns = getattr(self.port, "time_ns", None)
+        return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
+
+    def sleep(self, duration: float) -> None:
+        """Waits in the port's own time [s]."""
+        getattr(self.port, "sleep", time.sleep)(duration)
+
+    # Exchanges -----------------------------------------------------------------------------------------
+
+    def carry_out(self, commands: Sequence[Command[Any]]) -> list[Any]:
+        """Sends commands in one burst and gives what their replies say.
+
+        Raises:
+            PortTimeout: a reply did not come.
+            PortError: the port failed or went away.
+            ProtocolError: a reply is not what its command asks for.
+        """
+        tries = 1 + (self._retries if all(command.repeatable for command in commands) else 0)
+        first: PortTimeout | ProtocolError | None = None
+        while True:
+            replies: list[str] = []
+            try:
+                self._ask([command.request for command in commands], replies)
+                return self._read(commands, replies)
+            except (PortTimeout, ProtocolError) as error:
+                first = first or error
+                tries -= 1
+                before = self._settle()
+                if before is None:
+                    raise first from None
+            # What came late is as good, if it is whole.
+            with suppress(ProtocolError):
+                return self._read(commands, (replies + before)[-len(commands) :])
+            if not tries:
+                raise first from None
+
+    def ask(self, request: str) -> str:
+        """Sends any line, once, and returns the reply, both without their ending.
+
+        Raises:
+            PortTimeout: no whole reply came within the timeout.
+            PortError: the port failed or went away.
+        """
+        replies: list[str] = []
+        self._ask([request], replies)
+        return replies[0]
+
+    def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
+        """Sends lines and appends the replies, each as it comes."""
+        if self._unanswered and self._settle() is None:
+            raise self._silence(requests[0], b"")
+        self._unanswered.update(request[:1] for request in requests)
+        self._write("".join(f"{request}\n" for request in requests).encode("ascii"), requests[0])
+        for request in requests:
+            line = self._read_line(request)
+            if not line.endswith(b"\n"):
+                raise self._silence(request, line)
+            replies.append(_text(line))
+        self._unanswered.clear()
+
+    def _read(self, commands: Sequence[Command[Any]], replies: Sequence[str]) -> list[Any]:
+        if len(replies) != len(commands):
+            raise ProtocolError(f"{self.name}: {len(commands)} commands got {len(replies)} replies")
+        values: list[Any] = []
+        for command, reply in zip(commands, replies, strict=True):
+            try:
+                values.append(command.read(reply))
+            except ValueError as error:
+                self._unanswered.add(command.request[:1])
+                raise ProtocolError(
+                    f"{self.name}: {command.request!r} was answered {reply!r}; {error}"
+                ) from None
+        return values
+
+    def _settle(self) -> list[str] | None:
+        """Finds where the robot's answers stand.
+
+        Returns:
+            The lines that came before the answer to a probe; None where none came.
+        """
+        probe = next((letter for letter in _PROBES if letter not in self._unanswered), None)
+        if probe is None:
+            # Answers to each of them may still be on their way: they have had their time.
+            self._unanswered.clear()
+            probe = _PROBES[0]
+        self._unanswered.add(probe)
+        # The line feed before it ends a command that was broken off.
+        self._write(f"\n{probe}\n".encode("ascii"), probe)
+        lines: list[str] = []
+        end = self.time + (self.port.timeout or _PATIENCE)
+        while self.time <= end:
+            line = self._read_line(probe)
+            if not line.endswith(b"\n"):
+                return None
+            text = _text(line)
+            if text.startswith(f"{probe.lower()},"):
+                self._unanswered.clear()
+                return lines
+            lines.append(text)
+        return None
+
+    def _write(self, data: bytes, request: str) -> None:
+        try:
+            self.port.write(data)
+        except serial.SerialTimeoutException as error:
+            raise PortTimeout(
+                f"{self.name}: {request!r} could not be sent within {self.port.write_timeout} s: nobody "
+                "reads at the other end"
+            ) from error
+        except (serial.SerialException, OSError) as error:
+            raise self._failed(request, error) from error
+
+    def _read_line(self, request: str) -> bytes:
+        try:
+            return self.port.read_until(b"\n", None)
+        except (serial.SerialException, OSError) as error:
+            raise self._failed(request, error) from error
+
+    def _silence(self, request: str, line: bytes) -> PortTimeout:
+        return PortTimeout(
+            f"{self.name}: no reply to {request!r} within {self.port.timeout} s"
+            + (f", only {line!r}" if line else "")
+            + f"; is the robot on, in a serial mode of {self.port.baudrate} baud?"
+        )
+
+    def _failed(self, request: str, error: Exception) -> PortError:
+        return PortError(f"{self.name}: the port failed at {request!r}: {error}")
+
+    # The end -------------------------------------------------------------------------------------------
+
+    def halt(self) -> tuple[bool, str]:
+        """Stops the motors as far as that is possible, and closes the port.
+
+        It waits for STOP_WAIT on the line; where that fails, it opens the port once more and waits again.
+
+        Returns:
+            Whether the robot has confirmed the stop, and in words what became of it.
+        """
+        try:
+            try:
+                self._stop()
+                return True, "the motors were stopped"
+            except PortError as error:
+                reason = str(error)
+            finally:
+                self._close()
+            if refusal := self._refuses_again():
+                return False, f"the motors may still run: {reason}; {refusal}"
+            try:
+                self.port = open_port(str(self._url), self.port.baudrate, STOP_WAIT)
+                self._stop()
+            except PortError as error:
+                return False, f"the motors may still run: the port was opened again in vain: {error}"
+            return True, "the port was opened again and the motors were stopped"
+        finally:
+            self._close()
+
+    def _stop(self) -> None:
+        try:
+            if self.port.timeout is None or not 0 < self.port.timeout <= STOP_WAIT:
+                self.port.timeout = STOP_WAIT
+        except (serial.SerialException, OSError) as error:
+            raise self._failed("D,0,0", error) from error
+        self._write(b"\nD,0,0\n", "D,0,0")
+        end = self.time + STOP_WAIT
+        while self.time <= end:
+            line = self._read_line("D,0,0")
+            if _text(line) == "d":
+                return
+            if not line.endswith(b"\n"):
+                break
+        raise PortTimeout(f"{self.name}: no reply to 'D,0,0' within {STOP_WAIT} s")
+
+    def _close(self) -> None:
+        with suppress(serial.SerialException, OSError):
+            self.port.close()
+
+    def _refuses_again(self) -> str:
+        """Why the port is not opened once more; empty if it may be."""
+        if self._url is None or hasattr(self.port, "time_ns"):
+            return "nobody but its maker can open it again"
+        path = Path(self._url)
+        if "://" not in self._url and path.resolve().is_relative_to("/dev/pts") and not leads_to_ours(path):
+            return "a terminal that has gone is not opened again, as its number may be a stranger's by now"
+        return ""
+
+
+def _text(line: bytes) -> str:
+    return line.decode("latin-1").rstrip("\r\n")

@@ -1,0 +1,76 @@
+"""Moves that wait until they are done: along a way, on the spot, to a target.
+
+The wheels follow the board's own trapezoid (command J), and the board says when they are there (command K).
+"""
+
+import math
+from typing import TYPE_CHECKING
+
+from khep_twin.errors import MoveError
+from khep_twin.host.results import MotorMode, Positions
+from khep_twin.units import PULSE_LENGTH, WHEEL_BASE
+
+if TYPE_CHECKING:
+    from khep_twin.host.khepera import Khepera
+
+LONGEST_WAY_PULSES = 2**23 - 2
+"""Farthest target of command C (manual, appendix A)."""
+
+_PAUSE = 0.05
+"""Between two looks at the wheels [s]."""
+
+
+def way_pulses(distance: float) -> int:
+    """Pulses of both wheels along a way [m]."""
+    return round(_finite("distance", distance) / PULSE_LENGTH)
+
+
+def turn_pulses(angle: float, wheel_base: float = WHEEL_BASE) -> int:
+    """Pulses of the right wheel, and less than none of the left, for a turn on the spot [rad].
+
+    pulses = angle * wheel_base / 2 / PULSE_LENGTH
+    """
+    return round(_finite("angle", angle) * wheel_base / 2 / PULSE_LENGTH)
+
+
+def drive_by(robot: "Khepera", left: int, right: int, timeout: float) -> Positions:
+    """Moves the wheels on by so many pulses and waits; see `Khepera.move`."""
+    start = robot.position()
+    target = start.left + left, start.right + right
+    if max(map(abs, target)) > LONGEST_WAY_PULSES:
+        raise ValueError(f"targets {target} pulses: right is within {LONGEST_WAY_PULSES} of 0")
+    robot.set_target(*target)
+    try:
+        wait_for_target(robot, timeout)
+    except MoveError as error:
+        robot.set_speed(0, 0)
+        now = robot.position()
+        raise MoveError(f"{error}; stopped at {tuple(now)} of {target} pulses") from None
+    return robot.position()
+
+
+def wait_for_target(robot: "Khepera", timeout: float) -> None:
+    """Waits until both wheels are there; see `Khepera.wait_for_target`."""
+    end = robot.time + timeout
+    while not (status := robot.status()).on_target:
+        moving = [
+            (name, wheel)
+            for name, wheel in zip(("left", "right"), status, strict=True)
+            if not wheel.on_target
+        ]
+        for name, wheel in moving:
+            if wheel.mode != MotorMode.POSITION:
+                raise MoveError(
+                    f"{robot.name}: the {name} wheel is on no way to a target but in {wheel.mode.name} mode; "
+                    "right is set_target before"
+                )
+        if robot.time > end:
+            names = " and ".join(name for name, _ in moving)
+            raise MoveError(f"{robot.name}: not on target after {timeout:g} s ({names} wheel)")
+        robot.sleep(_PAUSE)
+
+
+def _finite(name: str, value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"{name} = {value}: right is a finite number")
+    return value

@@ -1,0 +1,84 @@
+"""Opening the port of a robot, and finding out at which speed it speaks."""
+
+import re
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import serial
+
+from khep_twin.errors import PortError, PortTimeout
+
+SPEEDS = (9600, 19200, 38400, 57600, 115200)
+"""Of the line in the robots' running modes, tried in this order [baud] (manual, appendix E; manual II)."""
+
+_LISTEN = 0.3
+"""Wait for an answer at each speed that is tried [s]: B is answered within 0.03 s at 9600 baud."""
+
+_VERSIONS = re.compile(rb"b,[0-9][0-9.]*,[0-9][0-9.]*\r?\n$")
+
+
+def open_port(url: str, baudrate: int, timeout: float | None) -> Any:
+    """Opens a port of pyserial as the robot's line has it: eight bits, two stop bits.
+
+    Raises:
+        PortError: it cannot be opened.
+    """
+    # Not every kind of port can bound its writes: pyserial's RFC 2217 leaves them to the network.
+    bound: dict[str, Any] = {} if url.startswith("rfc2217:") else {"write_timeout": timeout or None}
+    try:
+        return serial.serial_for_url(
+            url, baudrate=baudrate, stopbits=serial.STOPBITS_TWO, timeout=timeout, **bound
+        )
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise PortError(_why_not_opened(url, error)) from error
+
+
+def find_speed(port: Any, name: str, now: Callable[[], float]) -> int:
+    """Sets a port to the speed at which its robot answers command B.
+
+    Args:
+        port: an open port of pyserial.
+        name: of it, for messages.
+        now: the port's own time [s].
+
+    Returns:
+        The speed [baud]. A network socket or a twin that is not strict understands any, and keeps the first.
+
+    Raises:
+        PortTimeout: nobody answers at any of `SPEEDS`.
+        PortError: the port failed.
+    """
+    before = port.timeout
+    try:
+        port.timeout = _LISTEN
+        found = next((speed for speed in SPEEDS if _answers_at(port, speed, now)), None)
+        port.timeout = before
+    except (serial.SerialException, OSError) as error:
+        raise PortError(f"{name}: the port failed at 'B': {error}") from error
+    if found is None:
+        tried = ", ".join(map(str, SPEEDS))
+        raise PortTimeout(f"{name}: nobody answers 'B' at {tried} baud; is the robot on, in a serial mode?")
+    return found
+
+
+def _answers_at(port: Any, speed: int, now: Callable[[], float]) -> bool:
+    # A twin in this process warns of a wrong speed and understands all the same.
+    with warnings.catch_warnings(record=True) as noticed:
+        warnings.simplefilter("always")
+        port.baudrate = speed
+        port.reset_input_buffer()
+        # The line feed before it ends what an attempt at another speed has begun.
+        port.write(b"\nB\n")
+        end = now() + _LISTEN
+        answered = False
+        while not answered and now() <= end and (line := port.read_until(b"\n", None)):
+            answered = _VERSIONS.search(line) is not None
+    return answered and not noticed
+
+
+def _why_not_opened(url: str, error: Exception) -> str:
+    text = str(error)
+    if "://" not in url and isinstance(error, serial.SerialException):
+        return f"{url}: cannot open this port: {text}; `khep-twin serve` makes one, khep://default needs none"
+    return text if text.startswith(url) else f"{url}: {text}"

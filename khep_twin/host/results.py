@@ -1,0 +1,91 @@
+"""What a robot tells, by name and with units; tuples, so that they compare, index and unpack as such."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+from khep_twin.units import PULSE_LENGTH, speed
+
+
+class Versions(NamedTuple):
+    """Command B: versions of the robot's software, e.g. ("5.02", "5.01")."""
+
+    bios: str
+    """Of the BIOS."""
+    protocol: str
+    """Of the serial protocol."""
+
+
+class Speeds(NamedTuple):
+    """Command E: measured speeds of the wheels [pulses/10 ms], 8 mm/s each."""
+
+    left: int
+    right: int
+
+    @property
+    def si(self) -> tuple[float, float]:
+        """The same [m/s]."""
+        return speed(self.left), speed(self.right)
+
+
+class Positions(NamedTuple):
+    """Command H: position counters of the wheels [pulses], 0.08 mm each."""
+
+    left: int
+    right: int
+
+    @property
+    def si(self) -> tuple[float, float]:
+        """The same [m]."""
+        return self.left * PULSE_LENGTH, self.right * PULSE_LENGTH
+
+
+class SensorCounts(NamedTuple):
+    """Commands N and O: eight counts, by name, by number or by `Sensor`, in the manual's order.
+
+    Proximity is 0 (nothing) to 1023 (touching), ambient light about 500 (dark) to 50 (bright).
+    """
+
+    left_90: int
+    left_45: int
+    left_10: int
+    right_10: int
+    right_45: int
+    right_90: int
+    back_right: int
+    back_left: int
+
+
+class MotorMode(IntEnum):
+    """What a motor's controller does, as command K of ROM 5.02 numbers it; those of 4.06 are translated."""
+
+    SPEED = 0
+    POSITION = 1
+    PWM = 2
+
+
+@dataclass(frozen=True, slots=True)
+class WheelStatus:
+    """One wheel's motion control, as command K tells it.
+
+    Attributes:
+        on_target: whether the target is reached; after a reset, too.
+        mode: of the motor, whatever number the robot's ROM has for it.
+        error: of the controller [pulses in position mode, pulses/10 ms in speed mode].
+    """
+
+    on_target: bool
+    mode: MotorMode
+    error: int
+
+
+class MotionStatus(NamedTuple):
+    """Command K: motion control of both wheels."""
+
+    left: WheelStatus
+    right: WheelStatus
+
+    @property
+    def on_target(self) -> bool:
+        """Whether both wheels have reached their targets."""
+        return self.left.on_target and self.right.on_target

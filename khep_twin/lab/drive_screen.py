@@ -1,0 +1,57 @@
+"""What a terminal shows of a robot that is driven by hand: plain lines of characters."""
+
+from khep_twin.host import SensorCounts
+from khep_twin.lab.teleoperation import View
+from khep_twin.units import COUNTS_LIMIT, speed
+
+WIDTH, HEIGHT = 64, 17
+"""The smallest terminal [characters]."""
+
+_DARK_COUNTS = 512
+"""No light: at about this many counts of ambient light (manual II, 3.1.7)."""
+
+_NAMES = [name.replace("_", " ") for name in SensorCounts._fields]
+_LABEL, _COUNTS, _GAP = 12, 5, 3
+_ON = ("off", "on")
+
+KEYS = (
+    "arrows or WASD drive while held   space stops   q ends",
+    "+ - or 1 to 9 choose the speed    L switches the LEDs on and off",
+)
+
+
+def draw(view: View, name: str, width: int, height: int) -> list[str]:
+    """The lines of the screen, of `width` characters at most."""
+    if width < WIDTH or height < HEIGHT:
+        line = f"{WIDTH} x {HEIGHT} characters are needed, {width} x {height} are here; q ends"
+        return [line[: max(width - 1, 0)]]
+    bar = (width - _LABEL - 2 * _COUNTS - _GAP - 1) // 2
+    left, right = (1e3 * speed(pulses) for pulses in view.measured)
+    supply = "" if view.supply is None else f"   supply about {view.supply:.1f} V"
+    lost = f"   {view.lost} replies lost" if view.lost else ""
+    column = bar + _COUNTS + _GAP
+    lines = [
+        f"khep-twin drive  {name}",
+        "",
+        f"{'':{_LABEL}}{'proximity':{column}}light (few counts are bright)",
+        *(
+            f"{sensor:{_LABEL}}"
+            f"{_bar(near / COUNTS_LIMIT, bar)}{near:{_COUNTS}}{'':{_GAP}}"
+            f"{_bar(1 - dark / _DARK_COUNTS, bar)}{dark:{_COUNTS}}"
+            for sensor, near, dark in zip(_NAMES, view.proximity, view.ambient, strict=True)
+        ),
+        "",
+        f"{'wheels':{_LABEL}}left {view.measured.left:4}  right {view.measured.right:4} pulses/10 ms"
+        f"   ({left:.0f}, {right:.0f} mm/s)",
+        f"{'drives':{_LABEL}}{view.way.name.lower()}, speed {view.speed}{lost}",
+        f"{'LEDs':{_LABEL}}lateral {_ON[view.leds[0]]:3}  frontal {_ON[view.leds[1]]:3}{supply}",
+        "",
+        *KEYS,
+    ]
+    return [line[: width - 1] for line in lines]
+
+
+def _bar(part: float, width: int) -> str:
+    """So much of a bar of this many characters, 0 to 1."""
+    full = round(min(max(part, 0.0), 1.0) * width)
+    return "#" * full + "." * (width - full)
