@@ -6,6 +6,7 @@ from notes import Notes
 from khep_twin import playpen as playpens
 from khep_twin import units
 from khep_twin.calibration import MotorCalibration
+from khep_twin.errors import PortError
 from khep_twin.host import Khepera
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -84,7 +85,7 @@ def test_below_4_volts_the_processor_stands_still_and_the_motors_do_not() -> Non
     notes = Notes()
     robot, world = connect(battery_used_min=40.96)
     world.taps.append(notes)
-    with robot:
+    with pytest.raises(PortError, match="the motors may still run"), robot:  # noqa: PT012
         robot.set_led(0, 1)
         robot.set_duty(10, -10)
         robot.port.write(b"N\n" * 30)

@@ -140,7 +140,6 @@ class Line:
             try:
                 values.append(command.read(reply))
             except ValueError as error:
-                self._unanswered.add(command.request[:1])
                 raise ProtocolError(
                     f"{self.name}: {command.request!r} was answered {reply!r}; {error}"
                 ) from None
@@ -252,7 +251,7 @@ class Line:
     def _refuses_again(self) -> str:
         """Why the port is not opened once more; empty if it may be."""
         if self._url is None or hasattr(self.port, "time_ns"):
-            return "nobody but its maker can open it again"
+            return "this port is not opened again"
         path = Path(self._url)
         if "://" not in self._url and path.resolve().is_relative_to("/dev/pts") and not leads_to_ours(path):
             return "a terminal that has gone is not opened again, as its number may be a stranger's by now"

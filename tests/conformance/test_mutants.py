@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from contextlib import closing
 
 import pytest
 
@@ -299,7 +300,7 @@ GRIPPERS: dict[str, Mutation] = {
 
 @pytest.mark.parametrize("name", [*GRIPPERS, "sound"])
 def test_a_gripper_that_answers_wrongly_is_caught(name: str) -> None:
-    with Khepera("khep://gripper?noise=off") as robot:
+    with closing(Khepera("khep://gripper?noise=off")) as robot:
         if name in GRIPPERS:
             break_answers(robot.port.twin, GRIPPERS[name])
         report = examine(Line(robot.port), "a gripper", move=True)
@@ -307,7 +308,7 @@ def test_a_gripper_that_answers_wrongly_is_caught(name: str) -> None:
 
 
 def is_caught(breaking: Callable[[Twin], None]) -> bool:
-    with Khepera("khep://default?noise=off") as robot:
+    with closing(Khepera("khep://default?noise=off")) as robot:
         breaking(robot.port.twin)
         return not examine(Line(robot.port), "a broken board", move=True).passed
 

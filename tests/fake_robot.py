@@ -1,0 +1,91 @@
+"""A robot that is no more than a table of answers behind a TCP port, and can go silent or away."""
+
+import select
+import socket
+import threading
+import time
+from types import TracebackType
+from typing import Self
+
+ANSWERS = {
+    "B": "b,5.02,5.01",
+    "E": "e,0,0",
+    "H": "h,12,-5",
+    "I": "i,625",
+    "K": "k,1,1,0,1,1,0",
+    "N": "n,0,100,200,300,400,500,600,1023",
+    "O": "o,500,450,400,300,200,100,50,0",
+}
+
+
+class FakeRobot:
+    """Answers each line; hosts may come one after the other.
+
+    Attributes:
+        requests: all lines that came, in order.
+        answers: by letter; other capitals are acknowledged by their own.
+        silent: whether it says nothing.
+        before: bytes that it says before its next answer, once.
+    """
+
+    def __init__(self) -> None:
+        self.requests: list[str] = []
+        self.answers = dict(ANSWERS)
+        self.silent = False
+        self.before = b""
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._hangs_up = threading.Event()
+        self._ended = False
+        self._thread = threading.Thread(target=self._serve)
+        self.url = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._thread.join()
+
+    def hang_up(self, *, for_good: bool = False) -> None:
+        """Ends the connection, and with `for_good` takes no other."""
+        self._ended = for_good
+        self._hangs_up.set()
+        while self._hangs_up.is_set() and self._thread.is_alive():
+            time.sleep(0.01)
+
+    def _serve(self) -> None:
+        rest = b""
+        client: socket.socket | None = None
+        while not self._ended:
+            ready = select.select([self._server, *([client] if client else [])], [], [], 0.01)[0]
+            if self._server in ready:
+                client, _ = self._server.accept()
+                rest = b""
+            elif ready and client is not None:
+                try:
+                    data = client.recv(4096)
+                except OSError:
+                    data = b""
+                *lines, rest = (rest + data).split(b"\n")
+                self._answer(client, [line.decode("latin-1") for line in lines if line])
+                if not data:
+                    self._hangs_up.set()
+            if self._hangs_up.is_set():
+                if client is not None:
+                    client.close()
+                    client = None
+                self._hangs_up.clear()
+        if client is not None:
+            client.close()
+        self._server.close()
+
+    def _answer(self, client: socket.socket, lines: list[str]) -> None:
+        for line in lines:
+            self.requests.append(line)
+            answer = self.answers.get(line[0], line[0].lower()).encode() + b"\r\n"
+            before, self.before = self.before, b""
+            if not self.silent:
+                client.sendall(before + answer)

@@ -1,0 +1,161 @@
+"""Lines that break: what is tried, what is told, and how long it takes."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+from conftest import served
+from fake_robot import FakeRobot
+
+from khep_twin.errors import PortError, PortTimeout, ProtocolError
+from khep_twin.host import Khepera, commands
+
+# pyserial forgets to close a socket whose other end has gone.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:unclosed <socket", "ignore::pytest.PytestUnraisableExceptionWarning"
+)
+
+LONG = 8.0
+"""Far beyond any bound that is told, for machines under load [s]."""
+
+
+@pytest.fixture
+def fake() -> Iterator[FakeRobot]:
+    with FakeRobot() as robot:
+        yield robot
+
+
+def test_a_killed_twin_is_one_clear_error() -> None:
+    start = 0.0
+    with (  # noqa: PT012
+        served("default") as (process, path),
+        pytest.raises(PortError, match=r"the port failed at .*the motors may still run") as caught,
+        Khepera(path) as robot,
+    ):
+        robot.set_speed(5, 5)
+        process.kill()
+        process.wait()
+        start = time.monotonic()
+        while True:
+            robot.proximity()
+    assert time.monotonic() - start < LONG
+    assert "\n" not in str(caught.value)
+    assert "its number may be a stranger's by now" in str(caught.value)
+
+
+def test_the_link_of_a_killed_twin_is_not_followed_to_a_stranger(tmp_path: Path) -> None:
+    link = tmp_path / "khepera"
+    with served("default", "--link", str(link)) as (process, path):
+        with pytest.raises(PortError, match="is not opened again"), Khepera(path) as robot:  # noqa: PT012
+            robot.set_speed(5, 5)
+            process.kill()
+            process.wait()
+            robot.proximity()
+
+
+def test_a_robot_that_comes_back_is_stopped(fake: FakeRobot) -> None:
+    def cut() -> None:
+        with Khepera(fake.url) as robot:
+            robot.set_speed(5, 5)
+            fake.hang_up()
+            robot.proximity()
+
+    with pytest.raises(PortError, match=r"port failed .*; the port was opened again and the motors were"):
+        cut()
+    assert fake.requests[-1] == "D,0,0"
+
+
+def test_a_peer_that_is_gone_is_told_once(fake: FakeRobot) -> None:
+    def cut() -> None:
+        with Khepera(fake.url) as robot:
+            fake.hang_up(for_good=True)
+            robot.proximity()
+
+    start = time.monotonic()
+    with pytest.raises(PortError, match=r"port failed .*motors may still run.*in vain: .*refused"):
+        cut()
+    assert time.monotonic() - start < LONG
+
+
+def test_a_host_that_fails_itself_keeps_its_own_error(fake: FakeRobot) -> None:
+    def fail() -> None:
+        with Khepera(fake.url):
+            fake.hang_up(for_good=True)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        fail()
+    assert "the motors may still run" in caught.value.__notes__[0]
+
+
+def test_motors_that_cannot_be_stopped_are_told_of_at_the_end(fake: FakeRobot) -> None:
+    with pytest.raises(PortError, match="the motors may still run"), Khepera(fake.url):
+        fake.silent = True
+
+
+def test_a_silent_robot_ends_within_the_timeout(fake: FakeRobot) -> None:
+    with Khepera(fake.url, timeout=0.4) as robot:
+        fake.silent = True
+        start = time.monotonic()
+        with pytest.raises(PortTimeout, match=r"no reply to 'N' within 0.2 s; is the robot on"):
+            robot.proximity()
+        assert time.monotonic() - start >= 0.4
+        # One try for the answer and one for whether anybody is there, and not one more.
+        assert fake.requests == ["N", "B"]
+        fake.silent = False
+        assert robot.position() == (12, -5)
+
+
+def test_a_stopped_twin_does_not_hold_up_its_host() -> None:
+    with served("default") as (process, path):
+        robot = Khepera(path, timeout=0.6)
+        os.kill(process.pid, signal.SIGSTOP)
+        start = time.monotonic()
+        with pytest.raises(PortTimeout):
+            robot.burst(*[commands.proximity()] * 7)
+        # Nobody reads: what is sent piles up until a write is late.
+        with pytest.raises((PortTimeout, serial.SerialTimeoutException)):  # noqa: PT012
+            while True:
+                robot.port.write(b"N\n" * 1000)
+                robot.proximity()
+        robot.close()
+        assert time.monotonic() - start < LONG
+
+
+def test_a_read_is_asked_again_and_an_order_is_not(fake: FakeRobot) -> None:
+    with Khepera(fake.url) as robot:
+        fake.before = b"\x80\x81n,1,2"
+        assert robot.proximity().back_left == 1023
+        assert fake.requests == ["N", "B", "N"]
+        fake.requests.clear()
+        fake.answers["D"] = "x"
+        with pytest.raises(ProtocolError, match="'D,5,5' was answered 'x'; right is 'd' alone"):
+            robot.set_speed(5, 5)
+        assert fake.requests == ["D,5,5", "B"]
+        del fake.answers["D"]
+
+
+def test_an_order_whose_answer_comes_behind_rubbish_is_done(fake: FakeRobot) -> None:
+    with Khepera(fake.url) as robot:
+        fake.before = b"Command not found\r\nrubbish\r\n"
+        robot.set_target(100, 100)
+        assert fake.requests == ["C,100,100", "B"]
+        assert robot.position() == (12, -5)
+
+
+def test_a_mode_that_no_rom_has_is_refused(fake: FakeRobot) -> None:
+    fake.answers["K"] = "k,1,7,0,1,1,0"
+    with Khepera(fake.url) as robot, pytest.raises(ProtocolError, match="right is a mode of 0, 1, 2"):
+        robot.status()
+
+
+def test_the_modes_of_rom_4_are_read_the_other_way_round(fake: FakeRobot) -> None:
+    fake.answers |= {"B": "b,4.06,4.06", "K": "k,0,0,3,0,1,4"}
+    with Khepera(fake.url) as robot:
+        assert [wheel.mode.name for wheel in robot.status()] == ["POSITION", "SPEED"]
+        robot.status()
+        assert fake.requests.count("B") == 1
