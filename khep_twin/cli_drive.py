@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _LOOK_MS = 50
 """The screen is drawn this often, and with each key [ms]."""
 
-_CTRL_C = 3
+_CTRL_C, _ESCAPE = 3, 27
 
 
 def drive(
@@ -138,11 +138,11 @@ def _show(window: "curses.window", operation: "Teleoperation", name: str, ended:
     hung_up.register(sys.stdin.fileno(), select.POLLHUP)
     while not ended() and not hung_up.poll(0):
         key = window.getch()
+        window.nodelay(True)
         while key != -1:
             if key in (_CTRL_C, ord("q"), ord("Q")):
                 return
-            _press(operation, key)
-            window.nodelay(True)
+            _press(operation, _arrow(window) if key == _ESCAPE else key)
             key = window.getch()
         window.timeout(_LOOK_MS)
         height, width = window.getmaxyx()
@@ -150,6 +150,17 @@ def _show(window: "curses.window", operation: "Teleoperation", name: str, ended:
         for row, line in enumerate(draw(operation.view, name, width, height)):
             window.addstr(row, 0, line)
         window.refresh()
+
+
+def _arrow(window: "curses.window") -> int:
+    """The arrow key of a terminal that sends it otherwise than TERM says; 0 for anything else."""
+    import curses
+
+    arrows = {"A": curses.KEY_UP, "B": curses.KEY_DOWN, "C": curses.KEY_RIGHT, "D": curses.KEY_LEFT}
+    if window.getch() not in (ord("["), ord("O")):
+        return 0
+    letter = window.getch()
+    return arrows.get(chr(letter), 0) if 0 < letter < 128 else 0
 
 
 def _press(operation: "Teleoperation", key: int) -> None:

@@ -33,11 +33,12 @@ class FakeRobot:
         self.answers = dict(ANSWERS)
         self.silent = False
         self.before = b""
-        self._server = socket.create_server(("127.0.0.1", 0))
+        # No host of another test, gone astray, finds this address.
+        self._server = socket.create_server(("127.7.7.7", 0))
         self._hangs_up = threading.Event()
         self._ended = False
         self._thread = threading.Thread(target=self._serve)
-        self.url = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+        self.url = f"socket://127.7.7.7:{self._server.getsockname()[1]}"
 
     def __enter__(self) -> Self:
         self._thread.start()

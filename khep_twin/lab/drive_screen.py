@@ -4,7 +4,7 @@ from khep_twin.host import SensorCounts
 from khep_twin.lab.teleoperation import View
 from khep_twin.units import COUNTS_LIMIT, speed
 
-WIDTH, HEIGHT = 64, 17
+WIDTH, HEIGHT = 64, 18
 """The smallest terminal [characters]."""
 
 _DARK_COUNTS = 512
