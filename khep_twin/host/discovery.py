@@ -37,7 +37,11 @@ def found_ports() -> list[FoundPort]:
         PortError: the directory in which servers leave their notes is not this user's alone.
     """
     twins = [FoundPort(path, what, True) for path, what in served()]
-    adapters = [FoundPort(port.device, port.description, False) for port in sorted(list_ports.comports())]
+    adapters = [
+        # "n/a" is what pyserial calls a port of the machine's own.
+        FoundPort(port.device, "serial port" if port.description == "n/a" else port.description, False)
+        for port in sorted(list_ports.comports())
+    ]
     return twins + adapters
 
 

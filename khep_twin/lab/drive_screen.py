@@ -16,7 +16,7 @@ _ON = ("off", "on")
 
 KEYS = (
     "arrows or WASD drive while held   space stops   q ends",
-    "+ - or 1 to 9 choose the speed    L switches the LEDs on and off",
+    "+ - or 1 to 9 choose the speed    L switches the LEDs",
 )
 
 
@@ -33,7 +33,7 @@ def draw(view: View, name: str, width: int, height: int) -> list[str]:
     lines = [
         f"khep-twin drive  {name}",
         "",
-        f"{'':{_LABEL}}{'proximity':{column}}light (few counts are bright)",
+        f"{'':{_LABEL}}{'proximity':{column}}light (low is bright)",
         *(
             f"{sensor:{_LABEL}}"
             f"{_bar(near / COUNTS_LIMIT, bar)}{near:{_COUNTS}}{'':{_GAP}}"

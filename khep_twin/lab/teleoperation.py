@@ -116,6 +116,7 @@ class Teleoperation:
         self._switch = DeadManSwitch()
         self._view = View(speed)
         self._sent: Speeds | None = None
+        self._leds = _LEDS[0]
         self._sent_leds: tuple[int, int] | None = None
         self._supply_at: float | None = now()
         self._failed = False
@@ -140,7 +141,9 @@ class Teleoperation:
 
     def switch_leds(self) -> None:
         """None, lateral, frontal, both, none."""
-        self._change(leds=_LEDS[(_LEDS.index(self.view.leds) + 1) % len(_LEDS)])
+        with self._lock:
+            self._leds = _LEDS[(_LEDS.index(self._leds) + 1) % len(_LEDS)]
+        self._wake.set()
 
     # The robot's thread --------------------------------------------------------------------------------
 
@@ -171,11 +174,11 @@ class Teleoperation:
             PortError: the line is lost; or nothing came through for the second time running.
         """
         with self._lock:
-            way, view = self._switch.way(self._now()), self._view
+            way, leds, view = self._switch.way(self._now()), self._leds, self._view
         speeds = way.speeds(view.speed)
         orders: list[Command[Any]] = [] if speeds == self._sent else [commands.set_speed(*speeds)]
-        if view.leds != self._sent_leds:
-            orders += [commands.set_led(led, action) for led, action in enumerate(view.leds)]
+        if leds != self._sent_leds:
+            orders += [commands.set_led(led, action) for led, action in enumerate(leds)]
         try:
             *_, proximity, ambient, measured = self._robot.burst(
                 *orders, commands.proximity(), commands.ambient(), commands.speed()
@@ -189,8 +192,8 @@ class Teleoperation:
             self._failed = True
             return
         self._failed = False
-        self._sent, self._sent_leds = speeds, view.leds
-        self._change(way=way, proximity=proximity, ambient=ambient, measured=measured)
+        self._sent, self._sent_leds = speeds, leds
+        self._change(way=way, leds=leds, proximity=proximity, ambient=ambient, measured=measured)
         if self._supply_at is not None and way is Way.STOP and self._now() >= self._supply_at:
             self._ask_for_supply()
 
