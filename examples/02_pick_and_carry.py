@@ -39,8 +39,7 @@ with Khepera(url) as robot:
     robot.set_position(0, 0)
     for left, right in ((-HALF_TURN, HALF_TURN), (-HALF_TURN + 1200, HALF_TURN + 1200)):
         robot.set_target(left, right)
-        while not all(wheel.on_target for wheel in robot.status()):
-            robot.sleep(0.1)
+        robot.wait_for_target()
 
     gripper.lower()
     gripper.wait()

@@ -12,9 +12,13 @@ import sys
 import termios
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from fake_robot import FakeRobot
+
+from khep_twin.lab.teleoperation import FIRST_HOLD
+from khep_twin.log.reader import read
 
 LONG = 20.0
 """Far more than anything here takes [s]."""
@@ -213,6 +217,25 @@ def test_what_cannot_be_done_is_one_line(fake: FakeRobot, arguments: list[str], 
         assert "Traceback" not in window.text
     finally:
         window.close()
+
+
+def test_a_drive_on_a_twin_in_this_process_takes_its_time_and_is_logged(tmp_path: Path) -> None:
+    log = tmp_path / "a drive.mcap"
+    window = Terminal("khep://default?noise=off", "--log", str(log))
+    try:
+        window.wait_for("stop, speed 5")
+        window.type(b"w")
+        window.wait_for("forward")
+        window.wait_for("stop")
+        window.type(b"q")
+        assert window.end() == 0
+        assert f"log      {log}" in window.text
+    finally:
+        window.close()
+    track = read(log).robots["khepera0"]
+    # One press at 40 mm/s, for as long on the robot's clock as on the wall's.
+    way = abs(track.pose[-1, :2] - track.pose[0, :2]).sum()
+    assert 0.5 * FIRST_HOLD * 0.04 < way < 4 * FIRST_HOLD * 0.04
 
 
 def test_without_a_terminal_it_says_so(fake: FakeRobot) -> None:
