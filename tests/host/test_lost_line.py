@@ -4,6 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,22 @@ def test_the_link_of_a_killed_twin_is_not_followed_to_a_stranger(tmp_path: Path)
             process.kill()
             process.wait()
             robot.proximity()
+
+
+def test_a_link_that_is_served_anew_is_opened_again(tmp_path: Path) -> None:
+    link = str(tmp_path / "khepera")
+    with ExitStack() as stack:
+        process, _ = stack.enter_context(served("default", "--link", link))
+
+        def cut() -> None:
+            with Khepera(link) as robot:
+                process.kill()
+                process.wait()
+                stack.enter_context(served("default", "--link", link))
+                robot.proximity()
+
+        with pytest.raises(PortError, match="the port was opened again and the motors were stopped"):
+            cut()
 
 
 def test_a_robot_that_comes_back_is_stopped(fake: FakeRobot) -> None:
