@@ -46,7 +46,7 @@ class Khepera:
         timeout: longest wait for a robot that is silent [s], in the port's own time; half of it for a reply,
             half to find out whether anybody is there.
         baudrate: of the line; a robot in running mode 1 speaks 9600; "auto" tries all that there are.
-        retries: how often a read is asked again.
+        retries: how often a read is asked again; beyond once, a silent robot is waited for longer.
         wheel_base: distance of the wheels, by which `turn` turns [m].
 
     Raises:

@@ -101,7 +101,11 @@ class Line:
                 tries -= 1
                 before = self._settle()
                 if before is None:
-                    raise first from None
+                    # Nobody there, or the probe itself got lost.
+                    tries -= 1
+                    if tries <= 0:
+                        raise first from None
+                    continue
             # What came late is as good, if it is whole.
             with suppress(ProtocolError):
                 return self._read(commands, (replies + before)[-len(commands) :])
@@ -214,7 +218,7 @@ class Line:
                 self._stop()
                 return True, "the motors were stopped"
             except PortError as error:
-                reason = str(error)
+                reason = str(error).removeprefix(f"{self.name}: ")
             finally:
                 self._close()
             if refusal := self._refuses_again():
@@ -223,25 +227,28 @@ class Line:
                 self.port = open_port(str(self._url), self.port.baudrate, STOP_WAIT)
                 self._stop()
             except PortError as error:
-                return False, f"the motors may still run: the port was opened again in vain: {error}"
+                reason = str(error).removeprefix(f"{self.name}: ")
+                return False, f"the motors may still run: the port was opened again in vain: {reason}"
             return True, "the port was opened again and the motors were stopped"
         finally:
             self._close()
 
     def _stop(self) -> None:
+        """Tells the motors to stop, twice if need be, and waits for the answer."""
+        wait = STOP_WAIT / 2
         try:
-            if self.port.timeout is None or not 0 < self.port.timeout <= STOP_WAIT:
-                self.port.timeout = STOP_WAIT
+            if self.port.timeout is None or not 0 < self.port.timeout <= wait:
+                self.port.timeout = wait
         except (serial.SerialException, OSError) as error:
             raise self._failed("D,0,0", error) from error
-        self._write(b"\nD,0,0\n", "D,0,0")
-        end = self.time + STOP_WAIT
-        while self.time <= end:
-            line = self._read_line("D,0,0")
-            if _text(line) == "d":
-                return
-            if not line.endswith(b"\n"):
-                break
+        for _ in range(2):
+            self._write(b"\nD,0,0\n", "D,0,0")
+            end = self.time + wait
+            line = b"\n"
+            while line.endswith(b"\n") and self.time <= end:
+                line = self._read_line("D,0,0")
+                if _text(line) == "d":
+                    return
         raise PortTimeout(f"{self.name}: no reply to 'D,0,0' within {STOP_WAIT} s")
 
     def _close(self) -> None:

@@ -69,6 +69,12 @@ def test_after_a_broken_exchange_the_next_one_is_right(robot: Khepera) -> None:
     assert robot.position() == (5, 6)
 
 
+def test_reads_get_through_a_line_that_loses_bytes() -> None:
+    with Khepera("khep://default?noise=off&seed=3&fault=drop:0.003@0.1", retries=4) as robot:
+        robot.sleep(0.2)
+        assert {robot.proximity()[2] for _ in range(200)} == {0}
+
+
 class Silent(serial.SerialBase):
     """A port whose robot answers with fixed bytes, or not at all."""
 

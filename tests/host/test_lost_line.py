@@ -127,6 +127,12 @@ def test_a_silent_robot_ends_within_the_timeout(fake: FakeRobot) -> None:
         assert robot.position() == (12, -5)
 
 
+def test_a_speed_that_nobody_answers_at_is_told_with_all_that_were_tried(fake: FakeRobot) -> None:
+    fake.silent = True
+    with pytest.raises(PortTimeout, match="nobody answers 'B' at 9600, 19200, 38400, 57600, 115200 baud"):
+        Khepera(fake.url, baudrate="auto")
+
+
 def test_a_stopped_twin_does_not_hold_up_its_host() -> None:
     with served("default") as (process, path):
         robot = Khepera(path, timeout=0.6)
