@@ -12,6 +12,7 @@ process, in lock-step.
         print(robot.proximity())
 """
 
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar, overload
 
@@ -97,6 +98,10 @@ class Khepera:
     def port(self) -> Any:
         """The port, of pyserial."""
         return self._line.port
+
+    def listen(self, listener: Callable[[str, str], None] | None) -> None:
+        """Lets `listener` hear each request and its reply from now on; None for nobody."""
+        self._line.listener = listener
 
     # Time ----------------------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ then is a command sent again, and only one that does no harm twice.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -41,6 +41,7 @@ class Line:
     Attributes:
         port: of pyserial.
         name: of the port, for messages.
+        listener: is told each request and its reply, both without their ending; None for nobody.
 
     Raises:
         PortError: the port cannot be opened, or at no speed anybody answers.
@@ -57,6 +58,7 @@ class Line:
         self._timeout = timeout
         self._retries = retries
         self._unanswered: set[str] = set()
+        self.listener: Callable[[str, str], None] | None = None
         self.name: str = url if isinstance(url, str) else str(url.name)
         speed = SPEEDS[0] if baudrate == "auto" else baudrate
         self.port: Any = open_port(url, speed, timeout) if isinstance(url, str) else url
@@ -134,6 +136,8 @@ class Line:
             if not line.endswith(b"\n"):
                 raise self._silence(request, line)
             replies.append(_text(line))
+            if self.listener is not None:
+                self.listener(request, replies[-1])
         self._unanswered.clear()
 
     def _read(self, commands: Sequence[Command[Any]], replies: Sequence[str]) -> list[Any]:

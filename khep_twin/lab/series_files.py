@@ -75,7 +75,9 @@ class SeriesFolder:
                     )
             self.rows = rows
         elif resume:
-            raise ControllerError(f"{path}: holds no series to go on with; right is a folder that --save made")
+            raise ControllerError(
+                f"{path}: holds no series to go on with; right is a folder that --save made"
+            )
 
     def add(self, run: Run) -> None:
         """Keeps a run.
@@ -104,7 +106,8 @@ def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
     file = path / _INDEX
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
-        settings, rows = dict(found["settings"]), [dict(row) for row in found["runs"]]
+        settings: dict[str, Any] = dict(found["settings"])
+        rows: list[Row] = [dict(row) for row in found["runs"]]
         if any("run" not in row for row in rows):
             raise ValueError("runs without a number")
     except OSError as error:
@@ -163,10 +166,10 @@ def _parquet(rows: Sequence[Row], names: Sequence[str]) -> bytes:
 def _alike(values: Sequence[Any]) -> list[Any]:
     """A column's values as one type: what is not all of one kind becomes text."""
     there = [value for value in values if value is not None]
-    kinds = {type(value) for value in there}
+    kinds = [kind for kind in (bool, int, float, str) if any(type(value) is kind for value in there)]
     if len(kinds) <= 1:
         return list(values)
-    as_one = float if kinds <= {int, float} else str
+    as_one = float if kinds == [int, float] else str
     return [None if value is None else as_one(value) for value in values]
 
 
