@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli_options import usage
 from khep_twin.errors import LogError
 from khep_twin.files import unusable
 
@@ -62,21 +63,15 @@ def _check(
     ways = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
     given = [name for name, there in ways.items() if there]
     if len(given) > 1 and given != ["--web", "--live"]:
-        raise _usage(f"{' and '.join(given)} do not go together; right is one of them, or --web and --live")
+        raise usage(f"{' and '.join(given)} do not go together; right is one of them, or --web and --live")
     if no_browser and not web:
-        raise _usage("--no-browser is for --web")
+        raise usage("--no-browser is for --web")
     if live and len(logs) > 1:
-        raise _usage(f"--live follows one log, not {len(logs)}")
+        raise usage(f"--live follows one log, not {len(logs)}")
     if png is not None:
         if png.suffix.lower() != ".png":
-            raise _usage(f"--png {png}: right is a name that ends in .png")
+            raise usage(f"--png {png}: right is a name that ends in .png")
         if reason := unusable(png):
-            raise _usage(f"--png {png}: cannot be written: {reason}")
+            raise usage(f"--png {png}: cannot be written: {reason}")
         if any(log.exists() and png.exists() and png.samefile(log) for log in logs):
             raise LogError(f"{png}: this is the log itself; right is a file of its own")
-
-
-def _usage(text: str) -> typer.Exit:
-    """One line about wrong usage, and the exit that goes with it."""
-    typer.echo(f"khep-twin: {text}", err=True)
-    return typer.Exit(2)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from khep_twin.errors import ControllerError, KhepTwinError, choices
 from khep_twin.host import Khepera
@@ -20,6 +20,8 @@ from khep_twin.lab.controllers import (
     defining,
     name_of,
 )
+
+A = TypeVar("A")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +101,14 @@ def run(
     return Outcome(done, duration, part >= 1)
 
 
-def call(place: Callable[[Khepera], Any], robot: Khepera) -> None:
-    """Calls one of a controller's places; what fails in it is told by place, as one line.
+def call(place: Callable[[A], Any], given: A) -> None:
+    """Calls a user's function, or a place of a controller; what fails in it is told by place, as one line.
 
     Raises:
         ControllerError: it failed.
     """
     try:
-        place(robot)
+        place(given)
     except KhepTwinError:
         raise
     except (Exception, SystemExit) as error:
@@ -132,14 +134,34 @@ def find_controller(name: str) -> AnyController:
     Raises:
         ControllerError: there is no such controller, or its file fails.
     """
-    if name in BUILT_IN:
-        return BUILT_IN[name]
+    return BUILT_IN[name] if name in BUILT_IN else _find(name, "a robot")
+
+
+def find_function(name: str, taking: str) -> Callable[[Any], Any]:
+    """A function as FILE.py or FILE.py:NAME.
+
+    Args:
+        name: as typed.
+        taking: in words what its only parameter is.
+
+    Raises:
+        ControllerError: there is no such function, or its file fails.
+    """
+    found = _find(name, taking)
+    if isinstance(found, Controller):
+        raise ControllerError(f"{name}: is a controller; right is a function of {taking}")
+    return found
+
+
+def _find(name: str, taking: str) -> AnyController:
     path_text, _, wanted = name.partition(":")
     path = Path(path_text)
     if path.suffix != ".py":
         raise ControllerError(
             f"{name}: no such controller; right is FILE.py, FILE.py:NAME or a built-in name; "
             f"{choices(name, BUILT_IN)}"
+            if taking == "a robot"
+            else f"{name}: no such function; right is FILE.py or FILE.py:NAME"
         )
     offers = _offers_of(path)
     if not wanted:

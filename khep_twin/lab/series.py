@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 from khep_twin.errors import ControllerError, KhepTwinError
@@ -80,6 +81,11 @@ class Run:
     variables: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
+def numbered(path: Path, number: int) -> Path:
+    """The name of a run's own file: NAME-001.SUFFIX."""
+    return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
+
+
 class Bench(Protocol):
     """Where the robots of a series come from."""
 
@@ -108,10 +114,14 @@ class OneRobot:
 
     Args:
         robot: on any port.
+
+    Attributes:
+        repeats: whether the same series gives the same again, as on a twin in this process.
     """
 
     def __init__(self, robot: Khepera) -> None:
         self._robot = robot
+        self.repeats = _twin_of(robot) is not None
 
     def sessions(self, numbers: range) -> Iterator[Session]:
         """All runs with the robot."""
@@ -190,7 +200,7 @@ def run_series(
         with session.opened as robot:
             try:
                 for number in session.numbers:
-                    if number > first:
+                    if number > session.numbers[0]:
                         robot.sleep(plan.pause)
                     if before is not None:
                         before(number)
@@ -240,6 +250,11 @@ def _run(
 
 def _tell(robot: Khepera, text: str) -> None:
     """Notes something in the log of a twin in this process."""
-    twin: Twin | None = getattr(robot.port, "twin", None)
+    twin = _twin_of(robot)
     if twin is not None:
         twin.world.tell(twin.robot.index, text)
+
+
+def _twin_of(robot: Khepera) -> Twin | None:
+    """The twin in this process behind a port, None without."""
+    return getattr(robot.port, "twin", None)

@@ -56,7 +56,8 @@ class SeriesFolder:
     def __init__(self, path: Path, settings: Mapping[str, Any], *, resume: bool = False) -> None:
         self.path = path
         self.rows: list[Row] = []
-        self._settings = dict(settings)
+        # As they come back from the file.
+        self._settings: dict[str, Any] = json.loads(json.dumps(dict(settings)))
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -65,7 +66,7 @@ class SeriesFolder:
             before, rows = read_series(path)
             if not resume:
                 raise ControllerError(
-                    f"{path}: holds a series of {len(rows)} runs already; right is --resume, or another folder"
+                    f"{path}: has a series of {len(rows)} runs already; right is --resume, or another folder"
                 )
             for key in sorted({*before, *self._settings}):
                 if before.get(key) != self._settings.get(key):
@@ -79,14 +80,25 @@ class SeriesFolder:
                 f"{path}: holds no series to go on with; right is a folder that --save made"
             )
 
-    def add(self, run: Run) -> None:
-        """Keeps a run.
+    def keep(self, run: Run) -> None:
+        """Keeps a run; one that is there already has to be the same.
 
         Raises:
+            ControllerError: it came out otherwise than before.
             KhepTwinError: it cannot be written.
         """
+        row = row_of(run)
+        if run.number <= len(self.rows):
+            before = self.rows[run.number - 1]
+            for name in columns([before, row]):
+                if json.dumps(before.get(name)) != json.dumps(row.get(name)):
+                    raise ControllerError(
+                        f"{self.path}: run {run.number} came out with {name} {row.get(name)}, before "
+                        f"{before.get(name)}; what draws on chance or on time of its own cannot go on"
+                    )
+            return
+        self.rows.append(row)
         write_whole(self.path / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
-        self.rows.append(row_of(run))
         text = json.dumps({"settings": self._settings, "runs": self.rows}, indent=1)
         write_whole(self.path / _INDEX, text.encode("utf-8") + b"\n")
         names = columns(self.rows)

@@ -1,0 +1,127 @@
+"""What several commands have in common: their options, and what they tell the user."""
+
+import shutil
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from khep_twin.log.line_recorder import LineRecorder
+    from khep_twin.log.recorder import Recorder
+
+
+class Switch(StrEnum):
+    """On or off, as in the options of khep://."""
+
+    ON = "on"
+    OFF = "off"
+
+
+Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]
+Noise = Annotated[Switch, typer.Option(help="Noisy sensors, as on the robot.")]
+Spread = Annotated[Switch, typer.Option(help="Sensors of another robot of the same make, by the seed.")]
+RobotIndex = Annotated[int, typer.Option(help="Which of the playpen's robots, counted from 0.")]
+Mode = Annotated[
+    str | None,
+    typer.Option(
+        help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud, with rom khepera2 also 8, 9 for "
+        "57600, 115200; 0 demo; 7 self-test."
+    ),
+]
+RomVersion = Annotated[str | None, typer.Option(help="Version of the firmware: 5.02, 4.06 or khepera2.")]
+Battery = Annotated[
+    float | None,
+    typer.Option(
+        min=0, max=1000, help="Run on cells that were used so many minutes; without, on the charger."
+    ),
+]
+Faults = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        help="Let this go wrong, as often as wanted: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SIDE or "
+        "brown-out, with @SECONDS to begin later.",
+    ),
+]
+Log = Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")]
+CarryOn = Annotated[
+    bool,
+    typer.Option(
+        "--carry-on",
+        help="Go on without the log if it cannot be written any more, as on a full disk; ends with 3 then.",
+    ),
+]
+
+OF_A_TWIN = {
+    "playpen",
+    "seed",
+    "noise",
+    "spread",
+    "robot",
+    "mode",
+    "rom",
+    "battery_used_min",
+    "fault",
+    "log",
+    "carry_on",
+}
+"""Options of a twin, by the names of their parameters."""
+
+
+def given(context: typer.Context) -> set[str]:
+    """The options that the user has typed."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def check_carry_on(carry_on: bool, log: Path | None) -> None:
+    """Refuses --carry-on where there is no log."""
+    if carry_on and log is None:
+        raise usage("--carry-on is about a log that fails; right is to give --log FILE.mcap too")
+
+
+def check_log(recorder: "Recorder | LineRecorder | None", carry_on: bool) -> None:
+    """Ends a run whose log has failed with an exit code that says so."""
+    if recorder is None or recorder.failure is None:
+        return
+    if carry_on:
+        raise typer.Exit(3)
+    raise recorder.failure
+
+
+def running_mode(digit: str | None) -> int | None:
+    """A running mode as its jumpers have it, one hexadecimal digit."""
+    if digit is not None and (len(digit) != 1 or digit.upper() not in "0123456789ABCDEF"):
+        raise usage(f"--mode {digit}: right is one digit, 0 to F")
+    return None if digit is None else int(digit, 16)
+
+
+def tell_kept(recorder: "Recorder | LineRecorder | None") -> None:
+    """Says that an unfinished log of an earlier run was found and where it is now."""
+    if recorder is not None and recorder.kept is not None:
+        remedy = f"{program()} recover {recorder.kept}"
+        typer.echo(
+            f"khep-twin: an unfinished log of an earlier run is kept as {recorder.kept}; rescue it: {remedy}",
+            err=True,
+        )
+
+
+def program() -> str:
+    """How this command is called here: by its name where the shell finds it, else as it was typed."""
+    typed = sys.argv[0]
+    found = shutil.which("khep-twin")
+    return typed if Path(typed).name == "khep-twin" and found != typed else "khep-twin"
+
+
+def complain(text: str) -> None:
+    """One line on standard error."""
+    typer.echo(f"khep-twin: {text}", err=True)
+
+
+def usage(text: str) -> typer.Exit:
+    """One line about wrong usage, and the exit that goes with it."""
+    typer.echo(f"khep-twin: {text}", err=True)
+    return typer.Exit(2)
