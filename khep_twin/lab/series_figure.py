@@ -67,5 +67,7 @@ def _panel(axes: Axes, labels: Sequence[str], series: Sequence[Sequence[Row]], n
         within = 0.0 if math.isnan(told.within) else told.within
         axes.errorbar([place], [told.mean], [within], fmt="D", ms=4, capsize=3, color=colour)
     axes.set_ylabel(f"{name} [{UNITS[name]}]" if UNITS.get(name) else name)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    ticks = MaxNLocator(integer=True).tick_values(1, max(last, 2))
+    axes.set_xticks([tick for tick in ticks if 1 <= tick <= last])
+    axes.margins(y=0.08)
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=max(axes.get_ylim()[1], 1e-9))
