@@ -1,30 +1,14 @@
 """Twins behind every kind of port."""
 
-import select
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
+from served_twin import served
 
 from khep_twin.host import Khepera
 
 KINDS = {"pty": (), "tcp": ("--tcp", ":0"), "rfc2217": ("--rfc2217", ":0")}
 """Options of `khep-twin serve`."""
-
-
-@contextmanager
-def served(*arguments: str) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """`khep-twin serve`, and what a host opens."""
-    command = [sys.executable, "-m", "khep_twin", "serve", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert select.select([process.stdout], [], [], 30)[0], "nothing was served"
-            yield process, process.stdout.readline().strip()
-        finally:
-            process.kill()
 
 
 @pytest.fixture(scope="module", params=["khep", *KINDS])

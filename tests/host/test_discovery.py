@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import served
+from served_twin import served
 
 from khep_twin.host.discovery import found_ports
 

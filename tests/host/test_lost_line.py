@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 import serial
-from conftest import served
 from fake_robot import FakeRobot
+from served_twin import served
 
 from khep_twin.errors import PortError, PortTimeout, ProtocolError
 from khep_twin.host import Khepera, commands
