@@ -43,7 +43,7 @@ def complaint(*arguments: str | Path, before: Callable[[], None] | None = None) 
 
 def test_the_version_and_the_help_come_at_once() -> None:
     assert khep_twin("--version").stdout == f"khep-twin {__version__}\n"
-    assert "Runs a controller on a twin or a robot." in khep_twin("--help").stdout
+    assert "Runs a controller on a twin or a robot, once or in a series." in khep_twin("--help").stdout
     program = (
         "import sys, khep_twin.cli; print([m for m in ('mujoco', 'rerun', 'matplotlib') if m in sys.modules])"
     )

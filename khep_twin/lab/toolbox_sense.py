@@ -81,16 +81,10 @@ def simsense(
     """
     test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
     scene = opened()
-    return _driven(_Unhurried(scene.robots[scene.index(port_id)].port), test, save, dlgstr)
-
-
-class _Unhurried(Khepera):
-    """A simulated robot with which talking takes time: else it would be asked for ever at one place."""
-
-    def ask(self, request: str) -> str:
-        """Lets time pass, then asks."""
-        self.sleep(EXCHANGE)
-        return super().ask(request)
+    robot = Khepera(scene.robots[scene.index(port_id)].port)
+    # Talking takes time here: else it would be asked for ever at one place.
+    robot.listen(lambda request, reply: robot.sleep(EXCHANGE))
+    return _driven(robot, test, save, dlgstr)
 
 
 def _driven(
