@@ -4,10 +4,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from io import BytesIO
+from typing import cast
 
 import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
+from serial.serialutil import SerialBase
 
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera, toolbox
@@ -19,27 +21,41 @@ REPLIES = {
     "K": "k,1,0,-2,0,1,7",
     "N": "n,1,2,3,4,5,6,7,1023",
     "O": "o,500,499,498,497,496,495,494,50",
+    "B": "b,5.02,5.01",
 }
 
 
-class Listener(Khepera):
-    """A robot that notes what it is asked and answers as the manual says."""
+class Listener:
+    """A port that notes what it is sent and answers as the manual says."""
+
+    name, baudrate, timeout, write_timeout, is_open = "listener", 9600, 0.5, 0.5, True
 
     def __init__(self) -> None:
-        super().__init__("khep://default")
         self.sent: list[str] = []
+        self._answers: list[bytes] = []
 
-    def ask(self, request: str) -> str:
-        """Notes it, and answers."""
-        self.sent.append(request)
-        return REPLIES.get(request[0], request[0].lower())
+    def write(self, data: bytes) -> int:
+        """Notes each line, but for the question which ROM it is, and answers it."""
+        for request in data.decode("ascii").split():
+            if request != "B":
+                self.sent.append(request)
+            self._answers.append(REPLIES.get(request[0], request[0].lower()).encode("ascii") + b"\r\n")
+        return len(data)
+
+    def read_until(self, expected: bytes, size: int | None) -> bytes:
+        """The next answer."""
+        return self._answers.pop(0) if self._answers else b""
+
+    def close(self) -> None:
+        """Nothing is open."""
+        self.is_open = False
 
 
 @pytest.fixture
 def line() -> Iterator[Listener]:
-    robot = Listener()
-    toolbox.ports({2: robot})
-    yield robot
+    port = Listener()
+    toolbox.ports({2: Khepera(cast(SerialBase, port))})
+    yield port
     toolbox.ports({})
 
 
