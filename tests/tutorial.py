@@ -1,0 +1,185 @@
+"""The tutorial as a reader goes through it: its blocks, in order, in one folder.
+
+A block that begins with `# NAME` is a file, other Python blocks are typed at one prompt, blocks of `sh` are
+typed in a terminal, and a block of `text` is what the one before has shown. `/dev/ttyUSB0` is a served twin.
+
+    python tests/tutorial.py    # makes the tutorial's pictures anew
+"""
+
+import ast
+import contextlib
+import io
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from typer.testing import CliRunner
+
+from khep_twin.cli import app
+
+PAGE = Path(__file__).parents[1] / "docs" / "tutorial.md"
+PICTURES = PAGE.parent / "pictures"
+
+ROBOT = "/dev/ttyUSB0"
+LAB = "~/khepera-lab"
+WIDTH = 640
+"""Of the page's pictures [pixels]."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of the page."""
+
+    line: int
+    language: str
+    text: str
+
+    @property
+    def file(self) -> str | None:
+        """The file that it is to be saved as."""
+        found = re.match(r"# (\S+\.(?:py|toml))\n", self.text)
+        return found[1] if found else None
+
+
+def blocks(page: str) -> list[Block]:
+    """All blocks of a page; the lines are those of the fences."""
+    return [
+        Block(page[: found.start()].count("\n") + 1, found[1], found[2])
+        for found in re.finditer(r"^```(\w*)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    ]
+
+
+def pictures(page: str) -> list[str]:
+    """Names of the pictures that the tutorial has made, without their `tutorial_`."""
+    return re.findall(r"pictures/tutorial_(\w+\.png)", page)
+
+
+def likeness(text: str) -> str:
+    """What of an output is the same everywhere: all but numbers, and the columns they stand in."""
+    return re.sub(r"\s+", " ", re.sub(r"-?\d+(?:\.\d*)?(?:e-?\d+)?", "#", text)).strip()
+
+
+@dataclass
+class Reader:
+    """Somebody who types what is there.
+
+    Attributes:
+        folder: where they are.
+        shown: what the last block has shown.
+    """
+
+    folder: Path
+    shown: str = ""
+    _names: dict[str, Any] = field(default_factory=dict[str, Any])
+    _servers: list["subprocess.Popen[bytes]"] = field(default_factory=list["subprocess.Popen[bytes]"])
+
+    def follow(self, block: Block) -> None:
+        """Does what a block says.
+
+        Raises:
+            AssertionError: it fails, or shows something else than the page says.
+        """
+        if block.file:
+            (self.folder / block.file).write_text(block.text)
+        elif block.language == "python":
+            self.shown = self._prompt(block.text)
+        elif block.language == "sh":
+            self.shown = "".join(self._command(line) for line in block.text.splitlines())
+        elif block.language == "text":
+            assert likeness(self.shown) == likeness(block.text), f"line {block.line}: shown was\n{self.shown}"
+        else:
+            raise AssertionError(f"line {block.line}: a block of {block.language or 'nothing'}")
+
+    def close(self) -> None:
+        """Ends what was served."""
+        for server in self._servers:
+            server.kill()
+            server.wait()
+
+    def _prompt(self, text: str) -> str:
+        """Types statements at Python's prompt."""
+        shown = io.StringIO()
+        with contextlib.redirect_stdout(shown):
+            for statement in ast.parse(text).body:
+                exec(compile(ast.Interactive([statement]), "tutorial", "single"), self._names)
+        return shown.getvalue()
+
+    def _command(self, line: str) -> str:
+        """Types a line in the terminal."""
+        program, *words = shlex.split(line.replace(LAB, str(self.folder)))
+        if ROBOT in words:
+            link = self.folder / "robot-link"
+            if not link.is_symlink():
+                self._serve(["default", "--link", str(link)])
+            words = [str(link) if word == ROBOT else word for word in words]
+        if words[:1] == ["serve"]:
+            self._serve(words[1:])
+            return ""
+        if program == "khep-twin":
+            done = CliRunner().invoke(app, words, prog_name="khep-twin")
+            assert done.exit_code == 0, f"{line}\n{done.output}{done.exception or ''}"
+            return done.stdout
+        assert program == "python", line
+        shown = io.StringIO()
+        before = sys.argv
+        sys.argv = words
+        try:
+            with contextlib.redirect_stdout(shown):
+                runpy.run_path(words[0], run_name="__main__")
+        finally:
+            sys.argv = before
+        return shown.getvalue()
+
+    def _serve(self, words: list[str]) -> None:
+        """Serves a twin in another terminal, by a clock that waits for nobody."""
+        link = Path(words[words.index("--link") + 1])
+        command = [sys.executable, "-m", "khep_twin", "serve", *words, "--clock", "wire"]
+        self._servers.append(subprocess.Popen(command, cwd=self.folder, stdout=subprocess.DEVNULL))
+        deadline = time.monotonic() + 30
+        while not link.is_symlink():
+            assert self._servers[-1].poll() is None, "it does not serve"
+            assert time.monotonic() < deadline, f"{link}: there is no such link"
+            time.sleep(0.05)
+
+
+@contextlib.contextmanager
+def reader(folder: Path) -> Iterator[Reader]:
+    """A reader in a fresh folder."""
+    with contextlib.chdir(folder):
+        person = Reader(folder)
+        try:
+            yield person
+        finally:
+            person.close()
+
+
+def draw_pictures() -> None:
+    """Makes the page's pictures anew, by its own commands, small and in 64 colours."""
+    from PIL import Image
+
+    page = PAGE.read_text()
+    with tempfile.TemporaryDirectory() as name, reader(Path(name)) as person:
+        for block in blocks(page)[1:]:
+            begin = time.monotonic()
+            if block.language != "text":
+                person.follow(block)
+                print(f"line {block.line}, {time.monotonic() - begin:.1f} s")
+            elif person.shown != block.text:
+                print(f"line {block.line}: shown was\n{person.shown}")
+        for file in pictures(page):
+            picture = Image.open(person.folder / file).convert("RGB")
+            height = round(picture.height * WIDTH / picture.width)
+            small = picture.resize((WIDTH, height), Image.Resampling.LANCZOS)
+            small.quantize(64).save(PICTURES / f"tutorial_{file}", optimize=True)
+
+
+if __name__ == "__main__":
+    draw_pictures()
