@@ -162,7 +162,7 @@ def reader(folder: Path) -> Iterator[Reader]:
 
 
 def draw_pictures() -> None:
-    """Makes the page's pictures anew, by its own commands, small and in 64 colours."""
+    """Makes the page's pictures anew, by its own commands, small and in 256 colours."""
     from PIL import Image
 
     page = PAGE.read_text()
@@ -178,7 +178,7 @@ def draw_pictures() -> None:
             picture = Image.open(person.folder / file).convert("RGB")
             height = round(picture.height * WIDTH / picture.width)
             small = picture.resize((WIDTH, height), Image.Resampling.LANCZOS)
-            small.quantize(64).save(PICTURES / f"tutorial_{file}", optimize=True)
+            small.quantize(256, dither=Image.Dither.NONE).save(PICTURES / f"tutorial_{file}", optimize=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,52 @@
+"""docs/tutorial.md: a reader who does what it says sees what it says."""
+
+from pathlib import Path
+
+import pytest
+import tutorial
+from PIL import Image
+
+PAGE = tutorial.PAGE.read_text()
+BLOCKS = tutorial.blocks(PAGE)
+
+
+def test_a_reader_who_follows_the_tutorial_sees_what_it_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))  # for served twins
+    with tutorial.reader(tmp_path) as person:
+        for block in BLOCKS[1:]:  # the first one has brought the reader here
+            person.follow(block)
+    for name in tutorial.pictures(PAGE):
+        with Image.open(tmp_path / name) as made, Image.open(tutorial.PICTURES / f"tutorial_{name}") as shown:
+            assert shown.size == (tutorial.WIDTH, round(made.height * tutorial.WIDTH / made.width)), name
+
+
+def test_the_tutorial_begins_with_the_readmes_command() -> None:
+    assert BLOCKS[0].text.splitlines() == [
+        "make run",
+        ". .venv/bin/activate",
+        f"mkdir -p {tutorial.LAB}",
+        f"cd {tutorial.LAB}",
+    ]
+    assert "make run " in (tutorial.PAGE.parents[1] / "README.md").read_text()
+
+
+def test_pictures_of_the_tutorial_are_few_and_small() -> None:
+    pictures = {path.name for path in tutorial.PICTURES.glob("tutorial_*.png")}
+    assert pictures == {f"tutorial_{name}" for name in tutorial.pictures(PAGE)}
+    assert all((tutorial.PICTURES / name).stat().st_size < 80_000 for name in pictures)
+
+
+def test_what_is_shown_is_compared_but_for_its_numbers() -> None:
+    assert tutorial.likeness("run   1  20 cycles in 3.71 s\n") == tutorial.likeness("run 1  9 cycles in 4 s")
+    assert tutorial.likeness("left=-3, mean 1e-05") == tutorial.likeness("left=4, mean 0.2")
+    assert tutorial.likeness("picture  a.png") != tutorial.likeness("picture  b.png")
+
+
+def test_another_output_than_the_page_shows_is_found(tmp_path: Path) -> None:
+    with tutorial.reader(tmp_path) as person:
+        person.follow(tutorial.Block(1, "python", "'one'\n2\n"))
+        person.follow(tutorial.Block(4, "text", "'one'\n3\n"))
+        with pytest.raises(AssertionError, match="line 9"):
+            person.follow(tutorial.Block(9, "text", "'two'\n2\n"))
