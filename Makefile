@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format fuzz fuzz-files soak kills pyserial schemas bench lock build clean
+.PHONY: help run test check format fuzz fuzz-files soak kills pyserial schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -48,6 +48,13 @@ pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back
 schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
 	@$(BIN)/python tests/log/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin
 
+reference: $(VENV)/dev.stamp ## pages of every public function and class, docs/reference/index.html
+	@$(BIN)/python tests/reference.py docs/reference
+	@echo "reference  docs/reference/index.html"
+
+tutorial: $(VENV)/dev.stamp ## the pictures of docs/tutorial.md anew, by its own commands
+	@$(BIN)/python tests/tutorial.py
+
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
 	@$(BIN)/python -m benchmarks
 	@$(BIN)/python -m benchmarks.ports
@@ -61,7 +68,7 @@ build: $(VENV)/dev.stamp ## wheel and source archive, in dist/
 	@$(BIN)/python -m hatchling build
 
 clean: ## remove the environment and everything made
-	@rm -rf $(VENV) out build dist .pytest_cache .ruff_cache
+	@rm -rf $(VENV) out docs/reference build dist .pytest_cache .ruff_cache
 
 # The environment: exactly the locked versions, checked by hash. Finding Python comes first, so that a
 # missing tool gives one line and not a trace.

@@ -1,0 +1,58 @@
+"""`make reference` writes every public thing, from its docstring, into pages that need no network."""
+
+import os
+import re
+import subprocess
+import sys
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+REFERENCE = Path(__file__).with_name("reference.py")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The pages; any warning, such as of a type that cannot be found, is an error."""
+    folder = tmp_path_factory.mktemp("reference")
+    command = [sys.executable, "-W", "error", str(REFERENCE), str(folder)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REFERENCE.parents[1]), *sys.path])}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def shown(page: Path) -> str:
+    """The text of a page."""
+    return unescape(re.sub(r"<[^>]+>", "", page.read_text()))
+
+
+def test_a_page_has_methods_with_their_units_and_arguments(folder: Path) -> None:
+    page = shown(folder / "khep_twin" / "host" / "khepera.html")
+    assert "drives the wheels at these speeds [pulses/10 ms = 8 mm/s]" in page
+    assert re.search(r"wheel_base:\s+distance of the wheels", page)
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("host/results", "SensorCounts"),
+        ("playpen", "Playpen"),
+        ("lab/controllers", "Controller"),
+        ("lab/experiment", "find_controller"),
+        ("lab/series", "run_series"),
+        ("lab/run_statistics", "collisions"),
+        ("log/reader", "read"),
+        ("ports/protocol_khep", "Serial"),
+    ],
+)
+def test_what_programs_use_has_a_place(folder: Path, module: str, name: str) -> None:
+    assert f'id="{name}"' in (folder / "khep_twin" / f"{module}.html").read_text()
+
+
+def test_the_pages_need_no_network(folder: Path) -> None:
+    for page in folder.rglob("*.html"):
+        text = page.read_text()
+        assert not re.search(r"<(?:script|img|link)[^>]*(?:src|href)=[\"']?(?:https?:)?//", text), page
+        assert not re.search(r"(?:url\(|@import |import\()[\"']?(?:https?:)?//", text), page
