@@ -1,7 +1,7 @@
 """The reference, `make reference`: pages of the public functions and classes, out of their docstrings.
 
-They are made, not kept in the repository: each edit of a docstring would change a megabyte of pages and search
-index. A test makes them with every warning an error.
+They are made, not kept in the repository: each edit of a docstring would change a megabyte of pages and
+search index. A test makes them with every warning an error.
 """
 
 import sys
