@@ -1,7 +1,8 @@
 """The tutorial as a reader goes through it: its blocks, in order, in one folder.
 
-A block that begins with `# NAME` is a file, other Python blocks are typed at one prompt, blocks of `sh` are
-typed in a terminal, and a block of `text` is what the one before has shown. `/dev/ttyUSB0` is a served twin.
+A block that begins with `# NAME` is a file, other Python blocks are typed at a prompt until `exit()`, blocks
+of `sh` are typed in a terminal, and a block of `text` is what the one before has shown. `/dev/ttyUSB0` is a
+served twin.
 
     python tests/tutorial.py    # makes the tutorial's pictures anew
 """
@@ -106,10 +107,15 @@ class Reader:
 
     def _prompt(self, text: str) -> str:
         """Types statements at Python's prompt."""
+        if text.endswith("exit()\n"):
+            text, after = text.removesuffix("exit()\n"), dict[str, Any]()
+        else:
+            after = self._names
         shown = io.StringIO()
         with contextlib.redirect_stdout(shown):
             for statement in ast.parse(text).body:
                 exec(compile(ast.Interactive([statement]), "tutorial", "single"), self._names)
+        self._names = after
         return shown.getvalue()
 
     def _command(self, line: str) -> str:
