@@ -152,7 +152,9 @@ ARRAYS = {"toolbox.py": {"numpy"}}
 
 
 def modules() -> list[Path]:
-    return sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.stem != "__init__")
+    """All that the package imports: templates, in assets, are programs of their users."""
+    found = (path for path in PACKAGE.rglob("*.py") if PACKAGE / "assets" not in path.parents)
+    return sorted(path for path in found if path.parent != PACKAGE or path.stem != "__init__")
 
 
 def part_of(path: Path) -> str:
