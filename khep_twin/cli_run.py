@@ -1,12 +1,15 @@
 """`khep-twin run`: a controller on a robot or a twin, once or in a series."""
 
 import math
-from collections.abc import Sequence
-from contextlib import ExitStack
+import os
+import select
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,22 +27,20 @@ from khep_twin.cli_options import (
     Spread,
     Switch,
     check_carry_on,
-    check_log,
-    complain,
     given,
     program,
     running_mode,
-    tell_kept,
     usage,
 )
 from khep_twin.cli_progress import progress as progress_bar
+from khep_twin.cli_run_logs import RunLogs, check_picture
+from khep_twin.errors import ControllerError
 
 if TYPE_CHECKING:
-    from khep_twin.lab.controllers import AnyController
+    from khep_twin.lab.controller_source import Source
     from khep_twin.lab.series import Bench, Run
-    from khep_twin.log.recorder import Recorder
     from khep_twin.playpen import Playpen
-    from khep_twin.ports.twin import Twin
+    from khep_twin.ports.twin import TwinOptions
 
 _OF_A_TWIN = OF_A_TWIN | {"picture", "start", "lighting", "without_lamp"}
 
@@ -99,42 +100,31 @@ def run(
 ) -> None:
     """Runs a controller on a twin or a robot, once or in a series."""
     from khep_twin.host import Khepera
-    from khep_twin.lab.experiment import call, find_controller, find_function
-    from khep_twin.lab.series import NewTwins, OneRobot, Plan, numbered, run_series
+    from khep_twin.lab.controller_source import source_of
+    from khep_twin.lab.experiment import call, find_after, find_controller
+    from khep_twin.lab.series import OneRobot, Plan, run_series
     from khep_twin.lab.series_files import SeriesFolder
-    from khep_twin.lab.setting import starts
-    from khep_twin.log.recorder import versions
-    from khep_twin.playpen import dump
-    from khep_twin.ports.protocol_khep import Serial
-    from khep_twin.ports.serve import stopping
-    from khep_twin.ports.twin import TwinOptions, open_twin
+    from khep_twin.ports.stopping import stopping
+    from khep_twin.ports.twin import TwinOptions
 
     if port is not None and (ignored := given(context) & _OF_A_TWIN):
         option = min(ignored).replace("_", "-")
         raise usage(f"--{option} is for a twin in this process, not for one behind --port")
     check_carry_on(carry_on, log)
-    if picture is not None:
-        _check_picture(picture, log)
+    check_picture(picture, log)
     if (seconds is not None and not 0 < seconds < math.inf) or (cycles is not None and cycles < 1):
         raise usage("--seconds and --cycles are above 0 and finite")
-    if resume and save is None:
-        raise usage("--resume goes on with a series that was saved; right is to give --save FOLDER too")
-    if log is not None and save is not None and log.resolve() == save.resolve():
-        raise usage(f"--save {save}: this is the log; right is a folder of its own")
+    _check_save(save, resume, log)
     found = find_controller(controller)
-    user_function = None if after is None else find_function(after, "a run")
+    user_function = None if after is None else find_after(after, found)
     plan = Plan(runs, cycles, 60.0 if seconds is None and cycles is None else seconds, pause)
-    recorders: list[Recorder] = []
-
-    def record(twin: "Twin", number: int) -> None:
-        if log is not None:
-            _record(twin, numbered(log, number) if start else log, found, carry_on, recorders)
-
+    source = source_of(found)
+    logs = RunLogs(log, picture, carry_on, source)
+    done: list[Run] = []
     with ExitStack() as stack:
-        bench: Bench
         if port is not None:
-            khepera = stack.enter_context(Khepera(port))
-            bench, settings = OneRobot(khepera), {"port": port}
+            bench: Bench = OneRobot(stack.enter_context(Khepera(port)))
+            settings: dict[str, Any] = {"port": port}
         else:
             options = TwinOptions(
                 seed,
@@ -147,45 +137,64 @@ def run(
                 faults=tuple(fault or ()),
             )
             scene = _scene(playpen, lighting, without_lamp or [])
-            settings = {"playpen": dump(scene), "options": asdict(options), "starts": start, **versions()}
-            if start:
-                bench = NewTwins(scene, options, starts(start, scene, robot, runs, seed), record)
-            else:
-                twin = open_twin(scene, options)
-                record(twin, 1)
-                bench = OneRobot(stack.enter_context(Khepera(Serial.of(twin, timeout=1.0))))
-        settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": pause, **_identity(found)}
+            bench, settings = _twins(stack, scene, options, start or [], runs, logs)
+        settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": pause, **_identity(source)}
         folder = None if save is None else SeriesFolder(save, settings, resume=resume)
-        first = 1 if folder is None or _repeats(bench) else len(folder.rows) + 1
-        stop = stack.enter_context(stopping())
-        progress = stack.enter_context(progress_bar())
+        asked = stack.enter_context(stopping())
 
-        def ends() -> bool:
+        def stop() -> bool:
             # A controller that catches every error catches the log's, too.
-            return stop() or (not carry_on and any(each.failure is not None for each in recorders))
+            return asked() or logs.failed()
 
-        before = _confirm if confirm else None
-        done: list[Run] = []
-        for each in run_series(found, bench, plan, first=first, before=before, progress=progress, stop=ends):
+        series = run_series(
+            found,
+            bench,
+            plan,
+            first=1 if folder is None else bench.first(len(folder.rows), found),
+            before=(lambda number: _confirm(number, stop)) if confirm else None,
+            progress=stack.enter_context(progress_bar()),
+            stop=stop,
+        )
+        for each in stack.enter_context(closing(series)):
             done.append(each)
-            if folder is not None:
-                folder.keep(each)
-            if runs > 1:
-                typer.echo(_line(each))
-            if user_function is not None:
+            is_new = folder is None or folder.keep(each)
+            typer.echo(_line(each, runs, is_new))
+            if user_function is not None and is_new:
                 call(user_function, each)
-        stopped = stop()
-    if runs == 1:
-        _tell_single(done)
-    for recorder in recorders:
-        check_log(recorder, carry_on)
-    _tell_logs([recorder.path for recorder in recorders], picture)
+        stopped = asked() and (not done or done[-1].number < runs)
+    logs.finish()
     if folder is not None:
         typer.echo(f"series   {folder.path}      look at it: {program()} series {folder.path}")
     if stopped:
         rest = f"; {len(folder.rows)} of {runs} runs are kept, go on with --resume" if folder else ""
         typer.echo(f"khep-twin: stopped before its end{rest}", err=True)
         raise typer.Exit(130)
+
+
+def _twins(
+    stack: ExitStack,
+    scene: "Playpen",
+    options: "TwinOptions",
+    wishes: Sequence[str],
+    runs: int,
+    logs: RunLogs,
+) -> "tuple[Bench, dict[str, Any]]":
+    """Twins in this process, and what makes them what they are: one for all runs, or with starts new ones."""
+    from khep_twin.host import Khepera
+    from khep_twin.lab.series import NewTwins, OneRobot
+    from khep_twin.lab.setting import starts
+    from khep_twin.log.recorder import versions
+    from khep_twin.playpen import dump
+    from khep_twin.ports.protocol_khep import Serial
+    from khep_twin.ports.twin import open_twin
+
+    of_each = {key: value for key, value in asdict(options).items() if key != "log"}
+    settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wishes, **versions()}
+    if wishes:
+        places = starts(wishes, scene, options.robot or 0, runs, options.seed)
+        return NewTwins(scene, options, places, logs.record), settings
+    khepera = Khepera(Serial.of(open_twin(scene, options), timeout=1.0))
+    return OneRobot(stack.enter_context(khepera), logs.record), settings
 
 
 def _scene(playpen: str, lighting: str | None, without_lamp: Sequence[str]) -> "Playpen":
@@ -202,88 +211,40 @@ def _scene(playpen: str, lighting: str | None, without_lamp: Sequence[str]) -> "
     return scene
 
 
-def _record(
-    twin: "Twin", path: Path, controller: "AnyController", carry_on: bool, recorders: "list[Recorder]"
-) -> None:
-    """Starts the log of a twin."""
-    from khep_twin.lab.controller_source import source_of
-
-    source = source_of(controller)
-    told = complain if carry_on else None
-    twin.record(path, facts=source.facts, attachments=source.attachments, carry_on=told)
-    tell_kept(twin.recorder)
-    if twin.recorder is not None:
-        recorders.append(twin.recorder)
-
-
-def _identity(controller: "AnyController") -> dict[str, str]:
+def _identity(source: "Source") -> dict[str, str]:
     """What tells a controller from another one: its name and its source."""
-    from khep_twin.lab.controller_source import source_of
-
-    source = source_of(controller)
     text = "".join(f"{name}\0{text}" for name, text in sorted(source.attachments.items()))
-    return {**source.facts, "controller_sha256": sha256(text.encode("utf-8")).hexdigest()}
+    return {**source.facts, "controller_source": f"sha256 {sha256(text.encode('utf-8')).hexdigest()}"}
 
 
-def _repeats(bench: "Bench") -> bool:
-    """Whether a series on this bench has to begin at its first run to come to where it was."""
-    from khep_twin.lab.series import OneRobot
-
-    return isinstance(bench, OneRobot) and bench.repeats
-
-
-def _confirm(number: int) -> None:
-    """Waits for a person."""
-    typer.prompt(f"run {number}: put the robot right, then press Enter", "", show_default=False, err=True)
+def _check_save(save: Path | None, resume: bool, log: Path | None) -> None:
+    """Refuses a folder that could not be used."""
+    if resume and save is None:
+        raise usage("--resume goes on with a series that was saved; right is to give --save FOLDER too")
+    if log is not None and save is not None and log.resolve() == save.resolve():
+        raise usage(f"--save {save}: this is the log; right is a folder of its own")
 
 
-def _line(run: "Run") -> str:
+def _confirm(number: int, stop: Callable[[], bool]) -> None:
+    """Waits for a person to press Enter, or for the end of the series."""
+    typer.echo(f"run {number}: put the robot right, then press Enter ", nl=False, err=True)
+    entered = b""
+    while not entered.endswith(b"\n"):
+        if stop():
+            typer.echo(err=True)
+            return
+        if select.select([sys.stdin], [], [], 0.1)[0]:
+            # Byte by byte, as what is buffered would be waited for again.
+            entered = os.read(sys.stdin.fileno(), 1)
+            if not entered:
+                raise ControllerError(f"--confirm: the input ended before run {number}; right is a terminal")
+
+
+def _line(run: "Run", runs: int, is_new: bool) -> str:
     """A run in a line."""
+    told = f"{run.cycles} cycles in {run.duration:.1f} s"
+    if runs == 1:
+        return told
     shown = [f"{name} {run.numbers[name]:.3g}" for name in ("fitness", "distance_m") if name in run.numbers]
-    return f"run {run.number:3d}  {run.cycles} cycles in {run.duration:.1f} s" + "".join(
-        f"  {each}" for each in shown
-    )
-
-
-def _tell_single(done: "Sequence[Run]") -> None:
-    if done:
-        typer.echo(f"{done[0].cycles} cycles in {done[0].duration:.1f} s")
-
-
-def _tell_logs(logs: Sequence[Path], picture: Path | None) -> None:
-    """Says where the logs are, and draws them."""
-    if not logs:
-        return
-    if picture is not None:
-        _draw_logs(logs, picture)
-        typer.echo(f"picture  {picture}")
-    more = f" to {logs[-1].name}" if len(logs) > 1 else ""
-    typer.echo(f"log      {logs[0]}{more}      look at it: {program()} view {logs[0]}")
-
-
-def _draw_logs(logs: Sequence[Path], picture: Path) -> None:
-    """The playpen and the driven paths of logs."""
-    from khep_twin import drawing
-    from khep_twin import playpen as playpens
-    from khep_twin.log.reader import read
-
-    runs = [read(log) for log in logs]
-    tracks = [
-        drawing.Track(name if len(logs) == 1 else log.stem, track.times_ns / 1e9, track.pose[:, :2] * 1000)
-        for log, run in zip(logs, runs, strict=True)
-        for name, track in run.robots.items()
-    ]
-    found = playpens.parse(runs[0].attachments["playpen.toml"], f"{logs[0]}: playpen.toml")
-    drawing.save(drawing.draw(found, tracks), picture)
-
-
-def _check_picture(picture: Path, log: Path | None) -> None:
-    """Refuses a picture that could not be drawn at the end of the run."""
-    if log is None:
-        raise usage("--picture draws the path from the log; right is to give --log FILE.mcap too")
-    if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise usage(f"--picture {picture}: right is a name that ends in .png, .svg or .pdf")
-    if picture.resolve() == log.resolve():
-        raise usage(f"--picture {picture}: this is the log; right is a file of its own")
-    if not picture.parent.is_dir():
-        raise usage(f"--picture {picture}: there is no directory {picture.parent}")
+    again = [] if is_new else ["as before"]
+    return "  ".join([f"run {run.number:3d}", told, *shown, *again])

@@ -4,6 +4,7 @@ A controller is a function of a robot, called once a cycle, or a `Controller` wi
 done before, between and after.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -90,19 +91,37 @@ def defining(controller: Any) -> Any:
 
 
 def variables(controller: Controller) -> dict[str, Any]:
-    """What a controller holds: truths, numbers, texts, and arrays and lists of numbers, as copies."""
+    """What a controller holds: truths, numbers, texts, and arrays and lists of numbers, as copies.
+
+    Whole numbers beyond 64 bits become floats.
+    """
     held = controller.told() if isinstance(controller, FunctionController) else vars(controller)
     found: dict[str, Any] = {}
     for name, value in sorted(held.items()):
         if name.startswith("_"):
             continue
-        if isinstance(value, bool | int | float | str):
-            found[name] = value
+        if isinstance(value, str):
+            # What no file takes, such as half of a pair of surrogates, is told by its code.
+            found[name] = value.encode("utf-8", "backslashreplace").decode("utf-8")
+        elif isinstance(value, bool | int | float):
+            found[name] = _plain(value)
         elif isinstance(value, np.generic | np.ndarray | list | tuple):
             array = _numbers(value)
             if array is not None:
                 found[name] = array.item() if array.ndim == 0 else array
     return found
+
+
+def _plain(value: bool | int | float) -> bool | int | float:
+    """A single number without what else its type may be, such as a member of an enumeration."""
+    if isinstance(value, bool | float):
+        return bool(value) if isinstance(value, bool) else float(value)
+    if -(2**63) <= value < 2**63:
+        return int(value)
+    try:
+        return float(value)
+    except OverflowError:
+        return math.copysign(math.inf, value)
 
 
 def _numbers(value: Any) -> NDArray[Any] | None:

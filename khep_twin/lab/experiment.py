@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 from khep_twin.errors import ControllerError, KhepTwinError, choices
@@ -134,58 +135,73 @@ def find_controller(name: str) -> AnyController:
     Raises:
         ControllerError: there is no such controller, or its file fails.
     """
-    return BUILT_IN[name] if name in BUILT_IN else _find(name, "a robot")
-
-
-def find_function(name: str, taking: str) -> Callable[[Any], Any]:
-    """A function as FILE.py or FILE.py:NAME.
-
-    Args:
-        name: as typed.
-        taking: in words what its only parameter is.
-
-    Raises:
-        ControllerError: there is no such function, or its file fails.
-    """
-    found = _find(name, taking)
-    if isinstance(found, Controller):
-        raise ControllerError(f"{name}: is a controller; right is a function of {taking}")
-    return found
-
-
-def _find(name: str, taking: str) -> AnyController:
-    path_text, _, wanted = name.partition(":")
-    path = Path(path_text)
-    if path.suffix != ".py":
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    path, wanted = _file_and_name(name)
+    if path is None:
         raise ControllerError(
             f"{name}: no such controller; right is FILE.py, FILE.py:NAME or a built-in name; "
             f"{choices(name, BUILT_IN)}"
-            if taking == "a robot"
-            else f"{name}: no such function; right is FILE.py or FILE.py:NAME"
         )
-    offers = _offers_of(path)
+    offers = _offers_of(_module_of(path))
     if not wanted:
+        # Beside a single class, functions are its tools.
         classes = [each for each, offer in offers.items() if isinstance(offer, type)]
-        # Beside a class, functions are its tools.
-        single = next(iter(classes if len(classes) == 1 else offers), "")
-        wanted = (
-            "controller" if "controller" in offers or (len(offers) != 1 and len(classes) != 1) else single
-        )
+        likely = classes if len(classes) == 1 else [*offers]
+        wanted = likely[0] if len(likely) == 1 and "controller" not in offers else "controller"
     found = offers.get(wanted)
     if found is None:
         raise ControllerError(
             f"{path}: no function {wanted!r} that takes a robot, and no such subclass of Controller; "
             f"{choices(wanted, offers)}"
         )
-    if isinstance(found, type):
-        return _made(path, wanted, found)
-    if inspect.isgeneratorfunction(found) or inspect.iscoroutinefunction(found):
+    return _made(path, wanted, found) if isinstance(found, type) else _plain(path, wanted, found, "robot")
+
+
+def find_after(name: str, controller: AnyController) -> Callable[[Any], Any]:
+    """A function that is called with each run, as FILE.py or FILE.py:NAME.
+
+    Without NAME, the file's `after` is taken, or its only public function.
+
+    Args:
+        name: as typed.
+        controller: of the runs; if the same file defines both, they share its variables.
+
+    Raises:
+        ControllerError: there is no such function, or its file fails.
+    """
+    path, wanted = _file_and_name(name)
+    if path is None:
+        raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
+    module = inspect.getmodule(defining(controller))
+    same = module is not None and Path(module.__file__ or "") == path.absolute()
+    offers = _offers_of(module if module is not None and same else _module_of(path))
+    functions = {each: offer for each, offer in offers.items() if not isinstance(offer, type)}
+    if not wanted:
+        wanted = "after" if "after" in functions or len(functions) != 1 else next(iter(functions))
+    found = functions.get(wanted)
+    if found is None:
         raise ControllerError(
-            f"{path}: {wanted!r} is no plain function; right is one that returns each cycle"
+            f"{path}: no function {wanted!r} that takes a run; {choices(wanted, functions)}"
         )
-    if len(inspect.signature(found).parameters) != 1:
-        raise ControllerError(f"{path}: {wanted!r} takes {inspect.signature(found)}; right is one robot")
-    return found
+    return _plain(path, wanted, found, "run")
+
+
+def _file_and_name(typed: str) -> tuple[Path | None, str]:
+    """FILE.py[:NAME] in its parts; no file for what is none."""
+    path, _, name = typed.partition(":")
+    return (Path(path) if path.endswith(".py") else None), name
+
+
+def _plain(path: Path, name: str, function: Callable[[Any], Any], taking: str) -> Callable[[Any], Any]:
+    """A user's function, if it is called with one thing and returns."""
+    if inspect.isgeneratorfunction(function) or inspect.iscoroutinefunction(function):
+        when = "each cycle" if taking == "robot" else "after each run"
+        raise ControllerError(f"{path}: {name!r} is no plain function; right is one that returns {when}")
+    if len(inspect.signature(function).parameters) != 1:
+        takes = inspect.signature(function)
+        raise ControllerError(f"{path}: {name!r} takes {takes}; right is one {taking}")
+    return function
 
 
 def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
@@ -197,8 +213,19 @@ def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
         raise ControllerError(f"{path}{_line_in(error, path)}: {name}() failed: {reason}") from error
 
 
-def _offers_of(path: Path) -> dict[str, Any]:
+def _offers_of(module: ModuleType) -> dict[str, Any]:
     """The public functions and controllers that a file defines itself."""
+    return {
+        name: offer
+        for name, offer in vars(module).items()
+        if not name.startswith("_")
+        and getattr(offer, "__module__", None) == module.__name__
+        and (inspect.isfunction(offer) or (isinstance(offer, type) and issubclass(offer, Controller)))
+    }
+
+
+def _module_of(path: Path) -> ModuleType:
+    """A user's file, run as a module."""
     if not path.is_file():
         raise ControllerError(f"{path}: no such file")
     name = f"khep_twin_controller_{path.stem}"
@@ -219,13 +246,7 @@ def _offers_of(path: Path) -> dict[str, Any]:
         # A user's file may fail in any way; the place and the reason are told.
         line = _line_in(error, path)
         raise ControllerError(f"{path}{line}: {type(error).__name__}: {error}") from error
-    return {
-        name: offer
-        for name, offer in vars(module).items()
-        if not name.startswith("_")
-        and getattr(offer, "__module__", None) == module.__name__
-        and (inspect.isfunction(offer) or (isinstance(offer, type) and issubclass(offer, Controller)))
-    }
+    return module
 
 
 def _line_in(error: BaseException, path: Path) -> str:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import calibration, units
-from khep_twin.host import Khepera
 from khep_twin.kernel import AMBIENT, PROXIMITY
 from khep_twin.lab import run_statistics as statistics
 from khep_twin.outline import contains
@@ -57,17 +56,13 @@ class Heard:
 
     def __call__(self, request: str, reply: str) -> None:
         """Takes one exchange of the line."""
-        match request[:1], reply[:1]:
-            case ("D", "d"):
-                left, right = request.split(",")[1:3]
-                self._speed = int(left), int(right)
-            case ("N", "n"):
-                self._proximity = _counts(reply)
-                self._readings.append(self._proximity)
-            case ("O", "o"):
-                self._lights.append(_counts(reply))
-            case _:
-                pass
+        if (speed := _numbers(request, "D", 2)) and reply == "d":
+            self._speed = speed[0], speed[1]
+        elif request == "N" and (counts := _numbers(reply, "n", 8)):
+            self._proximity = counts
+            self._readings.append(counts)
+        elif request == "O" and (counts := _numbers(reply, "o", 8)):
+            self._lights.append(counts)
 
     def end_cycle(self) -> None:
         """Ends a cycle of the controller: that is when its fitness counts."""
@@ -123,9 +118,12 @@ class Truth:
         self._counts: list[NDArray[np.int64]] = []
         self._columns = [*PROXIMITY, *AMBIENT]
         world.add_tap(self)
+        self.sample(world)
 
     def sample(self, world: World) -> None:
         """Notes where the robot is and what it senses."""
+        if self._times_ns and self._times_ns[-1] == world.time_ns:
+            return
         robot = world.robots[self._index]
         self._times_ns.append(world.time_ns)
         self._poses.append(robot.pose)
@@ -140,9 +138,13 @@ class Truth:
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Nothing."""
 
-    def numbers(self) -> dict[str, float]:
-        """The run in numbers, and the end of the watch."""
+    def end(self) -> None:
+        """Ends the watch with what is there now."""
         self._world.taps.remove(self)
+        self.sample(self._world)
+
+    def numbers(self) -> dict[str, float]:
+        """The run in numbers."""
         times_s, pose = np.array(self._times_ns) / 1e9, np.array(self._poses)
         proximity, ambient = np.hsplit(np.array(self._counts), 2)
         playpen = self._world.playpen
@@ -185,11 +187,12 @@ def coverage(places: statistics.Floats, playpen: Playpen, radius: float) -> floa
     return float(free[visited].sum() / free.sum()) if free.any() else 0.0
 
 
-def truth_of(robot: Khepera) -> Truth | None:
-    """Watches the world of a robot, if it is a twin in this process."""
-    twin = getattr(robot.port, "twin", None)
-    return None if twin is None else Truth(twin.world, twin.robot.index)
-
-
-def _counts(reply: str) -> tuple[int, ...]:
-    return tuple(int(field) for field in reply.split(",")[1:])
+def _numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
+    """A line's numbers; None for another line, or one that came garbled."""
+    head, *fields = line.split(",")
+    if head != letter or len(fields) != count:
+        return None
+    try:
+        return tuple(int(field) for field in fields)
+    except ValueError:
+        return None

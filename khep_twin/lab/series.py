@@ -21,11 +21,14 @@ from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.host import Khepera
 from khep_twin.lab import experiment
 from khep_twin.lab.controllers import AnyController, Controller, as_controller, variables
-from khep_twin.lab.measures import Heard, truth_of
+from khep_twin.lab.measures import Heard, Truth
 from khep_twin.lab.setting import Start, at_start
 from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+
+_LOOK = 0.1
+"""In a pause, how often is looked whether the series is to end [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +92,10 @@ def numbered(path: Path, number: int) -> Path:
 class Bench(Protocol):
     """Where the robots of a series come from."""
 
+    def first(self, kept: int, controller: AnyController) -> int:
+        """Number of the run that a series with so many runs has to begin at, to go on as if it had not ended."""
+        ...
+
     def sessions(self, numbers: range) -> Iterator["Session"]:
         """The robots for these runs, in their order."""
         ...
@@ -114,17 +121,21 @@ class OneRobot:
 
     Args:
         robot: on any port.
-
-    Attributes:
-        repeats: whether the same series gives the same again, as on a twin in this process.
+        record: starts the log of a twin in this process, before the first run.
     """
 
-    def __init__(self, robot: Khepera) -> None:
-        self._robot = robot
-        self.repeats = _twin_of(robot) is not None
+    def __init__(self, robot: Khepera, record: Callable[[Twin], None] | None = None) -> None:
+        self._robot, self._record = robot, record
+
+    def first(self, kept: int, controller: AnyController) -> int:
+        """A robot goes on; a twin in this process comes to the same place by doing it all again."""
+        return kept + 1 if twin_of(self._robot) is None else 1
 
     def sessions(self, numbers: range) -> Iterator[Session]:
         """All runs with the robot."""
+        twin = twin_of(self._robot)
+        if self._record is not None and twin is not None:
+            self._record(twin)
         yield Session(numbers, nullcontext(self._robot))
 
 
@@ -151,6 +162,10 @@ class NewTwins:
         if not starts:
             raise ControllerError("a series of new twins needs a start")
         self._playpen, self._options, self._starts, self._record = playpen, options, starts, record
+
+    def first(self, kept: int, controller: AnyController) -> int:
+        """The last run again, to see that it comes out the same; all of them for what may have learned."""
+        return 1 if isinstance(controller, Controller) else max(1, kept)
 
     def sessions(self, numbers: range) -> Iterator[Session]:
         """Each run with a twin of its own."""
@@ -201,9 +216,11 @@ def run_series(
             try:
                 for number in session.numbers:
                     if number > session.numbers[0]:
-                        robot.sleep(plan.pause)
+                        _pause(robot, plan.pause, stop)
                     if before is not None:
                         before(number)
+                    if stop is not None and stop():
+                        break
                     run = _run(algorithm, robot, session.start, number, plan, progress, stop)
                     if run is None:
                         break
@@ -226,7 +243,7 @@ def _run(
     stop: Callable[[], bool] | None,
 ) -> Run | None:
     """One run; None if it was broken off."""
-    heard, truth = Heard(), truth_of(robot)
+    heard, truth = Heard(), _truth_of(robot)
     _tell(robot, f"run {number} begins")
     robot.listen(heard)
     try:
@@ -241,20 +258,35 @@ def _run(
         )
     finally:
         robot.listen(None)
-        numbers = heard.numbers() | ({} if truth is None else truth.numbers())
+        if truth is not None:
+            truth.end()
     _tell(robot, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
     if not outcome.complete:
         return None
+    numbers = heard.numbers() | ({} if truth is None else truth.numbers())
     return Run(number, start, outcome.cycles, outcome.duration, numbers, variables(controller))
+
+
+def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> None:
+    """Waits in the port's own time [s], or until the series is to end."""
+    end = robot.time + duration
+    while (left := end - robot.time) > 0 and not (stop is not None and stop()):
+        robot.sleep(min(left, _LOOK))
+
+
+def _truth_of(robot: Khepera) -> Truth | None:
+    """Watches the world of a robot, if it is a twin in this process."""
+    twin = twin_of(robot)
+    return None if twin is None else Truth(twin.world, twin.robot.index)
 
 
 def _tell(robot: Khepera, text: str) -> None:
     """Notes something in the log of a twin in this process."""
-    twin = _twin_of(robot)
+    twin = twin_of(robot)
     if twin is not None:
         twin.world.tell(twin.robot.index, text)
 
 
-def _twin_of(robot: Khepera) -> Twin | None:
+def twin_of(robot: Khepera) -> Twin | None:
     """The twin in this process behind a port, None without."""
     return getattr(robot.port, "twin", None)

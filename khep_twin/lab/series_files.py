@@ -16,6 +16,7 @@ import csv
 import json
 from collections.abc import Mapping, Sequence
 from io import BytesIO, StringIO
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,15 @@ from khep_twin.errors import ControllerError
 from khep_twin.files import write_whole
 from khep_twin.lab.measures import UNITS
 from khep_twin.lab.series import Run
-from khep_twin.lab.setting import Start
 
 Row = Mapping[str, int | float | str | bool]
 """One run as the tables have it: values by the names of their columns."""
 
 _INDEX = "series.json"
+_SINGLE = (bool, int, float, str)
+_NAME_LIMIT = 63
+"""Longest name of a variable that Matlab takes."""
+
 _OWN = {"run": "", "start_x_mm": "mm", "start_y_mm": "mm", "start_heading_deg": "degrees", "cycles": ""}
 _UNITS = {**_OWN, "duration_s": "s", **UNITS}
 
@@ -42,7 +46,7 @@ class SeriesFolder:
 
     Args:
         path: of the folder.
-        settings: of the series: what has to be the same for it to go on.
+        settings: of the series, by name: what has to be the same for it to go on.
         resume: whether to go on with what is there.
 
     Attributes:
@@ -51,6 +55,7 @@ class SeriesFolder:
 
     Raises:
         ControllerError: it cannot be made, there is a series in it already, or with `resume` another one.
+        KhepTwinError: it cannot be written.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -63,25 +68,25 @@ class SeriesFolder:
         except OSError as error:
             raise ControllerError(f"{path}: no folder can be made here: {error.strerror}") from error
         if (path / _INDEX).exists():
-            before, rows = read_series(path)
-            if not resume:
+            before, self.rows = read_series(path)
+            if self.rows and not resume:
                 raise ControllerError(
-                    f"{path}: has a series of {len(rows)} runs already; right is --resume, or another folder"
+                    f"{path}: has a series of {len(self.rows)} runs already; right is --resume, or another "
+                    "folder"
                 )
-            for key in sorted({*before, *self._settings}):
-                if before.get(key) != self._settings.get(key):
-                    raise ControllerError(
-                        f"{path}: was made with another {key.replace('_', ' ')}: {_short(before.get(key))}, "
-                        f"now {_short(self._settings.get(key))}; right is the same, or another folder"
-                    )
-            self.rows = rows
+            if resume:
+                self._compare(before)
         elif resume:
             raise ControllerError(
                 f"{path}: holds no series to go on with; right is a folder that --save made"
             )
+        self._write()
 
-    def keep(self, run: Run) -> None:
+    def keep(self, run: Run) -> bool:
         """Keeps a run; one that is there already has to be the same.
+
+        Returns:
+            Whether it is new.
 
         Raises:
             ControllerError: it came out otherwise than before.
@@ -93,14 +98,33 @@ class SeriesFolder:
             for name in columns([before, row]):
                 if json.dumps(before.get(name)) != json.dumps(row.get(name)):
                     raise ControllerError(
-                        f"{self.path}: run {run.number} came out with {name} {row.get(name)}, before "
-                        f"{before.get(name)}; what draws on chance or on time of its own cannot go on"
+                        f"{self.path}: run {run.number}, done again, came out with {name} {row.get(name)}, "
+                        f"before {before.get(name)}; a series can go on if its controller draws on no chance "
+                        "or time of its own, and learns from run to run as a Controller only"
                     )
-            return
+            return False
         self.rows.append(row)
         write_whole(self.path / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
+        self._write()
+        return True
+
+    def _compare(self, before: Mapping[str, Any]) -> None:
+        """Refuses settings that are not those of the series."""
+        for key in sorted({*before, *self._settings}):
+            was, now = before.get(key), self._settings.get(key)
+            if was != now:
+                was, now = _where_they_differ(was, now)
+                raise ControllerError(
+                    f"{self.path}: was made with another {key.replace('_', ' ')}: {was}, now {now}; right is "
+                    "the same, or another folder"
+                )
+
+    def _write(self) -> None:
+        """Writes all but the runs' own files; first what a series goes on from."""
         text = json.dumps({"settings": self._settings, "runs": self.rows}, indent=1)
         write_whole(self.path / _INDEX, text.encode("utf-8") + b"\n")
+        if not self.rows:
+            return
         names = columns(self.rows)
         write_whole(self.path / "runs.csv", _csv(self.rows, names))
         write_whole(self.path / "runs.parquet", _parquet(self.rows, names))
@@ -120,11 +144,12 @@ def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
         found = json.loads(file.read_text(encoding="utf-8"))
         settings: dict[str, Any] = dict(found["settings"])
         rows: list[Row] = [dict(row) for row in found["runs"]]
-        if any("run" not in row for row in rows):
-            raise ValueError("runs without a number")
+        for number, row in enumerate(rows, 1):
+            if row["run"] != number or not all(isinstance(value, _SINGLE) for value in row.values()):
+                raise ValueError(f"what should be run {number} is none")
     except OSError as error:
         raise ControllerError(f"{file}: cannot be read: {error.strerror}") from error
-    except (ValueError, TypeError, LookupError) as error:
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
         raise ControllerError(f"{file}: no series of khep_twin: {error}") from error
     return settings, rows
 
@@ -140,7 +165,7 @@ def row_of(run: Run) -> Row:
         }
     row |= {"cycles": run.cycles, "duration_s": run.duration, **run.numbers}
     for name, value in run.variables.items():
-        if isinstance(value, bool | int | float | str):
+        if isinstance(value, _SINGLE):
             row[name if name not in _UNITS else f"controller_{name}"] = value
     return row
 
@@ -187,7 +212,9 @@ def _alike(values: Sequence[Any]) -> list[Any]:
 
 def _mat(values: Mapping[str, Any], what: str) -> bytes:
     """Variables as the bytes of a MAT file."""
-    named = {_identifier(name): np.asarray(value) for name, value in values.items()}
+    named: dict[str, Any] = {}
+    for name, value in values.items():
+        named[_identifier(name, named)] = np.asarray(value)
     file = BytesIO()
     savemat(file, named, do_compression=True, oned_as="row")
     # scipy writes the machine and the hour here.
@@ -195,20 +222,25 @@ def _mat(values: Mapping[str, Any], what: str) -> bytes:
     return title.ljust(116) + file.getvalue()[116:]
 
 
-def _identifier(name: str) -> str:
-    """A name as Matlab takes it."""
+def _identifier(name: str, taken: Mapping[str, Any]) -> str:
+    """A name as Matlab takes it, and none that is taken."""
     plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name)
-    return (plain if plain[:1].isalpha() else f"v{plain}")[:31]
+    plain = (plain if plain[:1].isalpha() else f"v{plain}")[:_NAME_LIMIT]
+    found, number = plain, 1
+    while found in taken:
+        number += 1
+        found = f"{plain[: _NAME_LIMIT - 8]}_{number}"
+    return found
+
+
+def _where_they_differ(one: Any, other: Any) -> tuple[str, str]:
+    """Two settings in short; of texts with several lines, the first line that differs."""
+    if isinstance(one, str) and isinstance(other, str):
+        pairs = zip_longest(one.splitlines(), other.splitlines(), fillvalue="nothing")
+        one, other = next((pair for pair in pairs if pair[0] != pair[1]), (one, other))
+    return _short(one), _short(other)
 
 
 def _short(value: Any) -> str:
-    text = str(value)
+    text = " ".join(str("none" if value is None else value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def start_of(row: Row) -> Start | None:
-    """Where a row's run began, None for where the robot happened to stand."""
-    if "start_x_mm" not in row:
-        return None
-    x_mm, y_mm, heading_deg = (float(row[f"start_{name}"]) for name in ("x_mm", "y_mm", "heading_deg"))
-    return Start(x_mm, y_mm, heading_deg)

@@ -90,8 +90,9 @@ def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
 
 
 def values(rows: Sequence[Row], name: str) -> list[float]:
-    """A column's numbers, of the runs that have it."""
-    return [float(row[name]) for row in rows if isinstance(row.get(name), int | float) and name in row]
+    """A column's finite numbers, of the runs that have it."""
+    there = [row[name] for row in rows if name in row]
+    return [float(value) for value in there if isinstance(value, int | float) and math.isfinite(value)]
 
 
 def measured(series: Sequence[Sequence[Row]], wanted: Sequence[str] | None = None) -> list[str]:

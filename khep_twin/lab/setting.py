@@ -43,19 +43,22 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
 
     Args:
         wishes: each X,Y,HEADING [mm, degrees], or grid:COLUMNSxROWS with @HEADING at will, or `random` for
-            one drawn for each run, or `playpen` for the playpen's own.
+            one drawn for each run, or `playpen` for the playpen's own: all of its spots, if it has some.
         playpen: with room for them.
         robot: whose starts they are.
         runs: how many there are.
         seed: of what is drawn.
 
     Raises:
-        PlaypenError: a wish is none of these, or there is no room.
+        PlaypenError: a wish is none of these, there is no room, or there is no such robot.
     """
+    if not 0 <= robot < len(playpen.robots):
+        among = choices(robot, range(len(playpen.robots)))
+        raise PlaypenError(f"robot = {robot}: not in playpen {playpen.name!r}; {among}")
     found: list[Start] = []
     for wish in wishes:
         if wish == "playpen":
-            found.append(own_start(playpen, robot))
+            found += own_starts(playpen, robot)
         elif wish == "random":
             found += _drawn(playpen, robot, runs, seed)
         elif wish.startswith("grid:"):
@@ -65,10 +68,12 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
     return found
 
 
-def own_start(playpen: Playpen, robot: int) -> Start:
-    """Where the playpen has a robot."""
+def own_starts(playpen: Playpen, robot: int) -> list[Start]:
+    """Where the playpen has a robot: at its place, or at each of its spots."""
     entry = playpen.robots[robot]
-    return Start(entry.x_mm, entry.y_mm, entry.heading_deg)
+    spots = {spot.name: spot for spot in playpen.spots}
+    places = [spots[name] for name in entry.spots] or [entry]
+    return [Start(place.x_mm, place.y_mm, place.heading_deg) for place in places]
 
 
 def at_start(playpen: Playpen, robot: int, start: Start) -> Playpen:
