@@ -93,7 +93,7 @@ class Bench(Protocol):
     """Where the robots of a series come from."""
 
     def first(self, kept: int, controller: AnyController) -> int:
-        """Number of the run that a series with so many runs has to begin at, to go on as if it had not ended."""
+        """Number of the run that a series with so many runs begins at, to go on as if it had not ended."""
         ...
 
     def sessions(self, numbers: range) -> Iterator["Session"]:
@@ -269,9 +269,10 @@ def _run(
 
 def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> None:
     """Waits in the port's own time [s], or until the series is to end."""
-    end = robot.time + duration
-    while (left := end - robot.time) > 0 and not (stop is not None and stop()):
+    left = duration
+    while left > 0 and not (stop is not None and stop()):
         robot.sleep(min(left, _LOOK))
+        left -= _LOOK
 
 
 def _truth_of(robot: Khepera) -> Truth | None:

@@ -145,7 +145,8 @@ def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
         settings: dict[str, Any] = dict(found["settings"])
         rows: list[Row] = [dict(row) for row in found["runs"]]
         for number, row in enumerate(rows, 1):
-            if row["run"] != number or not all(isinstance(value, _SINGLE) for value in row.values()):
+            plain = {type(value) for value in row.values()} <= {*_SINGLE}
+            if row["run"] != number or not plain:
                 raise ValueError(f"what should be run {number} is none")
     except OSError as error:
         raise ControllerError(f"{file}: cannot be read: {error.strerror}") from error
