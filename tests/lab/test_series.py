@@ -1,6 +1,6 @@
 """Runs in series."""
 
-from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -78,13 +78,16 @@ def test_the_pause_lies_between_runs_only() -> None:
         plan = Plan(3, cycles=1, pause=2.05)
         list(run_series(braitenberg, OneRobot(robot), plan, before=lambda number: times.append(robot.time)))
     assert times[0] < 0.01
-    assert [round(later - before, 1) for before, later in zip(times, times[1:], strict=False)] == [2.1, 2.1]
+    assert [round(later - before, 1) for before, later in pairwise(times)] == [2.1, 2.1]
 
 
 def test_a_series_that_is_stopped_leaves_a_robot_that_stands_and_no_broken_run() -> None:
     places = Places()
     with Khepera("khep://default") as robot:
-        stop: Callable[[], bool] = lambda: places._calls.count("cycle") >= 5
+
+        def stop() -> bool:
+            return places._calls.count("cycle") >= 5
+
         found = list(run_series(places, OneRobot(robot), Plan(4, cycles=3), stop=stop))
         assert robot.port.twin.robot.registers[SETPOINTS].tolist() == [0, 0]
     assert len(found) == 1
@@ -92,13 +95,14 @@ def test_a_series_that_is_stopped_leaves_a_robot_that_stands_and_no_broken_run()
 
 
 def test_a_stop_in_the_pause_begins_no_run() -> None:
-    places, parts = Places(), []
+    places = Places()
     with Khepera("khep://default") as robot:
-        stop: Callable[[], bool] = lambda: robot.time > 1
+
+        def stop() -> bool:
+            return robot.time > 1
+
         plan = Plan(2, cycles=2, pause=1000)
-        found = list(
-            run_series(places, OneRobot(robot), plan, stop=stop, before=parts.append, progress=parts.append)
-        )
+        found = list(run_series(places, OneRobot(robot), plan, stop=stop))
         assert robot.time < 2
     assert [run.number for run in found] == [1]
     assert places._calls == ["start", "cycle", "cycle", "end", "stop"]

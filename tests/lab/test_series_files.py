@@ -22,10 +22,14 @@ SETTINGS: dict[str, Any] = {"seed": 1, "playpen": "a\nb\nc", "cycles": None}
 
 
 class Mood(IntEnum):
+    """A number with a name."""
+
     GOOD = 3
 
 
 class Held(Controller):
+    """Holds a bit of everything."""
+
     def __init__(self) -> None:
         self.whole, self.half, self.told, self.true = 7, 0.5, "a,b\n\ud800", True
         self.mood, self.huge, self.far = Mood.GOOD, 2**70, np.float64(0.1)

@@ -1,0 +1,417 @@
+"""`khep-twin run` in series, `series` and `new`, as processes."""
+
+import csv
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from fake_robot import FakeRobot
+from scipy.io import loadmat
+
+from khep_twin.cli import main
+from khep_twin.log.reader import read
+
+PROGRAM = (sys.executable, "-m", "khep_twin")
+# Slow enough for a signal to come in between, and its own chance as the robot's.
+LEARNS = """
+from khep_twin.lab.controllers import Controller
+class Learns(Controller):
+    def __init__(self):
+        self.speed = 3
+        self.seen = []
+    def start(self, robot):
+        self.speed += 1
+        self.seen = []
+    def cycle(self, robot):
+        self.seen.append(max(robot.proximity()))
+        robot.ambient()
+        robot.set_speed(self.speed, 5)
+"""
+PLAIN = """
+def controller(robot):
+    near = max(robot.proximity())
+    robot.set_speed(5, -5 if near > 300 else 5)
+    return {"near": near}
+"""
+ACROSS = ("--playpen", "obstacles", "--cycles", "60", "--runs", "4")
+
+
+def run(*words: object, folder: Path) -> "subprocess.CompletedProcess[str]":
+    """A command, here in this process: starting one takes longer than most of what is tested."""
+    out, errors, code = StringIO(), StringIO(), 0
+    with (
+        chdir(folder),
+        pytest.MonkeyPatch.context() as patch,
+        redirect_stdout(out),
+        redirect_stderr(errors),
+    ):
+        patch.setattr(sys, "argv", ["khep-twin", *map(str, words)])
+        patch.setattr(sys, "path", [*sys.path])
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())
+
+
+def good(*words: object, folder: Path) -> str:
+    result = run(*words, folder=folder)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def complaint(*words: object, folder: Path) -> str:
+    result = run(*words, folder=folder)
+    assert result.returncode in (1, 2), result.stdout
+    assert result.stderr.startswith("khep-twin: ")
+    assert result.stderr.count("\n") == 1, result.stderr
+    return result.stderr.removeprefix("khep-twin: ").rstrip()
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "runs.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@contextmanager
+def served(folder: Path, *words: str) -> "Iterator[tuple[subprocess.Popen[str], str]]":
+    command = [*PROGRAM, "serve", *words]
+    with subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield process, process.stdout.readline().strip()
+        finally:
+            if process.poll() is None:
+                process.terminate()
+            process.communicate(timeout=20)
+
+
+@contextmanager
+def begun(folder: Path, *words: object) -> "Iterator[subprocess.Popen[str]]":
+    """`khep-twin run`, of which a run has ended."""
+    command = [*PROGRAM, "run", *map(str, words)]
+    with subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            end = time.monotonic() + 30
+            while not (folder / "series" / "runs.csv").exists():
+                assert process.poll() is None, process.communicate()
+                assert time.monotonic() < end, "no run has ended"
+                time.sleep(0.02)
+            yield process
+        finally:
+            process.kill()
+
+
+def heard(folder: Path, short: bool = False) -> list[dict[str, str]]:
+    """What does not hang on the kind of port; with `short` not on the time at which it was asked, either."""
+    names = ["run", "cycles", "fitness", "near_share", "proximity_max", "proximity_mean", "speed_mean"]
+    names += ["ambient_mean", "ambient_min", "speed"]
+    assert {*names} <= {*rows(folder)[0]}
+    return [{name: row[name] for name in (names[:2] if short else names)} for row in rows(folder)]
+
+
+def test_a_script_comes_out_the_same_in_this_process_and_behind_a_terminal(tmp_path: Path) -> None:
+    (tmp_path / "learns.py").write_text(LEARNS)
+    length = ("--cycles", "60", "--runs", "4")
+    good(
+        "run",
+        "learns.py",
+        "--playpen",
+        "obstacles",
+        "--noise",
+        "off",
+        *length,
+        "--save",
+        "a",
+        folder=tmp_path,
+    )
+    url = "khep://obstacles?noise=off"
+    good("run", "learns.py", "--port", url, *length, "--save", "b", folder=tmp_path)
+    with served(tmp_path, "obstacles", "--noise", "off", "--clock", "wire") as (_, path):
+        good("run", "learns.py", "--port", path, *length, "--save", "c", folder=tmp_path)
+    assert heard(tmp_path / "a") == heard(tmp_path / "b") == heard(tmp_path / "c")
+    assert [row["speed"] for row in rows(tmp_path / "c")] == ["4", "5", "6", "7"]
+    for number in range(1, 5):
+        one, other = (loadmat(tmp_path / name / f"run-00{number}.mat")["seen"] for name in "ac")
+        assert one.tolist() == other.tolist()
+
+
+def test_in_real_time_it_comes_out_the_same_up_to_timing(tmp_path: Path) -> None:
+    (tmp_path / "learns.py").write_text(LEARNS)
+    words = ("run", "learns.py", "--cycles", "12", "--runs", "2", "--save")
+    good(*words, "a", "--noise", "off", folder=tmp_path)
+    with served(tmp_path, "default", "--noise", "off") as (_, path):
+        good(*words, "b", "--port", path, folder=tmp_path)
+    one, other = rows(tmp_path / "a"), rows(tmp_path / "b")
+    for name in ("run", "cycles", "speed", "fitness", "speed_mean", "proximity_max", "ambient_mean"):
+        assert [row[name] for row in one] == [row[name] for row in other]
+    # A busy machine is late, never early.
+    assert all(float(b["duration_s"]) > 0.9 * float(a["duration_s"]) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("script", "more"),
+    [(LEARNS, ()), (LEARNS, ("--start", "random")), (PLAIN, ("--start", "grid:3x1", "--start", "playpen"))],
+)
+def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
+    script: str, more: Sequence[str], tmp_path: Path
+) -> None:
+    (tmp_path / "mine.py").write_text(script)
+    words = ("mine.py", "--playpen", "obstacles", "--cycles", "150", *more)
+    with begun(tmp_path, *words, "--runs", "40", "--save", "series", "--log", "run.mcap") as process:
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=20)
+    assert process.returncode == 130, errors
+    kept = len(rows(tmp_path / "series"))
+    assert errors == f"khep-twin: stopped before its end; {kept} of 40 runs are kept, go on with --resume\n"
+    assert "look at it: khep-twin series series" in output
+    log = read(sorted(tmp_path.glob("run*.mcap"))[-1])
+    # The last setpoints of the log are those of motors that stand.
+    assert [line.text for line in log.robots["khepera0"].serial if line.text.startswith("D")][-1] == "D,0,0"
+    assert not [*tmp_path.glob("*.part")]
+    total = str(kept + 2)
+    told = good("run", *words, "--runs", total, "--save", "series", "--resume", folder=tmp_path)
+    assert told.count("run ") >= 2
+    good("run", *words, "--runs", total, "--save", "whole", folder=tmp_path)
+    names = sorted(path.name for path in (tmp_path / "whole").iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "series").iterdir())
+    for name in names:
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "series" / name).read_bytes(), name
+
+
+def test_only_the_same_series_goes_on(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(PLAIN)
+    words = ("run", "mine.py", "--cycles", "3", "--save", "s")
+    good(*words, folder=tmp_path)
+    before = (tmp_path / "s" / "series.json").read_bytes()
+    for more, line in (
+        (("--seed", "1"), "s: was made with another seed: 0, now 1; right is the same"),
+        (("--playpen", "obstacles"), "s: was made with another playpen: "),
+        (("--start", "playpen"), "s: was made with another starts: [], now ['playpen']"),
+        (("--lighting", "random"), 's: was made with another playpen: mode = "all", now mode = "random"'),
+    ):
+        assert complaint(*words, "--resume", *more, folder=tmp_path).startswith(line)
+    assert complaint(*words, folder=tmp_path).startswith("s: has a series of 1 runs already; right is --res")
+    mine.write_text(PLAIN.replace("300", "301"))
+    assert "another controller source: sha256" in complaint(*words, "--resume", folder=tmp_path)
+    assert (tmp_path / "s" / "series.json").read_bytes() == before
+
+
+def test_a_controller_that_draws_on_chance_of_its_own_is_told_on_resume(tmp_path: Path) -> None:
+    text = "import random\n\ndef controller(robot):\n    robot.position()\n    return {'luck': random.random()}\n"
+    (tmp_path / "mine.py").write_text(text)
+    words = ("run", "mine.py", "--cycles", "3", "--save", "s", "--start", "playpen")
+    good(*words, folder=tmp_path)
+    line = complaint(*words, "--runs", "2", "--resume", folder=tmp_path)
+    assert line.startswith("s: run 1, done again, came out with luck 0.")
+    assert len(rows(tmp_path / "s")) == 1
+
+
+def test_a_refused_series_leaves_an_earlier_log_alone(tmp_path: Path) -> None:
+    words = ("run", "--cycles", "3", "--save", "s", "--log", "run.mcap")
+    good(*words, folder=tmp_path)
+    before = (tmp_path / "run.mcap").read_bytes()
+    complaint(*words, "--seed", "5", folder=tmp_path)
+    assert (tmp_path / "run.mcap").read_bytes() == before
+    assert not [*tmp_path.glob("*.part")]
+
+
+def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        PLAIN + "\nseen = []\n\ndef after(run):\n"
+        "    seen.append(run.numbers['fitness'])\n"
+        "    print('after', run.number, run.cycles, len(seen), run.variables['near'])\n"
+    )
+    words = ("run", "mine.py", "--after", "mine.py", "--cycles", "3", "--noise", "off", "--save", "s")
+    told = good(*words, "--runs", "2", folder=tmp_path)
+    assert [line for line in told.splitlines() if line.startswith("after")] == [
+        "after 1 3 1 0",
+        "after 2 3 2 0",
+    ]
+    told = good(*words, "--runs", "3", "--resume", folder=tmp_path)
+    assert [line for line in told.splitlines() if line.startswith("after")] == ["after 3 3 1 0"]
+    assert told.count("as before") == 2
+    for text, line in (
+        ("def after(run):\n    run.nothing", "bad.py:2: AttributeError: "),
+        ("def after(run, more): ...", "bad.py: 'after' takes (run, more); right is one run"),
+        ("def other(run): ...\ndef another(run): ...", "bad.py: no function 'after' that takes a run"),
+        ("x = (", "bad.py:1: SyntaxError"),
+    ):
+        (tmp_path / "bad.py").write_text(text)
+        told = complaint("run", "--after", "bad.py", "--cycles", "1", folder=tmp_path)
+        assert told.removeprefix(f"{tmp_path}/").startswith(line)
+    assert "no such function; right is" in complaint("run", "--after", "bad", folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    "place", ["__init__(self)", "start(self, robot)", "end(self, robot)", "stop(self, robot)"]
+)
+def test_a_place_that_fails_is_one_line(place: str, tmp_path: Path) -> None:
+    text = f"from khep_twin.lab.controllers import Controller\nclass Mine(Controller):\n    def {place}:\n"
+    text += "        raise ValueError('mine')\n    def cycle(self, robot): robot.position()\n"
+    (tmp_path / "mine.py").write_text(text)
+    line = complaint("run", "mine.py", "--cycles", "2", folder=tmp_path)
+    assert line.startswith("mine.py:4: ") or "/mine.py:4: " in line
+    assert "ValueError: mine" in line
+
+
+def test_before_each_run_a_person_is_waited_for(tmp_path: Path) -> None:
+    command = [*PROGRAM, "run", "--confirm", "--cycles", "1", "--runs", "2"]
+    result = subprocess.run(
+        command, cwd=tmp_path, input="\nready\n", capture_output=True, text=True, timeout=60
+    )
+    assert result.returncode == 0
+    assert result.stderr.count("put the robot right, then press Enter") == 2
+    ended = subprocess.run(command, cwd=tmp_path, input="\n", capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1
+    assert "--confirm: the input ended before run 2; right is a terminal" in ended.stderr
+
+
+def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
+    host, terminal = pty.openpty()
+    command = [*PROGRAM, "run", "--confirm", "--cycles", "1", "--save", "s"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdin=terminal, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stderr is not None
+        assert os.read(process.stderr.fileno(), 100).startswith(b"run 1: put")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 130
+        assert b"0 of 1 runs are kept" in process.stderr.read()
+    os.close(host)
+    os.close(terminal)
+    good("run", "--cycles", "1", "--save", "s", "--resume", folder=tmp_path)
+
+
+def test_a_twin_that_is_killed_in_mid_run_is_one_error_and_nothing_is_lost(tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    options = ("obstacles", "--clock", "wire", "--log", "served.mcap", "--link", str(link))
+    with served(tmp_path, *options) as (twin, _):
+        words = ("--port", link, "--cycles", "20", "--runs", "100000", "--save", "series")
+        with begun(tmp_path, *words) as process:
+            twin.kill()
+            start = time.monotonic()
+            _, errors = process.communicate(timeout=20)
+            assert time.monotonic() - start < 8
+    assert process.returncode == 1
+    assert errors.count("\n") == 1, errors
+    assert "the motors may still run" in errors
+    assert rows(tmp_path / "series")[0]["run"] == "1"
+    assert "run" in good("series", "series", folder=tmp_path)
+    recovered = run("recover", "served.mcap.part", folder=tmp_path)
+    assert recovered.returncode in (0, 3), recovered.stderr
+    assert len(read(tmp_path / "served.mcap").robots["khepera0"].times_ns) >= 1
+
+
+def test_a_terminal_that_closes_and_a_peer_that_goes_are_one_error(tmp_path: Path) -> None:
+    with FakeRobot() as robot:
+        words = ("--port", robot.url, "--cycles", "5", "--runs", "100000", "--save", "series")
+        with begun(tmp_path, *words) as process:
+            robot.hang_up(for_good=True)
+            _, errors = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert errors.count("\n") == 1, errors
+    assert "the motors may still run" in errors
+    host, terminal = pty.openpty()
+    path = os.ttyname(terminal)
+    with subprocess.Popen(
+        [*PROGRAM, "run", "--port", path], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert os.read(host, 1)
+        os.close(terminal)
+        os.close(host)
+        _, errors = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert errors.startswith(f"khep-twin: {path}: ")
+    assert errors.count("\n") == 1, errors
+
+
+def test_starts_have_logs_and_tracks_of_their_own(tmp_path: Path) -> None:
+    words = (
+        "run",
+        "--start",
+        "grid:2x1",
+        "--runs",
+        "3",
+        "--cycles",
+        "9",
+        "--log",
+        "run.mcap",
+        "--picture",
+        "p.svg",
+    )
+    told = good(*words, folder=tmp_path)
+    assert "log      run-001.mcap to run-003.mcap" in told
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "p.svg",
+        *(f"run-00{number}.mcap" for number in (1, 2, 3)),
+    ]
+    pose = [read(tmp_path / f"run-00{number}.mcap").robots["khepera0"].pose[0] for number in (1, 2, 3)]
+    assert [round(float(place[0]), 3) for place in pose] == [0.15, 0.45, 0.15]
+
+
+def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
+    for name, seed in (("one", 1), ("other", 2)):
+        words = ("run", "--start", "random", "--seed", seed, "--runs", "3", "--cycles", "9", "--save", name)
+        good(*words, folder=tmp_path)
+    told = good(
+        "series", "one", "other", "--picture", "s.png", "--columns", "fitness,distance_m", folder=tmp_path
+    )
+    lines = told.splitlines()
+    assert [line.split()[0] for line in lines[1:4]] == ["fitness", "other", "less"]
+    assert lines[-1] == "picture  s.png"
+    assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
+    for words, line in (
+        (("one", "none"), "none/series.json: cannot be read: No such file"),
+        (
+            ("one", "--columns", "fitnes"),
+            "column fitnes: is no number of these runs; did you mean 'fitness'?",
+        ),
+        (("one", "--picture", "s.jpg"), "--picture s.jpg: right is a name that ends in"),
+        (("one", "--picture", "no/s.png"), "no/s.png: cannot be written: there is no directory no"),
+    ):
+        assert complaint("series", *words, folder=tmp_path).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--resume",), "--resume goes on with a series that was saved; right is to give --save FOLDER too"),
+        (("--save", "s", "--resume"), "s: holds no series to go on with; right is a folder that --save made"),
+        (("--start", "5,5,0"), "start 5,5,0: robot 1 at (5, 5) overlaps the left wall"),
+        (("--start", "playpen", "--robot", "3"), "robot = 3: not in playpen 'default'; (choices: 0)"),
+        (("--lighting", "dark"), "lighting 'dark': unknown; (choices: all, random, sequenced, off)"),
+        (("--without-lamp", "1"), "--without-lamp 1: right is X,Y in mm, such as 50,450"),
+        (("--without-lamp", "1,1"), "default: no lamp is left that could be taken away"),
+        (
+            ("--port", "khep://default", "--start", "random"),
+            "--start is for a twin in this process, not for one",
+        ),
+        (("--pause", "inf"), "a pause of inf s; right is 0 or more"),
+        (("--save", "mine.py"), "mine.py: no folder can be made here: File exists"),
+    ],
+)
+def test_a_mistake_is_one_line(words: Sequence[str], line: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(PLAIN)
+    assert complaint("run", "--cycles", "1", *words, folder=tmp_path).startswith(line)
+
+
+def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
+    assert "run it: khep-twin run mine.py" in good("new", "controller", "mine.py", folder=tmp_path)
+    good("run", "mine.py", "--playpen", "obstacles", "--seconds", "20", "--save", "s", folder=tmp_path)
+    assert int(rows(tmp_path / "s")[0]["turns"]) >= 1
+    assert complaint("new", "controller", "mine.py", folder=tmp_path).startswith("mine.py: is there already")
+    assert complaint("new", "controller", "mine.txt", folder=tmp_path).startswith("mine.txt: right is a name")
