@@ -211,7 +211,9 @@ def test_only_the_same_series_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_controller_that_draws_on_chance_of_its_own_is_told_on_resume(tmp_path: Path) -> None:
-    text = "import random\n\ndef controller(robot):\n    robot.position()\n    return {'luck': random.random()}\n"
+    text = (
+        "import random\n\ndef controller(robot):\n    robot.position()\n    return {'luck': random.random()}"
+    )
     (tmp_path / "mine.py").write_text(text)
     words = ("run", "mine.py", "--cycles", "3", "--save", "s", "--start", "playpen")
     good(*words, folder=tmp_path)

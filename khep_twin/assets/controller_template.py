@@ -32,7 +32,8 @@ class Wander(Controller):
         if max(left, right) < NEAR_COUNTS:
             turn = 0
         else:
-            turn = 1 if left > right else -1  # to the right, if it is nearer at the left
+            # To the right, if it is nearer at the left; a turn goes on as it began, or corners would hold it.
+            turn = self._last or (1 if left > right else -1)
         if turn and not self._last:
             self.turns += 1
         self._last = turn

@@ -69,5 +69,6 @@ def _panel(axes: Axes, labels: Sequence[str], series: Sequence[Sequence[Row]], n
     axes.set_ylabel(f"{name} [{UNITS[name]}]" if UNITS.get(name) else name)
     ticks = MaxNLocator(integer=True).tick_values(1, max(last, 2))
     axes.set_xticks([tick for tick in ticks if 1 <= tick <= last])
-    low, high = axes.get_ylim()
-    axes.set_ylim(min(0.0, low), high + 0.05 * (high - min(0.0, low)))
+    # From 0, if nothing lies below.
+    low, high = (0.0 if axes.dataLim.y0 >= 0 else axes.get_ylim()[0]), axes.get_ylim()[1]
+    axes.set_ylim(low, high + 0.05 * (high - low))
