@@ -9,15 +9,19 @@
 """
 
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.host import Khepera
+from khep_twin.host.commands import Command
 from khep_twin.host.toolbox import Port, robot_at
 from khep_twin.lab import sensor_files
 from khep_twin.lab.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest, What, sense
 from khep_twin.lab.toolbox_simulator import opened
+
+A = TypeVar("A")
 
 EXCHANGE = 0.03
 """What a question costs in `simsense` [s] (assumed: about the mean of H and N at 9600 baud)."""
