@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.host import Khepera
-from khep_twin.host.commands import Command
 from khep_twin.host.toolbox import Port, robot_at
 from khep_twin.lab import sensor_files
 from khep_twin.lab.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest, What, sense
