@@ -93,8 +93,9 @@ def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
             assert served.stdout is not None
             port = served.stdout.readline().strip()
             command = [sys.executable, "-m", "khep_twin", "sense", port, "--linear", "-60", "-o", "run.csv"]
+            command += ["--speed", "5"]  # 15 s, so that it goes on by then on slow machines, too
             with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=folder) as sensing:
-                time.sleep(2.5)
+                time.sleep(5)
                 sensing.send_signal(signal.SIGINT)
                 _, complaint = sensing.communicate(timeout=20)
         finally:

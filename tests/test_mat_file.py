@@ -180,10 +180,10 @@ def test_a_bomb_is_refused(data: bytes, line: str) -> None:
 
 def test_much_text_in_many_rows_and_matrices_is_refused_in_time() -> None:
     rows = matrix([2**20, 1], 4, "♞".encode("utf-16-le") * 2**20, stored=17)
-    begun = time.perf_counter()
+    begun = time.process_time()
     with pytest.raises(MatError, match="text of 2097152 characters; right is up to 1048576"):
         read_variables(five(rows * 30))
-    assert time.perf_counter() - begun < 2
+    assert time.process_time() - begun < 2
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from typing import SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.errors import PortError
+from khep_twin.errors import PortError, ProtocolError
 from khep_twin.host.khepera import Khepera
 
 __all__ = [
@@ -157,8 +157,17 @@ def rmc(port_id: Port) -> Row:
     T is 1 on the target. M is 0 for speed, 1 for position and 2 for a fixed duty with ROM 5.02, and with the
     toolbox's ROM 4.06 it is 0 for position and 1 for speed. E is the controller's error.
     """
-    left, right = robot_at(port_id).status()
-    return _row((left.on_target, left.mode, left.error, right.on_target, right.mode, right.error))
+    # As the robot tells them: the host's own status translates the modes of all ROMs into one.
+    robot = robot_at(port_id)
+    answer = robot.ask("K")
+    try:
+        head, *fields = answer.split(",")
+        values = [int(field) for field in fields]
+    except ValueError:
+        head, values = "", []
+    if head != "k" or len(values) != 6:
+        raise ProtocolError(f"{robot.name}: 'K' was answered {answer!r}; right is 'k' and 6 whole numbers")
+    return _row(tuple(values))
 
 
 # Senses and lights ---------------------------------------------------------------------------------------

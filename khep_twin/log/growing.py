@@ -34,14 +34,14 @@ class Message:
     Attributes:
         topic: of its channel.
         schema: name of its type.
-        definition: text of its type.
+        definition: of its type: text for ROS 2, bytes for protobuf.
         time_ns: simulated [ns].
         data: as it was written.
     """
 
     topic: str
     schema: str
-    definition: str
+    definition: str | bytes
     time_ns: int
     data: bytes
 
@@ -171,7 +171,8 @@ class GrowingLog:
                 channel = self._channels[number]
                 schema = self._schemas[channel.schema_id]
                 data = content[start + MESSAGE.size : end]
-                yield Message(channel.topic, schema.name, schema.data.decode("ascii"), time_ns, data)
+                definition = schema.data.decode("ascii") if schema.encoding == "ros2msg" else schema.data
+                yield Message(channel.topic, schema.name, definition, time_ns, data)
 
     def _check_alive(self) -> None:
         """Asks, now and then, whether somebody still has the file open to write."""

@@ -27,7 +27,7 @@ from khep_twin.log.viewer import Web, open_viewer
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
-UNSEEN = ["/wire$", "^/state$", "/registers$"]
+UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$"]
 """Topics, as patterns, that no view shows: they are for programs."""
 
 _FRAMES = ("Transform3D:child_frame", "Transform3D:parent_frame", "CoordinateFrame:frame")
