@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from khep_twin import calibration, kernel, units
 from khep_twin.ambient import Receivers
+from khep_twin.casting import scene_of
 from khep_twin.faults import Fault, Injector
 from khep_twin.firmware import Firmware
 from khep_twin.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
@@ -120,8 +121,9 @@ class Robot:
         if spread:
             measured = calibration.spread(measured, chance("spread"))
         prefix, lighting = f"{self.name}/", stage.playpen.lighting
-        receivers = Receivers(model, data, prefix, measured.ambient, stage.lamps, lighting)
-        self._scan = InfraredScan(model, data, prefix, measured, receivers, chance if noise else None)
+        receivers = Receivers(model, prefix, measured.ambient, stage.lamps, lighting)
+        scene = scene_of(model, data, prefix)
+        self._scan = InfraredScan(scene, prefix, measured, receivers, chance if noise else None)
 
     @property
     def pose(self) -> tuple[float, float, float]:

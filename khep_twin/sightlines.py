@@ -20,30 +20,24 @@ _OWN = ("base", "left_wheel", "right_wheel")
 
 
 class SightLines:
-    """Of one robot's receivers to the lamps of a scene.
+    """Of one robot's receivers to the lamps of a scene; `optics.clear` goes by them.
 
     Args:
         model: the scene.
         prefix: of the robot's names in it.
         lamps: places of the bulbs' centres [m].
+
+    Attributes:
+        lamps: places of the bulbs' centres [m].
+        known: whether all that stops light stands still, the robot itself left aside.
+        hidden: what may hide each lamp: the middle and half of the angle that it takes [rad], and how near it
+            is [m].
     """
 
     def __init__(self, model: mujoco.MjModel, prefix: str, lamps: list[tuple[float, float, float]]) -> None:
-        self._lamps = lamps
-        self._known = _nothing_else_moves(model, prefix)
-        self._hidden = [list(_directions(model, lamp)) for lamp in lamps] if self._known else []
-
-    def clear(self, lamp: int, x: float, y: float) -> bool:
-        """Whether a lamp is surely in full sight of a place at the height of the sensors [m]."""
-        if not self._known:
-            return False
-        lamp_x, lamp_y, _ = self._lamps[lamp]
-        dx, dy = x - lamp_x, y - lamp_y
-        direction, distance = math.atan2(dy, dx), math.hypot(dx, dy)
-        for middle, half, nearest in self._hidden[lamp]:
-            if distance > nearest and abs((direction - middle + math.pi) % _TURN - math.pi) < half:
-                return False
-        return True
+        self.lamps = lamps
+        self.known = _nothing_else_moves(model, prefix)
+        self.hidden = [list(_directions(model, lamp)) for lamp in lamps] if self.known else []
 
 
 def _nothing_else_moves(model: mujoco.MjModel, prefix: str) -> bool:

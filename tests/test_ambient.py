@@ -6,12 +6,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from khep_twin import ambient, calibration, playpen
+from khep_twin import calibration, optics, playpen
+from khep_twin.ambient import ambient_optics, bulbs
 from khep_twin.kernel import AMBIENT
+from khep_twin.sightlines import SightLines
 from khep_twin.units import BULB_RADIUS, SENSOR_HEIGHT, SENSOR_POSITIONS
 from khep_twin.world import World
 
 KHEPERA1 = calibration.read("khepera1")[0].ambient
+RECEIVERS = ambient_optics(KHEPERA1)
 LIGHTING = playpen.Lighting(law="toolbox", min_angle_deg=20, max_angle_deg=80)
 DARK = round(KHEPERA1.dark_counts)
 LAMP = "[[lamp]]\nx_mm = 700\ny_mm = 250\npower_w = 7\n"
@@ -31,13 +34,13 @@ def counts(text: str) -> np.ndarray:
 
 
 def test_light_falls_with_the_square_of_the_distance() -> None:
-    near, far = (ambient.received(distance, 1.0, LEFT_10, KHEPERA1) for distance in (0.2, 0.4))
+    near, far = (optics.received(RECEIVERS, LEFT_10, distance, 1.0) for distance in (0.2, 0.4))
     assert near == pytest.approx(KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
     assert near == pytest.approx(4 * far)
 
 
 def test_off_the_axis_a_lobe_and_a_diffuse_part_are_left() -> None:
-    ahead, aside, behind = (ambient.received(0.2, cosine, LEFT_10, KHEPERA1) for cosine in (1.0, 0.5, -1.0))
+    ahead, aside, behind = (optics.received(RECEIVERS, LEFT_10, 0.2, cosine) for cosine in (1.0, 0.5, -1.0))
     part, exponent = KHEPERA1.diffuse, KHEPERA1.lobe_exponent[LEFT_10]
     assert aside / ahead == pytest.approx((1 - part) * 0.5**exponent + part * 0.75)
     assert behind == 0
@@ -48,7 +51,9 @@ def test_the_toolboxs_law_loses_nothing_up_to_an_angle_and_all_beyond_another(
     angle_deg: float, left: float
 ) -> None:
     cosine = math.cos(math.radians(angle_deg))
-    found = ambient.received_by_toolbox(0.2, cosine, LEFT_10, KHEPERA1, LIGHTING)
+    world = World(playpen.parse(scene(), "scene"))
+    lamps = bulbs(SightLines(world.model, "khepera0/", []), LIGHTING)
+    found = optics.received_by_toolbox(RECEIVERS, lamps, LEFT_10, 0.2, cosine)
     assert found == pytest.approx(left * KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
 
 
@@ -64,7 +69,7 @@ def test_a_scene_gives_what_the_law_says() -> None:
     distance = float(np.linalg.norm(way))
     heading = math.radians(KHEPERA1.heading_deg[LEFT_10])
     cosine = float(way @ [math.cos(heading), math.sin(heading), 0]) / distance
-    light = 7 * ambient.received(distance, cosine, LEFT_10, KHEPERA1)
+    light = 7 * optics.received(RECEIVERS, LEFT_10, distance, cosine)
     assert counts(scene(LAMP))[LEFT_10] == pytest.approx(DARK - light, abs=1)
 
 

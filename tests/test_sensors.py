@@ -5,7 +5,8 @@ import pytest
 
 from khep_twin import calibration, playpen, sensors
 from khep_twin.kernel import AMBIENT, DEMO_SPEED_PULSES, DEMO_WEIGHTS, PROXIMITY
-from khep_twin.sensors import lobe_weights, reflected
+from khep_twin.optics import reflected
+from khep_twin.sensors import lobe_weights
 from khep_twin.units import BODY_RADIUS
 from khep_twin.world import World
 

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from khep_twin import ambient, playpen
+from khep_twin import optics, playpen
+from khep_twin.ambient import bulbs
+from khep_twin.casting import MANY, scene_of
 from khep_twin.sightlines import SightLines
 from khep_twin.units import SENSOR_HEIGHT
 from khep_twin.world import World
@@ -13,34 +15,19 @@ def share_of_clear(text: str, n: int = 400) -> float:
     """Asserts that rays see all of each lamp where it is said to be clear; the share of such places."""
     world = World(playpen.parse(text, "sight"), noise=False)
     lines = SightLines(world.model, "khepera0/", world.lamps.positions)
-    receivers = ambient.Receivers(
-        world.model, world.data, "khepera0/", KHEPERA1, world.lamps, playpen.Lighting()
-    )
+    lamps, scene = bulbs(lines, playpen.Lighting()), scene_of(world.model, world.data, "khepera0/")
     width, depth = world.playpen.arena.width_mm / 1e3, world.playpen.arena.height_mm / 1e3
     clear = 0
     for x, y in np.random.default_rng(7).uniform((0, 0), (width, depth), (n, 2)).tolist():
         for lamp, at in enumerate(world.lamps.positions):
-            if lines.clear(lamp, x, y):
+            if optics.clear(lamps, lamp, x, y):
                 clear += 1
-                receivers._positions[0][:] = x, y, SENSOR_HEIGHT
+                scene.positions[0][:] = x, y, SENSOR_HEIGHT
                 way = at[0] - x, at[1] - y, at[2] - SENSOR_HEIGHT
                 distance = float(np.linalg.norm(way))
                 if distance > 0.03:
-                    assert receivers._reached(0, way, distance, receivers._many) == 1, (x, y, lamp)
+                    assert optics.part_of_bulb(scene, 0, *way, distance, MANY) == 1, (x, y, lamp)
     return clear / n / len(world.lamps.positions)
-
-
-KHEPERA1 = ambient.AmbientCalibration.model_validate(
-    {
-        "heading_deg": (0.0,) * 8,
-        "gain_counts_mm2_per_w": (1e6,) * 8,
-        "lobe_exponent": (1.0,) * 8,
-        "dark_counts": 500.0,
-        "floor_counts": 50.0,
-        "ceiling_counts": 500,
-        "noise_counts": 0.0,
-    }
-)
 
 
 @pytest.mark.parametrize("name", ["default", "obstacles", "two-lamps", "light-seeking", "t-maze"])
