@@ -6,12 +6,14 @@ is quickest with. `khep_twin.scale.compiled_casting` has the same functions for 
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.kernel import AMBIENT, PROXIMITY
 from khep_twin.units import Sensor
 
 Floats = NDArray[np.float64]
@@ -214,3 +216,24 @@ def blocked(
     for hit in points.hits.tolist():
         stopped += 0 <= hit < glass
     return stopped / len(points.hits)
+
+
+def step(scene: Scene) -> None:
+    """One step of the physics."""
+    mujoco.mj_step(scene.model, scene.data)
+
+
+def decide(
+    function: Callable[..., tuple[float, float]], registers: Any, memory: Any, genes: Any, speeds: Any
+) -> None:
+    """Calls a controller.
+
+    Args:
+        function: of proximity (8,), ambient (8,), memory and genes.
+        registers: the board's (N_REGISTERS,).
+        memory: the controller's own, that lasts.
+        genes: the controller's own, that it does not change.
+        speeds: are filled with what it returns, left and right (2,).
+    """
+    proximity = registers[PROXIMITY[0] : PROXIMITY[-1] + 1]
+    speeds[0], speeds[1] = function(proximity, registers[AMBIENT[0] : AMBIENT[-1] + 1], memory, genes)

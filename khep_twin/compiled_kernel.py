@@ -1,4 +1,4 @@
-"""The board's arithmetic compiled by numba: the same source as `kernel`, many times as fast.
+"""Arithmetic compiled by numba, from the source that runs without it, and many times as fast.
 
 numba is an extra, `pip install 'khep-twin[batch]'`; everything else works without it.
 """
@@ -7,6 +7,8 @@ numba is an extra, `pip install 'khep-twin[batch]'`; everything else works witho
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownArgumentType=false
 
 import inspect
+import sys
+from collections.abc import Mapping
 from functools import cache
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
@@ -18,9 +20,20 @@ from khep_twin.errors import MissingExtraError
 
 @cache
 def compiled_kernel() -> ModuleType:
-    """A second copy of the module `kernel` whose functions are compiled; its registers are int64 arrays.
+    """The board's arithmetic, `kernel`, compiled; its registers are int64 arrays.
 
-    Each function is compiled when it is first called.
+    Raises:
+        MissingExtraError: numba is not installed.
+    """
+    return compiled_copy(kernel)
+
+
+def compiled_copy(module: ModuleType, compiled: Mapping[str, ModuleType] | None = None) -> ModuleType:
+    """A second copy of a module whose own functions are compiled, each when it is first called.
+
+    Args:
+        module: whose source numba can compile.
+        compiled: other modules, by the names that it uses them by, which its copy is to use compiled.
 
     Raises:
         MissingExtraError: numba is not installed.
@@ -29,13 +42,18 @@ def compiled_kernel() -> ModuleType:
         from numba import njit
     except ImportError as error:
         raise MissingExtraError("numba", "batch") from error
-    loader = SourceFileLoader("khep_twin.kernel#compiled", str(kernel.__file__))
+    loader = SourceFileLoader(f"{module.__name__}#compiled", str(module.__file__))
     spec = spec_from_loader(loader.name, loader)
     if spec is None:
-        raise ImportError(f"no way to load {kernel.__file__}")
+        raise ImportError(f"no way to load {module.__file__}")
     copy = module_from_spec(spec)
+    # Code that numba has kept from another process finds its module by name.
+    sys.modules[loader.name] = copy
     loader.exec_module(copy)
     # A compiled function finds the others by their names in the copy, compiled too.
     for name, function in inspect.getmembers(copy, inspect.isfunction):
-        setattr(copy, name, njit(function))
+        if function.__module__ == loader.name:
+            setattr(copy, name, njit(function))
+    for name, other in (compiled or {}).items():
+        setattr(copy, name, other)
     return copy

@@ -33,6 +33,9 @@ TYRE_FRICTION = 0.9
 SHELL_FRICTION = 0.3
 """Of the plastic body on walls and objects (assumed)."""
 
+STEPS_NS = (units.STEP_NS, 2 * units.STEP_NS, 4 * units.STEP_NS)
+"""Steps that a scene may have [ns]: the robot's own, of one conversion, and coarser ones for many runs."""
+
 _SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
 """Stiffest contact that is steady at this step: time constant 2.5 steps, critically damped (measured)."""
 
@@ -98,6 +101,31 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
             for shell in [*shells[:owner], *shells[owner + 1 :]]:
                 _add_contact(spec, name, shell, SHELL_FRICTION)
     return spec
+
+
+def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
+    """Gives a specification from `to_spec` another step [ns]: contacts as steady, sensors in the same order.
+
+    Raises:
+        ValueError: the control tick, or the scan, is no whole number of such steps.
+    """
+    if step_ns not in STEPS_NS:
+        right = ", ".join(f"{step / 1e6:g}" for step in STEPS_NS)
+        raise ValueError(
+            f"a step of {step_ns / 1e6:g} ms does not divide the control tick of {units.TICK_NS / 1e6:g} ms "
+            f"into whole conversions; right is one of {right} ms"
+        )
+    step = step_ns * 1e-9
+    spec.option.timestep = step
+    for stiff in (*spec.geoms, *spec.pairs):
+        if stiff.solref[0] == _SOLREF[0]:
+            stiff.solref[0] = 2.5 * step
+    conversions, scan = step_ns // units.STEP_NS, units.SCAN_NS * 1e-9
+    for sensor in spec.sensors:
+        for channel, kind in enumerate(units.Sensor):
+            if sensor.name.endswith(f"/{kind.name.lower()}_rays"):
+                # As in assets/khepera.xml half a step early, so that rounding cannot move it.
+                sensor.interval = [scan, (channel // conversions + 0.5) * step - scan]
 
 
 def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:

@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import calibration, units
+from khep_twin.fitness import obstacle_avoidance
 from khep_twin.kernel import AMBIENT, PROXIMITY
 from khep_twin.lab import run_statistics as statistics
 from khep_twin.outline import contains
 from khep_twin.playpen import Playpen
 from khep_twin.uart import HostAct
 from khep_twin.world import World
-
-TOP_SPEED_PULSES = 20
-"""Speed that counts as 1 in the fitness [pulses/10 ms]: twice that of the robot's own demo (assumed)."""
 
 CELL = 0.05
 """Side of the cells that coverage counts [m]: about as wide as the robot."""
@@ -68,7 +66,7 @@ class Heard:
         """Ends a cycle of the controller: that is when its fitness counts."""
         left, right = self._speed
         nearest = max(self._proximity or (0,)) / units.COUNTS_LIMIT
-        self._cycles.append((fitness(left, right, nearest), (left + right) / 2))
+        self._cycles.append((obstacle_avoidance(left, right, nearest), (left + right) / 2))
 
     def numbers(self) -> dict[str, float]:
         """The run in numbers; those of sensors that were not asked for are left out."""
@@ -85,22 +83,6 @@ class Heard:
             counts = np.array(self._lights)
             found["ambient_mean"], found["ambient_min"] = float(counts.mean()), float(counts.min())
         return {name: found[name] for name in UNITS if name in found}
-
-
-def fitness(left_pulses: float, right_pulses: float, nearest: float) -> float:
-    """Floreano and Mondada's fitness (1994) of one moment: V (1 - sqrt(dV)) (1 - i).
-
-    V is the mean of both wheels' speeds without their signs, dV the difference of the speeds with their
-    signs, both as parts of what there can be, and i the reading of the sensor that is nearest to something,
-    0 to 1.
-
-    Args:
-        left_pulses: speed of the left wheel [pulses/10 ms].
-        right_pulses: speed of the right wheel.
-        nearest: largest proximity as a part of its limit.
-    """
-    left, right = (max(-1.0, min(1.0, pulses / TOP_SPEED_PULSES)) for pulses in (left_pulses, right_pulses))
-    return (abs(left) + abs(right)) / 2 * (1 - math.sqrt(abs(left - right) / 2)) * (1 - nearest)
 
 
 class Truth:

@@ -1,0 +1,1 @@
+"""Scale: many robots' lives, compiled and on all cores."""

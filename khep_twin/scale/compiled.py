@@ -1,0 +1,110 @@
+"""The episode compiled by numba: one loop without the interpreter and its lock.
+
+Only imported where numba is installed. Compiling takes some ten seconds; numba keeps what it has compiled
+beside this file, or in the user's cache, for as long as no source has changed.
+"""
+
+# numba is not typed.
+# pyright: basic, reportMissingTypeStubs=false
+
+import hashlib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numba
+import numpy as np
+from numba import carray, cfunc, njit, types
+
+from khep_twin import casting, fitness, kernel, optics, units
+from khep_twin.compiled_kernel import compiled_copy, compiled_kernel
+from khep_twin.errors import ControllerError
+from khep_twin.kernel import AMBIENT, N_REGISTERS, PROXIMITY
+from khep_twin.scale import addresses, compiled_casting, episode, networks
+
+_SOURCES = (kernel, units, fitness, optics, casting, networks, episode, compiled_casting, addresses)
+
+_OWN = {"kernel": compiled_kernel(), "units": compiled_copy(units), "casting": compiled_casting}
+_EPISODE = compiled_copy(
+    episode,
+    {
+        **_OWN,
+        "fitness": compiled_copy(fitness),
+        "networks": compiled_copy(networks),
+        "optics": compiled_copy(optics, {"casting": compiled_casting}),
+    },
+)
+
+
+def _stamp() -> int:
+    """What tells these sources from any others."""
+    digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
+    for module in _SOURCES:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return int.from_bytes(digest.digest()[:7], "big")
+
+
+def _entry(stamp: int) -> Any:
+    # numba keeps compiled code by the source of this one function and by what it closes over: the stamp makes
+    # it forget what was compiled from other sources of the functions that are called.
+    def advance(body, mind, span, n_steps):
+        if stamp == 0:
+            return -1
+        return _EPISODE.advance(body, mind, span, n_steps)
+
+    return njit(nogil=True, cache=True)(advance)
+
+
+advance = _entry(_stamp())
+"""`episode.advance`, compiled."""
+
+
+@cache
+def address_of(function: Any) -> int:
+    """Where compiled code finds a controller.
+
+    Args:
+        function: of proximity (8,), ambient (8,), memory and genes, plain or by `numba.njit`; it returns left
+            and right speed [pulses/10 ms].
+
+    Raises:
+        ControllerError: numba cannot compile it.
+    """
+    decide = function if hasattr(function, "py_func") else njit(function)
+    first_near, first_ambient, count = PROXIMITY[0], AMBIENT[0], len(PROXIMITY)
+    whole, real = types.CPointer(types.int64), types.CPointer(types.float64)
+
+    def call(registers, memory, n_memory, genes, n_genes, speeds):
+        board = carray(registers, (N_REGISTERS,))
+        left, right = decide(
+            board[first_near : first_near + count],
+            board[first_ambient : first_ambient + count],
+            carray(memory, (n_memory,)),
+            carray(genes, (n_genes,)),
+        )
+        both = carray(speeds, (2,))
+        both[0], both[1] = left, right
+
+    signature = types.void(whole, real, types.int64, real, types.int64, real)
+    try:
+        made = cfunc(signature)(call)
+    except numba.errors.NumbaError as error:
+        name = getattr(function, "__name__", "controller")
+        reason = str(error).strip().splitlines()[-1]
+        raise ControllerError(f"{name}: numba cannot compile it: {reason}") from error
+    _KEPT.append(made)
+    return int(made.address)
+
+
+_KEPT: list[Any] = []
+
+
+def as_arrays(numbers: Any) -> Any:
+    """A named tuple whose lists are arrays, as compiled code takes it."""
+    return type(numbers)(
+        *(
+            np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
+            for name, value in zip(numbers._fields, numbers, strict=True)
+        )
+    )

@@ -1,0 +1,407 @@
+"""A life: one robot in its playpen without a serial line, from its start to its end.
+
+    ground = Ground(playpen.load("obstacles"))
+    life = Life(ground, Wander())
+    life.begin(seed=1)
+    life.live(60.0)
+    print(life.pose, life.numbers())
+
+The same seed gives the same counts, registers and places as a `World` whose robot is told the same speeds at
+the same times by a line that costs no time, compiled or not, however often the life's memory was used before.
+Left out, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but are seen nowhere.
+"""
+
+import importlib.util
+import math
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import calibration, casting, kernel, units
+from khep_twin.ambient import ambient_optics, bulbs
+from khep_twin.calibration import Calibration
+from khep_twin.clock import n_steps
+from khep_twin.errors import DivergedError, PlaypenError
+from khep_twin.lamps import Lamps
+from khep_twin.optics import Bulbs
+from khep_twin.playpen import Lamp, Playpen, placed
+from khep_twin.playpen_to_mjcf import set_step, to_spec
+from khep_twin.randomness import stream
+from khep_twin.rom import DEMO, ROMS
+from khep_twin.scale import episode
+from khep_twin.scale.minds import Driver, Floats, Hold, mind_of
+from khep_twin.sensors import proximity_optics
+from khep_twin.sightlines import SightLines
+from khep_twin.supply import Supply
+
+NUMBERS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m")
+"""What a life is measured by: means over its control periods, and the way."""
+
+SPAN_NS = 2_000_000_000
+"""Chance is drawn for so long at a time [ns]."""
+
+_PREFIX = "khepera0/"
+
+Start = tuple[float, float, float]
+"""x [mm], y [mm], heading [deg]."""
+
+
+class SlowerWarning(UserWarning):
+    """numba is not installed, so that lives go the plain way, with the same results."""
+
+
+def is_compiled(wish: bool | None) -> bool:
+    """Whether lives run compiled: as wished, or with no wish where numba is installed, with a warning if not."""
+    if wish is not None:
+        return wish
+    if importlib.util.find_spec("numba") is not None:
+        return True
+    warnings.warn(
+        "numba is not installed: lives go the plain way, many times slower, with the same results; "
+        "right is: pip install 'khep-twin[batch]'",
+        SlowerWarning,
+        stacklevel=3,
+    )
+    return False
+
+
+class Light:
+    """The lamps of a life: where they are, what may hide them, and how they shine step by step.
+
+    Args:
+        playpen: with these lamps.
+        model: the scene.
+        step_ns: of the scene [ns].
+    """
+
+    def __init__(self, playpen: Playpen, model: mujoco.MjModel, step_ns: int) -> None:
+        # Lamps that are all on draw no chance.
+        self._lamps = Lamps(playpen, stream(0, "lamps"))
+        self._step_ns = step_ns
+        self.bulbs: Bulbs = bulbs(SightLines(model, _PREFIX, self._lamps.positions), playpen.lighting)
+        self._first = list(self._lamps.powers)
+        self._rows: list[list[float]] = []
+
+    def at_start(self) -> list[list[float]]:
+        """Powers before the first step (1, n_lamps) [W]."""
+        return [self._first]
+
+    def during(self, first: int, count: int) -> list[list[float]]:
+        """Powers after each of some steps, or one row if nothing changes them (n, n_lamps) [W]."""
+        if self._lamps.steady:
+            return [self._first]
+        while len(self._rows) < first + count:
+            self._lamps.update((len(self._rows) + 1) * self._step_ns, ())
+            self._rows.append(list(self._lamps.powers))
+        return self._rows[first : first + count]
+
+
+class Ground:
+    """A playpen made ready for any number of lives; threads may share it.
+
+    Args:
+        playpen: with one robot.
+        step_ns: of the physics [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms.
+        period_ns: of the controller [ns], whole ticks of 10 ms.
+
+    Raises:
+        PlaypenError: it has what lives cannot have.
+        ValueError: the step or the period divides nothing whole.
+    """
+
+    def __init__(
+        self, playpen: Playpen, *, step_ns: int = units.STEP_NS, period_ns: int = units.SCAN_NS
+    ) -> None:
+        _refuse(playpen)
+        if period_ns <= 0 or period_ns % units.TICK_NS:
+            raise ValueError(
+                f"a control period of {period_ns / 1e6:g} ms; right are whole ticks of "
+                f"{units.TICK_NS / 1e6:g} ms"
+            )
+        mujoco.set_mju_user_warning(_keep_quiet)
+        self.playpen, self.step_ns, self.period_ns = playpen, step_ns, period_ns
+        spec = to_spec(playpen)
+        if step_ns != units.STEP_NS:
+            set_step(spec, step_ns)
+        self.model = spec.compile()
+        self.entry = playpen.robots[0]
+        self.calibration = calibration.read(self.entry.calibration)[0]
+        self.light = self.lit(playpen.lamps)
+        model = self.model
+        joints = [model.joint(f"{_PREFIX}{side}_axle") for side in ("left", "right")]
+        width, height = playpen.arena.width_mm, playpen.arena.height_mm
+        self.wiring = episode.Wiring(
+            int(joints[0].qposadr[0]),
+            int(joints[1].qposadr[0]),
+            model.actuator(f"{_PREFIX}left_motor").id,
+            model.actuator(f"{_PREFIX}right_motor").id,
+            int(model.joint(f"{_PREFIX}pose").qposadr[0]),
+            self.calibration.motors.constant,
+            1.0 + max(units.metres(width), units.metres(height)),
+            step_ns // units.STEP_NS,
+            n_steps(units.TICK_NS, step_ns),
+            n_steps(units.SCAN_NS, step_ns),
+            n_steps(period_ns, step_ns),
+        )
+
+    def lit(self, lamps: Sequence[Lamp]) -> Light:
+        """The light of other lamps on this ground."""
+        return Light(self.playpen.model_copy(update={"lamps": tuple(lamps)}), self.model, self.step_ns)
+
+    def start(self, seed: int) -> Start:
+        """Where a robot starts: in its place, or at the spot that the seed draws."""
+        robot = placed(self.playpen, stream(seed, "spots")).robots[0]
+        return robot.x_mm, robot.y_mm, robot.heading_deg
+
+    def another(self, seed: int) -> Calibration:
+        """Another robot of the same make, by the seed."""
+        return calibration.spread(self.calibration, stream(seed, "robot", 0, "spread"))
+
+
+class Life:
+    """Room for one life at a time; `begin` starts a new one in it.
+
+    Args:
+        ground: where it goes on.
+        driver: what drives; a policy is left to whoever calls it.
+        compiled: None for compiled where numba is installed.
+
+    Attributes:
+        registers: the board's state (N_REGISTERS,).
+    """
+
+    def __init__(self, ground: Ground, driver: Driver | None = None, *, compiled: bool | None = None) -> None:
+        self._ground, self._driver = ground, driver or Hold()
+        self._compiled = is_compiled(compiled)
+        self._data = mujoco.MjData(ground.model)
+        self.registers: NDArray[np.int64] = np.zeros(kernel.N_REGISTERS, np.int64)
+        self._scene: Any
+        if self._compiled:
+            from khep_twin.scale import compiled as fast
+            from khep_twin.scale import compiled_casting
+
+            self._advance = fast.advance
+            self._numbers = fast.as_arrays
+            self._scene = compiled_casting.scene_of(ground.model, self._data, _PREFIX)
+        else:
+            self._advance = episode.advance
+            self._numbers = _as_it_is
+            self._scene = casting.scene_of(ground.model, self._data, _PREFIX)
+        self._state = np.zeros(episode.N_STATE, np.int64)
+        self._proximity = {0: self._numbers(proximity_optics(ground.model, _PREFIX, ground.calibration))}
+        self._supply = Supply(ground.entry.battery_used_min)
+        self._chance: list[np.random.Generator] = []
+        self._seed = 0
+        self._light = ground.light
+
+    def begin(
+        self,
+        seed: int = 0,
+        *,
+        start: Start | None = None,
+        noise: bool = True,
+        spread: bool = False,
+        light: Light | None = None,
+        genes: Sequence[float] | Floats = (),
+        home: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    ) -> None:
+        """Starts a life.
+
+        Args:
+            seed: of every chance in it.
+            start: x, y [mm] and heading [deg]; None for the playpen's.
+            noise: whether sensors are noisy.
+            spread: draws the sensors anew, as no two robots are alike.
+            light: other lamps than the playpen's (`Ground.lit`).
+            genes: of the driver.
+            home: x, y, radius [m] and how long a charge lasts [s]; radius 0 for none.
+
+        Raises:
+            ControllerError: the genes do not fit the driver.
+            DivergedError: the physics does not even stand.
+        """
+        ground, data = self._ground, self._data
+        self._seed, self._light = seed, light or ground.light
+        near = self._proximity[0]
+        measured = ground.calibration
+        if spread:
+            measured = ground.another(seed)
+            near = self._numbers(proximity_optics(ground.model, _PREFIX, measured))
+        self._chance = []
+        if noise:
+            self._chance = [stream(seed, "robot", 0, name) for name in ("proximity", "ambient", "idle")]
+        mujoco.mj_resetData(ground.model, data)
+        begins = start or ground.start(seed)
+        if begins != (ground.entry.x_mm, ground.entry.y_mm, ground.entry.heading_deg):
+            data.qpos[ground.wiring.pose : ground.wiring.pose + 7] = _free_joint(begins)
+        self.registers[:] = 0
+        kernel.reset(self.registers.data)
+        driver = self._driver
+        if isinstance(driver, Hold) and (driver.left or driver.right):
+            episode.drive(self.registers.data, driver.left, driver.right)
+        rom = ROMS[ground.entry.rom]
+        self._state[:] = 0, 1, rom.modes[ground.entry.mode].function == DEMO, episode.FINE
+        self._body = episode.Body(
+            self._scene,
+            near,
+            self._numbers(ambient_optics(measured.ambient)),
+            self._numbers(self._light.bulbs),
+            ground.wiring,
+            self.registers if self._compiled else self.registers.data,
+            *(self._live(array) for array in (data.qpos, data.qvel, data.ctrl, data.actuator_force)),
+            self._live(data.xpos.reshape(-1)),
+            data.warning.number,
+            self._state if self._compiled else self._state.data,
+            np.zeros(1),
+        )
+        self._mind = mind_of(driver, np.asarray(genes, np.float64), np.array(home, np.float64), self._compiled)
+        self._advance(self._body, self._mind, self._span(self._light.at_start(), units.N_SENSORS, 1), -1)
+        self._complain()
+
+    @property
+    def steps(self) -> int:
+        """How many steps of the physics it has lived."""
+        return int(self._state[episode.STEPS])
+
+    @property
+    def time_ns(self) -> int:
+        """How long it has lived [ns]."""
+        return self.steps * self._ground.step_ns
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """True x, y [m] and heading [rad] in the playpen."""
+        at = self._ground.wiring.pose
+        x, y, _, qw, qx, qy, qz = self._data.qpos[at : at + 7].tolist()
+        return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+
+    @property
+    def joints(self) -> Floats:
+        """All places of the scene, MuJoCo's qpos, as a copy."""
+        return self._data.qpos.copy()
+
+    def live(self, seconds: float) -> None:
+        """Lets it go on for a time [s], in whole control periods.
+
+        Raises:
+            ValueError: the time is no whole number of control periods.
+            DivergedError: the physics left its bounds, or the controller gave what is no number.
+        """
+        periods = n_steps(round(seconds * 1e9), self._ground.period_ns)
+        steps = periods * self._ground.wiring.steps_per_period
+        longest = SPAN_NS // self._ground.step_ns
+        while steps > 0:
+            self.go_on(min(steps, longest))
+            steps -= longest
+
+    def go_on(self, steps: int) -> None:
+        """Lets it go on for some steps; errors as for `live`."""
+        wiring = self._ground.wiring
+        feeds = steps // wiring.steps_per_feed + 1
+        span = self._span(self._light.during(self.steps, steps), steps * wiring.conversions, feeds)
+        if self._advance(self._body, self._mind, span, steps):
+            self._complain()
+
+    def drive(self, left: float, right: float) -> None:
+        """Sets both speeds [pulses/10 ms], as a driver does.
+
+        Raises:
+            DivergedError: a speed is no number.
+        """
+        if self._state[episode.POWERED] and not episode.drive(self.registers.data, left, right):
+            self._state[episode.TROUBLE] = episode.NO_SPEED
+            self._complain()
+
+    def numbers(self) -> dict[str, float]:
+        """What it is measured by up to now (`NUMBERS`); homing is not a number without a home."""
+        sums = self._mind.sums
+        periods = max(float(sums[episode.PERIODS]), 1.0)
+        means = [
+            float(sums[each]) / periods
+            for each in (episode.AVOIDANCE, episode.SEEKING, episode.HOMING, episode.FOLLOWING)
+        ]
+        if not self._mind.home[2]:
+            means[2] = math.nan
+        return dict(zip(NUMBERS, [*means, float(sums[episode.WAY])], strict=True))
+
+    def _span(self, powers: list[list[float]], conversions: int, feeds: int) -> episode.Span:
+        """Chance and supply of the next steps."""
+        draws: list[Any] = [np.zeros(0)] * 3
+        if self._chance:
+            near, ambient, idle = self._chance
+            draws = [
+                near.standard_normal(conversions),
+                ambient.standard_normal(conversions),
+                idle.standard_exponential(conversions),
+            ]
+        wiring, step_ns = self._ground.wiring, self._ground.step_ns
+        fed = self.steps // wiring.steps_per_feed + (feeds > 1 or self.steps > 0)
+        feed_ns = wiring.steps_per_feed * step_ns
+        volts = [self._supply.voltage((fed + i) * feed_ns) for i in range(feeds)]
+        noisy = bool(self._chance)
+        if not self._compiled:
+            return episode.Span(powers, volts, noisy, *(draw.tolist() for draw in draws))
+        return episode.Span(np.array(powers).reshape(len(powers), -1), np.array(volts), noisy, *draws)  # type: ignore
+
+    def _live(self, array: Any) -> Any:
+        """A view of MuJoCo's own memory, as quick as can be."""
+        return array if self._compiled else array.data
+
+    def _complain(self) -> None:
+        """Raises what ended the life, if anything has."""
+        trouble = int(self._state[episode.TROUBLE])
+        if trouble == episode.FINE:
+            return
+        reason = "the physics left its bounds"
+        if trouble == episode.WARNED:
+            number = self._data.warning.number
+            reason = f"MuJoCo warns of {mujoco.mjtWarning(int(np.flatnonzero(number)[0])).name}"
+        elif trouble == episode.NO_SPEED:
+            reason = "the controller gave a speed that is no number"
+        raise DivergedError(
+            f"the life of seed {self._seed} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: {reason}"
+        )
+
+
+def _refuse(playpen: Playpen) -> None:
+    """Refuses a playpen that has what lives cannot have."""
+    name, robots = playpen.name, playpen.robots
+    if len(robots) != 1:
+        raise PlaypenError(f"{name}: has {len(robots)} robots; right is one for lives without a serial line")
+    if robots[0].turrets:
+        raise PlaypenError(
+            f"{name}: its robot has turrets = {list(robots[0].turrets)}; right are none for lives without a "
+            "serial line"
+        )
+    if playpen.lighting.mode != "all":
+        raise PlaypenError(
+            f"{name}: lighting: mode = {playpen.lighting.mode!r}; right is 'all' for lives without a serial line"
+        )
+
+
+def _free_joint(start: Start) -> Floats:
+    """The numbers of a robot's free joint at a start (7,): what MuJoCo itself makes of the place."""
+    x_mm, y_mm, heading_deg = start
+    heading = units.radians(heading_deg)
+    spec = mujoco.MjSpec()
+    frame = spec.worldbody.add_frame(
+        pos=[units.metres(x_mm), units.metres(y_mm), 0],
+        quat=[math.cos(heading / 2), 0, 0, math.sin(heading / 2)],
+    )
+    child = mujoco.MjSpec()
+    body = child.worldbody.add_body(name="base", mass=1, inertia=[1, 1, 1])
+    body.add_freejoint()
+    spec.attach(child, prefix="robot/", frame=frame)
+    return spec.compile().qpos0
+
+
+def _as_it_is(numbers: Any) -> Any:
+    return numbers
+
+
+def _keep_quiet(warning: str) -> None:
+    """Leaves a warning to the check of MuJoCo's counters."""

@@ -1,0 +1,59 @@
+"""Neural controllers: small networks whose weights are a genome.
+
+    value_j = tanh(bias_j + sum_i weight_ji input_i + sum_k feedback_jk value_k of the last control period)
+
+The feedback is there in the first layer behind the inputs of a recurrent network, and nowhere in a dense one. A
+genome has, layer by layer and neuron by neuron, the bias, the weights in the order of the inputs, and the
+feedback weights. Plain numbers, compiled as they stand.
+"""
+
+import math
+from collections.abc import Sequence
+
+
+def n_genes(sizes: Sequence[int], recurrent: bool) -> int:
+    """Length of the genome of a network with so many inputs, neurons per layer and outputs."""
+    total = 0
+    for layer in range(1, len(sizes)):
+        total += sizes[layer] * (sizes[layer - 1] + 1)
+    return total + (sizes[1] * sizes[1] if recurrent else 0)
+
+
+def think(
+    sizes: Sequence[int],
+    recurrent: bool,
+    genes: Sequence[float],
+    memory: list[float],
+    values: list[float],
+) -> int:
+    """Lets a network think once.
+
+    Args:
+        sizes: inputs, neurons of each layer, outputs.
+        recurrent: whether the first layer hears itself.
+        genes: its weights (n_genes,).
+        memory: of that layer's values, changed in place (at least sizes[1],).
+        values: the inputs first, behind them room for all neurons, filled in (sum(sizes),).
+
+    Returns:
+        Where in `values` the outputs begin.
+    """
+    gene, below, here = 0, 0, sizes[0]
+    for layer in range(1, len(sizes)):
+        feeds_back = recurrent and layer == 1
+        for neuron in range(sizes[layer]):
+            total = genes[gene]
+            gene += 1
+            for i in range(sizes[layer - 1]):
+                total += genes[gene] * values[below + i]
+                gene += 1
+            if feeds_back:
+                for i in range(sizes[layer]):
+                    total += genes[gene] * memory[i]
+                    gene += 1
+            values[here + neuron] = math.tanh(total)
+        if feeds_back:
+            for i in range(sizes[layer]):
+                memory[i] = values[here + i]
+        below, here = here, here + sizes[layer]
+    return below
