@@ -6,7 +6,7 @@ is quickest with. `khep_twin.scale.compiled_casting` has the same functions for 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -134,9 +134,31 @@ def sensor_frame(scene: Scene, channel: int) -> list[float]:
     return scene.frames[channel].tolist()
 
 
-def rays(scene: Scene, channel: int) -> list[float]:
-    """Length [m], below 0 for one that hits nothing, and normal of each ray of a sensor (4 n_rays,)."""
+def rays(scene: Scene, near: Any, channel: int, level: float) -> list[float]:
+    """Length [m], below 0 for one that hits nothing, and normal of each ray of a sensor (4 n_rays,).
+
+    They are all there already, as the rangefinders have found them; compiled code casts them where something
+    may be near enough to count.
+
+    Args:
+        scene: in which.
+        near: how proximity comes about.
+        channel: of the sensor.
+        level: what it reads with nothing in view, before it is cut off [counts].
+    """
     return scene.rays[channel].tolist()
+
+
+def direction(frame: Sequence[float], aside: float) -> tuple[float, float, float]:
+    """Where a ray goes in the world, reckoned as MuJoCo does, to the last bit.
+
+    Args:
+        frame: of the sensor (9,).
+        aside: tangent of its angle off the sensor's axis.
+    """
+    x, y, z = frame[0] * aside - frame[2], frame[3] * aside - frame[5], frame[6] * aside - frame[8]
+    scale = 1 / math.sqrt(x * x + y * y + z * z)
+    return x * scale, y * scale, z * scale
 
 
 def surfaces(scene: Scene, channel: int, directions: list[float], cutoff: float, found: list[float]) -> None:
@@ -166,11 +188,12 @@ def surfaces(scene: Scene, channel: int, directions: list[float], cutoff: float,
     found[:] = scene.reflectances[scene.geoms].tolist()
 
 
-def way_clear(scene: Scene, channel: int, x: float, y: float, z: float) -> float:
-    """How far a ray gets from a sensor along a vector, in lengths of it; below 0 if it hits nothing."""
+def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: float) -> bool:
+    """Whether light along a vector from a sensor [m] is stopped before a part of it, 0 to 1."""
     way = np.array((x, y, z))
     position = scene.positions[channel]
-    return mujoco.mj_ray(scene.model, scene.data, position, way, WITHOUT_WHEELS, True, scene.body, None)
+    hit = mujoco.mj_ray(scene.model, scene.data, position, way, WITHOUT_WHEELS, True, scene.body, None)
+    return 0 <= hit < glass
 
 
 def blocked(

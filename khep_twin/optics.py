@@ -40,8 +40,7 @@ class Proximity(NamedTuple):
         noise: standard deviation of one reading [counts].
         idle: mean of the rest that is left with nothing in reach [counts].
         weights: of each sensor's rays (8, n_rays).
-        aside: of each sensor's rays in its own frame, to its right (8, n_rays).
-        ahead: likewise, where it looks (8, n_rays).
+        aside: tangents of their angles off the sensor's axis, to its right (8, n_rays).
         brightest: largest reflectance in the scene.
         uniform: whether all that can be hit has that reflectance.
         directions: room for rays in the world (3 n_rays,).
@@ -59,7 +58,6 @@ class Proximity(NamedTuple):
     idle: float
     weights: Sequence[Sequence[float]]
     aside: Sequence[Sequence[float]]
-    ahead: Sequence[Sequence[float]]
     brightest: float
     uniform: bool
     directions: list[float]
@@ -161,14 +159,14 @@ def proximity(
         idle: chance, with mean 1.
         range_left: part of the range that ambient light has left, 0 to 1.
     """
-    found = casting.rays(scene, channel)
+    level = near.noise * noise - near.threshold[channel]
+    found = casting.rays(scene, near, channel, level)
     nearest = farthest = -1.0
     for i in range(0, len(found), casting.LENGTH_AND_NORMAL):
         length = found[i]
         if length >= 0:
             nearest = length if nearest < 0 else min(nearest, length)
             farthest = max(farthest, length)
-    level = near.noise * noise - near.threshold[channel]
     if nearest >= 0:
         # Most of the time nothing near enough is in view; what cannot pass the threshold is not summed up.
         gain, reach = near.gain[channel], nearest + near.offset[channel]
@@ -211,10 +209,8 @@ def light(scene: casting.Scene, eyes: Ambient, bulbs: Bulbs, powers: Sequence[fl
             total += counts
         elif counts >= _FAINT:
             total += counts * in_sight(scene, channel, dx, dy, dz, distance)
-        else:
-            hit = casting.way_clear(scene, channel, dx, dy, dz)
-            if not 0 <= hit < 1 - BULB_RADIUS / distance:
-                total += counts
+        elif not casting.stopped(scene, channel, dx, dy, dz, 1 - BULB_RADIUS / distance):
+            total += counts
     return total
 
 
@@ -324,14 +320,12 @@ def _look(
 ) -> None:
     """Fills in how the rays meet what they hit, and how bright that is."""
     frame = casting.sensor_frame(scene, channel)
-    aside, ahead = near.aside[channel], near.ahead[channel]
+    aside = near.aside[channel]
     for i in range(len(aside)):
         first = casting.LENGTH_AND_NORMAL * i
         if near.uniform and found[first] < 0:
             continue  # it is neither cast again nor counts
-        dx = aside[i] * frame[0] - ahead[i] * frame[2]
-        dy = aside[i] * frame[3] - ahead[i] * frame[5]
-        dz = aside[i] * frame[6] - ahead[i] * frame[8]
+        dx, dy, dz = casting.direction(frame, aside[i])
         near.directions[3 * i], near.directions[3 * i + 1], near.directions[3 * i + 2] = dx, dy, dz
         near.incidences[i] = -(found[first + 1] * dx + found[first + 2] * dy + found[first + 3] * dz)
     if not near.uniform:

@@ -119,7 +119,7 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
     spec.option.timestep = step
     for stiff in (*spec.geoms, *spec.pairs):
         if stiff.solref[0] == _SOLREF[0]:
-            stiff.solref[0] = 2.5 * step
+            stiff.solref = [2.5 * step, 1.0]
     conversions, scan = step_ns // units.STEP_NS, units.SCAN_NS * 1e-9
     for sensor in spec.sensors:
         for channel, kind in enumerate(units.Sensor):

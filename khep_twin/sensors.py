@@ -76,14 +76,10 @@ def proximity_optics(model: mujoco.MjModel, prefix: str, calibration: Calibratio
     numbers = calibration.proximity
     weights: list[list[float]] = []
     aside: list[list[float]] = []
-    ahead: list[list[float]] = []
     for channel, (sensor, rays) in enumerate(zip(Sensor, ray_slices(model, prefix), strict=True)):
         n_rays = (rays.stop - rays.start) // LENGTH_AND_NORMAL
         tangents = _tangents(model, prefix + sensor.name.lower(), n_rays)
-        directions = np.column_stack([tangents, np.ones(n_rays)])
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        aside.append(directions[:, 0].tolist())
-        ahead.append(directions[:, 1].tolist())
+        aside.append(tangents.tolist())
         weights.append(lobe_weights(tangents, numbers.lobe_exponent[channel]))
     seen = model.geom_user[_visible_geoms(model, prefix), 0]
     brightest, n_rays = float(seen.max(initial=0.0)), len(aside[0])
@@ -98,7 +94,6 @@ def proximity_optics(model: mujoco.MjModel, prefix: str, calibration: Calibratio
         idle=numbers.idle_counts,
         weights=weights,
         aside=aside,
-        ahead=ahead,
         brightest=brightest,
         uniform=bool(np.all(seen == brightest)),
         directions=[0.0] * (3 * n_rays),
@@ -114,11 +109,14 @@ def lobe_weights(tangents: NDArray[np.float64], exponent: float) -> list[float]:
 
 
 def _tangents(model: mujoco.MjModel, camera_name: str, n_rays: int) -> NDArray[np.float64]:
-    """Of a sensor's rays off its axis (n_rays,): they go through the camera's pixels, left to right."""
+    """Of a sensor's rays off its axis (n_rays,): they go through the camera's pixels, left to right.
+
+    They are reckoned as MuJoCo does, so that a ray that is cast again is the same one to the last bit.
+    """
     camera = model.camera(camera_name)
     width, height = model.cam_resolution[camera.id].tolist()
-    half_width = math.tan(math.radians(float(camera.fovy[0])) / 2) * width / height
-    return ((np.arange(n_rays) + 0.5) / n_rays * 2 - 1) * half_width
+    focal_length = height / 2 / math.tan(float(camera.fovy[0]) * math.pi / 360)
+    return (np.arange(n_rays) + 0.5 - width / 2) / focal_length
 
 
 def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]:

@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "khep_twin"
 
 FLOORS = [
-    ["errors", "files", "units", "randomness", "clock"],
+    ["errors", "files", "units", "randomness", "clock", "fitness"],
     [
         "toml_lines",
         "toml_edit",
@@ -54,7 +54,7 @@ FLOORS = [
     ],
     ["robot", "world", "placing"],
     ["ports", "host", "log"],
-    ["lab"],
+    ["lab", "scale"],
     [
         "cli",
         "cli_drive",

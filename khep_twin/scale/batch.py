@@ -111,9 +111,7 @@ def rollout(
         PlaypenError: the playpen has what lives cannot have.
     """
     fast = is_compiled(compiled)
-    ground = (
-        playpen if isinstance(playpen, Ground) else Ground(playpen, step_ns=step_ns, period_ns=period_ns)
-    )
+    ground = playpen if isinstance(playpen, Ground) else Ground(playpen, step_ns=step_ns, period_ns=period_ns)
     count = len(seeds)
     for name, given in (("genes", genes), ("starts", starts), ("lamps", lamps)):
         if given is not None and len(given) != count:
@@ -252,5 +250,3 @@ def _live_together(
         all_at_once(lambda _, life: life.go_on(steps))
     for index, life in group:
         results.keep(index, int(seeds[index]), life, failures.get(index))
-
-

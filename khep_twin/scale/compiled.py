@@ -5,7 +5,7 @@ beside this file, or in the user's cache, for as long as no source has changed.
 """
 
 # numba is not typed.
-# pyright: basic, reportMissingTypeStubs=false
+# pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import hashlib
 from functools import cache
@@ -15,7 +15,8 @@ from typing import Any
 import mujoco
 import numba
 import numpy as np
-from numba import carray, cfunc, njit, types
+from numba import carray, cfunc, njit, types  # pyright: ignore
+from numba.core.errors import NumbaError
 
 from khep_twin import casting, fitness, kernel, optics, units
 from khep_twin.compiled_kernel import compiled_copy, compiled_kernel
@@ -89,12 +90,12 @@ def address_of(function: Any) -> int:
     signature = types.void(whole, real, types.int64, real, types.int64, real)
     try:
         made = cfunc(signature)(call)
-    except numba.errors.NumbaError as error:
+    except NumbaError as error:
         name = getattr(function, "__name__", "controller")
         reason = str(error).strip().splitlines()[-1]
         raise ControllerError(f"{name}: numba cannot compile it: {reason}") from error
     _KEPT.append(made)
-    return int(made.address)
+    return int(made.address or 0)
 
 
 _KEPT: list[Any] = []

@@ -4,7 +4,7 @@ Only imported where numba is installed.
 """
 
 # numba is not typed.
-# pyright: basic, reportMissingTypeStubs=false
+# pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 from typing import NamedTuple
 
@@ -17,30 +17,40 @@ from numpy.typing import NDArray
 
 from khep_twin import casting
 from khep_twin.casting import FEW, LENGTH_AND_NORMAL, MANY, WITHOUT_WHEELS, Floats
-from khep_twin.kernel import N_REGISTERS
 from khep_twin.scale.addresses import data_address, function_address, model_address
 from khep_twin.units import Sensor
 
 __all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY"]
 
 
+_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+
+
 class Scene(NamedTuple):
     """A compiled scene as one robot's sensors see it; live arrays lie in MuJoCo's own memory.
 
     Attributes:
-        calls: addresses of mj_step, mj_ray, mj_multiRay, the model, its state and the groups that stop light.
+        calls: addresses of mj_step, the model, its state and mju_rayGeom.
         body: of the robot, whose own rays go out of it.
         frame: of that body, live (9,).
         cameras: of the sensors (8,).
         positions: of all cameras, live (n_cameras, 3) [m].
         frames: of all cameras, live (n_cameras, 9).
-        first: where each sensor's rays begin in `rays` (8,).
-        n_rays: of a sensor.
-        rays: the scene's sensor data, live.
+        found: room for what a sensor's rays find (4 n_rays,).
+        solid: geoms that rays can hit, in MuJoCo's order (n_solid,).
+        kinds: their types (n_solid,).
+        stops: which of them stop light (n_solid,).
+        extents: what each takes of the floor (n_solid, 8): centre x, y, cosine and sine of its angle, half
+            length and width, or radius and -1 [m], bottom and top [m]; the length is below 0 for one that is
+            not upright or may move.
+        bounds: radius of a ball around each (n_solid,) [m].
+        places: of all geoms, live (n_geoms, 3) [m].
+        turns: of all geoms, live (n_geoms, 9).
+        sizes: of all geoms (n_geoms, 3) [m].
         reflectances: of all geoms (n_geoms,).
-        geoms: room for what rays hit (64,).
-        lengths: room for how long they are (64,).
-        ways: room for where they go (192,).
+        geoms: room for what rays hit (n_rays,).
+        ways: room for where one goes (3,).
+        normal: room for a surface's (3,).
         few: points of a bulb (9, 2).
         many: points of a bulb (64, 2).
     """
@@ -51,13 +61,19 @@ class Scene(NamedTuple):
     cameras: NDArray[np.int64]
     positions: Floats
     frames: Floats
-    first: NDArray[np.int64]
-    n_rays: int
-    rays: Floats
+    found: Floats
+    solid: NDArray[np.int64]
+    kinds: NDArray[np.int64]
+    stops: NDArray[np.bool_]
+    extents: Floats
+    bounds: Floats
+    places: Floats
+    turns: Floats
+    sizes: Floats
     reflectances: Floats
     geoms: NDArray[np.int32]
-    lengths: Floats
     ways: Floats
+    normal: Floats
     few: Floats
     many: Floats
 
@@ -65,32 +81,80 @@ class Scene(NamedTuple):
 def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
     """What the sensors of the robot with this prefix see; model and state must outlive it."""
     body = model.body(prefix + "base").id
+    cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
     slices = casting.ray_slices(model, prefix)
-    many = casting.points_of_a_bulb(MANY)
-    calls = [function_address(name) for name in ("mj_step", "mj_ray", "mj_multiRay")]
+    addresses = [function_address("mj_step"), model_address(model), data_address(data)]
+    solid = _solid(model, prefix, body, cameras)
     return Scene(
-        np.array([*calls, model_address(model), data_address(data), WITHOUT_WHEELS.ctypes.data], np.int64),
+        np.array([*addresses, function_address("mju_rayGeom")], np.int64),
         body,
         data.xmat[body],
-        np.array([model.camera(prefix + sensor.name.lower()).id for sensor in Sensor], np.int64),
+        np.array(cameras, np.int64),
         data.cam_xpos,
         data.cam_xmat,
-        np.array([part.start for part in slices], np.int64),
-        (slices[0].stop - slices[0].start) // LENGTH_AND_NORMAL,
-        data.sensordata,
+        np.zeros(slices[0].stop - slices[0].start),
+        np.array(solid, np.int64),
+        model.geom_type[solid].astype(np.int64),
+        WITHOUT_WHEELS[model.geom_group[solid]] > 0,
+        np.array([_extent(model, geom) for geom in solid]).reshape(-1, 8),
+        model.geom_rbound[solid].copy(),
+        data.geom_xpos,
+        data.geom_xmat,
+        model.geom_size,
         model.geom_user[:, 0].copy(),
-        np.zeros(len(many), np.int32),
-        np.zeros(len(many)),
-        np.zeros(3 * len(many)),
+        np.zeros(slices[0].stop - slices[0].start, np.int32),
+        np.zeros(3),
+        np.zeros(3),
         casting.points_of_a_bulb(FEW),
-        many,
+        casting.points_of_a_bulb(MANY),
     )
+
+
+def _solid(model: mujoco.MjModel, prefix: str, body: int, cameras: list[int]) -> list[int]:
+    """Geoms that rays of the robot can hit: what is shown, but for its body and what they never meet."""
+    shown = np.flatnonzero((model.geom_rgba[:, 3] > 0) & (model.geom_bodyid != body)).tolist()
+    wheels = {model.body(f"{prefix}{side}_wheel").id for side in ("left", "right")}
+    return [
+        geom for geom in shown if int(model.geom_bodyid[geom]) not in wheels or _meets(model, geom, cameras)
+    ]
+
+
+def _meets(model: mujoco.MjModel, geom: int, cameras: list[int]) -> bool:
+    """Whether rays of the robot's sensors meet one of its own wheels, which are round and stay in place."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+    place, turn, size = data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom] + 1e-4
+    for camera in cameras:
+        width, height = model.cam_resolution[camera].tolist()
+        half = np.tan(np.radians(model.cam_fovy[camera]) / 2) * width / height
+        for aside in np.linspace(-half, half, 181).tolist():
+            way = np.array(casting.direction(data.cam_xmat[camera].tolist(), aside))
+            at = data.cam_xpos[camera]
+            if mujoco.mju_rayGeom(place, turn, size, at, way, int(model.geom_type[geom]), None) >= 0:
+                return True
+    return False
+
+
+def _extent(model: mujoco.MjModel, geom: int) -> list[float]:
+    """A row of `Scene.extents`."""
+    x, y, z = model.geom_pos[geom].tolist()
+    w, qx, qy, qz = model.geom_quat[geom].tolist()
+    size, kind = model.geom_size[geom].tolist(), model.geom_type[geom]
+    fixed = model.geom_bodyid[geom] == 0 and abs(qx) + abs(qy) < 1e-12
+    box, cylinder = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+    if not fixed or kind not in (box, cylinder):
+        return [0.0, 0.0, 1.0, 0.0, -1.0, -1.0, 0.0, 0.0]
+    half = size[2] if kind == box else size[1]
+    sides = size[:2] if kind == box else [size[0], -1.0]
+    angle = 2 * np.arctan2(qz, w)
+    return [x, y, float(np.cos(angle)), float(np.sin(angle)), *sides, z - half, z + half]
 
 
 @njit
 def step(scene):
     """One step of the physics."""
-    _call_step(scene.calls[0], scene.calls[3], scene.calls[4])
+    _call_step(scene.calls[0], scene.calls[1], scene.calls[2])
 
 
 @njit
@@ -112,46 +176,173 @@ def sensor_frame(scene, channel):
 
 
 @njit
-def rays(scene, channel):
-    """As `casting.rays`."""
-    first = scene.first[channel]
-    return scene.rays[first : first + LENGTH_AND_NORMAL * scene.n_rays]
+def direction(frame, aside):
+    """As `casting.direction`."""
+    x, y, z = frame[0] * aside - frame[2], frame[3] * aside - frame[5], frame[6] * aside - frame[8]
+    scale = 1 / np.sqrt(x * x + y * y + z * z)
+    return x * scale, y * scale, z * scale
+
+
+@njit
+def rays(scene, near, channel, level):
+    """As `casting.rays`, but none where nothing can be near enough to count."""
+    reach = np.inf
+    if level < 0:
+        # What is this far off just fails to pass the threshold; a little more, for rounding.
+        reach = np.sqrt(near.gain[channel] * near.brightest / -level) - near.offset[channel]
+        reach = reach * (1 + 1e-9) + 1e-9
+    camera = scene.cameras[channel]
+    frame, place = scene.frames[camera], scene.positions[camera]
+    if not _anything_within(scene, frame, place, reach):
+        return scene.found[:0]
+    aside = near.aside[channel]
+    for ray in range(len(aside)):
+        x, y, z = direction(frame, aside[ray])
+        scene.ways[0], scene.ways[1], scene.ways[2] = x, y, z
+        _cast_one(scene, place, x, y, z, ray)
+    return scene.found
+
+
+@njit
+def _anything_within(scene, frame, place, reach):
+    """Whether anything solid may be within reach [m] before a sensor; sure if it says no."""
+    if reach <= 0:
+        return False
+    if reach == np.inf:
+        return True
+    x, y, z = place[0], place[1], place[2]
+    ahead_x, ahead_y = -frame[2], -frame[5]
+    # Rays lean no more than the sensor's own axes do together.
+    rise = reach * (abs(frame[6]) + abs(frame[8]))
+    for i in range(len(scene.solid)):
+        cx, cy = scene.extents[i, 0], scene.extents[i, 1]
+        half, other = scene.extents[i, 4], scene.extents[i, 5]
+        if half < 0:
+            if scene.kinds[i] == _PLANE:
+                if z - rise <= 0:
+                    return True
+                continue
+            at = scene.places[scene.solid[i]]
+            cx, cy, half = at[0], at[1], scene.bounds[i]
+        elif z + rise < scene.extents[i, 6] or z - rise > scene.extents[i, 7]:
+            continue
+        dx, dy = cx - x, cy - y
+        if other < 0:
+            limit = reach + half
+            if dx * dx + dy * dy <= limit * limit and dx * ahead_x + dy * ahead_y + half >= 0:
+                return True
+            continue
+        cosine, sine = scene.extents[i, 2], scene.extents[i, 3]
+        along, across = abs(dx * cosine + dy * sine), abs(dy * cosine - dx * sine)
+        beside, before = max(along - half, 0.0), max(across - other, 0.0)
+        if beside * beside + before * before <= reach * reach:
+            # How far its farthest corner lies ahead.
+            most = half * abs(cosine * ahead_x + sine * ahead_y)
+            most += other * abs(cosine * ahead_y - sine * ahead_x)
+            if dx * ahead_x + dy * ahead_y + most >= 0:
+                return True
+    return False
+
+
+@njit
+def _cast_one(scene, place, x, y, z, ray):
+    """Finds the first thing that a ray hits: each is asked in MuJoCo's order, and by MuJoCo."""
+    calls, found = scene.calls, scene.found
+    first = LENGTH_AND_NORMAL * ray
+    best, geom = -1.0, -1
+    for k in range(4):
+        found[first + k] = 0.0
+    flat = x * x + y * y
+    for i in range(len(scene.solid)):
+        here = scene.solid[i]
+        if scene.kinds[i] != _PLANE:
+            dx, dy = scene.places[here, 0] - place[0], scene.places[here, 1] - place[1]
+            bound = scene.bounds[i] + 1e-9
+            ahead, aside = dx * x + dy * y, dx * y - dy * x
+            if ahead < -bound or aside * aside > bound * bound * flat:
+                continue
+            if best >= 0 and ahead - bound > best * flat + 1e-9:
+                continue
+        length = _call_ray_geom(
+            calls[3],
+            scene.places[here].ctypes.data,
+            scene.turns[here].ctypes.data,
+            scene.sizes[here].ctypes.data,
+            place.ctypes.data,
+            scene.ways.ctypes.data,
+            scene.kinds[i],
+            scene.normal.ctypes.data,
+        )
+        if length >= 0 and (best < 0 or length < best):
+            best, geom = length, here
+            for k in range(3):
+                found[first + 1 + k] = scene.normal[k]
+    found[first] = best
+    scene.geoms[ray] = geom
 
 
 @njit
 def surfaces(scene, channel, directions, cutoff, found):
-    """As `casting.surfaces`."""
-    _cast(scene, channel, directions.ctypes.data, np.int64(0), scene.n_rays, cutoff)
-    for ray in range(scene.n_rays):
+    """As `casting.surfaces`: what `rays` has hit with the same rays."""
+    for ray in range(len(found)):
         geom = scene.geoms[ray]
         found[ray] = scene.reflectances[geom] if geom >= 0 else 0.0
 
 
 @njit
-def way_clear(scene, channel, x, y, z):
-    """As `casting.way_clear`."""
+def stopped(scene, channel, x, y, z, glass):
+    """As `casting.stopped`."""
     scene.ways[0], scene.ways[1], scene.ways[2] = x, y, z
-    calls = scene.calls
-    at = scene.positions[scene.cameras[channel]].ctypes.data
-    return _call_ray(calls[1], calls[3], calls[4], at, scene.ways.ctypes.data, calls[5], 1, scene.body)
+    return _stops(scene, scene.positions[scene.cameras[channel]], x, y, glass)
 
 
 @njit
 def blocked(scene, channel, disc, left, up, way, cutoff, glass):
     """As `casting.blocked`."""
     points = scene.few if disc == FEW else scene.many
+    place = scene.positions[scene.cameras[channel]]
     n = len(points)
+    hits = 0
     for point in range(n):
         across, upward = points[point, 0], points[point, 1]
-        scene.ways[3 * point] = across * left[0] + upward * up[0] + way[0]
-        scene.ways[3 * point + 1] = across * left[1] + upward * up[1] + way[1]
-        scene.ways[3 * point + 2] = across * left[2] + upward * up[2] + way[2]
-    _cast(scene, channel, scene.ways.ctypes.data, scene.calls[5], n, cutoff)
-    stopped = 0
-    for point in range(n):
-        if 0 <= scene.lengths[point] < glass:
-            stopped += 1
-    return stopped / n
+        x = across * left[0] + upward * up[0] + way[0]
+        y = across * left[1] + upward * up[1] + way[1]
+        scene.ways[0], scene.ways[1] = x, y
+        scene.ways[2] = across * left[2] + upward * up[2] + way[2]
+        if _stops(scene, place, x, y, glass):
+            hits += 1
+    return hits / n
+
+
+@njit
+def _stops(scene, place, x, y, glass):
+    """Whether light on a way is stopped before the bulb's glass: by anything, whichever is first."""
+    calls = scene.calls
+    flat = x * x + y * y
+    length = np.sqrt(flat)
+    for i in range(len(scene.solid)):
+        if not scene.stops[i]:
+            continue
+        here = scene.solid[i]
+        if scene.kinds[i] != _PLANE:
+            dx, dy = scene.places[here, 0] - place[0], scene.places[here, 1] - place[1]
+            bound = (scene.bounds[i] + 1e-9) * length
+            ahead, aside = dx * x + dy * y, dx * y - dy * x
+            if ahead < -bound or ahead - bound > flat or abs(aside) > bound:
+                continue
+        hit = _call_ray_geom(
+            calls[3],
+            scene.places[here].ctypes.data,
+            scene.turns[here].ctypes.data,
+            scene.sizes[here].ctypes.data,
+            place.ctypes.data,
+            scene.ways.ctypes.data,
+            scene.kinds[i],
+            np.int64(0),
+        )
+        if 0 <= hit < glass:
+            return True
+    return False
 
 
 @njit
@@ -165,16 +356,6 @@ def decide(function, registers, memory, genes, speeds):
         genes.ctypes.data,
         len(genes),
         speeds.ctypes.data,
-    )
-
-
-@njit
-def _cast(scene, channel, ways, groups, n, cutoff):
-    calls = scene.calls
-    at = scene.positions[scene.cameras[channel]].ctypes.data
-    geoms, lengths = scene.geoms.ctypes.data, scene.lengths.ctypes.data
-    _call_multi_ray(
-        calls[2], calls[3], calls[4], at, ways, groups, 1, scene.body, geoms, lengths, np.int64(0), n, cutoff
     )
 
 
@@ -209,39 +390,12 @@ def _call_step(typing_context, function, model, data):
 
 
 @intrinsic
-def _call_ray(typing_context, function, model, data, point, way, groups, static, body):
+def _call_ray_geom(typing_context, function, place, turn, size, point, way, kind, normal):
     def generate(context, builder, signature, arguments):
-        # No geom and no normal are asked for.
-        nothing = ir.Constant(arguments[0].type, 0)
-        kinds = [_BYTE_POINTER] * 5 + [_INT] * 2 + [_BYTE_POINTER] * 2
-        return _foreign(builder, [*arguments, nothing, nothing], kinds, _DOUBLE)
+        kinds = [*[_BYTE_POINTER] * 5, _INT, _BYTE_POINTER]
+        return _foreign(builder, arguments, kinds, _DOUBLE)
 
     return types.float64(*[_ADDRESS] * 8), generate
-
-
-@intrinsic
-def _call_multi_ray(
-    typing_context,
-    function,
-    model,
-    data,
-    point,
-    ways,
-    groups,
-    static,
-    body,
-    geoms,
-    lengths,
-    normals,
-    n,
-    cutoff,
-):
-    def generate(context, builder, signature, arguments):
-        kinds = [*[_BYTE_POINTER] * 5, _INT, _INT, *[_BYTE_POINTER] * 3, _INT, _DOUBLE]
-        _foreign(builder, arguments, kinds, ir.VoidType())
-        return context.get_dummy_value()
-
-    return types.void(*[_ADDRESS] * 12, types.float64), generate
 
 
 @intrinsic
@@ -252,7 +406,3 @@ def _call_controller(typing_context, function, registers, memory, n_memory, gene
         return context.get_dummy_value()
 
     return types.void(*[_ADDRESS] * 7), generate
-
-
-REGISTERS = N_REGISTERS
-"""How many numbers lie behind a controller's first address."""

@@ -15,13 +15,13 @@ from khep_twin import casting, fitness, kernel, optics, units
 from khep_twin.scale import networks
 
 HOLD, WANDER, NETWORK, FUNCTION = 0, 1, 2, 3
-"""What drives: nothing (the speeds stay as they are), the ROM's Braitenberg vehicle, a network, a function."""
+"""What drives: nothing (speeds stay as they are), the ROM's Braitenberg vehicle, a network, a function."""
 
 FINE, WARNED, OUT_OF_BOUNDS, NO_SPEED = 0, 1, 2, 3
-"""How a life goes: MuJoCo has warned, the physics has left its bounds, a controller gave what is no number."""
+"""How a life goes: MuJoCo has warned, the physics has left its bounds, a controller gave no number."""
 
 STEPS, POWERED, DEMO, TROUBLE = 0, 1, 2, 3
-"""Places in `Body.state`: steps done, whether the processor runs, whether the ROM's demo does, how it goes."""
+"""Places in `Body.state`: steps done, whether the processor runs, whether the demo does, how it goes."""
 N_STATE = 4
 
 PERIODS, AVOIDANCE, SEEKING, HOMING, FOLLOWING, WAY, CHARGE, LAST_X, LAST_Y = 0, 1, 2, 3, 4, 5, 6, 7, 8

@@ -11,6 +11,7 @@ the same times by a line that costs no time, compiled or not, however often the 
 Left out, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but are seen nowhere.
 """
 
+import copy
 import importlib.util
 import math
 import warnings
@@ -25,7 +26,7 @@ from khep_twin import calibration, casting, kernel, units
 from khep_twin.ambient import ambient_optics, bulbs
 from khep_twin.calibration import Calibration
 from khep_twin.clock import n_steps
-from khep_twin.errors import DivergedError, PlaypenError
+from khep_twin.errors import DivergedError, MissingExtraError, PlaypenError
 from khep_twin.lamps import Lamps
 from khep_twin.optics import Bulbs
 from khep_twin.playpen import Lamp, Playpen, placed
@@ -55,7 +56,7 @@ class SlowerWarning(UserWarning):
 
 
 def is_compiled(wish: bool | None) -> bool:
-    """Whether lives run compiled: as wished, or with no wish where numba is installed, with a warning if not."""
+    """Whether lives run compiled: as wished; with no wish where numba is installed, with a warning if not."""
     if wish is not None:
         return wish
     if importlib.util.find_spec("numba") is not None:
@@ -128,6 +129,9 @@ class Ground:
         if step_ns != units.STEP_NS:
             set_step(spec, step_ns)
         self.model = spec.compile()
+        # Compiled lives cast rays themselves, where something is near enough to be seen.
+        self.without_sensors = copy.copy(self.model)
+        self.without_sensors.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.entry = playpen.robots[0]
         self.calibration = calibration.read(self.entry.calibration)[0]
         self.light = self.lit(playpen.lamps)
@@ -177,16 +181,19 @@ class Life:
     def __init__(self, ground: Ground, driver: Driver | None = None, *, compiled: bool | None = None) -> None:
         self._ground, self._driver = ground, driver or Hold()
         self._compiled = is_compiled(compiled)
-        self._data = mujoco.MjData(ground.model)
+        self._model = ground.without_sensors if self._compiled else ground.model
+        self._data = mujoco.MjData(self._model)
         self.registers: NDArray[np.int64] = np.zeros(kernel.N_REGISTERS, np.int64)
         self._scene: Any
         if self._compiled:
-            from khep_twin.scale import compiled as fast
-            from khep_twin.scale import compiled_casting
-
+            try:
+                from khep_twin.scale import compiled as fast
+                from khep_twin.scale import compiled_casting
+            except ImportError as error:
+                raise MissingExtraError("numba", "batch") from error
             self._advance = fast.advance
             self._numbers = fast.as_arrays
-            self._scene = compiled_casting.scene_of(ground.model, self._data, _PREFIX)
+            self._scene = compiled_casting.scene_of(self._model, self._data, _PREFIX)
         else:
             self._advance = episode.advance
             self._numbers = _as_it_is
@@ -234,7 +241,7 @@ class Life:
         self._chance = []
         if noise:
             self._chance = [stream(seed, "robot", 0, name) for name in ("proximity", "ambient", "idle")]
-        mujoco.mj_resetData(ground.model, data)
+        mujoco.mj_resetData(self._model, data)
         begins = start or ground.start(seed)
         if begins != (ground.entry.x_mm, ground.entry.y_mm, ground.entry.heading_deg):
             data.qpos[ground.wiring.pose : ground.wiring.pose + 7] = _free_joint(begins)
@@ -252,13 +259,17 @@ class Life:
             self._numbers(self._light.bulbs),
             ground.wiring,
             self.registers if self._compiled else self.registers.data,
-            *(self._live(array) for array in (data.qpos, data.qvel, data.ctrl, data.actuator_force)),
+            self._live(data.qpos),
+            self._live(data.qvel),
+            self._live(data.ctrl),
+            self._live(data.actuator_force),
             self._live(data.xpos.reshape(-1)),
             data.warning.number,
             self._state if self._compiled else self._state.data,
             np.zeros(1),
         )
-        self._mind = mind_of(driver, np.asarray(genes, np.float64), np.array(home, np.float64), self._compiled)
+        weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
+        self._mind = mind_of(driver, weights, place, self._compiled)
         self._advance(self._body, self._mind, self._span(self._light.at_start(), units.N_SENSORS, 1), -1)
         self._complain()
 
@@ -379,7 +390,8 @@ def _refuse(playpen: Playpen) -> None:
         )
     if playpen.lighting.mode != "all":
         raise PlaypenError(
-            f"{name}: lighting: mode = {playpen.lighting.mode!r}; right is 'all' for lives without a serial line"
+            f"{name}: lighting: mode = {playpen.lighting.mode!r}; right is 'all' for lives without a serial "
+            "line"
         )
 
 

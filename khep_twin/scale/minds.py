@@ -1,10 +1,6 @@
-"""What drives robots that live without a serial line.
+"""What drives robots that live without a serial line: nothing, the ROM's vehicle, networks, functions.
 
-    Hold                  nothing: the speeds stay as they are, or as whoever owns the life sets them
-    Wander                the Braitenberg vehicle of the ROM
-    Network               a neural network; each life's weights are a genome
-    Function              a function of one robot's readings, compiled where numba is at hand
-    Policy                a function of the readings of many robots at once, as arrays, in plain Python
+All but a policy drive inside the compiled loop; a policy is plain Python and is asked about many at once.
 """
 
 from collections.abc import Callable

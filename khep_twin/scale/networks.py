@@ -2,8 +2,8 @@
 
     value_j = tanh(bias_j + sum_i weight_ji input_i + sum_k feedback_jk value_k of the last control period)
 
-The feedback is there in the first layer behind the inputs of a recurrent network, and nowhere in a dense one. A
-genome has, layer by layer and neuron by neuron, the bias, the weights in the order of the inputs, and the
+The feedback is there in the first layer behind the inputs of a recurrent network, and nowhere in a dense one.
+A genome has, layer by layer and neuron by neuron, the bias, the weights in the order of the inputs, and the
 feedback weights. Plain numbers, compiled as they stand.
 """
 

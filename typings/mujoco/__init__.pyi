@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+__file__: str
 __version__: str
 mjMAXVAL: float
 
@@ -59,11 +60,13 @@ class MjModel:
     body_weldid: NDArray[np.int32]
     dof_bodyid: NDArray[np.int32]
     qpos0: NDArray[np.float64]
+    cam_fovy: NDArray[np.float64]
     cam_resolution: NDArray[np.int32]
     geom_bodyid: NDArray[np.int32]
     geom_group: NDArray[np.int32]
     geom_pos: NDArray[np.float64]
     geom_quat: NDArray[np.float64]
+    geom_rbound: NDArray[np.float64]
     opt: MjsOption
     actuator_gainprm: NDArray[np.float64]
     geom_rgba: NDArray[np.float32]
@@ -103,6 +106,8 @@ class MjData:
     contact: _Contacts
     ctrl: NDArray[np.float64]
     cvel: NDArray[np.float64]
+    geom_xmat: NDArray[np.float64]
+    geom_xpos: NDArray[np.float64]
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]
     sensordata: NDArray[np.float64]
@@ -134,6 +139,13 @@ class MjsGeom:
     solimp: Sequence[float]
     solref: Sequence[float]
     userdata: Sequence[float]
+
+class MjsPair:
+    solref: Sequence[float]
+
+class MjsSensor:
+    name: str
+    interval: Sequence[float]
 
 class MjsKey: ...
 class MjsFrame: ...
@@ -169,6 +181,8 @@ class MjSpec:
     worldbody: MjsBody
     geoms: Sequence[MjsGeom]
     keys: Sequence[MjsKey]
+    pairs: Sequence[MjsPair]
+    sensors: Sequence[MjsSensor]
 
     @staticmethod
     def from_file(filename: str) -> MjSpec: ...
@@ -184,6 +198,8 @@ class MjSpec:
 
 def set_mju_user_warning(handler: Callable[[str], None]) -> None: ...
 def mj_kinematics(model: MjModel, data: MjData) -> None: ...
+def mj_resetData(model: MjModel, data: MjData) -> None: ...
+def mj_camlight(model: MjModel, data: MjData) -> None: ...
 def mju_mulPose(
     posres: NDArray[np.float64],
     quatres: NDArray[np.float64],
@@ -193,6 +209,15 @@ def mju_mulPose(
     quat2: NDArray[np.float64],
 ) -> None: ...
 def mj_step(model: MjModel, data: MjData, nstep: int = 1) -> None: ...
+def mju_rayGeom(
+    pos: NDArray[np.float64],
+    mat: NDArray[np.float64],
+    size: NDArray[np.float64],
+    pnt: NDArray[np.float64],
+    vec: NDArray[np.float64],
+    geomtype: int,
+    normal: NDArray[np.float64] | None,
+) -> float: ...
 def mj_ray(
     model: MjModel,
     data: MjData,
