@@ -256,7 +256,12 @@ def decide(
         registers: the board's (N_REGISTERS,).
         memory: the controller's own, that lasts.
         genes: the controller's own, that it does not change.
-        speeds: are filled with what it returns, left and right (2,).
+        speeds: are filled with what it returns, left and right (2,); with no numbers where its arithmetic
+            fails, as in a division by 0.
     """
-    proximity = registers[PROXIMITY[0] : PROXIMITY[-1] + 1]
-    speeds[0], speeds[1] = function(proximity, registers[AMBIENT[0] : AMBIENT[-1] + 1], memory, genes)
+    board = np.asarray(registers)
+    proximity, ambient = board[PROXIMITY[0] : PROXIMITY[-1] + 1], board[AMBIENT[0] : AMBIENT[-1] + 1]
+    try:
+        speeds[0], speeds[1] = function(proximity, ambient, memory, genes)
+    except ArithmeticError:
+        speeds[0] = speeds[1] = math.nan

@@ -77,15 +77,18 @@ def address_of(function: Any) -> int:
     whole, real = types.CPointer(types.int64), types.CPointer(types.float64)
 
     def call(registers, memory, n_memory, genes, n_genes, speeds):
-        board = carray(registers, (N_REGISTERS,))
-        left, right = decide(
-            board[first_near : first_near + count],
-            board[first_ambient : first_ambient + count],
-            carray(memory, (n_memory,)),
-            carray(genes, (n_genes,)),
-        )
-        both = carray(speeds, (2,))
-        both[0], both[1] = left, right
+        board, both = carray(registers, (N_REGISTERS,)), carray(speeds, (2,))
+        both[:] = np.nan
+        try:
+            left, right = decide(
+                board[first_near : first_near + count],
+                board[first_ambient : first_ambient + count],
+                carray(memory, (n_memory,)),
+                carray(genes, (n_genes,)),
+            )
+            both[0], both[1] = left, right
+        except Exception:  # nothing can be raised through MuJoCo's loop: no speed is what tells of it
+            pass
 
     signature = types.void(whole, real, types.int64, real, types.int64, real)
     try:

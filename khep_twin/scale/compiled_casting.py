@@ -140,9 +140,9 @@ def _extent(model: mujoco.MjModel, geom: int) -> list[float]:
     """A row of `Scene.extents`."""
     x, y, z = model.geom_pos[geom].tolist()
     w, qx, qy, qz = model.geom_quat[geom].tolist()
-    size, kind = model.geom_size[geom].tolist(), model.geom_type[geom]
+    size, kind = model.geom_size[geom].tolist(), int(model.geom_type[geom])
     fixed = model.geom_bodyid[geom] == 0 and abs(qx) + abs(qy) < 1e-12
-    box, cylinder = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+    box, cylinder = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
     if not fixed or kind not in (box, cylinder):
         return [0.0, 0.0, 1.0, 0.0, -1.0, -1.0, 0.0, 0.0]
     half = size[2] if kind == box else size[1]

@@ -1,0 +1,141 @@
+"""Batches: the same as single lives, with any number of threads, and one that fails harms no other."""
+
+import importlib.util
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.errors import ControllerError
+from khep_twin.scale import batch
+from khep_twin.scale.batch import Lives, rollout
+from khep_twin.scale.life import NUMBERS, Ground, Life
+from khep_twin.scale.minds import Function, Network, Policy, Wander
+
+HAS_NUMBA = importlib.util.find_spec("numba") is not None
+with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
+KINDS = [pytest.param(False, id="plain"), pytest.param(True, id="compiled", marks=with_numba)]
+
+SCENE = playpen.load("obstacles")
+NETWORK = Network(hidden=(4,), recurrent=True, ambient=True)
+N = 6
+SECONDS = 1.0
+CHANCE = np.random.default_rng(5)
+GENES = CHANCE.normal(size=(N, NETWORK.n_genes))
+STARTS = [(120.0, 290.0, 25.0), *((350.0 + 10 * i, 300.0, 60.0 * i) for i in range(N - 1))]
+LAMPS = [
+    tuple(lamp.model_copy(update={"x_mm": 700.0 - 20 * i, "blink_period_s": 0.1 * i}) for lamp in SCENE.lamps)
+    for i in range(N)
+]
+
+
+def batch_of(compiled: bool, **options: Any) -> Lives:
+    found = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "spread": True, "compiled": compiled}
+    return rollout(SCENE, NETWORK, range(N), SECONDS, **(found | options))
+
+
+def same(one: Lives, other: Lives) -> bool:
+    numbers = all(one.numbers[name].tobytes() == other.numbers[name].tobytes() for name in NUMBERS)
+    return numbers and bool((one.registers == other.registers).all() and (one.poses == other.poses).all())
+
+
+@with_numba
+def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_lives() -> None:
+    first = batch_of(True, threads=1)
+    assert same(first, batch_of(True, threads=2))
+    assert same(first, batch_of(True, threads=5))
+    assert same(first, batch_of(False))
+    assert len(set(first.numbers["distance_m"].tolist())) == N
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_each_life_of_a_batch_is_a_single_life(compiled: bool) -> None:
+    found = batch_of(compiled, threads=2)
+    ground = Ground(SCENE)
+    for index in (0, 3):
+        life = Life(ground, NETWORK, compiled=compiled)
+        light = ground.lit(LAMPS[index])
+        life.begin(index, start=STARTS[index], spread=True, light=light, genes=GENES[index])
+        life.live(SECONDS)
+        assert found.registers[index].tolist() == life.registers.tolist()
+        assert tuple(found.poses[index].tolist()) == life.pose
+        assert found.numbers["obstacle_avoidance"][index] == life.numbers()["obstacle_avoidance"]
+
+
+def along(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+    return 10 - proximity[3] / 100, 10 - proximity[2] / 100
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_a_policy_asked_about_many_drives_as_a_function_asked_about_each(compiled: bool) -> None:
+    def many(proximity: Any, ambient: Any, which: Any) -> Any:
+        assert proximity.shape == ambient.shape == (len(which), 8)
+        return np.stack([10 - proximity[:, 3] / 100, 10 - proximity[:, 2] / 100], axis=1)
+
+    options: dict[str, Any] = {"starts": STARTS, "compiled": compiled, "threads": 2}
+    by_function = rollout(SCENE, Function(along), range(N), SECONDS, **options)
+    assert same(by_function, rollout(SCENE, Policy(many), range(N), SECONDS, **options))
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_one_that_fails_is_told_by_seed_and_step_and_harms_no_other(compiled: bool) -> None:
+    genes = np.array([[5.0, 1.0], [5.0, 0.0], [5.0, 2.0]])
+
+    def divide(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+        memory[0] += 1
+        return (float(genes[0]) / float(genes[1]) if memory[0] > 5 else 5.0), 5.0
+
+    divides = Function(divide, n_memory=1)
+    options: dict[str, Any] = {"compiled": compiled, "threads": 2}
+    found = rollout(SCENE, divides, [11, 12, 13], 0.2, genes=genes, **options)
+    (failure,) = found.failures
+    assert (failure.index, failure.seed, failure.step) == (1, 12, 40)
+    assert "no number" in failure.reason
+    assert np.isnan(found.numbers["distance_m"]).tolist() == [False, True, False]
+    without = rollout(SCENE, divides, [11, 13], 0.2, genes=genes[::2], **options)
+    assert (found.registers[::2] == without.registers).all()
+
+
+def test_memory_does_not_grow_with_the_number_of_lives(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Life] = []
+
+    class Counted(Life):
+        def __init__(self, *given: Any, **more: Any) -> None:
+            super().__init__(*given, **more)
+            made.append(self)
+
+    monkeypatch.setattr(batch, "Life", Counted)
+    peaks = []
+    for count in (10, 40):
+        tracemalloc.start()
+        rollout(SCENE, Wander(), range(count), 0.02, compiled=False)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert len(made) == 2
+    assert peaks[1] - peaks[0] < 30 * 5000
+
+
+def test_what_does_not_fit_is_refused_before_anything_lives() -> None:
+    with pytest.raises(ValueError, match="5 genes for 6 seeds; right are as many"):
+        batch_of(False, genes=GENES[:5])
+    with pytest.raises(ValueError, match="genes are of shape"):
+        batch_of(False, genes=np.full((N, 2), np.nan))
+    with pytest.raises(ValueError, match=r"no genes for Network.*; right are \(6, "):
+        batch_of(False, genes=None)
+    with pytest.raises(ControllerError, match=r"2 genes for Network.*; right are "):
+        batch_of(False, genes=np.zeros((N, 2)))
+    with pytest.raises(ValueError, match="not a whole number of steps"):
+        rollout(SCENE, Wander(), [1], 0.03, compiled=False)
+    with pytest.raises(ValueError, match=r"the policy gave speeds of shape \(2,\)"):
+        rollout(SCENE, Policy(lambda proximity, ambient, which: np.zeros(2)), [1], 0.02, compiled=False)
+
+
+@with_numba
+def test_a_function_that_numba_cannot_compile_is_told_by_name() -> None:
+    def odd(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+        return open("x").fileno(), 0.0
+
+    with pytest.raises(ControllerError, match="odd: numba cannot compile it: "):
+        rollout(SCENE, Function(odd), [1], 0.02, compiled=True)
