@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from khep_twin.cli_fast import check_fast, run_fast
 from khep_twin.cli_options import (
     OF_A_TWIN,
     Battery,
@@ -93,6 +94,18 @@ def run(
     fault: Faults = None,
     log: Log = None,
     carry_on: CarryOn = False,
+    fast: Annotated[
+        bool,
+        typer.Option(
+            "--fast",
+            help="Without a serial line, compiled where numba is installed: CONTROLLER is braitenberg or a "
+            "function of proximity and ambient light that returns both speeds.",
+        ),
+    ] = False,
+    period: Annotated[float, typer.Option(help="With --fast: the controller's period [ms].")] = 20.0,
+    step: Annotated[
+        float, typer.Option(help="With --fast: step of the physics [ms]: 2.5, or coarser, 5 or 10.")
+    ] = 2.5,
     picture: Annotated[
         Path | None,
         typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log."),
@@ -107,6 +120,7 @@ def run(
     from khep_twin.ports.stopping import stopping
     from khep_twin.ports.twin import TwinOptions
 
+    check_fast(given(context), fast)
     if port is not None and (ignored := given(context) & _OF_A_TWIN):
         option = min(ignored).replace("_", "-")
         raise usage(f"--{option} is for a twin in this process, not for one behind --port")
@@ -115,6 +129,21 @@ def run(
     if (seconds is not None and not 0 < seconds < math.inf) or (cycles is not None and cycles < 1):
         raise usage("--seconds and --cycles are above 0 and finite")
     _check_save(save, resume, log)
+    options = TwinOptions(
+        seed,
+        robot,
+        noise is Switch.ON,
+        spread is Switch.ON,
+        rom,
+        running_mode(mode),
+        battery_used_min,
+        faults=tuple(fault or ()),
+    )
+    if fast:
+        scene = _scene(playpen, lighting, without_lamp or [])
+        whole = 60.0 if seconds is None else seconds
+        run_fast(controller, scene, options, seconds=whole, cycles=cycles, period=period, step=step)
+        return
     found = find_controller(controller)
     user_function = None if after is None else find_after(after, found)
     plan = Plan(runs, cycles, 60.0 if seconds is None and cycles is None else seconds, pause)
@@ -126,16 +155,6 @@ def run(
             bench: Bench = OneRobot(stack.enter_context(Khepera(port)))
             settings: dict[str, Any] = {"port": port}
         else:
-            options = TwinOptions(
-                seed,
-                robot,
-                noise is Switch.ON,
-                spread is Switch.ON,
-                rom,
-                running_mode(mode),
-                battery_used_min,
-                faults=tuple(fault or ()),
-            )
             scene = _scene(playpen, lighting, without_lamp or [])
             bench, settings = _twins(stack, scene, options, start or [], runs, logs)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": pause, **_identity(source)}

@@ -58,6 +58,7 @@ FLOORS = [
     [
         "cli",
         "cli_drive",
+        "cli_fast",
         "cli_fit",
         "cli_log",
         "cli_options",
@@ -129,6 +130,9 @@ WITHIN_A_FLOOR = {
     ("host", "ports"),
     ("ports", "log"),
     ("cli", "cli_drive"),
+    ("cli_fast", "cli_options"),
+    ("cli_fast", "cli_progress"),
+    ("cli_run", "cli_fast"),
     ("cli", "cli_fit"),
     ("cli", "cli_options"),
     ("cli", "cli_run"),

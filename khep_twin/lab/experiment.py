@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any
 
 from khep_twin.errors import ControllerError, KhepTwinError, choices
 from khep_twin.host import Khepera
@@ -21,8 +21,6 @@ from khep_twin.lab.controllers import (
     defining,
     name_of,
 )
-
-A = TypeVar("A")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +100,17 @@ def run(
     return Outcome(done, duration, part >= 1)
 
 
-def call(place: Callable[[A], Any], given: A) -> None:
+def call(place: Callable[..., Any], *given: Any) -> Any:
     """Calls a user's function, or a place of a controller; what fails in it is told by place, as one line.
+
+    Returns:
+        What it returns.
 
     Raises:
         ControllerError: it failed.
     """
     try:
-        place(given)
+        return place(*given)
     except KhepTwinError:
         raise
     except (Exception, SystemExit) as error:
@@ -156,6 +157,35 @@ def find_controller(name: str) -> AnyController:
             f"{choices(wanted, offers)}"
         )
     return _made(path, wanted, found) if isinstance(found, type) else _plain(path, wanted, found, "robot")
+
+
+def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., Any]:
+    """A function as FILE.py or FILE.py:NAME.
+
+    Without NAME, the file's `controller` is taken, or its only public function.
+
+    Args:
+        name: as typed.
+        taking: in words what its parameters are.
+        n_parameters: how many they are.
+
+    Raises:
+        ControllerError: there is no such function, or its file fails.
+    """
+    path, wanted = _file_and_name(name)
+    if path is None:
+        raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
+    functions = {each: offer for each, offer in _offers_of(_module_of(path)).items() if inspect.isfunction(offer)}
+    if not wanted:
+        wanted = "controller" if "controller" in functions or len(functions) != 1 else next(iter(functions))
+    found = functions.get(wanted)
+    if found is None:
+        raise ControllerError(
+            f"{path}: no function {wanted!r} that takes {taking}; {choices(wanted, functions)}"
+        )
+    if len(inspect.signature(found).parameters) != n_parameters:
+        raise ControllerError(f"{path}: {wanted!r} takes {inspect.signature(found)}; right are {taking}")
+    return found
 
 
 def find_after(name: str, controller: AnyController) -> Callable[[Any], Any]:

@@ -4,7 +4,7 @@ Every way in (khep://, serve) and the command line describe a twin by the same o
 words give the same run.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -132,20 +132,7 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
         FaultError: there is no such fault.
         LogError: the log cannot be written.
     """
-    chosen = playpen if isinstance(playpen, Playpen) else playpens.load(playpen)
-    count = len(chosen.robots)
-    if count == 0 or (options.robot is not None and not 0 <= options.robot < count):
-        number = 0 if options.robot is None else options.robot
-        raise PortError(f"robot = {number}: not in playpen {chosen.name!r}; {choices(number, range(count))}")
-    on_the_line = range(count) if options.robot is None else [options.robot]
-    keys = ("rom", "mode", "battery_used_min")
-    changes = {key: value for key in keys if (value := getattr(options, key)) is not None}
-    robots = list(chosen.robots)
-    for index in on_the_line:
-        robots[index] = changed = robots[index].model_copy(update=changes)
-        if reason := ROMS[changed.rom].refused(changed.mode):
-            raise PortError(f"mode = {changed.mode:X} with rom = {changed.rom!r}: {reason}")
-    chosen = chosen.model_copy(update={"robots": tuple(robots)})
+    chosen, on_the_line = equipped(playpen, options)
     faults = tuple(parse(fault) for fault in options.faults)
     world = World(
         chosen,
@@ -160,3 +147,26 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
     if options.log is not None:
         twin.record(Path(options.log))
     return twin
+
+
+def equipped(playpen: str | Path | Playpen, options: TwinOptions) -> tuple[Playpen, Sequence[int]]:
+    """A playpen whose robots are as the options have them, and which of them are on the line.
+
+    Raises:
+        PlaypenError: the playpen cannot be used.
+        PortError: the playpen has no such robot, or a robot cannot be like that.
+    """
+    chosen = playpen if isinstance(playpen, Playpen) else playpens.load(playpen)
+    count = len(chosen.robots)
+    if count == 0 or (options.robot is not None and not 0 <= options.robot < count):
+        number = 0 if options.robot is None else options.robot
+        raise PortError(f"robot = {number}: not in playpen {chosen.name!r}; {choices(number, range(count))}")
+    on_the_line = range(count) if options.robot is None else [options.robot]
+    keys = ("rom", "mode", "battery_used_min")
+    changes = {key: value for key in keys if (value := getattr(options, key)) is not None}
+    robots = list(chosen.robots)
+    for index in on_the_line:
+        robots[index] = changed = robots[index].model_copy(update=changes)
+        if reason := ROMS[changed.rom].refused(changed.mode):
+            raise PortError(f"mode = {changed.mode:X} with rom = {changed.rom!r}: {reason}")
+    return chosen.model_copy(update={"robots": tuple(robots)}), on_the_line

@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.clock import n_steps, to_ns
 from khep_twin.errors import DivergedError
 from khep_twin.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.playpen import Lamp, Playpen
@@ -123,8 +122,7 @@ def rollout(
         raise ValueError(f"genes are of shape {weights.shape}; right are finite numbers (n, n_genes)")
     if threads is not None and threads < 1:
         raise ValueError(f"{threads} threads; right is 1 or more")
-    n_steps(to_ns(seconds), ground.period_ns)
-    ground.light.during(0, to_ns(seconds) // ground.step_ns)
+    ground.light.during(0, ground.periods(seconds) * ground.wiring.steps_per_period)
     place = (0.0,) * 4
     if home is not None:
         place = (units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3])
@@ -236,7 +234,7 @@ def _live_together(
 
     all_at_once(lambda index, life: begin(life, index))
     steps = ground.wiring.steps_per_period
-    for _ in range(n_steps(to_ns(seconds), ground.period_ns)):
+    for _ in range(ground.periods(seconds)):
         living = [(index, life) for index, life in group if index not in failures]
         if not living:
             break

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from khep_twin import calibration, casting, kernel, units
 from khep_twin.ambient import ambient_optics, bulbs
 from khep_twin.calibration import Calibration
-from khep_twin.clock import n_steps
+from khep_twin.clock import n_steps, to_ns
 from khep_twin.errors import DivergedError, MissingExtraError, PlaypenError
 from khep_twin.lamps import Lamps
 from khep_twin.optics import Bulbs
@@ -151,6 +151,19 @@ class Ground:
             n_steps(units.SCAN_NS, step_ns),
             n_steps(period_ns, step_ns),
         )
+
+    def periods(self, seconds: float) -> int:
+        """How many control periods a time [s] has.
+
+        Raises:
+            ValueError: it is no whole number of them.
+        """
+        duration_ns = to_ns(seconds)
+        if duration_ns % self.period_ns:
+            raise ValueError(
+                f"{seconds:g} s is no whole number of control periods of {self.period_ns / 1e6:g} ms"
+            )
+        return duration_ns // self.period_ns
 
     def lit(self, lamps: Sequence[Lamp]) -> Light:
         """The light of other lamps on this ground."""
@@ -295,6 +308,10 @@ class Life:
         """All places of the scene, MuJoCo's qpos, as a copy."""
         return self._data.qpos.copy()
 
+    def readings(self) -> tuple[list[int], list[int]]:
+        """Proximity and ambient counts in the registers, each (8,)."""
+        return self.registers[kernel.PROXIMITY].tolist(), self.registers[kernel.AMBIENT].tolist()
+
     def live(self, seconds: float) -> None:
         """Lets it go on for a time [s], in whole control periods.
 
@@ -302,8 +319,7 @@ class Life:
             ValueError: the time is no whole number of control periods.
             DivergedError: the physics left its bounds, or the controller gave what is no number.
         """
-        periods = n_steps(round(seconds * 1e9), self._ground.period_ns)
-        steps = periods * self._ground.wiring.steps_per_period
+        steps = self._ground.periods(seconds) * self._ground.wiring.steps_per_period
         longest = SPAN_NS // self._ground.step_ns
         while steps > 0:
             self.go_on(min(steps, longest))

@@ -126,7 +126,7 @@ def test_what_does_not_fit_is_refused_before_anything_lives() -> None:
         batch_of(False, genes=None)
     with pytest.raises(ControllerError, match=r"2 genes for Network.*; right are "):
         batch_of(False, genes=np.zeros((N, 2)))
-    with pytest.raises(ValueError, match="not a whole number of steps"):
+    with pytest.raises(ValueError, match=r"0.03 s is no whole number of control periods of 20 ms"):
         rollout(SCENE, Wander(), [1], 0.03, compiled=False)
     with pytest.raises(ValueError, match=r"the policy gave speeds of shape \(2,\)"):
         rollout(SCENE, Policy(lambda proximity, ambient, which: np.zeros(2)), [1], 0.02, compiled=False)

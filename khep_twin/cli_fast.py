@@ -1,0 +1,117 @@
+"""`khep-twin run --fast`: a life without a serial line."""
+
+import math
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from khep_twin.cli_options import complain, usage
+from khep_twin.cli_progress import progress as progress_bar
+
+if TYPE_CHECKING:
+    from khep_twin.playpen import Playpen
+    from khep_twin.ports.twin import TwinOptions
+    from khep_twin.scale.life import Life
+
+KNOWN = {
+    "controller",
+    "playpen",
+    "seconds",
+    "cycles",
+    "fast",
+    "period",
+    "step",
+    "seed",
+    "noise",
+    "spread",
+    "mode",
+    "rom",
+    "battery_used_min",
+    "lighting",
+    "without_lamp",
+}
+"""Options of `run` that go with --fast, by the names of their parameters."""
+
+
+def check_fast(given: set[str], fast: bool) -> None:
+    """Refuses options that do not go together."""
+    if fast and (strange := given - KNOWN):
+        option = min(strange).replace("_", "-")
+        raise usage(f"--{option} does not go with --fast, which has no serial line and no log")
+    if not fast and (lonely := given & {"period", "step"}):
+        raise usage(f"--{min(lonely)} goes with --fast")
+
+
+def run_fast(
+    controller: str,
+    playpen: "Playpen",
+    options: "TwinOptions",
+    *,
+    seconds: float,
+    cycles: int | None,
+    period: float,
+    step: float,
+) -> None:
+    """Lives through one life and tells how it went.
+
+    Args:
+        controller: as typed.
+        playpen: with one robot.
+        options: of the robot.
+        seconds: how long [s].
+        cycles: or so many control periods.
+        period: of the controller [ms].
+        step: of the physics [ms].
+    """
+    from khep_twin.lab.experiment import find_function
+    from khep_twin.playpen import placed
+    from khep_twin.ports.twin import equipped
+    from khep_twin.randomness import stream
+    from khep_twin.scale.life import Ground, Life, is_compiled
+    from khep_twin.scale.minds import Hold, Wander
+
+    function = None
+    if controller != "braitenberg":
+        function = find_function(controller, "proximity and ambient light", 2)
+    scene, _ = equipped(placed(playpen, stream(options.seed, "spots")), options)
+    try:
+        ground = Ground(scene, step_ns=round(step * 1e6), period_ns=round(period * 1e6))
+        periods = cycles or ground.periods(seconds)
+    except ValueError as error:
+        raise usage(str(error)) from None
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        compiled = is_compiled(None)
+    for warning in told:
+        complain(str(warning.message))
+    life = Life(ground, Wander() if function is None else Hold(), compiled=compiled)
+    life.begin(options.seed, noise=options.noise, spread=options.spread)
+    with progress_bar() as show:
+        for done in range(periods):
+            if function is not None:
+                life.drive(*_speeds(function, life))
+            life.go_on(ground.wiring.steps_per_period)
+            if show is not None:
+                show((done + 1) / periods)
+    typer.echo(f"{periods} cycles in {life.time_ns / 1e9:.1f} s")
+    for name, value in life.numbers().items():
+        if not math.isnan(value):  # homing is no number without a home
+            typer.echo(f"{name.replace('_', ' '):20}{value:.4g}")
+
+
+def _speeds(function: Callable[..., Any], life: "Life") -> tuple[float, float]:
+    """What a user's function makes of a life's readings: left and right speed [pulses/10 ms]."""
+    from khep_twin.errors import ControllerError
+    from khep_twin.lab.experiment import call, name_of
+
+    speeds = call(function, *life.readings())
+    try:
+        left, right = speeds
+        return float(left), float(right)
+    except (TypeError, ValueError):
+        raise ControllerError(
+            f"{name_of(function)}: returned {speeds!r}; right are two speeds in pulses per 10 ms, such as "
+            "(10, 10)"
+        ) from None

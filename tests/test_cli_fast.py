@@ -1,0 +1,53 @@
+"""`khep-twin run --fast` from outside."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+OWN = """
+def controller(proximity, ambient):
+    return 10 - proximity[3] / 100, 10 - proximity[2] / 100
+
+def nothing(proximity, ambient):
+    pass
+
+def three(proximity, ambient, memory):
+    return 1, 1
+"""
+
+
+def fast(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "khep_twin", "run", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd)
+
+
+def test_a_fast_run_tells_how_it_went_and_the_same_again(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    options = ("own.py:controller", "--fast", "--playpen", "looping-maze", "--seed", "1", "--seconds", "2")
+    first, second = (fast(*options, cwd=tmp_path) for _ in range(2))
+    assert first.returncode == 0, first.stderr
+    assert first.stdout == second.stdout
+    assert first.stdout.startswith("100 cycles in 2.0 s\nobstacle avoidance ")
+    assert "\ndistance m " in first.stdout
+    assert "homing" not in first.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--fast", "--log", "x.mcap"), "--log does not go with --fast, which has no serial line and no log"),
+        (("--period", "40"), "--period goes with --fast"),
+        (("--fast", "--seconds", "0.03"), "0.03 s is no whole number of control periods of 20 ms"),
+        (("own.py:three", "--fast"), "right are proximity and ambient light"),
+        (("own.py:nothing", "--fast"), "nothing: returned None; right are two speeds in pulses per 10 ms"),
+    ],
+)
+def test_a_mistake_gets_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    result = fast(*arguments, cwd=tmp_path)
+    assert result.returncode in (1, 2)
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not list(tmp_path.glob("*.mcap*"))
