@@ -58,6 +58,7 @@ tutorial: $(VENV)/dev.stamp ## the pictures of docs/tutorial.md anew, by its own
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
 	@$(BIN)/python -m benchmarks
 	@$(BIN)/python -m benchmarks.ports
+	@$(BIN)/python -m benchmarks.scale
 
 lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv
