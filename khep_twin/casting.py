@@ -220,7 +220,8 @@ def blocked(
     """
     points = scene.discs[disc]
     # Element by element, so that it is the same to the last bit on any machine.
-    ways = points.across * left + points.up * up + way
+    frame = np.array((left, up, way))
+    ways = points.across * frame[0] + points.up * frame[1] + frame[2]
     mujoco.mj_multiRay(
         scene.model,
         scene.data,

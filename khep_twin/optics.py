@@ -161,17 +161,16 @@ def proximity(
     """
     level = near.noise * noise - near.threshold[channel]
     found = casting.rays(scene, near, channel, level)
-    nearest = farthest = -1.0
+    nearest = -1.0
     for i in range(0, len(found), casting.LENGTH_AND_NORMAL):
         length = found[i]
-        if length >= 0:
-            nearest = length if nearest < 0 else min(nearest, length)
-            farthest = max(farthest, length)
+        if length >= 0 and (length < nearest or nearest < 0):
+            nearest = length
     if nearest >= 0:
         # Most of the time nothing near enough is in view; what cannot pass the threshold is not summed up.
         gain, reach = near.gain[channel], nearest + near.offset[channel]
         if gain * near.brightest / (reach * reach) > -level:
-            _look(scene, near, channel, found, farthest)
+            _look(scene, near, channel, found)
             level += gain * _reflected(found, near, channel)
     limit = int(near.limit * range_left)
     counts = min(round(min(level, float(limit)) / near.quantum) * near.quantum, limit)
@@ -245,11 +244,10 @@ def clear(bulbs: Bulbs, lamp: int, x: float, y: float) -> bool:
         return False
     dx, dy = x - bulbs.places[3 * lamp], y - bulbs.places[3 * lamp + 1]
     direction, distance = math.atan2(dy, dx), math.sqrt(dx * dx + dy * dy)
+    nearest, middles, halves = bulbs.nearest, bulbs.middles, bulbs.halves
     for i in range(bulbs.first[lamp], bulbs.first[lamp + 1]):
-        if distance > bulbs.nearest[i]:
-            off = abs((direction - bulbs.middles[i] + math.pi) % _TURN - math.pi)
-            if off < bulbs.halves[i]:
-                return False
+        if distance > nearest[i] and abs((direction - middles[i] + math.pi) % _TURN - math.pi) < halves[i]:
+            return False
     return True
 
 
@@ -315,14 +313,15 @@ def _reflected(found: Sequence[float], near: Proximity, channel: int) -> float:
     )
 
 
-def _look(
-    scene: casting.Scene, near: Proximity, channel: int, found: Sequence[float], farthest: float
-) -> None:
+def _look(scene: casting.Scene, near: Proximity, channel: int, found: Sequence[float]) -> None:
     """Fills in how the rays meet what they hit, and how bright that is."""
     frame = casting.sensor_frame(scene, channel)
     aside = near.aside[channel]
+    farthest = -1.0
     for i in range(len(aside)):
         first = casting.LENGTH_AND_NORMAL * i
+        if found[first] > farthest:
+            farthest = found[first]
         if near.uniform and found[first] < 0:
             continue  # it is neither cast again nor counts
         dx, dy, dz = casting.direction(frame, aside[i])
