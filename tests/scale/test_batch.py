@@ -98,6 +98,24 @@ def test_one_that_fails_is_told_by_seed_and_step_and_harms_no_other(compiled: bo
     assert (found.registers[::2] == without.registers).all()
 
 
+@pytest.mark.parametrize("compiled", KINDS)
+def test_physics_that_fail_in_several_threads_at_once_harm_no_other(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Thrown(Life):
+        def begin(self, seed: int = 0, **more: Any) -> None:
+            super().begin(seed, **more)
+            if seed % 2:
+                self._data.qvel[0] = np.nan if seed % 4 == 1 else 1e200
+
+    monkeypatch.setattr(batch, "Life", Thrown)
+    found = rollout(SCENE, Wander(), range(12), 0.1, threads=4, compiled=compiled)
+    assert [failure.seed for failure in found.failures] == [1, 3, 5, 7, 9, 11]
+    assert {failure.step for failure in found.failures} == {4}  # it is looked at every tick
+    even = rollout(SCENE, Wander(), range(0, 12, 2), 0.1, compiled=compiled)
+    assert (found.registers[::2] == even.registers).all()
+
+
 def test_memory_does_not_grow_with_the_number_of_lives(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Life] = []
 
