@@ -140,7 +140,8 @@ def convert(
         chance: of proximity and ambient, with standard deviation 1, and of idle counts, with mean 1.
     """
     noise = eyes.noise * chance[1]
-    level = max(eyes.dark - light(scene, eyes, bulbs, powers, channel), eyes.floor)
+    # The floor comes first, so that what is no number any more, until it is noticed, counts as the floor.
+    level = max(eyes.floor, eyes.dark - light(scene, eyes, bulbs, powers, channel))
     range_left = (level - eyes.floor) / (eyes.dark - eyes.floor)
     ambient = max(min(round(level + noise), eyes.ceiling), 0)
     return proximity(scene, near, channel, chance[0], chance[2], range_left), ambient
