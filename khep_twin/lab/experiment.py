@@ -175,7 +175,9 @@ def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., An
     path, wanted = _file_and_name(name)
     if path is None:
         raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
-    functions = {each: offer for each, offer in _offers_of(_module_of(path)).items() if inspect.isfunction(offer)}
+    functions = {
+        each: offer for each, offer in _offers_of(_module_of(path)).items() if inspect.isfunction(offer)
+    }
     if not wanted:
         wanted = "controller" if "controller" in functions or len(functions) != 1 else next(iter(functions))
     found = functions.get(wanted)
