@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen as playpens
+from khep_twin.fitness import obstacle_avoidance
 from khep_twin.host import Khepera
-from khep_twin.lab.measures import Heard, Truth, coverage, fitness
+from khep_twin.lab.measures import Heard, Truth, coverage
 from khep_twin.playpen import Playpen
 
 
@@ -25,7 +26,7 @@ from khep_twin.playpen import Playpen
     ],
 )
 def test_the_fitness_is_floreanos_and_mondadas(left: int, right: int, nearest: float, value: float) -> None:
-    assert fitness(left, right, nearest) == pytest.approx(value)
+    assert obstacle_avoidance(left, right, nearest) == pytest.approx(value)
 
 
 def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
