@@ -6,10 +6,10 @@
         step = environment.step([10.0, 8.0])
         print(step.observation["proximity"], step.reward, environment.physics.pose())
 
-Observations are the task's senses by name, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units). An action
-is the speed of the left and of the right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to whole ones. One step
-is one control period, 50 ms unless told otherwise. A trial that has lasted its time ends with discount 1, one
-whose charge has run out with 0.
+Observations are the task's senses by name, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units). An
+action is the speed of the left and of the right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to
+whole ones. One step is one control period, 50 ms unless told otherwise. A trial that has lasted its time ends with
+discount 1, one whose charge has run out with 0.
 """
 
 # dm_control and dm_env are not typed.
@@ -38,7 +38,7 @@ from dm_env import specs  # noqa: E402
 
 
 class Physics(mujoco.Physics):
-    """A trial's scene as dm_control has it: `named.data.xpos["khepera0/base"]`, cameras, and the robot by name.
+    """A trial's scene as dm_control has it, `named.data.xpos["khepera0/base"]`, and the robot by name.
 
     Time passes in whole control periods: sensors and control loops belong to the step.
 

@@ -9,8 +9,8 @@
 
     many = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
 
-Observation: numbers of the task's senses, each 0 to 1 or -1 to 1 (`SENSES` has units and order, `labels` names).
-Action: speed of the left and of the right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to whole ones.
+Observation: numbers of the task's senses, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units).
+Action: speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to whole ones.
 """
 
 # pyright: reportMissingTypeStubs=false
@@ -18,7 +18,6 @@ Action: speed of the left and of the right wheel, -20 to 20 [pulses/10 ms], 8 mm
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from math import degrees
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,11 +26,11 @@ from numpy.typing import NDArray
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 from khep_twin.scale.tasks import TASKS, TOP_SPEED, Observation, Task
 from khep_twin.scale.trial import Course, Trial
-from khep_twin.scale.view import Painter, Picture
+from khep_twin.scale.view import Painter, Picture, View
 
 try:
     import gymnasium
-    from gymnasium.spaces import Box
+    from gymnasium.spaces import Box, Space
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 except ModuleNotFoundError as error:
@@ -40,7 +39,7 @@ except ModuleNotFoundError as error:
 RENDER_MODES = ("rgb_array",)
 
 
-def spaces(task: Task) -> tuple[Box, Box]:
+def spaces(task: Task) -> tuple[Space[Any], Space[Any]]:
     """What a task's robot may see, and what it may be told [pulses/10 ms]."""
     low, high = task.bounds
     return Box(low, high, dtype=np.float32), Box(-TOP_SPEED, TOP_SPEED, (2,), np.float32)
@@ -51,8 +50,8 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     A trial that has lasted its time is truncated; it terminates when the robot's charge has run out.
 
-    `info` has what is true, not what the robot knows: "x" and "y" [m], "heading" [rad], "time" [s], and "seed", by
-    which the trial comes again: `reset(options={"seed": ...})`.
+    `info` has what is true, not what the robot knows: "x" and "y" [m], "heading" [rad], "time" [s], and
+    "seed", by which the trial comes again: `reset(options={"seed": ...})`.
 
     Args:
         task: or its name.
@@ -72,7 +71,7 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         task: Task | str = "ObstacleAvoidance",
         *,
         render_mode: str | None = None,
-        view: str = "auto",
+        view: View = "auto",
         course: Course | None = None,
         **options: Any,
     ) -> None:
@@ -96,9 +95,7 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._seed = int((options or {}).get("seed", drawn))
         return self._trial.begin(self._seed)[0], self._info()
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Lets a control period pass with these speeds of left and right wheel [pulses/10 ms] (2,)."""
         left, right = np.clip(action, -TOP_SPEED, TOP_SPEED).tolist()
         (outcome,) = self._trial.step([(left, right)])
@@ -122,8 +119,8 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
 class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     """Many robots, each in a playpen of its own, stepped by threads.
 
-    Each does what one alone would, whatever the number of threads: robot i begins with the seed + i. One whose
-    trial is over begins another in the next step, without regard to its action, for no reward.
+    Each does what one alone would, whatever the number of threads: robot i begins with the seed + i. One
+    whose trial is over begins another in the next step, without regard to its action, for no reward.
 
     Args:
         num_envs: how many.
@@ -143,7 +140,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         task: Task | str = "ObstacleAvoidance",
         *,
         render_mode: str | None = None,
-        view: str = "auto",
+        view: View = "auto",
         threads: int | None = None,
         **options: Any,
     ) -> None:
@@ -191,9 +188,15 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         observations, rewards, ended, late, infos = zip(*self._share_out(one), strict=True)
         terminated, truncated = np.array(ended, np.bool_), np.array(late, np.bool_)
         self._over = terminated | truncated
-        return np.stack(observations), np.array(rewards, np.float64), terminated, truncated, self._infos(infos)
+        return (
+            np.stack(observations),
+            np.array(rewards, np.float64),
+            terminated,
+            truncated,
+            self._infos(infos),
+        )
 
-    def render(self) -> tuple[Picture | None, ...]:
+    def render(self) -> tuple[Any, ...]:
         """A picture of each."""
         return tuple(each.render() for each in self._all)
 
@@ -226,7 +229,7 @@ def register() -> None:
     """Makes the tasks known to Gymnasium as khep_twin/NAME-v0."""
     for name in TASKS:
         if (known := f"khep_twin/{name}-v0") not in gymnasium.registry:
-            gymnasium.register(
+            gymnasium.register(  # pyright: ignore[reportUnknownMemberType]
                 known,
                 entry_point=f"{__name__}:{KheperaEnvironment.__name__}",
                 vector_entry_point=f"{__name__}:{KheperaVectorEnvironment.__name__}",

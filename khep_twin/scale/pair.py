@@ -1,4 +1,4 @@
-"""The pair of mujoco and dm-control: they are released together, and one fails on the other's wrong release."""
+"""The pair of mujoco and dm-control, which are released together and fail on each other's wrong release."""
 
 from importlib import metadata
 

@@ -23,10 +23,10 @@ from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 from khep_twin.scale.gymnasium_environment import RENDER_MODES, spaces
 from khep_twin.scale.tasks import TOP_SPEED, Observation, Task
 from khep_twin.scale.trial import Course, Trial
-from khep_twin.scale.view import Painter, Picture
+from khep_twin.scale.view import Painter, Picture, View
 
 try:
-    from gymnasium.spaces import Box
+    from gymnasium.spaces import Space
     from gymnasium.utils import seeding
     from pettingzoo import ParallelEnv
 except ModuleNotFoundError as error:
@@ -50,7 +50,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         robots: int = 2,
         *,
         render_mode: str | None = None,
-        view: str = "auto",
+        view: View = "auto",
         **options: Any,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
@@ -74,11 +74,11 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         for agent in self.possible_agents:
             self.observation_spaces[agent], self.action_spaces[agent] = spaces(self._course.task)
 
-    def observation_space(self, agent: str) -> Box:
+    def observation_space(self, agent: str) -> Space[Any]:
         """What a robot may see."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> Box:
+    def action_space(self, agent: str) -> Space[Any]:
         """What it may be told [pulses/10 ms]."""
         return self.action_spaces[agent]
 
@@ -113,7 +113,9 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         speeds = [[0.0, 0.0]] * len(self.possible_agents)
         for agent in self.agents:
             if agent not in actions:
-                raise KhepTwinError(f"no action for {agent}; right is one for each of {', '.join(self.agents)}")
+                raise KhepTwinError(
+                    f"no action for {agent}; right is one for each of {', '.join(self.agents)}"
+                )
             cut = np.clip(actions[agent], -TOP_SPEED, TOP_SPEED)
             speeds[self.possible_agents.index(agent)] = cut.tolist()
         became = dict(zip(self.possible_agents, self._trial.step(speeds), strict=True))

@@ -152,8 +152,8 @@ class Together:
         driven = self.world.robots[robot]
         if driven.firmware.powered and not episode.drive(driven.registers.data, left, right):
             raise DivergedError(
-                f"{driven.name} failed at {self.world.time_ns / 1e9:.4f} s: the controller gave a speed that is "
-                "no number"
+                f"{driven.name} failed at {self.world.time_ns / 1e9:.4f} s: the controller gave a speed that "
+                "is no number"
             )
 
     def go_on(self) -> None:
@@ -193,9 +193,7 @@ def anywhere(playpen: Playpen, seed: int) -> Playpen:
         for _ in range(_TRIES):
             x_mm, y_mm, heading_deg = chance.uniform((left, low, 0), (right, high, 360)).round(1).tolist()
             place = {"x_mm": x_mm, "y_mm": y_mm, "heading_deg": heading_deg, "spots": ()}
-            tried = standing.model_copy(
-                update={"robots": (*standing.robots, robot.model_copy(update=place))}
-            )
+            tried = standing.model_copy(update={"robots": (*standing.robots, robot.model_copy(update=place))})
             if not no_room(tried, len(standing.robots), x_mm, y_mm):
                 standing = tried
                 break

@@ -6,9 +6,9 @@
     Homing              fast and clear of things, and back to the charger in time (Floreano and Mondada 1996)
     WallOrCylinder      find the cylinder and stay beside it, and not beside a wall (Nolfi 1996)
 
-A reward is that of one control period, 0 to 1; the rewards of the classics are those of `khep_twin.fitness`, with
-the speeds that the wheels' encoders have counted, not those that were asked for. A task of your own is one more
-`Task`, e.g. `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
+A reward is that of one control period, 0 to 1; the rewards of the classics are those of `khep_twin.fitness`,
+with the speeds that the wheels' encoders have counted, not those that were asked for. A task of your own is
+one more `Task`, e.g. `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from khep_twin import fitness
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.kernel import AMBIENT, PROXIMITY
-from khep_twin.units import COUNTS_LIMIT, N_SENSORS, Sensor
+from khep_twin.units import COUNTS_LIMIT, Sensor
 
 Observation = NDArray[np.float32]
 
@@ -98,7 +98,6 @@ def _charge(moment: Moment) -> Sequence[float]:
 
 
 _SENSORS = tuple(sensor.name.lower() for sensor in Sensor)
-assert len(_SENSORS) == N_SENSORS
 
 SENSES = {
     "proximity": Sense(_proximity, _SENSORS, 0.0, 1.0, "1023 counts of command N"),
@@ -159,8 +158,9 @@ class Task:
     def bounds(self) -> tuple[Observation, Observation]:
         """What an observation's numbers are not below and not above (n,), (n,)."""
         senses = [SENSES[name] for name in self.senses]
-        low, high = ([[getattr(s, key)] * len(s.names) for s in senses] for key in ("low", "high"))
-        return np.array(sum(low, []), np.float32), np.array(sum(high, []), np.float32)
+        sizes = [len(sense.names) for sense in senses]
+        low, high = ([sense.low for sense in senses], [sense.high for sense in senses])
+        return np.repeat(np.array(low, np.float32), sizes), np.repeat(np.array(high, np.float32), sizes)
 
     def observe(self, moment: Moment) -> Observation:
         """What the robot sees (n,), in the order of `labels`."""

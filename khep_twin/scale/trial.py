@@ -6,10 +6,10 @@
         outcome, = trial.step([(10, 10)])
         print(outcome.observation, outcome.reward)
 
-This is what all forms of environment are made of: dm_env, Gymnasium, PettingZoo. A step is one control period,
-50 ms unless told otherwise (the cycle of the Khepera Toolbox's controllers): the speeds are set as by a command D
-that takes no time, physics, sensors and control loops go on at their own pace, and the robots look again. A
-trial depends on its seed and its actions alone, whatever was done before.
+This is what all forms of environment are made of: dm_env, Gymnasium, PettingZoo. A step is one control
+period, 50 ms unless told otherwise (the cycle of the Khepera Toolbox's controllers): the speeds are set as by
+a command D that takes no time, physics, sensors and control loops go on at their own pace, and the robots look
+again. A trial depends on its seed and its actions alone, whatever was done before.
 """
 
 from collections.abc import Sequence
@@ -186,9 +186,7 @@ class Trial:
     def _outcome(self, robot: int) -> Outcome:
         task, ticks = self.course.task, self.course.period_ns // units.TICK_NS
         before, self._pulses[robot] = self._pulses[robot], self._counted(robot)
-        left, right = (
-            (now - then) / ticks for now, then in zip(self._pulses[robot], before, strict=True)
-        )
+        left, right = ((now - then) / ticks for now, then in zip(self._pulses[robot], before, strict=True))
         if task.charge_s:
             period_s = self.course.period_ns / 1e9
             self._charges[robot] = (
@@ -227,5 +225,3 @@ def _place_of(playpen: Playpen, name: str) -> tuple[float, float]:
     if name not in places:
         raise KhepTwinError(f"{playpen.name}: has no patch or cylinder {name!r}; {choices(name, places)}")
     return places[name]
-
-

@@ -1,14 +1,14 @@
 """Pictures of a trial as arrays: the scene rendered by MuJoCo, or, where there is no GL, a map.
 
-MuJoCo renders without a screen by EGL or OSMesa, as `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` says before mujoco is
-imported.
+MuJoCo renders without a screen by EGL or OSMesa, as `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` says before mujoco
+is imported.
 """
 
 import warnings
 from collections.abc import Sequence
 from io import BytesIO
 from math import degrees
-from typing import Literal, cast
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -46,10 +46,11 @@ class Painter:
         KhepTwinError: there is no such view.
     """
 
-    def __init__(self, playpen: Playpen, view: str = "auto") -> None:
+    def __init__(self, playpen: Playpen, view: View = "auto") -> None:
         if view not in VIEWS:
             raise KhepTwinError(f"view {view!r}: unknown; {choices(view, VIEWS)}")
-        self._playpen, self._view = playpen, cast(View, view)
+        self._playpen = playpen
+        self._view: View = view
         self._renderer: mujoco.Renderer | None = None
         self._own: mujoco.MjData | None = None
 

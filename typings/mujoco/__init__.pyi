@@ -108,6 +108,7 @@ class MjData:
     cvel: NDArray[np.float64]
     geom_xmat: NDArray[np.float64]
     geom_xpos: NDArray[np.float64]
+    model: MjModel
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]
     sensordata: NDArray[np.float64]
@@ -117,6 +118,18 @@ class MjData:
     xquat: NDArray[np.float64]
 
     def __init__(self, model: MjModel) -> None: ...
+
+class MjvCamera:
+    lookat: NDArray[np.float64]
+    distance: float
+    azimuth: float
+    elevation: float
+
+class Renderer:
+    def __init__(self, model: MjModel, height: int, width: int) -> None: ...
+    def update_scene(self, data: MjData, camera: MjvCamera) -> None: ...
+    def render(self) -> NDArray[np.uint8]: ...
+    def close(self) -> None: ...
 
 class MjsOption:
     timestep: float
