@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format fuzz fuzz-files soak kills pyserial schemas reference tutorial bench lock build clean
+.PHONY: help run test check format fuzz fuzz-files soak determinism kills pyserial schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -37,6 +37,9 @@ fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 milli
 
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each
 	@KHEP_RUBBISH_SECONDS=60 $(BIN)/python -m pytest tests/ports/test_chaos.py
+
+determinism: $(VENV)/dev.stamp ## 100,000 steps of an environment, the same bit for bit; about ten minutes
+	@$(BIN)/python tests/scale/long_determinism.py
 
 kills: $(VENV)/dev.stamp ## 200 served twins and 40 runs killed at random times, and what their logs lost; about ten minutes
 	@$(BIN)/python tests/log/kills.py serve 200 --jobs 3

@@ -8,13 +8,13 @@
 
 Observations are the task's senses by name, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units). An
 action is the speed of the left and of the right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to
-whole ones. One step is one control period, 50 ms unless told otherwise. A trial that has lasted its time ends with
-discount 1, one whose charge has run out with 0.
+whole ones. One step is one control period, 50 ms unless told otherwise. A trial that has lasted its time ends
+with discount 1, one whose charge has run out with 0.
 """
 
 # dm_control and dm_env are not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false, reportUntypedBaseClass=false
+# pyright: reportUnknownArgumentType=false, reportUntypedBaseClass=false, reportIncompatibleMethodOverride=false
 
 from collections import OrderedDict
 from typing import Any

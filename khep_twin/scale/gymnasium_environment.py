@@ -13,7 +13,8 @@ Observation: numbers of the task's senses, each 0 to 1 or -1 to 1 (`tasks.SENSES
 Action: speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to whole ones.
 """
 
-# pyright: reportMissingTypeStubs=false
+# Its spaces are not typed throughout.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
 import os
 from collections.abc import Callable, Sequence
@@ -229,7 +230,7 @@ def register() -> None:
     """Makes the tasks known to Gymnasium as khep_twin/NAME-v0."""
     for name in TASKS:
         if (known := f"khep_twin/{name}-v0") not in gymnasium.registry:
-            gymnasium.register(  # pyright: ignore[reportUnknownMemberType]
+            gymnasium.register(
                 known,
                 entry_point=f"{__name__}:{KheperaEnvironment.__name__}",
                 vector_entry_point=f"{__name__}:{KheperaVectorEnvironment.__name__}",

@@ -8,8 +8,8 @@
 
 This is what all forms of environment are made of: dm_env, Gymnasium, PettingZoo. A step is one control
 period, 50 ms unless told otherwise (the cycle of the Khepera Toolbox's controllers): the speeds are set as by
-a command D that takes no time, physics, sensors and control loops go on at their own pace, and the robots look
-again. A trial depends on its seed and its actions alone, whatever was done before.
+a command D that takes no time, physics, sensors and control loops go on at their own pace, and the robots
+look again. A trial depends on its seed and its actions alone, whatever was done before.
 """
 
 from collections.abc import Sequence
@@ -121,7 +121,7 @@ class Trial:
         self._stage = course.stage()
         self._n_robots = len(course.playpen.robots)
         self._pulses = [[0, 0]] * self._n_robots
-        self._charges = [0.0] * self._n_robots
+        self._charges_ns = [0] * self._n_robots
         self._steps = course.n_steps
 
     def begin(self, seed: int) -> list[Observation]:
@@ -134,7 +134,7 @@ class Trial:
         course = self.course
         self._stage.begin(seed, course.started(seed), course.noise, course.spread)
         self._steps = 0
-        self._charges = [course.task.charge_s] * self._n_robots
+        self._charges_ns = [to_ns(course.task.charge_s)] * self._n_robots
         self._pulses = [self._counted(robot) for robot in range(self._n_robots)]
         return [course.task.observe(self._moment(robot, (0.0, 0.0))) for robot in range(self._n_robots)]
 
@@ -188,16 +188,15 @@ class Trial:
         before, self._pulses[robot] = self._pulses[robot], self._counted(robot)
         left, right = ((now - then) / ticks for now, then in zip(self._pulses[robot], before, strict=True))
         if task.charge_s:
-            period_s = self.course.period_ns / 1e9
-            self._charges[robot] = (
-                task.charge_s if self._at_goal(robot) else max(self._charges[robot] - period_s, 0.0)
-            )
+            left_ns = max(self._charges_ns[robot] - self.course.period_ns, 0)
+            self._charges_ns[robot] = to_ns(task.charge_s) if self._at_goal(robot) else left_ns
         moment = self._moment(robot, (left, right))
         return Outcome(task.observe(moment), task.reward(moment), bool(task.charge_s) and moment.charge <= 0)
 
     def _moment(self, robot: int, speed: tuple[float, float]) -> Moment:
         course = self.course
-        charge = self._charges[robot] / course.task.charge_s if course.task.charge_s else 1.0
+        full_ns = to_ns(course.task.charge_s)
+        charge = self._charges_ns[robot] / full_ns if full_ns else 1.0
         registers = self._stage.registers[robot].tolist()
         return Moment(registers, *speed, course.dark, course.floor, self._at_goal(robot), charge)
 
