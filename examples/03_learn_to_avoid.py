@@ -3,9 +3,10 @@
 pip install 'khep-twin[batch,rl]' stable-baselines3
 python examples/03_learn_to_avoid.py out/ppo.png        learns, and draws how; `--steps` for how long
 
-The reward of a control period is Floreano and Mondada's: fast, straight and clear of things, 0 to 1. Each
-trial starts elsewhere, with the sensors of another robot of the same make. What was learnt is tried on starts
-that were never seen, beside a robot that goes straight on and the robot's own Braitenberg demonstration.
+The reward of a control period is Floreano and Mondada's, forwards: fast, straight and clear of things, 0 to 1.
+Each trial starts elsewhere, with the sensors of another robot of the same make. What was learnt is tried on
+starts that were never seen, beside a robot that goes straight on and the robot's own Braitenberg demonstration;
+the way of one trial is drawn into out/ppo_way.png, and out/ppo.zip keeps what was learnt.
 """
 
 import argparse
@@ -22,7 +23,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
 import khep_twin.scale.gymnasium_environment  # noqa: F401  (teaches Gymnasium the names)
+from khep_twin.drawing import Track, save
+from khep_twin.drawing import draw as drawing
 from khep_twin.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
+from khep_twin.scale.trial import Course
 
 NAME = "khep_twin/ObstacleAvoidance-v0"
 TRIALS = 20
@@ -86,6 +90,20 @@ def draw(points, rewards, file):
     figure.savefig(file, dpi=160)
 
 
+def draw_way(drive, file):
+    """The way of a trial of a minute that was never seen."""
+    robot = environment(seconds=60.0)
+    seen, info = robot.reset(seed=1_000_000)
+    start, way, over = info, [], False
+    while not over:
+        way.append((info["time"], 1000 * info["x"], 1000 * info["y"]))
+        seen, _, ended, late, info = robot.step(np.clip(drive(seen), -1, 1).astype(np.float32))
+        over = ended or late
+    time_s, *xy_mm = np.array(way).T
+    playpen = Course("ObstacleAvoidance").started(start["seed"])
+    save(drawing(playpen, [Track("khepera0", time_s, np.stack(xy_mm, axis=1))]), file)
+
+
 options = argparse.ArgumentParser(description="A robot learns to avoid obstacles.")
 options.add_argument("picture", type=Path)
 options.add_argument("--steps", type=int, default=200_000)
@@ -111,4 +129,5 @@ for name, driver in drivers.items():
     print(f"{name:14} reward {mean:.3f} (sd {sd:.3f}), near something {touching:.0%}")
 given.picture.parent.mkdir(parents=True, exist_ok=True)
 draw(curve.points, found, given.picture)
+draw_way(drivers["learnt"], given.picture.with_name(given.picture.stem + "_way.png"))
 learner.save(given.picture.with_suffix(".zip"))

@@ -7,8 +7,8 @@
         observations, rewards, terminated, truncated, infos = environment.step(actions)
 
 Agents are the robots by the names that logs have for them, khepera0 on. They see and are told the same as in
-`gymnasium_environment`, and are in each other's way: one sees another as it sees anything white. One whose
-charge has run out stands where it is while the others go on.
+`gymnasium_environment`, and are in each other's way; a robot reflects a sixth of what white paper does, so
+that others see it from some 5 mm. One whose charge has run out stands where it is while the others go on.
 """
 
 # pyright: reportMissingTypeStubs=false

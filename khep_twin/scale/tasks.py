@@ -1,7 +1,7 @@
 """Tasks: what a robot is to learn, where, what it sees, and what it is rewarded for.
 
-    ObstacleAvoidance   fast, straight and clear of things, among obstacles (Floreano and Mondada 1994)
-    LoopingMaze         the same along a corridor without an end
+    ObstacleAvoidance   forwards, fast, straight and clear of things, among obstacles
+    LoopingMaze         the same along a corridor without an end (Floreano and Mondada 1994)
     LightSeeking        into the light of a lamp behind a screen (ours)
     Homing              fast and clear of things, and back to the charger in time (Floreano and Mondada 1996)
     WallOrCylinder      find the cylinder and stay beside it, and not beside a wall (Nolfi 1996)
@@ -171,7 +171,15 @@ class Task:
 
 
 def avoiding(moment: Moment) -> float:
-    """V (1 - sqrt(dV)) (1 - i): see `fitness.obstacle_avoidance`."""
+    """V (1 - sqrt(dV)) (1 - i) forwards, nothing backwards.
+
+    Floreano and Mondada's V has no sign. By that, learners find that to and fro is clear of things, too.
+    """
+    return avoiding_either_way(moment) if moment.left + moment.right > 0 else 0.0
+
+
+def avoiding_either_way(moment: Moment) -> float:
+    """V (1 - sqrt(dV)) (1 - i) as published: see `fitness.obstacle_avoidance`."""
     return fitness.obstacle_avoidance(moment.left, moment.right, moment.nearest)
 
 

@@ -214,7 +214,7 @@ def test_robots_together_see_each_other() -> None:
     scene = load_playpen("default")
     spots = tuple(
         Spot(name=f"at-{x_mm}", x_mm=x_mm, y_mm=250, heading_deg=heading)
-        for x_mm, heading in ((300, 0), (365, 180))
+        for x_mm, heading in ((300, 0), (357, 180))
     )
     robot = scene.robots[0].model_copy(update={"spots": tuple(spot.name for spot in spots)})
     scene = scene.model_copy(update={"spots": spots, "robots": (robot,)})

@@ -10,7 +10,7 @@ from khep_twin import playpen
 from khep_twin.errors import DivergedError, KhepTwinError, PlaypenError
 from khep_twin.scale import pair
 from khep_twin.scale.stages import anywhere, several
-from khep_twin.scale.tasks import TASKS, Moment, Task, avoiding
+from khep_twin.scale.tasks import TASKS, Moment, Task, avoiding, avoiding_either_way
 from khep_twin.scale.trial import Course, Trial
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
@@ -130,6 +130,8 @@ def test_avoiding_is_rewarded_by_what_the_wheels_did() -> None:
     assert avoiding(moment(20, 20, 0)) == 1
     assert avoiding(moment(10, 10, 0)) == 0.5
     assert avoiding(moment(20, -20, 0)) == 0
+    assert avoiding(moment(-20, -20, 0)) == 0
+    assert avoiding_either_way(moment(-20, -20, 0)) == 1
     assert avoiding(moment(20, 20, 1023)) == 0
 
 
