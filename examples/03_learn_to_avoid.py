@@ -3,10 +3,10 @@
 pip install 'khep-twin[batch,rl]' stable-baselines3
 python examples/03_learn_to_avoid.py out/ppo.png        learns, and draws how; `--steps` for how long
 
-The reward of a control period is Floreano and Mondada's, forwards: fast, straight and clear of things, 0 to 1.
-Each trial starts elsewhere, with the sensors of another robot of the same make. What was learnt is tried on
-starts that were never seen, beside a robot that goes straight on and the robot's own Braitenberg demonstration;
-the way of one trial is drawn into out/ppo_way.png, and out/ppo.zip keeps what was learnt.
+The reward of a control period is Floreano and Mondada's, forwards: fast, straight and clear of things, 0 to
+1. Each trial starts elsewhere, with the sensors of another robot of the same make. What was learnt is tried
+on starts that were never seen, beside a robot that goes straight on and the robot's own Braitenberg vehicle.
+The way of one trial is drawn into out/ppo_way.png, and out/ppo.zip keeps what was learnt.
 """
 
 import argparse

@@ -4,6 +4,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from khep_twin import playpen
 from khep_twin.host import Khepera
 
@@ -43,3 +45,10 @@ def test_the_playpen_is_right() -> None:
 def test_the_two_commands_are_the_makefiles() -> None:
     commands = [line.split("#")[0].strip() for line in blocks("sh")[0].splitlines()]
     assert commands == ["make run", "make test"]
+
+
+def test_the_environment_of_the_readme_takes_a_step() -> None:
+    pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
+    names: dict[str, Any] = {}
+    exec(compile(blocks("python")[4], "README.md", "exec"), names)
+    assert names["observation"].shape == (10,)

@@ -2,8 +2,10 @@
 
 import builtins
 import importlib
+import re
 import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -287,3 +289,15 @@ def test_without_its_package_a_form_names_the_extra_in_one_line(
     monkeypatch.setattr(builtins, "__import__", hidden)
     with pytest.raises(MissingExtraError, match=rf"^{package} is not installed; .*khep-twin\[rl\]'$"):
         importlib.import_module(f"khep_twin.scale.{module}")
+
+
+PAGE = Path(__file__).parents[2] / "docs/environments.md"
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+# The way to a picture depends on the machine's GL, of which each has its own complaints.
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("number", range(len(PROGRAMS)))
+def test_the_programs_of_the_page_run(number: int) -> None:
+    pytest.importorskip("pettingzoo", reason="pettingzoo, the extra [rl], is not installed")
+    exec(compile(PROGRAMS[number], str(PAGE), "exec"), {})
