@@ -38,7 +38,7 @@ fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 milli
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each
 	@KHEP_RUBBISH_SECONDS=60 $(BIN)/python -m pytest tests/ports/test_chaos.py
 
-determinism: $(VENV)/dev.stamp ## 100,000 steps of an environment, the same bit for bit; about ten minutes
+determinism: $(VENV)/dev.stamp ## 100,000 steps of an environment, the same bit for bit; a few minutes
 	@$(BIN)/python tests/scale/long_determinism.py
 
 kills: $(VENV)/dev.stamp ## 200 served twins and 40 runs killed at random times, and what their logs lost; about ten minutes

@@ -1,12 +1,13 @@
-"""Whether an environment is the same for 100,000 steps: `make determinism`; about five minutes.
+"""Whether an environment is the same for 100,000 steps: `make determinism`; a few minutes.
 
-Two of them in this process and one in another take the same actions, single and together, and must give the
-same observations and rewards bit for bit.
+In two processes it takes the same actions, and so do four together by one thread and by two: each pair must give
+the same observations and rewards bit for bit.
 """
 
 import hashlib
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import gymnasium
 import numpy as np
@@ -42,17 +43,33 @@ def together(task: str, seed: int, threads: int) -> str:
     return digest.hexdigest()
 
 
+RUNS = (("single", 0), ("single", 0), ("together", 1), ("together", 2))
+"""What is run, each in a process of its own, and by how many threads."""
+
+
+def run(job: tuple[str, int]) -> str:
+    """The hash of a run in another process."""
+    kind, threads = job
+    command = [sys.executable, __file__, kind, str(threads)]
+    digest = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    print(f"{STEPS} steps, {kind}{f' by {threads} threads' if threads else ''}: {digest}", flush=True)
+    return digest
+
+
 def main() -> int:
     """Compares them; 0 if they are the same."""
-    if len(sys.argv) > 1:
-        print(single("Homing", 1))
-        return 0
-    other = subprocess.run([sys.executable, __file__, "other"], capture_output=True, text=True, check=True)
-    ones = [single("Homing", 1), single("Homing", 1), other.stdout.strip()]
-    many = [together("ObstacleAvoidance", 1, threads) for threads in (1, 2)]
-    same = len(set(ones)) == len(set(many)) == 1
-    print(f"{STEPS} steps, here twice and in another process: {' '.join(digest[:12] for digest in ones)}")
-    print(f"{STEPS} steps of {MANY}, by 1 and 2 threads: {' '.join(digest[:12] for digest in many)}")
+    match sys.argv[1:]:
+        case ["single", _]:
+            print(single("Homing", 1))
+            return 0
+        case ["together", threads]:
+            print(together("ObstacleAvoidance", 1, int(threads)))
+            return 0
+        case _:
+            pass
+    with ThreadPoolExecutor(2) as pool:
+        one, other, few, more = pool.map(run, RUNS)
+    same = one == other and few == more
     print("the same" if same else "NOT the same")
     return 0 if same else 1
 
