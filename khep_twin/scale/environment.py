@@ -55,15 +55,15 @@ class Physics(mujoco.Physics):
 
     def proximity(self) -> NDArray[np.int64]:
         """Counts of command N (8,)."""
-        return np.array([self._trial.registers[0][index] for index in PROXIMITY], np.int64)
+        return self._trial.registers[0][PROXIMITY]
 
     def ambient(self) -> NDArray[np.int64]:
         """Counts of command O (8,), low in the light."""
-        return np.array([self._trial.registers[0][index] for index in AMBIENT], np.int64)
+        return self._trial.registers[0][AMBIENT]
 
     def setpoints(self) -> NDArray[np.int64]:
         """Speeds that the wheels are to have (2,) [pulses/10 ms]."""
-        return np.array([self._trial.registers[0][index] for index in SETPOINTS], np.int64)
+        return self._trial.registers[0][SETPOINTS]
 
     def pose(self) -> NDArray[np.float64]:
         """True x, y [m] and heading [rad] (3,)."""

@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin import calibration, units
 from khep_twin.clock import n_steps, to_ns
@@ -174,9 +176,9 @@ class Trial:
         return self._stage.poses
 
     @property
-    def registers(self) -> Sequence[Sequence[int]]:
-        """Of the robots' boards, live."""
-        return [registers.data for registers in self._stage.registers]  # type: ignore[misc]
+    def registers(self) -> Sequence[NDArray[np.int64]]:
+        """Of each robot's board (N_REGISTERS,), live."""
+        return self._stage.registers
 
     @property
     def data(self) -> mujoco.MjData:

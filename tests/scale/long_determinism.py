@@ -1,7 +1,7 @@
 """Whether an environment is the same for 100,000 steps: `make determinism`; a few minutes.
 
-In two processes it takes the same actions, and so do four together by one thread and by two: each pair must give
-the same observations and rewards bit for bit.
+In two processes it takes the same actions, and so do four together by one thread and by two: each pair must
+give the same observations and rewards bit for bit.
 """
 
 import hashlib
