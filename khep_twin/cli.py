@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from khep_twin import __version__
+from khep_twin.cli_design import design
 from khep_twin.cli_drive import drive
 from khep_twin.cli_fit import fit
 from khep_twin.cli_log import recover, repeat
@@ -33,7 +34,22 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(playpen_app, name="playpen")
-for command in (run, series, new, serve, ports, drive, view, report, export, recover, repeat, sense, fit):
+for command in (
+    run,
+    series,
+    new,
+    design,
+    serve,
+    ports,
+    drive,
+    view,
+    report,
+    export,
+    recover,
+    repeat,
+    sense,
+    fit,
+):
     app.command()(command)
 
 

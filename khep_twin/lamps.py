@@ -3,7 +3,8 @@
 A lamp burns with its power times its dim. It can blink, `on_s` says from when to when it is on, and with
 `fade_s` it goes on and off slowly, as a filament does. The playpen's lighting says which of them are on: all,
 or one at a time. Then the next one, by chance or in the file's order, is on when a robot comes near the one
-that is on, or near a wall of the arena. Robots have to go away before they can come near again.
+that is on, or near a wall of the arena. Robots have to go away before they can come near again. A hand can
+switch a lamp off and on again, whatever else switches it.
 """
 
 import math
@@ -40,6 +41,7 @@ class Lamps:
         self._full = [lamp.power_w * lamp.dim for lamp in self._lamps]
         one_by_one = self._lighting.mode != "all" and bool(self._lamps)
         self.steady = not one_by_one and not any(lamp.blink_period_s or lamp.on_s for lamp in self._lamps)
+        self._off: set[int] = set()
         self._lit: int | None = None
         if one_by_one:
             random = self._lighting.mode == "random"
@@ -51,6 +53,15 @@ class Lamps:
     def lit(self) -> int | None:
         """Which one is on, where they are on one at a time; else None."""
         return self._lit
+
+    def turn(self, index: int, on: bool) -> None:
+        """Switches a lamp by hand: off, or as it would be without a hand."""
+        (self._off.discard if on else self._off.add)(index)
+        self.steady = False
+
+    def turned_off(self, index: int) -> bool:
+        """Whether a hand has switched it off."""
+        return index in self._off
 
     def update(self, time_ns: int, robots: Sequence[tuple[float, float, float]]) -> bool:
         """Lets time pass.
@@ -72,7 +83,7 @@ class Lamps:
 
     def _wanted(self, index: int) -> bool:
         """Whether a lamp is on."""
-        if self._lit not in (None, index):
+        if self._lit not in (None, index) or index in self._off:
             return False
         return _in_its_turn(self._lamps[index], self._time_ns)
 

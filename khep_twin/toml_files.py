@@ -110,7 +110,7 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
     if _DEEP_KEY.search(text):
         raise error(f"{source}: a key has more than 32 parts")
     try:
-        data = _frozen(tomllib.loads(text))
+        data = frozen(tomllib.loads(text))
     except tomllib.TOMLDecodeError as trouble:
         raise error(f"{source}: not TOML: {trouble}") from None
     except ValueError:
@@ -139,6 +139,24 @@ def check(
         raise error(
             "\n".join(f"{source}{_at(lines, problem.location)}: {problem.text}" for problem in problems)
         ) from None
+
+
+def problems(model: type[Model], data: Mapping[str, Any]) -> list[Problem]:
+    """What is wrong with data, such as a file's that is still being written, as `model`; empty if nothing is."""
+    try:
+        model.model_validate(frozen(data))
+    except ValidationError as trouble:
+        return list(islice(_problems(model, trouble), PROBLEM_LIMIT))
+    return []
+
+
+def frozen(value: Any) -> Any:
+    """Data with its arrays as tuples, which strict models ask for."""
+    if isinstance(value, dict):
+        return {key: frozen(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType]
+    if isinstance(value, list):
+        return tuple(frozen(item) for item in value)  # pyright: ignore[reportUnknownVariableType]
+    return value
 
 
 def dump(table: Table) -> str:
@@ -199,15 +217,6 @@ def _plain(text: str) -> str:
 
 def _plain_data(table: Table) -> dict[str, Any]:
     return table.model_dump(by_alias=True, exclude_none=True, mode="json")
-
-
-def _frozen(value: Any) -> Any:
-    """TOML's arrays as tuples, which strict models ask for."""
-    if isinstance(value, dict):
-        return {key: _frozen(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType]
-    if isinstance(value, list):
-        return tuple(_frozen(item) for item in value)  # pyright: ignore[reportUnknownVariableType]
-    return value
 
 
 def _problems(model: type[BaseModel], trouble: ValidationError) -> Iterator[Problem]:

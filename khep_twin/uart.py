@@ -31,13 +31,14 @@ class LineSettings:
 
 
 class Act(IntEnum):
-    """What a host does to the line, and a hand to the robot."""
+    """What a host does to the line, and a hand to the robot and its world."""
 
     SEND = 0
     HANG_UP = 1
     TAKE_BACK = 2
     SET = 3
     PUT = 4
+    SWITCH = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,8 @@ class HostAct:
         kind: what it was.
         at_ns: from when on it holds, now or later [ns].
         host: how the host had set its end of the line, None for as the robot has it.
-        data: what was sent, as it left the host; where the robot was put, as `khep_twin.placing` has it.
+        data: what was sent, as it left the host; where the robot was put, as `khep_twin.placing` has it;
+            which lamp was switched, as `khep_twin.switching` has it.
     """
 
     kind: Act

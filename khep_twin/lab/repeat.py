@@ -26,6 +26,7 @@ from khep_twin.log.wire import Answered, boards, hashes, read_acts, read_states
 from khep_twin.placing import put_again
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.switching import switch_again
 from khep_twin.uart import Act, HostAct
 from khep_twin.world import SAMPLE_NS, World
 
@@ -211,6 +212,8 @@ def _act(twin: Twin, index: int, act: HostAct) -> None:
             robot.compare_line(act.host)
         case Act.PUT:
             put_again(twin.world, index, act)
+        case Act.SWITCH:
+            switch_again(twin.world, act)
 
 
 class _Watch:

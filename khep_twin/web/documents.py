@@ -1,0 +1,187 @@
+"""Playpen files below one folder, and nothing outside it.
+
+A file is known by its version, a hash of its bytes: who saves tells on which version that is built, so that
+two pages, or a page and an editor, never write over each other unseen. What a page has not saved yet lies as
+a draft beside the file, `.NAME.toml.draft`, until it is.
+"""
+
+import json
+import os
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from khep_twin import playpen as playpens
+from khep_twin import toml_files
+from khep_twin.errors import KhepTwinError, PlaypenError
+from khep_twin.files import write_whole
+from khep_twin.toml_files import SIZE_LIMIT
+from khep_twin.web.drafts import Draft, draft_of, text_of
+
+UNNAMED = "unnamed.toml"
+"""Under this name lies the draft of what has no file yet."""
+
+_LISTED, _LOOKED_AT = 300, 20_000
+"""Most files that are listed, and most that are looked at for it."""
+
+
+class OutsideError(KhepTwinError):
+    """A name that leads out of the folder."""
+
+
+class ConflictError(KhepTwinError):
+    """A file that is not what it was when the page has opened it."""
+
+
+class Documents:
+    """The playpens below a folder.
+
+    Args:
+        root: the folder.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.resolve()
+
+    def path(self, name: str, *endings: str) -> Path:
+        """Where a file lies.
+
+        Args:
+            name: of it, from the folder on.
+            endings: one of which it has to have.
+
+        Raises:
+            OutsideError: that is not below the folder.
+            PlaypenError: it is no name of such a file.
+        """
+        if not name or len(name) > 512 or not name.isprintable() or "\\" in name:
+            raise OutsideError("right is the name of a file below the folder of the designer")
+        wanted = Path(name)
+        if wanted.is_absolute() or ".." in wanted.parts:
+            raise OutsideError(f"{name}: outside the folder that the designer was started in")
+        found = (self.root / wanted).resolve()
+        if not found.is_relative_to(self.root):
+            raise OutsideError(f"{name}: leads out of the folder that the designer was started in")
+        if found.suffix not in endings or wanted.name.startswith("."):
+            raise PlaypenError(f"{name}: right is a name that ends in {' or '.join(endings)}")
+        return found
+
+    def names(self, ending: str = ".toml") -> list[str]:
+        """The files with an ending, in the order of their names; none of hidden folders."""
+        found: list[str] = []
+        looked = 0
+        for folder, folders, files in os.walk(self.root):
+            folders[:] = sorted(each for each in folders if not each.startswith((".", "__")))
+            looked += len(files)
+            found += [
+                str((Path(folder) / file).relative_to(self.root))
+                for file in files
+                if file.endswith(ending) and not file.startswith(".")
+            ]
+            if len(found) >= _LISTED or looked > _LOOKED_AT:
+                break
+        return sorted(found)[:_LISTED]
+
+    def open(self, name: str) -> dict[str, Any]:
+        """A file for the page: its playpen, its version, and a draft if one was left.
+
+        Raises:
+            KhepTwinError: it cannot be used.
+        """
+        text = self._text(name)
+        playpen = playpens.parse(text, name)
+        return {
+            "file": name,
+            "version": _version(text),
+            "draft": draft_of(playpen),
+            "left": self._left(name),
+        }
+
+    def library(self, name: str) -> dict[str, Any]:
+        """A shipped playpen as a new document.
+
+        Raises:
+            PlaypenError: there is none of this name.
+        """
+        if name not in playpens.names():
+            raise PlaypenError(f"{name}: no such playpen in the library")
+        return {"file": None, "version": None, "draft": draft_of(playpens.load(name))}
+
+    def save(
+        self, name: str, draft: Draft, *, version: str | None, base: dict[str, str], overwrite: bool = False
+    ) -> str:
+        """Writes a playpen file as a whole, comments kept.
+
+        Args:
+            name: of the file.
+            draft: what it is to say.
+            version: of the file as the page knows it; None for a new one.
+            base: what its text goes on from: {"file": NAME}, {"library": NAME} or {}.
+            overwrite: takes the file as it is, whatever the page knew.
+
+        Returns:
+            Its version by now.
+
+        Raises:
+            ConflictError: the file is there, and another one than the page knows.
+            KhepTwinError: the draft is no playpen, or cannot be written.
+        """
+        path = self.path(name, ".toml")
+        there = self._text(name) if path.exists() else None
+        if there is not None and not overwrite and _version(there) != version:
+            raise ConflictError(
+                f"{name}: was changed by another page or program; right is to load it anew, to save "
+                "under another name, or to replace it"
+            )
+        text = text_of(draft, self._base(base, there))
+        write_whole(path, text.encode("utf-8"))
+        self.keep(name, None)
+        return _version(text)
+
+    def version(self, name: str) -> str | None:
+        """A file's version; None if it is gone."""
+        path = self.path(name, ".toml")
+        return _version(self._text(name)) if path.exists() else None
+
+    def keep(self, name: str, draft: Draft | None) -> None:
+        """Keeps a draft of a file beside it, or takes it away.
+
+        Raises:
+            KhepTwinError: that is not possible.
+        """
+        place = self._draft_place(name)
+        if draft is None:
+            place.unlink(missing_ok=True)
+        else:
+            write_whole(place, json.dumps(draft).encode("utf-8"))
+
+    def _left(self, name: str) -> Draft | None:
+        """The draft of a file that was left, if it can be read."""
+        try:
+            with self._draft_place(name).open("rb") as file:
+                found = json.loads(file.read(2 * SIZE_LIMIT))
+        except (OSError, ValueError, RecursionError):
+            return None
+        return found if isinstance(found, dict) else None  # pyright: ignore[reportUnknownVariableType]
+
+    def left_unnamed(self) -> Draft | None:
+        """The draft of what has no file."""
+        return self._left(UNNAMED)
+
+    def _draft_place(self, name: str) -> Path:
+        path = self.path(name, ".toml")
+        return path.with_name(f".{path.name}.draft")
+
+    def _base(self, base: dict[str, str], there: str | None) -> str | None:
+        if "library" in base and base["library"] in playpens.names():
+            return toml_files.read("playpens", base["library"], PlaypenError)[0]
+        if "file" in base and self.path(base["file"], ".toml").exists():
+            return self._text(base["file"])
+        return there
+
+    def _text(self, name: str) -> str:
+        return toml_files.read("playpens", self.path(name, ".toml"), PlaypenError)[0]
+
+
+def _version(text: str) -> str:
+    return sha256(text.encode("utf-8")).hexdigest()[:16]

@@ -1,0 +1,60 @@
+"""What the page works on: a playpen as JSON, which may be wrong for now, and what is wrong with it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from khep_twin import playpen as playpens
+from khep_twin import toml_files
+from khep_twin.errors import PlaypenError
+from khep_twin.playpen import Playpen
+from khep_twin.surfaces import BUILT_IN_SURFACES
+
+Draft = dict[str, Any]
+
+BLANK = 'version = 1\nname = "{name}"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
+"""A playpen to begin with: the toolbox's four walls [mm]."""
+
+
+def draft_of(playpen: Playpen) -> Draft:
+    """A playpen as the page has it: the keys of its file, all of them, tables of a kind as lists."""
+    return playpen.model_dump(by_alias=True, exclude_none=True, mode="json")
+
+
+def problems_of(draft: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What is wrong with a draft, each with the place that it is about and a text, as `playpen check` tells it."""
+    return [
+        {"place": [part for part in problem.location if part != "[key]"], "text": problem.text}
+        for problem in toml_files.problems(Playpen, draft)
+    ]
+
+
+def playpen_of(draft: Mapping[str, Any]) -> Playpen:
+    """A draft as a playpen.
+
+    Raises:
+        PlaypenError: it is none yet; one line per problem.
+    """
+    return toml_files.check(
+        Playpen, toml_files.frozen(draft), str(draft.get("name", "draft"))[:64], PlaypenError
+    )
+
+
+def text_of(draft: Mapping[str, Any], base: str | None) -> str:
+    """The text of a playpen file that says what a draft does.
+
+    Args:
+        draft: what it is to say.
+        base: a file's text that it goes on from, whose comments stay; None to begin anew.
+
+    Raises:
+        PlaypenError: the draft is no playpen yet, or the text leaves no room for the change.
+    """
+    playpen = playpen_of(draft)
+    if base is None:
+        base = BLANK.format(name=playpen.name)
+    return playpens.edited(base, playpen)
+
+
+def surfaces() -> dict[str, Any]:
+    """The surfaces that there are in each playpen."""
+    return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}

@@ -1,0 +1,155 @@
+"""Who may ask: a page that this server has given out, in a browser on this machine, and nobody else.
+
+That a server listens on loopback only does not keep other pages in the same browser away from it: they can
+send it forms, and by a name of their own that leads to 127.0.0.1 they can read its answers. So each request
+has to name this very host, has to come from this very page, and has to begin with a token that is drawn anew
+each time. What fails in that is answered 403, what is too long 413, before anything of it is looked at.
+"""
+
+import hmac
+from collections.abc import Iterable
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+JSON_LIMIT, FILE_LIMIT = 2 * 2**20, 8 * 2**20
+"""Most that the page may send: as JSON, and as a file that is dropped on it [bytes]."""
+
+_JSON, _FILE = "application/json", "application/octet-stream"
+
+_HEADERS = (
+    (b"cache-control", b"no-store"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (
+        b"content-security-policy",
+        b"default-src 'self'; img-src 'self' blob: data:; style-src 'self'; object-src 'none'; "
+        b"base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+)
+
+
+class Guard:
+    """Lets requests through to an application, less the token that their paths begin with.
+
+    Args:
+        app: behind it.
+        token: that opens it.
+        hosts: as a browser names them, each with its port.
+    """
+
+    def __init__(self, app: ASGIApp, token: str, hosts: Iterable[str]) -> None:
+        self._app, self._token = app, token
+        self._hosts = frozenset(hosts)
+        self._origins = frozenset(f"http://{host}" for host in self._hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers a request, or has it answered."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        headers: list[tuple[str, str]] = [
+            (name.decode("latin-1").lower(), value.decode("latin-1")) for name, value in scope["headers"]
+        ]
+        status, reason = self._refusal(scope, headers)
+        if status:
+            await _refuse(scope, receive, send, status, reason)
+            return
+        inner = dict(scope)
+        inner["path"] = scope["path"][len(self._token) + 1 :]
+        inner["raw_path"] = inner["path"].encode("ascii")
+        limit = _limit(dict(headers))
+        await _Bounded(self._app, limit)(inner, receive, send)
+
+    def _refusal(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str]:
+        """Status and reason; 0 for a request that may pass."""
+        named = [name for name, _ in headers]
+        if any(named.count(name) > 1 for name in ("host", "origin", "content-length", "content-type")):
+            return 403, "a header stands there twice"
+        given = dict(headers)
+        length = given.get("content-length", "0")
+        if not length.isascii() or not length.isdigit() or len(length) > 12:
+            return 413, "a length that is none"
+        if given.get("host") not in self._hosts:
+            return 403, "another host"
+        talks = scope["type"] == "websocket"
+        posts = not talks and scope["method"] == "POST"
+        origin = given.get("origin")
+        if (origin is None and (talks or posts)) or (origin is not None and origin not in self._origins):
+            return 403, "another origin"
+        site = given.get("sec-fetch-site", "same-origin")
+        if site != "same-origin" and (posts or talks or site != "none"):
+            return 403, "another site"
+        if not talks and scope["method"] not in ("GET", "HEAD", "POST"):
+            return 403, "another method"
+        path: bytes = scope.get("raw_path") or scope["path"].encode("utf-8", "surrogateescape")
+        key, _, rest = path.removeprefix(b"/").partition(b"/")
+        if not hmac.compare_digest(key, self._token.encode("ascii")) or not path.startswith(
+            b"/" + key + b"/"
+        ):
+            return 403, "no token, or not this one"
+        if any(odd in b"/" + rest for odd in (b"..", b"%", b"\\", b"//", b"\0")) or not rest.isascii():
+            return 403, "an odd path"
+        if posts and given.get("content-type") not in (_JSON, _FILE):
+            return 403, "neither JSON nor a file"
+        if int(length) > (_limit(given) if posts else 0):
+            return 413, "too long"
+        return 0, ""
+
+
+class _Bounded:
+    """Breaks off a request that turns out to be longer than it may be."""
+
+    def __init__(self, app: ASGIApp, limit: int) -> None:
+        self._app, self._limit = app, limit
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":
+            await self._app(scope, receive, send)
+            return
+        # All of it is there before the application begins, so that the answer can still be 413.
+        body = bytearray()
+        more = True
+        while more:
+            message = await receive()
+            if message["type"] != "http.request":
+                return
+            body += message.get("body", b"")
+            more = message.get("more_body", False)
+            if len(body) > self._limit:
+                await _refuse(scope, receive, send, 413, "too long")
+                return
+        given = False
+
+        async def whole() -> Message:
+            nonlocal given
+            if given:
+                return await receive()
+            given = True
+            return {"type": "http.request", "body": bytes(body), "more_body": False}
+
+        async def safely(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message = {**message, "headers": [*message.get("headers", []), *_HEADERS]}
+            await send(message)
+
+        await self._app(scope, whole, safely)
+
+
+def _limit(headers: dict[str, str]) -> int:
+    return FILE_LIMIT if headers.get("content-type") == _FILE else JSON_LIMIT
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, reason: str) -> None:
+    if scope["type"] == "websocket":
+        # Closed before it was accepted, it is answered 403.
+        await receive()
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    body = f"{status}: {reason}\n".encode()
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"connection", b"close"), *_HEADERS]
+    headers.append((b"content-length", str(len(body)).encode()))
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

@@ -1,0 +1,167 @@
+"""What is run on the page's robot, twin or real: controllers in series, and sensor tests."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Protocol
+
+from khep_twin.errors import ControllerError, SensorTestError
+from khep_twin.host import Khepera
+from khep_twin.lab.controllers import BUILT_IN, AnyController
+from khep_twin.lab.experiment import find_controller
+from khep_twin.lab.sensor_test import SensorRun, SensorTest, sense
+from khep_twin.lab.series import OneRobot, Plan, run_series
+from khep_twin.lab.series_files import SeriesFolder
+from khep_twin.web.documents import Documents
+
+Tell = Callable[[Mapping[str, Any]], None]
+"""Takes a message for the page."""
+
+
+class Job(Protocol):
+    """Something that has the robot for a while."""
+
+    def do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
+        """Does it, telling the page how far it is, until it is done or to stop."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """A controller, run after run.
+
+    Attributes:
+        name: of the controller.
+        controller: itself.
+        plan: how the series goes.
+        folder: where each run's numbers and variables are kept; None for nowhere.
+    """
+
+    name: str
+    controller: AnyController
+    plan: Plan
+    folder: Path | None
+
+    def do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
+        """Runs it."""
+        kept = None
+        if self.folder is not None:
+            settings = {
+                "controller": self.name,
+                "port": robot.name,
+                "cycles": self.plan.cycles,
+                "seconds": self.plan.seconds,
+                "pause": self.plan.pause,
+            }
+            kept = SeriesFolder(self.folder, settings, resume=False)
+
+        def progress(part: float) -> None:
+            tell({"kind": "progress", "part": part})
+
+        series = run_series(self.controller, OneRobot(robot), self.plan, progress=progress, stop=stop)
+        for run in series:
+            if kept is not None:
+                kept.keep(run)
+            numbers = {name: value for name, value in run.numbers.items() if math.isfinite(value)}
+            tell(
+                {
+                    "kind": "run",
+                    "number": run.number,
+                    "cycles": run.cycles,
+                    "seconds": run.duration,
+                    "numbers": numbers,
+                }
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Sensing:
+    """A sensor test, and the picture that is made of it.
+
+    Attributes:
+        test: what is driven.
+        keep: takes what it has gathered.
+    """
+
+    test: SensorTest
+    keep: Callable[[SensorRun], None]
+
+    def do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
+        """Drives it."""
+        run = sense(
+            robot, self.test, progress=lambda part: tell({"kind": "progress", "part": part}), stop=stop
+        )
+        self.keep(run)
+        tell({"kind": "sensed", "rows": len(run.times)})
+
+
+def series(wanted: Mapping[str, Any], documents: Documents) -> Series:
+    """A series as the page asks for it.
+
+    Raises:
+        KhepTwinError: there is no such controller or plan, or a file is not below the folder.
+    """
+    name = str(wanted.get("controller", "braitenberg"))
+    if name in BUILT_IN:
+        found = find_controller(name)
+    else:
+        file, _, function = name.partition(":")
+        path = documents.path(file, ".py")
+        found = find_controller(f"{path}:{function}" if function else str(path))
+    plan = Plan(
+        _whole(wanted, "runs", 1),
+        None if wanted.get("cycles") is None else _whole(wanted, "cycles", 500),
+        None if wanted.get("seconds") is None else _number(wanted, "seconds"),
+        _number(wanted, "pause") if wanted.get("pause") else 0.0,
+    )
+    folder = wanted.get("folder")
+    return Series(name, found, plan, documents.path(str(folder), "") if folder else None)
+
+
+def sensing(wanted: Mapping[str, Any], keep: Callable[[SensorRun], None]) -> Sensing:
+    """A sensor test as the page asks for it.
+
+    Raises:
+        SensorTestError: it is none.
+    """
+    motion = "rotate_deg" if wanted.get("motion") == "rotational" else "linear_cm"
+    try:
+        test = SensorTest(
+            what="light" if wanted.get("what") == "light" else "proximity",
+            speed=_whole(wanted, "speed", 10),
+            acceleration=_whole(wanted, "acceleration", 64),
+            return_to_zero=bool(wanted.get("return")),
+            **{motion: _number(wanted, "amount")},
+        )
+    except ControllerError as error:
+        raise SensorTestError(str(error)) from None
+    return Sensing(test, keep)
+
+
+def figure(run: SensorRun, sensor: str | None, grid: bool) -> bytes:
+    """The toolbox's picture of a sensor test, as PNG.
+
+    Raises:
+        SensorTestError: there is no such sensor.
+    """
+    from khep_twin.lab.sensor_figure import draw
+
+    picture = BytesIO()
+    draw([run], sensor=sensor, grid=grid).savefig(picture, format="png", dpi=100)
+    return picture.getvalue()
+
+
+def _whole(wanted: Mapping[str, Any], key: str, otherwise: int) -> int:
+    value = wanted.get(key, otherwise)
+    if not isinstance(value, int) or isinstance(value, bool) or abs(value) > 10**9:
+        raise ControllerError(f"{key} = {str(value)[:40]}: right is a whole number")
+    return value
+
+
+def _number(wanted: Mapping[str, Any], key: str) -> float:
+    value = wanted.get(key)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise ControllerError(f"{key} = {str(value)[:40]}: right is a number")
+    return float(value)

@@ -1,0 +1,87 @@
+"""An outside host on the line of a robot that a program in the page may be driving, too.
+
+Alone it has the line as on `khep-twin serve`. Beside a program it gets in between two of the program's
+commands: one whole line at a time, whose reply is its own. Its commands take the program's time, as they
+would on one cable.
+"""
+
+from collections.abc import Callable, Sequence
+
+from khep_twin.ports.cable import Cable
+from khep_twin.ports.connection import Connection
+from khep_twin.ports.twin import Twin
+from khep_twin.protocol import LINE_ENDS
+from khep_twin.robot import Robot
+
+_LINE_LIMIT = 1024
+"""Longest line that is waited for to be whole [bytes]."""
+
+
+class OutsideHost:
+    """What is at the far end of one robot's cable.
+
+    Args:
+        twin: the world of the robot.
+        robot: whose line it is.
+        cable: to the host.
+        tell: takes what somebody should see.
+
+    Attributes:
+        robot: whose line it is.
+        cable: to the host.
+        commands: lines that it has put in between others so far.
+    """
+
+    def __init__(self, twin: Twin, robot: Robot, cable: Cable, tell: Callable[[str], None]) -> None:
+        self.robot, self.cable = robot, cable
+        self.commands = 0
+        self._alone = Connection(twin, robot, cable, tell)
+        self._tell = tell
+        self._begun = bytearray()
+
+    def descriptors(self) -> Sequence[int]:
+        """What to wait for."""
+        return self._alone.descriptors()
+
+    def events_ns(self) -> list[int]:
+        """When something happens on the line next [ns]."""
+        return self._alone.events_ns()
+
+    def exchange(self, now: Callable[[], int] | None) -> None:
+        """Takes and gives bytes, with nobody else on the line."""
+        if self._begun:
+            self.robot.send(bytes(self._begun))
+            self._begun.clear()
+        self._alone.exchange(now)
+
+    def speak_between(self, pass_time: Callable[[int], None]) -> None:
+        """Carries out one line of the host if there is one, and if nobody waits for a reply.
+
+        Args:
+            pass_time: lets time pass until then [ns].
+        """
+        uart = self.robot.uart
+        if len(uart.rx) or len(uart.tx):
+            return
+        gone, notices = self.cable.look()
+        for notice in notices:
+            self._tell(notice)
+        self._begun += self.cable.read(_LINE_LIMIT - len(self._begun))
+        if gone:
+            self.cable.clear()
+        end = min((at for at in map(self._begun.find, map(_byte, LINE_ENDS)) if at >= 0), default=-1)
+        if end < 0:
+            if gone or len(self._begun) >= _LINE_LIMIT:
+                self._begun.clear()
+            return
+        line = bytes(self._begun[: end + 1])
+        del self._begun[: end + 1]
+        self.commands += 1
+        self.robot.send(line)
+        while events := self._alone.events_ns():
+            pass_time(min(events))
+            self._alone.give()
+
+
+def _byte(value: int) -> bytes:
+    return bytes([value])

@@ -1,0 +1,204 @@
+"""A twin that is watched: time passes with the clock on the wall, and can be stopped, stepped and hurried.
+
+It stands between a world and whoever lets time pass in it, such as a controller's port in lock-step. Between
+any two slices of time it attends to what people want meanwhile, and to an outside host on the robot's line.
+"""
+
+import math
+import select
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from khep_twin.clock import NS_PER_S, Pacer
+from khep_twin.errors import KhepTwinError
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import Twin
+from khep_twin.ports.wakeups import Timer
+from khep_twin.units import TICK_NS
+from khep_twin.web.outside_host import OutsideHost
+
+LONGEST_WAIT = 0.02
+"""After so much wall time it looks up, whatever it waits for [s]."""
+
+PICTURE_INTERVAL = 0.04
+"""Wall time from one picture to the next, at least [s]."""
+
+STEP_NS = 10 * TICK_NS
+"""What one step is, where time stands still otherwise [ns]."""
+
+_PATIENCE = 1.0
+"""So long a controller that is to end may go on with its cycle [s of wall time]."""
+
+
+class BrokenOffError(KhepTwinError):
+    """What runs on a paced twin was to end and did not by itself."""
+
+
+class PacedTwin(Twin):
+    """A twin whose time passes at a pace, with a port for programs in lock-step.
+
+    Args:
+        twin: what it is.
+        hosts: outside hosts, one for each robot on the line.
+        show: is called for a picture, up to 25 times a second, with the time by its side.
+
+    Attributes:
+        speed: simulated seconds per second; inf for as fast as it goes.
+        paused: whether time stands still.
+        ended: whether the whole is to end.
+        busy: whether a program in lock-step has the first robot's line.
+    """
+
+    def __init__(self, twin: Twin, hosts: Sequence[OutsideHost], show: Callable[[], None]) -> None:
+        super().__init__(twin.world, twin.robots, twin.options)
+        self.recorder = twin.recorder
+        self.speed = 1.0
+        self.paused = False
+        self.ended = False
+        self.busy = False
+        self._hosts, self._show_picture = hosts, show
+        self._wishes: deque[Callable[[], None]] = deque()
+        self._steps_left = 0
+        self._stop_at: float | None = None
+        self._broken_off = False
+        self._pacer = Pacer(1.0, self.world.time_ns)
+        self._paced_by: float | None = None
+        self._timer = Timer()
+        self._shown = 0.0
+        self._lock = threading.Lock()
+
+    def wish(self, act: Callable[[], None]) -> None:
+        """Has something done by the thread of the twin, between two slices of time; from any thread."""
+        with self._lock:
+            self._wishes.append(act)
+
+    def step(self) -> None:
+        """Lets one step pass while it is paused."""
+        self._steps_left += STEP_NS
+
+    def stop_program(self, wanted: bool = True) -> None:
+        """Has the program in lock-step come to its end, or lets the next one begin."""
+        self._stop_at = time.monotonic() + _PATIENCE if wanted else None
+        self._broken_off = False
+
+    def stopping(self) -> bool:
+        """Whether the program is to end."""
+        return self.ended or self._stop_at is not None
+
+    def advance_to(self, time_ns: int) -> None:
+        """Lets time pass until `time_ns`, at the pace that is wanted, and attends to people meanwhile."""
+        world = self.world
+        while world.time_ns < time_ns:
+            self.attend()
+            self._slice(min(time_ns, world.time_ns + TICK_NS))
+
+    def idle(self) -> None:
+        """Lets time pass with nothing but outside hosts on the lines, until the next thing of note."""
+        self.attend()
+        world = self.world
+        events = [time_ns for host in self._hosts for time_ns in host.events_ns()]
+        self._slice(max(min([world.time_ns + TICK_NS, *events]), world.time_ns))
+
+    def attend(self) -> None:
+        """Does what was wished for, waits while time is to stand still, and lets outside hosts speak.
+
+        Raises:
+            BrokenOffError: a program was to end and went on and on.
+        """
+        while True:
+            self._fulfil()
+            if self.ended or self._stop_at is not None or not self.paused:
+                break
+            if self._steps_left >= TICK_NS:
+                self._steps_left -= TICK_NS
+                break
+            self._picture()
+            self._wait(LONGEST_WAIT)
+        late = self.ended or (self._stop_at is not None and time.monotonic() > self._stop_at)
+        if self.busy and late and not self._broken_off:
+            # Once: the commands that stop the motors still have to pass.
+            self._broken_off = True
+            raise BrokenOffError("stopped within a cycle")
+        for host in self._hosts:
+            if self.busy and host.robot is self.robot:
+                host.speak_between(self._slice)
+            else:
+                host.exchange(None if self.paused else self._due_ns)
+        self._picture()
+
+    def close(self) -> None:
+        """The world stays for what comes next."""
+
+    def end(self) -> None:
+        """Gives back what it waits by, and completes the log."""
+        self._timer.close()
+        super().close()
+
+    def _slice(self, time_ns: int) -> None:
+        """Waits until a time is due, and brings the world there."""
+        pacer = self._pacer_now()
+        if pacer is not None and not self.paused and not self.stopping():
+            while (
+                (left := pacer.wait(time_ns)) > 0
+                and not self._wishes
+                and not self._wait(left, pacer, time_ns)
+            ):
+                pass
+            if not self.busy:
+                # A host that was heard meanwhile is not to wait until then.
+                time_ns = max(min(pacer.due_ns(), time_ns), self.world.time_ns)
+        self.world.advance_to(time_ns)
+        if pacer is not None:
+            pacer.slip(self.world.time_ns)
+
+    def _pacer_now(self) -> Pacer | None:
+        wanted = None if self.paused or not math.isfinite(self.speed) else self.speed
+        if wanted != self._paced_by:
+            self._paced_by = wanted
+            if wanted is not None:
+                self._pacer = Pacer(wanted, self.world.time_ns)
+        return None if wanted is None else self._pacer
+
+    def _due_ns(self) -> int:
+        pacer = self._pacer_now()
+        return self.world.time_ns if pacer is None else max(pacer.due_ns(), self.world.time_ns)
+
+    def _wait(self, duration: float, pacer: Pacer | None = None, next_ns: int = 0) -> bool:
+        """Waits a while, or until a host is heard; whether one was."""
+        descriptors = [] if self.busy else [each for host in self._hosts for each in host.descriptors()]
+        wait = min(duration, LONGEST_WAIT)
+        timer = self._timer.descriptor
+        if pacer is not None and timer is not None:
+            self._timer.set(min(pacer.wall_ns(next_ns), time.monotonic_ns() + int(LONGEST_WAIT * NS_PER_S)))
+            ready = select.select([*descriptors, timer], [], [], 2 * LONGEST_WAIT)[0]
+            if timer in ready:
+                self._timer.clear()
+                ready.remove(timer)
+        else:
+            ready = select.select(descriptors, [], [], wait)[0]
+        return bool(ready)
+
+    def _fulfil(self) -> None:
+        while self._wishes:
+            with self._lock:
+                act = self._wishes.popleft()
+            act()
+
+    def _picture(self) -> None:
+        now = time.monotonic()
+        if now - self._shown >= PICTURE_INTERVAL:
+            self._shown = now
+            self._show_picture()
+
+
+class PacedSerial(Serial):
+    """The port of a paced twin: before each command an outside host may put in one of its own."""
+
+    def write(self, data: object, /) -> int:
+        """Puts bytes on the line."""
+        twin = self.twin
+        if isinstance(twin, PacedTwin):
+            twin.attend()
+        return super().write(data)

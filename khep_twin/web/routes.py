@@ -1,0 +1,321 @@
+"""What the page asks for: files of its own, and actions, each by a POST with JSON and an answer in JSON.
+
+What a person has done wrong is answered 400 with its line, a file that has changed meanwhile 409, a name that
+leads out of the folder 403.
+"""
+
+import asyncio
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Route, WebSocketRoute
+
+from khep_twin import __version__, bitmap, bitmap_files
+from khep_twin import playpen as playpens
+from khep_twin.errors import KhepTwinError, PortError, choices
+from khep_twin.host.discovery import found_ports
+from khep_twin.lab.controllers import BUILT_IN
+from khep_twin.lab.sensor_test import SensorRun
+from khep_twin.ports.twin import TwinOptions
+from khep_twin.web import drafts, jobs
+from khep_twin.web.audience import Audience
+from khep_twin.web.documents import UNNAMED, ConflictError, Documents, OutsideError
+from khep_twin.web.stage import Actor, RobotActor, TwinActor, shape
+
+ASSETS = Path(__file__).parent.parent / "assets" / "web"
+
+_KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+
+_PREVIEW_TIME = 60
+"""Longest that a picture in perspective may take [s]."""
+
+
+class Page:
+    """Everything behind the page.
+
+    Args:
+        documents: that it works on.
+        file: that is opened at first; None for a new playpen.
+    """
+
+    def __init__(self, documents: Documents, file: str | None) -> None:
+        self._documents, self._file = documents, file
+        self._audience = Audience()
+        self._actor: Actor | None = None
+        self._sensed: SensorRun | None = None
+
+    def app(self) -> Starlette:
+        """The application, to be put behind a guard."""
+        actions: dict[str, Callable[[Any], Any]] = {
+            "hello": self._hello,
+            "list": self._list,
+            "open": self._open,
+            "library": lambda wanted: self._documents.library(_text(wanted, "name")),
+            "version": lambda wanted: {"version": self._documents.version(_text(wanted, "file"))},
+            "check": lambda wanted: {"problems": drafts.problems_of(_draft(wanted))},
+            "save": self._save,
+            "keep": self._keep,
+            "preview": self._preview,
+            "start": self._start,
+            "connect": self._connect,
+            "end": self._end,
+            "pace": self._pace,
+            "step": lambda wanted: self._twin().step(),
+            "put": self._put,
+            "switch": self._switch,
+            "run": lambda wanted: self._running().start(jobs.series(wanted, self._documents)),
+            "sense": lambda wanted: self._running().start(jobs.sensing(wanted, self._keep_sensed)),
+            "figure": self._figure,
+            "stop": lambda wanted: self._running().stop(),
+        }
+        routes = [
+            Route("/", _asset, methods=["GET"]),
+            Route("/static/{name}", _asset, methods=["GET"]),
+            Route("/import", self._import, methods=["POST"]),
+            *(Route(f"/do/{name}", _action(act), methods=["POST"]) for name, act in actions.items()),
+            WebSocketRoute("/live", self._audience.serve),
+        ]
+        return Starlette(routes=routes)
+
+    def close(self) -> None:
+        """Ends what runs."""
+        if self._actor is not None:
+            self._actor.end()
+
+    # Files ---------------------------------------------------------------------------------------------
+
+    def _hello(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+        opened: dict[str, Any] = {"file": None, "version": None, "left": self._documents.left_unnamed()}
+        trouble = None
+        try:
+            if self._file is not None and self._documents.version(self._file) is not None:
+                opened = self._documents.open(self._file)
+        except KhepTwinError as error:
+            trouble = str(error)
+        if "draft" not in opened:
+            name = Path(self._file or "playpen").stem
+            blank = playpens.parse(drafts.BLANK.format(name=name), name)
+            opened |= {"file": self._file, "draft": drafts.draft_of(blank)}
+        return {
+            **opened,
+            "trouble": trouble,
+            "folder": self._documents.root.name,
+            "version_of_twin": __version__,
+            "surfaces": drafts.surfaces(),
+            "library": playpens.names(),
+            "controllers": list(BUILT_IN),
+            "shapes": {model: shape(model, model) for model in ("khepera1", "khepera2")},
+            "running": self._actor is not None and self._actor.alive,
+        }
+
+    def _list(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+        found = [{"url": port.url, "what": port.what} for port in found_ports()]
+        return {
+            "files": self._documents.names(),
+            "programs": self._documents.names(".py"),
+            "library": playpens.names(),
+            "ports": found,
+        }
+
+    def _open(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+        return self._documents.open(_text(wanted, "file"))
+
+    def _save(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+        base = wanted.get("base")
+        name = _text(wanted, "file")
+        version = self._documents.save(
+            name,
+            _draft(wanted),
+            version=wanted.get("version"),
+            base={str(key): str(value) for key, value in base.items()} if isinstance(base, dict) else {},
+            overwrite=wanted.get("overwrite") is True,
+        )
+        self._audience.tell({"kind": "saved", "file": name, "version": version, "tab": wanted.get("tab")})
+        return {"file": name, "version": version}
+
+    def _keep(self, wanted: Mapping[str, Any]) -> None:
+        draft = wanted.get("draft")
+        self._documents.keep(str(wanted.get("file") or UNNAMED), None if draft is None else _draft(wanted))
+
+    def _preview(self, wanted: Mapping[str, Any]) -> Response:
+        """A picture in perspective, by a process of its own: drivers of graphics may do anything."""
+        text = playpens.dump(drafts.playpen_of(_draft(wanted)))
+        with tempfile.TemporaryDirectory(prefix="khep_twin-") as folder:
+            source, target = Path(folder) / "preview.toml", Path(folder) / "preview.png"
+            source.write_text(text, encoding="utf-8")
+            command = ["-m", "khep_twin", "playpen", "draw", str(source), "--perspective", "-o", str(target)]
+            try:
+                done = subprocess.run(
+                    [sys.executable, *command], capture_output=True, timeout=_PREVIEW_TIME, check=False
+                )
+            except subprocess.TimeoutExpired:
+                raise KhepTwinError(f"the picture took longer than {_PREVIEW_TIME} s") from None
+            if done.returncode or not target.is_file():
+                lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
+                raise KhepTwinError(lines[-1] if lines else "no picture was made")
+            return Response(target.read_bytes(), media_type="image/png")
+
+    async def _import(self, request: Request) -> Response:
+        """A MAT file or a PNG as a new playpen."""
+        data = await request.body()
+        name = request.query_params.get("name", "imported")
+        try:
+            scale = float(request.query_params.get("mm", "1"))
+        except ValueError:
+            scale = 0.0
+        return await run_in_threadpool(_answered, lambda: _imported(data, name, scale))
+
+    # What runs -----------------------------------------------------------------------------------------
+
+    def _start(self, wanted: Mapping[str, Any]) -> None:
+        playpen = drafts.playpen_of(_draft(wanted))
+        if not playpen.robots:
+            raise PortError("there is no robot; right is to add one")
+        seed = wanted.get("seed", 0)
+        if not isinstance(seed, int) or isinstance(seed, bool):
+            raise PortError(f"seed = {str(seed)[:40]}: right is a whole number")
+        options = TwinOptions(seed=seed, noise=wanted.get("noise") is not False)
+        log = wanted.get("log")
+        path = None if not log else self._documents.path(str(log), ".mcap")
+        actor = TwinActor(playpen, options, path, self._audience.tell)
+        actor.set_pace(_speed(wanted), wanted.get("paused") is True)
+        self._replace(actor)
+
+    def _connect(self, wanted: Mapping[str, Any]) -> None:
+        url = _text(wanted, "port")
+        known = {port.url for port in found_ports()}
+        if url not in known and not url.startswith(("/dev/", "socket://", "rfc2217://")):
+            wish = "right is a path in /dev, socket://HOST:PORT or rfc2217://HOST:PORT"
+            raise PortError(f"{url[:80]}: {wish}; {choices(url, sorted(known))}")
+        self._replace(RobotActor(url, self._audience.tell))
+
+    def _replace(self, actor: Actor) -> None:
+        self.close()
+        self._actor = actor
+        actor.begin()
+
+    def _end(self, wanted: Mapping[str, Any]) -> None:
+        self.close()
+        self._actor = None
+
+    def _pace(self, wanted: Mapping[str, Any]) -> None:
+        self._twin().set_pace(_speed(wanted), wanted.get("paused") is True)
+
+    def _put(self, wanted: Mapping[str, Any]) -> None:
+        place = [_number(wanted, key) for key in ("x_mm", "y_mm", "heading_deg")]
+        self._twin().put(_index(wanted, "robot"), *place)
+
+    def _switch(self, wanted: Mapping[str, Any]) -> None:
+        self._twin().switch(_index(wanted, "lamp"), wanted.get("on") is True)
+
+    def _figure(self, wanted: Mapping[str, Any]) -> Response:
+        if self._sensed is None:
+            raise PortError("no sensor test was driven yet")
+        sensor = wanted.get("sensor")
+        picture = jobs.figure(self._sensed, str(sensor) if sensor else None, wanted.get("grid") is True)
+        return Response(picture, media_type="image/png")
+
+    def _keep_sensed(self, run: SensorRun) -> None:
+        self._sensed = run
+
+    def _running(self) -> Actor:
+        if self._actor is None or not self._actor.alive:
+            raise PortError("nothing runs; right is to start the twin, or to connect to a robot")
+        return self._actor
+
+    def _twin(self) -> TwinActor:
+        actor = self._running()
+        if not isinstance(actor, TwinActor):
+            raise PortError("a robot at a port cannot be paused, hurried or lifted from here")
+        return actor
+
+
+def _action(act: Callable[[Any], Any]) -> Callable[[Request], Any]:
+    """An endpoint that has JSON and gives JSON."""
+
+    async def endpoint(request: Request) -> Response:
+        try:
+            wanted = json.loads(await request.body())
+        except (ValueError, RecursionError):
+            wanted = None
+        if not isinstance(wanted, dict):
+            return JSONResponse({"error": "no JSON object"}, 400)
+        return await run_in_threadpool(_answered, lambda: act(wanted))
+
+    return endpoint
+
+
+def _answered(act: Callable[[], Any]) -> Response:
+    try:
+        answer = act()
+        return answer if isinstance(answer, Response) else JSONResponse({} if answer is None else answer)
+    except OutsideError as error:
+        return JSONResponse({"error": str(error)}, 403)
+    except ConflictError as error:
+        return JSONResponse({"error": str(error), "conflict": True}, 409)
+    except (KhepTwinError, RecursionError, ValueError) as error:
+        return JSONResponse({"error": str(error)}, 400)
+
+
+async def _asset(request: Request) -> Response:
+    """A file of the page itself."""
+    name = request.path_params.get("name", "index.html")
+    known = await asyncio.to_thread(lambda: {path.name: path for path in ASSETS.iterdir()})
+    if name not in known or known[name].suffix not in _KINDS:
+        return Response(status_code=404)
+    return FileResponse(known[name], media_type=_KINDS[known[name].suffix])
+
+
+def _imported(data: bytes, name: str, mm_per_pixel: float) -> dict[str, Any]:
+    found = bitmap_files.decode(data)
+    stem = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in Path(name).stem)[:64]
+    solid = found.solid[::-1] if found.scanned else found.solid
+    made = bitmap.to_playpen(solid, stem.strip("-") or "imported", mm_per_pixel=mm_per_pixel)
+    return {"file": None, "version": None, "draft": drafts.draft_of(made.playpen)}
+
+
+def _draft(wanted: Mapping[str, Any]) -> drafts.Draft:
+    draft = wanted.get("draft")
+    if not isinstance(draft, dict):
+        raise KhepTwinError("no draft")
+    return draft  # pyright: ignore[reportUnknownVariableType]
+
+
+def _text(wanted: Mapping[str, Any], key: str) -> str:
+    value = wanted.get(key)
+    if not isinstance(value, str) or not 0 < len(value) <= 1024:
+        raise KhepTwinError(f"{key}: right is a text")
+    return value
+
+
+def _index(wanted: Mapping[str, Any], key: str) -> int:
+    value = wanted.get(key)
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 10_000:
+        raise KhepTwinError(f"{key}: right is a number from 0 on")
+    return value
+
+
+def _number(wanted: Mapping[str, Any], key: str) -> float:
+    value = wanted.get(key)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise KhepTwinError(f"{key}: right is a number")
+    return float(value)
+
+
+def _speed(wanted: Mapping[str, Any]) -> float:
+    """Simulated per real second; 0 for as fast as it goes."""
+    speed = _number(wanted, "speed") if "speed" in wanted else 1.0
+    if speed == 0:
+        return float("inf")
+    if not 0.001 <= speed <= 1000:
+        raise KhepTwinError(f"speed = {speed:g}: right is a number from 0.001 to 1000, or 0 for the most")
+    return speed

@@ -1,0 +1,328 @@
+"""What runs for the page: a twin in its playpen or a robot at a port, in a thread of its own.
+
+One thread has the whole world of a twin, as no other may touch it. What the page wants is handed to it, and
+what it shows is handed to the page, at most 25 times a second.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from khep_twin import calibration
+from khep_twin.errors import KhepTwinError, PortError
+from khep_twin.host import Khepera, commands
+from khep_twin.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
+from khep_twin.placing import as_it_stands, put
+from khep_twin.playpen import Playpen
+from khep_twin.ports.pty import PtyPort
+from khep_twin.ports.register import registered
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.switching import switch
+from khep_twin.units import BODIES
+from khep_twin.web.jobs import Job, Tell
+from khep_twin.web.outside_host import OutsideHost
+from khep_twin.web.paced_twin import PacedSerial, PacedTwin
+
+_LOOK = 0.08
+"""How often a robot at a port is asked for its readings [s]."""
+
+
+class Actor:
+    """What there is to a twin and to a robot alike: a thread, a job at a time, and an end.
+
+    Args:
+        tell: takes messages for the page; called by the thread.
+
+    Attributes:
+        job: that it is at, None without.
+    """
+
+    def __init__(self, tell: Tell) -> None:
+        self.tell = tell
+        self.job: Job | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
+
+    def begin(self) -> None:
+        """Starts the thread."""
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it is still there."""
+        return self._thread.is_alive()
+
+    def start(self, job: Job) -> None:
+        """Gives it something to do.
+
+        Raises:
+            PortError: it is at something already, or has ended.
+        """
+        if self.job is not None or not self.alive:
+            raise PortError("the robot is busy; right is to stop it first" if self.alive else "it has ended")
+        self.job = job
+
+    def stop(self) -> None:
+        """Ends its job, and stops the motors."""
+        raise NotImplementedError
+
+    def end(self) -> None:
+        """Ends it."""
+        self._ended.set()
+        self._thread.join(5)
+
+    def _run(self) -> None:
+        try:
+            self._live()
+        except KhepTwinError as error:
+            self.tell({"kind": "error", "text": str(error)})
+        except Exception as error:  # a fault of ours: told where it can be seen, then as ever
+            self.tell({"kind": "error", "text": f"{type(error).__name__}: {error}"})
+            raise
+        finally:
+            self.job = None
+            self.tell({"kind": "ended"})
+
+    def _live(self) -> None:
+        raise NotImplementedError
+
+    def _do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
+        """Does the job; its errors are told, and the robot goes on."""
+        if (job := self.job) is None:
+            return
+        try:
+            job.do(robot, tell, stop)
+        except KhepTwinError as error:
+            if not stop():
+                self.tell({"kind": "error", "text": str(error)})
+        finally:
+            self.job = None
+            self.tell({"kind": "done"})
+
+
+class TwinActor(Actor):
+    """A twin in a playpen, with a pseudo-terminal for an outside host at each robot.
+
+    Args:
+        playpen: that it is in.
+        options: how it is brought to life.
+        log: file to record it in.
+        tell: takes messages for the page.
+    """
+
+    def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, tell: Tell) -> None:
+        super().__init__(tell)
+        self._playpen, self._options, self._log = playpen, options, log
+        self._paced: PacedTwin | None = None
+        self._ready = threading.Event()
+        self.speed, self.paused = 1.0, False
+
+    def set_pace(self, speed: float, paused: bool) -> None:
+        """How fast time passes, and whether it does."""
+        self.speed, self.paused = speed, paused
+        if self._paced is not None:
+            self._paced.speed, self._paced.paused = speed, paused
+
+    def step(self) -> None:
+        """Lets one step pass."""
+        if self._paced is not None:
+            self._paced.step()
+
+    def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float) -> None:
+        """Puts a robot down elsewhere; that there is no room is told."""
+        self._wish(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg))
+
+    def switch(self, lamp: int, on: bool) -> None:
+        """Switches a lamp."""
+        self._wish(lambda twin: switch(twin.world, lamp, on))
+
+    def stop(self) -> None:
+        """Ends the job; without one, stops the motors."""
+        twin = self._paced
+        if self.job is not None and twin is not None:
+            twin.stop_program()
+        else:
+            self._wish(lambda twin: twin.robot.send(b"D,0,0\n"))
+
+    def end(self) -> None:
+        """Ends the twin and completes its log."""
+        if self._paced is not None:
+            self._paced.ended = True
+        super().end()
+
+    def _wish(self, act: Callable[[PacedTwin], None]) -> None:
+        twin = self._paced
+        if twin is None:
+            raise PortError("the twin is not there yet")
+
+        def safely() -> None:
+            try:
+                act(twin)
+            except (KhepTwinError, IndexError) as error:
+                self.tell({"kind": "refused", "text": str(error)})
+
+        twin.wish(safely)
+
+    def _live(self) -> None:
+        options = replace(self._options, robot=None)
+        with ExitStack() as stack:
+            twin = stack.enter_context(open_twin(self._playpen, options))
+            cables = [
+                stack.enter_context(closing(PtyPort(None, robot.firmware.baud))) for robot in twin.robots
+            ]
+            hosts = [
+                OutsideHost(twin, robot, cable, self._note)
+                for robot, cable in zip(twin.robots, cables, strict=True)
+            ]
+            if self._log is not None:
+                twin.record(self._log)
+            with suppress(PortError):
+                stack.enter_context(
+                    registered([cable.path for cable in cables], f"twin in {self._playpen.name}, in a page")
+                )
+            paced = PacedTwin(twin, hosts, lambda: self.tell(self._picture(paced, hosts)))
+            stack.callback(paced.end)
+            paced.speed, paced.paused = self.speed, self.paused
+            self._paced = paced
+            self.tell(self._cast(paced, cables))
+            while not (paced.ended or self._ended.is_set()):
+                if self.job is None:
+                    paced.idle()
+                    continue
+                paced.busy = True
+                paced.stop_program(False)
+                try:
+                    with Khepera(PacedSerial.of(paced, timeout=1.0)) as robot:
+                        self._do(robot, self.tell, paced.stopping)
+                finally:
+                    paced.busy = False
+                    paced.stop_program(False)
+
+    def _cast(self, twin: PacedTwin, cables: list[PtyPort]) -> dict[str, Any]:
+        """Who is there, told once."""
+        return {
+            "kind": "twin",
+            "playpen": twin.world.playpen.name,
+            "robots": [
+                {
+                    "name": robot.name,
+                    "port": cable.path,
+                    "baud": robot.firmware.baud,
+                    **shape(entry.model, entry.calibration),
+                }
+                for robot, cable, entry in zip(twin.robots, cables, twin.world.playpen.robots, strict=True)
+            ],
+            "log": None if self._log is None else self._log.name,
+        }
+
+    def _picture(self, twin: PacedTwin, hosts: list[OutsideHost]) -> dict[str, Any]:
+        """The world as it is now."""
+        world = twin.world
+        robots: list[dict[str, Any]] = []
+        now = as_it_stands(world)
+        for robot, host, entry in zip(twin.robots, hosts, now.robots, strict=True):
+            registers = robot.registers
+            robots.append(
+                {
+                    "x_mm": round(entry.x_mm, 2),
+                    "y_mm": round(entry.y_mm, 2),
+                    "heading_deg": round(entry.heading_deg, 2),
+                    "proximity": registers[PROXIMITY].tolist(),
+                    "ambient": registers[AMBIENT].tolist(),
+                    "speed": registers[SPEEDS].tolist(),
+                    "leds": registers[[Board.LED_0, Board.LED_1]].tolist(),
+                    "host": host.cable.occupied,
+                    "host_commands": host.commands,
+                }
+            )
+        lamps = world.lamps
+        return {
+            "kind": "picture",
+            "time": world.time_ns / 1e9,
+            "busy": twin.busy,
+            "paused": twin.paused,
+            "robots": robots,
+            "lamps": [
+                {"power_w": round(power, 3), "off": lamps.turned_off(index)}
+                for index, power in enumerate(lamps.powers)
+            ],
+            "block": {
+                index: [each.x_mm, each.y_mm, each.angle_deg]
+                for index, each in enumerate(now.blocks)
+                if each.movable
+            },
+            "cylinder": {
+                index: [each.x_mm, each.y_mm, 0.0] for index, each in enumerate(now.cylinders) if each.movable
+            },
+        }
+
+    def _note(self, text: str) -> None:
+        self.tell({"kind": "note", "text": text})
+
+
+class RobotActor(Actor):
+    """A robot, or a twin that is served elsewhere, at a port; its readings are asked for over and over.
+
+    Args:
+        url: of the port.
+        tell: takes messages for the page.
+    """
+
+    def __init__(self, url: str, tell: Tell) -> None:
+        super().__init__(tell)
+        self._url = url
+        self._halt = threading.Event()
+
+    def stop(self) -> None:
+        """Ends the job and stops the motors."""
+        self._halt.set()
+
+    def _live(self) -> None:
+        with Khepera(self._url) as robot:
+            told = {"name": robot.name, "port": self._url, **shape("khepera1", "khepera1")}
+            self.tell({"kind": "robot", "robots": [told]})
+            while not self._ended.is_set():
+                if self._halt.is_set():
+                    robot.set_speed(0, 0)
+                    self._halt.clear()
+                self._look(robot)
+                if self.job is not None:
+                    self._do(robot, lambda message: self._tell_with_readings(robot, message), self._stopping)
+                self._halt.wait(_LOOK)
+
+    def _stopping(self) -> bool:
+        return self._halt.is_set() or self._ended.is_set()
+
+    def _tell_with_readings(self, robot: Khepera, message: Mapping[str, Any]) -> None:
+        self.tell(message)
+        if robot.time - self._looked > 2 * _LOOK:
+            self._look(robot)
+
+    _looked = 0.0
+
+    def _look(self, robot: Khepera) -> None:
+        proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
+        self._looked = robot.time
+        reading = {
+            "proximity": list(proximity),
+            "ambient": list(ambient),
+            "speed": list(speed),
+            "leds": [0, 0],
+        }
+        self.tell({"kind": "picture", "time": robot.time, "busy": self.job is not None, "robots": [reading]})
+
+
+def shape(model: str, sensors: str) -> dict[str, Any]:
+    """A robot's outline and its sensors, for drawing: [mm] and [deg]."""
+    body = BODIES[model]
+    measured = calibration.read(sensors)[0]
+    return {
+        "radius_mm": body.radius * 1e3,
+        "sensors": [
+            [round(x * 1e3, 2), round(y * 1e3, 2), heading]
+            for (x, y), heading in zip(body.sensor_positions, measured.heading_deg, strict=True)
+        ],
+    }

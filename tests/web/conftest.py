@@ -1,0 +1,83 @@
+"""A designer that listens, and a page that asks it."""
+
+import json
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+pytest.importorskip("starlette", reason="the designer's server is not installed")
+
+from khep_twin.web.server import Server
+
+BRAITENBERG = (Path(__file__).parent.parent.parent / "khep_twin/assets/playpens/obstacles.toml").read_text()
+
+
+@dataclass
+class Asker:
+    """What a page of the server would ask, and what others would.
+
+    Attributes:
+        server: that is asked.
+    """
+
+    server: Server
+
+    @property
+    def host(self) -> str:
+        return urlsplit(self.server.url).netloc
+
+    @property
+    def base(self) -> str:
+        """The path with the token."""
+        return urlsplit(self.server.url).path.rstrip("/")
+
+    def raw(
+        self, method: str, path: str, headers: dict[str, str], body: bytes | None = None
+    ) -> tuple[int, bytes]:
+        connection = HTTPConnection(self.host, timeout=10)
+        try:
+            connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+            for name, value in headers.items():
+                connection.putheader(name, value)
+            if body is not None and "Content-Length" not in headers:
+                connection.putheader("Content-Length", str(len(body)))
+            connection.endheaders()
+            if body:
+                connection.send(body)
+            answer = connection.getresponse()
+            return answer.status, answer.read()
+        finally:
+            connection.close()
+
+    def own(self, **changed: str) -> dict[str, str]:
+        """The headers of the page itself."""
+        return {
+            "Host": self.host,
+            "Origin": f"http://{self.host}",
+            "Sec-Fetch-Site": "same-origin",
+            "Content-Type": "application/json",
+            **{name.replace("_", "-"): value for name, value in changed.items()},
+        }
+
+    def do(self, action: str, **wanted: Any) -> tuple[int, Any]:
+        status, body = self.raw("POST", f"{self.base}/do/{action}", self.own(), json.dumps(wanted).encode())
+        return status, json.loads(body) if body[:1] == b"{" else body
+
+
+@pytest.fixture
+def asker(tmp_path: Path) -> Iterator[Asker]:
+    """A server in a folder of its own."""
+    ended = threading.Event()
+    server = Server(tmp_path, None, "127.0.0.1:0")
+    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
+    thread.start()
+    yield Asker(server)
+    ended.set()
+    thread.join(20)
+    assert not thread.is_alive()

@@ -1,0 +1,190 @@
+"""Hostile requests: every route of the designer refuses them before anything else happens."""
+
+import base64
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from khep_twin.errors import PortError
+from khep_twin.web.documents import Documents
+from khep_twin.web.guard import FILE_LIMIT, JSON_LIMIT
+from khep_twin.web.routes import Page
+from khep_twin.web.server import Server
+from tests.web.conftest import Asker
+
+HANDSHAKE = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode(),
+}
+
+
+def routes(tmp_path: Path) -> list[tuple[str, str]]:
+    """Method and path of each route; GET with a handshake for the websocket."""
+    app = Page(Documents(tmp_path), None).app()
+    found = []
+    for route in app.routes:
+        methods = getattr(route, "methods", None)
+        path = str(getattr(route, "path", "")).replace("{name}", "designer.js")
+        found.append(("WS" if methods is None else "POST" if "POST" in methods else "GET", path))
+    return found
+
+
+def ask(asker: Asker, method: str, path: str, headers: dict[str, str], body: bytes | None = None) -> int:
+    if method == "WS":
+        return asker.raw("GET", path, {**headers, **HANDSHAKE})[0]
+    return asker.raw(
+        method, path, headers, body if body is not None else b"{}" if method == "POST" else None
+    )[0]
+
+
+def test_there_are_routes_of_each_kind(tmp_path: Path) -> None:
+    found = routes(tmp_path)
+    assert {method for method, _ in found} == {"GET", "POST", "WS"}
+    assert len(found) > 20
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example",
+        "127.0.0.1.evil.example:{port}",
+        "127.0.0.1",
+        "127.0.0.1:{port}@evil",
+        "",
+        "[::1]:{port}",
+    ],
+)
+def test_another_host_is_refused_on_every_route(asker: Asker, tmp_path: Path, host: str) -> None:
+    port = asker.host.rpartition(":")[2]
+    for method, path in routes(tmp_path):
+        status = ask(asker, method, asker.base + path, asker.own(Host=host.format(port=port)))
+        assert status == 403, (method, path)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:1", "http://127.0.0.1"])
+def test_another_origin_is_refused_on_every_route(asker: Asker, tmp_path: Path, origin: str) -> None:
+    for method, path in routes(tmp_path):
+        assert ask(asker, method, asker.base + path, asker.own(Origin=origin)) == 403, (method, path)
+
+
+def test_no_origin_is_refused_but_for_what_is_only_looked_at(asker: Asker, tmp_path: Path) -> None:
+    headers = asker.own()
+    del headers["Origin"]
+    for method, path in routes(tmp_path):
+        if method != "GET":
+            assert ask(asker, method, asker.base + path, headers) == 403, (method, path)
+
+
+def test_another_site_is_refused_on_every_route(asker: Asker, tmp_path: Path) -> None:
+    for method, path in routes(tmp_path):
+        for site in ("cross-site", "same-site"):
+            assert ask(asker, method, asker.base + path, asker.own(Sec_Fetch_Site=site)) == 403, (
+                method,
+                path,
+            )
+
+
+@pytest.mark.parametrize("token", ["", "/wrong", "/{token}x", "/{short}", "/static", "/é"])
+def test_no_token_is_refused_on_every_route(asker: Asker, tmp_path: Path, token: str) -> None:
+    key = asker.base.removeprefix("/")
+    base = token.format(token=key, short=key[:-1]).encode().decode("latin-1").replace("Ã©", "%C3%A9")
+    for method, path in routes(tmp_path):
+        assert ask(asker, method, base + path, asker.own()) == 403, (method, path)
+
+
+@pytest.mark.parametrize(
+    "way", ["/../../../etc/passwd", "/..%2f..%2fetc/passwd", "/%2e%2e/x", "/..\\x", "//etc/passwd", "/%00"]
+)
+def test_a_path_out_of_the_folder_is_refused_on_every_route(asker: Asker, tmp_path: Path, way: str) -> None:
+    for method, path in routes(tmp_path):
+        assert ask(asker, method, asker.base + path.rstrip("/") + way, asker.own()) == 403, (method, path)
+
+
+@pytest.mark.parametrize(
+    "kind", ["application/x-www-form-urlencoded", "multipart/form-data; boundary=x", "text/plain", ""]
+)
+def test_a_form_is_refused_on_every_route(asker: Asker, tmp_path: Path, kind: str) -> None:
+    for _, path in routes(tmp_path):
+        status = ask(asker, "POST", asker.base + path, asker.own(Content_Type=kind), b"a=b")
+        assert status == 403, path
+
+
+def test_what_is_too_long_is_refused_on_every_route(asker: Asker, tmp_path: Path) -> None:
+    for method, path in routes(tmp_path):
+        for kind, limit in (("application/json", JSON_LIMIT), ("application/octet-stream", FILE_LIMIT)):
+            headers = asker.own(Content_Type=kind, Content_Length=str(limit + 1))
+            # A handshake has no body; what has one is a GET.
+            plain = "GET" if method == "WS" else method
+            assert ask(asker, plain, asker.base + path, headers, b"") == 413, (method, path)
+
+
+def test_what_does_not_tell_its_length_is_counted(asker: Asker) -> None:
+    head = "\r\n".join(f"{name}: {value}" for name, value in asker.own(Transfer_Encoding="chunked").items())
+    host, _, port = asker.host.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=10) as connection:
+        connection.sendall(f"POST {asker.base}/do/check HTTP/1.1\r\n{head}\r\n\r\n".encode())
+        chunk = b"10000\r\n" + b" " * 0x10000 + b"\r\n"
+        try:
+            for _ in range(JSON_LIMIT // 0x10000 + 1):
+                connection.sendall(chunk)
+        except OSError:
+            pass  # it has heard enough
+        assert connection.recv(100).startswith(b"HTTP/1.1 413")
+
+
+def test_other_methods_are_refused_on_every_route(asker: Asker, tmp_path: Path) -> None:
+    for _, path in routes(tmp_path):
+        for method in ("PUT", "DELETE", "OPTIONS", "PATCH", "TRACE"):
+            assert asker.raw(method, asker.base + path, asker.own())[0] == 403, (method, path)
+
+
+def test_a_header_twice_is_refused(asker: Asker) -> None:
+    host, _, port = asker.host.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=10) as connection:
+        lines = [f"GET {asker.base}/ HTTP/1.1", f"Host: {asker.host}", "Origin: http://evil.example"]
+        lines += [f"Origin: http://{asker.host}", "", ""]
+        connection.sendall("\r\n".join(lines).encode())
+        assert b" 403 " in connection.recv(100)
+
+
+@pytest.mark.parametrize("name", ["../x.toml", "/etc/x.toml", "a/../../x.toml", "..\\x.toml", "x\0.toml", ""])
+def test_files_outside_the_folder_are_refused(asker: Asker, name: str) -> None:
+    _, hello = asker.do("hello")
+    if name:
+        assert asker.do("open", file=name)[0] == 403
+        assert asker.do("version", file=name)[0] == 403
+        assert asker.do("keep", file=name, draft={})[0] == 403
+        assert asker.do("save", file=name, draft=hello["draft"])[0] == 403
+    assert asker.do("start", draft={**hello["draft"], "robot": []}, log=name)[0] in (400, 403)
+
+
+def test_a_link_out_of_the_folder_is_refused(asker: Asker, tmp_path: Path) -> None:
+    outside = tmp_path.parent / f"{tmp_path.name}-outside"
+    outside.mkdir()
+    (tmp_path / "way").symlink_to(outside)
+    assert asker.do("save", file="way/x.toml", draft=asker.do("hello")[1]["draft"])[0] == 403
+    assert not list(outside.iterdir())
+
+
+def test_the_page_itself_is_answered(asker: Asker) -> None:
+    assert asker.raw("GET", asker.base + "/", {"Host": asker.host, "Sec-Fetch-Site": "none"})[0] == 200
+    assert asker.do("hello")[0] == 200
+    assert asker.raw("GET", asker.base + "/live", asker.own(**HANDSHAKE))[0] == 101
+
+
+def test_other_machines_are_let_in_on_demand_only(tmp_path: Path) -> None:
+    with pytest.raises(PortError, match="--expose"):
+        Server(tmp_path, None, "0.0.0.0:0")
+
+
+def test_each_server_has_a_token_of_its_own(tmp_path: Path) -> None:
+    servers = [Server(tmp_path, None, "127.0.0.1:0") for _ in range(2)]
+    tokens = {server.url.split("/")[3] for server in servers}
+    assert len(tokens) == 2
+    assert all(len(token) >= 32 for token in tokens)
+    for server in servers:
+        server.serve(lambda: True)
