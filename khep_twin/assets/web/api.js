@@ -1,0 +1,52 @@
+// What goes between the page and its server.
+
+const base = location.pathname.replace(/[^/]*$/, "");
+export const tab = crypto.getRandomValues(new Uint32Array(2)).join("-");
+
+export async function post(action, wanted = {}, more = {}) {
+  const answer = await fetch(`${base}do/${action}`, {
+    method: "POST",
+    headers: { "Content-Type": "application/json" },
+    body: JSON.stringify({ ...wanted, tab }),
+    ...more,
+  });
+  return read(answer);
+}
+
+export async function upload(file, mm) {
+  const query = new URLSearchParams({ name: file.name.replace(/[^\w.-]/g, "-"), mm });
+  const answer = await fetch(`${base}import?${query}`, {
+    method: "POST",
+    headers: { "Content-Type": "application/octet-stream" },
+    body: file,
+  });
+  return read(answer);
+}
+
+async function read(answer) {
+  if (answer.headers.get("content-type") === "image/png") return answer.blob();
+  const text = await answer.text();
+  let found;
+  try {
+    found = JSON.parse(text);
+  } catch {
+    found = { error: text };
+  }
+  if (!answer.ok) throw Object.assign(new Error(found.error), { conflict: found.conflict === true });
+  return found;
+}
+
+export function listen(hear, lost) {
+  let socket;
+  const open = () => {
+    socket = new WebSocket(`ws://${location.host}${base}live`);
+    socket.onmessage = (event) => hear(JSON.parse(event.data));
+    socket.onopen = () => lost(false);
+    socket.onclose = () => {
+      lost(true);
+      setTimeout(open, 1500);
+    };
+  };
+  open();
+  return (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+}

@@ -1,0 +1,218 @@
+// The arena as SVG, in mm with y upwards: one group for each thing, placed by its transform.
+
+import { KINDS } from "./model.js";
+
+const NS = "http://www.w3.org/2000/svg";
+
+export function make(name, keys = {}, ...children) {
+  const element = document.createElementNS(NS, name);
+  for (const [key, value] of Object.entries(keys)) element.setAttribute(key, value);
+  element.append(...children);
+  return element;
+}
+
+export class Drawing {
+  constructor(svg, model) {
+    this.svg = svg;
+    this.model = model;
+    this.world = make("g", { transform: "scale(1,-1)" });
+    this.ground = make("g");
+    this.things = make("g");
+    this.live = make("g");
+    this.over = make("g");
+    this.world.append(this.ground, this.things, this.live, this.over);
+    this.labels = make("g");
+    svg.append(this.world, this.labels);
+    this.nodes = new Map();
+    this.surfaces = {};
+    this.shapes = {};
+    this.view = { x: 0, y: 0, width: 600, height: 500 };
+  }
+
+  colour(name) {
+    const found = this.model.draft.surfaces?.[name] ?? this.surfaces[name];
+    return found ? `rgb(${found.rgb})` : "#f0f";
+  }
+
+  fit() {
+    const { width_mm, height_mm, wall_thickness_mm = 10 } = this.model.draft.arena;
+    const edge = wall_thickness_mm + 28;
+    this.look(-edge, -height_mm - edge, width_mm + 2 * edge, height_mm + 2 * edge);
+  }
+
+  look(x, y, width, height) {
+    this.view = { x, y, width, height };
+    this.svg.setAttribute("viewBox", `${x} ${y} ${width} ${height}`);
+    this.handles?.();
+  }
+
+  zoom(factor, at = null) {
+    const { x, y, width, height } = this.view;
+    const cx = at ? at[0] : x + width / 2;
+    const cy = at ? -at[1] : y + height / 2;
+    const next = Math.min(Math.max(width * factor, 40), 30000) / width;
+    this.look(cx - (cx - x) * next, cy - (cy - y) * next, width * next, height * next);
+  }
+
+  // Of a pointer, in mm.
+  point(event) {
+    const matrix = this.world.getScreenCTM().inverse();
+    const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix);
+    return [at.x, at.y];
+  }
+
+  // How many mm a pixel of the screen is.
+  get pixel() {
+    return 1 / this.world.getScreenCTM().a;
+  }
+
+  all() {
+    this.#floor();
+    const focused = document.activeElement?.dataset?.id;
+    this.nodes.clear();
+    const made = [];
+    for (const kind of KINDS)
+      this.model.list(kind).forEach((thing, index) => {
+        const id = `${kind}:${index}`;
+        const node = this.shape(kind, thing);
+        node.dataset.id = id;
+        node.classList.add("thing", "drawn", `kind-${kind}`);
+        node.setAttribute("tabindex", "0");
+        node.setAttribute("role", "img");
+        if (thing.movable) node.classList.add("movable");
+        this.nodes.set(id, node);
+        place(node, thing);
+        made.push(node);
+      });
+    this.things.replaceChildren(...made);
+    this.marks();
+    if (focused) this.nodes.get(focused)?.focus({ preventScroll: true });
+  }
+
+  some(ids) {
+    for (const id of ids) {
+      const node = this.nodes.get(id);
+      const thing = this.model.at(id);
+      if (thing.points_mm) node.replaceChildren(...this.shape("wall", thing).childNodes);
+      else place(node, thing);
+    }
+    this.why();
+  }
+
+  // What is selected, and what is wrong.
+  marks() {
+    const bad = new Map();
+    for (const { place: at, text } of this.model.problems) {
+      const id = `${at[0]}:${at[1]}`;
+      if (this.nodes.has(id)) bad.set(id, bad.has(id) ? `${bad.get(id)}\n${text}` : text);
+    }
+    this.bad = bad;
+    for (const [id, node] of this.nodes) {
+      node.classList.toggle("selected", this.model.selected.has(id));
+      node.classList.toggle("bad", bad.has(id));
+      const [kind, index] = id.split(":");
+      const thing = this.model.at(id);
+      const where = thing.x_mm === undefined ? "" : ` at ${thing.x_mm}, ${thing.y_mm}`;
+      node.setAttribute("aria-label", `${kind} ${+index + 1}${where}${bad.has(id) ? `: ${bad.get(id)}` : ""}`);
+    }
+    this.why();
+  }
+
+  // Why the selected things, or the only wrong one, cannot be where they are.
+  why() {
+    const size = 13 * this.pixel;
+    const shown = [...(this.bad ?? [])].filter(([id]) => this.model.selected.has(id) || this.bad.size === 1).slice(0, 3);
+    this.labels.replaceChildren(
+      ...shown.map(([id, text]) => {
+        const thing = this.model.at(id);
+        const [x, y] = thing.points_mm ? thing.points_mm[0] : [thing.x_mm, thing.y_mm];
+        const words = text.split("\n")[0].replace(/^[^:]*? (overlaps|is outside)/, "$1").split("; right is ");
+        const { width_mm } = this.model.draft.arena;
+        const end = x > width_mm / 2;
+        const label = make("text", { class: "why", "text-anchor": end ? "end" : "start" });
+        label.style.fontSize = `${size}px`;
+        label.style.strokeWidth = `${size / 3}px`;
+        words.forEach((word, line) =>
+          label.append(
+            Object.assign(make("tspan", { x: x + (end ? -32 : 32), y: -y + line * size * 1.2 }), {
+              textContent: line ? `→ ${word}` : `! ${word}`,
+            }),
+          ),
+        );
+        return label;
+      }),
+    );
+  }
+
+  shape(kind, thing) {
+    if (kind === "block")
+      return make("g", {}, rectangle(thing.length_mm, thing.width_mm, this.colour(thing.surface)));
+    if (kind === "cylinder") return make("g", {}, make("circle", { r: thing.radius_mm, class: "shape", fill: this.colour(thing.surface) }));
+    if (kind === "patch") {
+      const fill = this.colour(thing.surface);
+      const shape = thing.radius_mm === undefined ? rectangle(thing.length_mm, thing.width_mm, fill) : make("circle", { r: thing.radius_mm, class: "shape", fill });
+      shape.setAttribute("fill-opacity", "0.55");
+      return make("g", {}, shape);
+    }
+    if (kind === "wall") {
+      const path = `M${thing.points_mm.map((point) => point.join(" ")).join("L")}${thing.closed ? "Z" : ""}`;
+      return make(
+        "g",
+        {},
+        make("path", { d: path, fill: "none", stroke: "#444", "stroke-width": thing.thickness_mm + 1.5, "stroke-linejoin": "bevel" }),
+        make("path", { d: path, fill: "none", stroke: this.colour(thing.surface), "stroke-width": thing.thickness_mm, "stroke-linejoin": "bevel" }),
+        make("path", { d: path, fill: "none", class: "shape" }),
+      );
+    }
+    if (kind === "lamp") {
+      const colour = `rgb(${thing.rgb ?? [255, 217, 77]})`;
+      const glow = 12 + 14 * Math.sqrt(Math.max(thing.power_w, 0) * (thing.dim ?? 1));
+      const rays = make("path", { class: "line", d: [0, 45, 90, 135, 180, 225, 270, 315].map((a) => `M${6.5 * cos(a)} ${6.5 * sin(a)}L${10 * cos(a)} ${10 * sin(a)}`).join("") });
+      return make("g", {}, make("circle", { r: glow, class: "glow", fill: colour, "pointer-events": "none" }), rays, make("circle", { r: 5, class: "shape bulb", fill: colour }), make("circle", { r: 12, fill: "transparent" }));
+    }
+    if (kind === "spot") return make("g", {}, make("circle", { r: 12, class: "shape spot" }), make("path", { class: "nose", d: "M0 0L20 0M14 -4L20 0L14 4" }), make("circle", { r: 12, fill: "transparent" }));
+    return this.robot(thing.model);
+  }
+
+  robot(kind = "khepera1", told = null) {
+    const { radius_mm: radius, sensors } = told ?? this.shapes[kind] ?? { radius_mm: 27.5, sensors: [] };
+    const wheels = [-26, 26].map((y) => make("rect", { x: -7.5, y: y - 1.5, width: 15, height: 3, fill: "#333" }));
+    const eyes = sensors.map(([x, y]) => make("circle", { cx: x, cy: y, r: 1.8, fill: "#0072b2" }));
+    return make("g", {}, make("circle", { r: radius, class: "shape body" }), ...wheels, make("path", { class: "nose", d: `M${radius - 12} -7L${radius - 3} 0L${radius - 12} 7` }), ...eyes);
+  }
+
+  #floor() {
+    const { arena } = this.model.draft;
+    const { width_mm: width, height_mm: height, wall_thickness_mm: thick = 10, outline_mm: outline = [] } = arena;
+    const corners = outline.length ? outline : [[0, 0], [width, 0], [width, height], [0, height]];
+    const path = `M${corners.map((point) => point.join(" ")).join("L")}Z`;
+    const step = Math.max(width, height) > 2500 ? 500 : 100;
+    let lines = "";
+    const texts = [];
+    for (let x = 0; x <= width; x += step) {
+      lines += `M${x} 0V${height}`;
+      texts.push([x, -thick - 14, x, "middle"]);
+    }
+    for (let y = 0; y <= height; y += step) {
+      lines += `M0 ${y}H${width}`;
+      texts.push([-thick - 4, y - 4, y, "end"]);
+    }
+    this.ground.replaceChildren(
+      make("path", { d: path, class: "wall-around", "stroke-width": 2 * thick, "stroke-linejoin": "miter" }),
+      make("path", { d: path, fill: "none", stroke: this.colour(arena.surface ?? "white"), "stroke-width": Math.max(2 * thick - 3, 1) }),
+      make("path", { d: path, class: "floor" }),
+      make("path", { d: lines, class: "grid" }),
+      ...texts.map(([x, y, text, anchor]) => Object.assign(make("text", { class: "axis", transform: `translate(${x} ${y}) scale(1,-1)`, "text-anchor": anchor }), { textContent: text })),
+    );
+  }
+}
+
+export function place(node, thing) {
+  if (thing.points_mm) return;
+  const turned = thing.heading_deg ?? thing.angle_deg ?? 0;
+  node.setAttribute("transform", `translate(${thing.x_mm} ${thing.y_mm}) rotate(${turned})`);
+}
+
+const rectangle = (length, width, fill) => make("rect", { x: -length / 2, y: -width / 2, width: length, height: width, class: "shape", fill });
+const cos = (degrees) => Math.cos((degrees * Math.PI) / 180);
+const sin = (degrees) => Math.sin((degrees * Math.PI) / 180);

@@ -1,0 +1,177 @@
+// Exact numbers: a field for each key of what is selected, and of the playpen as a whole.
+
+const CHOICES = {
+  model: ["khepera1", "khepera2"],
+  rom: ["5.02", "4.06", "khepera2"],
+  "lighting.mode": ["all", "random", "sequenced"],
+  "lighting.law": ["optics", "toolbox"],
+};
+const KEYS = {
+  block: ["name", "x_mm", "y_mm", "angle_deg", "length_mm", "width_mm", "height_mm", "surface", "movable", "mass_g"],
+  cylinder: ["name", "x_mm", "y_mm", "radius_mm", "height_mm", "surface", "movable", "mass_g"],
+  wall: ["name", "points_mm", "closed", "thickness_mm", "height_mm", "surface"],
+  patch: ["name", "x_mm", "y_mm", "radius_mm", "length_mm", "width_mm", "angle_deg", "surface"],
+  lamp: ["name", "x_mm", "y_mm", "z_mm", "power_w", "dim", "rgb", "on_s", "blink_period_s", "blink_duty", "fade_s"],
+  robot: ["name", "x_mm", "y_mm", "heading_deg", "model", "calibration", "mode", "rom", "turrets", "spots", "battery_used_min"],
+  spot: ["name", "x_mm", "y_mm", "heading_deg"],
+};
+const PARTS = [
+  ["arena", ["width_mm", "height_mm", "wall_height_mm", "wall_thickness_mm", "surface", "outline_mm"]],
+  ["lighting", ["mode", "switch_distance_mm", "law", "min_angle_deg", "max_angle_deg"]],
+];
+const TEXTS = new Set(["name", "surface", "model", "calibration", "rom", "mode"]);
+const LISTS = new Set(["points_mm", "outline_mm", "rgb", "on_s", "turrets", "spots"]);
+const WORDS = { mm: "mm", deg: "°", w: "W", g: "g", s: "s", min: "min" };
+
+export class Fields {
+  constructor(model, surfaces) {
+    Object.assign(this, { model, surfaces });
+    this.object = document.querySelector("#tab-object");
+    this.playpen = document.querySelector("#tab-playpen");
+    this.empty = this.object.innerHTML;
+    model.addEventListener("change", () => this.show());
+    model.addEventListener("moved", () => this.fresh());
+  }
+
+  show() {
+    const { model } = this;
+    const ids = [...model.selected];
+    this.bound = [];
+    if (!ids.length) this.object.innerHTML = this.empty;
+    else {
+      const kinds = [...new Set(ids.map((id) => id.split(":")[0]))];
+      const things = ids.map((id) => model.at(id));
+      const title = document.createElement("h3");
+      title.textContent = ids.length === 1 ? `${kinds[0]} ${+ids[0].split(":")[1] + 1}` : `${ids.length} objects: ${kinds.join(", ")}`;
+      const keys = KEYS[kinds[0]].filter((key) => kinds.every((kind) => KEYS[kind].includes(key)) && (ids.length === 1 || key !== "name"));
+      this.object.replaceChildren(title, this.#grid(keys, things, kinds[0]));
+    }
+    const name = this.#grid(["name"], [model.draft], "playpen");
+    const parts = PARTS.map(([part, keys]) => {
+      const set = document.createElement("fieldset");
+      const legend = document.createElement("legend");
+      legend.textContent = part;
+      model.draft[part] ??= {};
+      set.append(legend, this.#grid(keys, [model.draft[part]], part));
+      return set;
+    });
+    this.playpen.replaceChildren(name, ...parts, this.#surfaces());
+  }
+
+  // Numbers only, while something is dragged.
+  fresh() {
+    for (const { input, key, things } of this.bound ?? [])
+      if (input !== document.activeElement && input.type === "number") input.value = common(things, key) ?? "";
+  }
+
+  #grid(keys, things, kind) {
+    const grid = document.createElement("div");
+    grid.className = "fields";
+    for (const key of keys) {
+      const id = `field-${kind}-${key}`;
+      const label = document.createElement("label");
+      const unit = WORDS[key.split("_").at(-1)];
+      label.textContent = unit && key.includes("_") ? `${key.slice(0, key.lastIndexOf("_")).replaceAll("_", " ")} [${unit}]` : key;
+      label.htmlFor = id;
+      const input = this.#input(key, things, kind);
+      input.id = id;
+      grid.append(label, input);
+      this.bound.push({ input, key, things });
+    }
+    return grid;
+  }
+
+  #input(key, things, kind) {
+    const value = common(things, key);
+    const choices = key === "surface" ? [...Object.keys(this.surfaces), ...Object.keys(this.model.draft.surfaces ?? {})] : CHOICES[`${kind}.${key}`] ?? CHOICES[key];
+    const isBool = key === "movable" || key === "closed";
+    const input = document.createElement(choices && kind + key !== "robotmode" ? "select" : "input");
+    if (input.tagName === "SELECT") {
+      const names = value === undefined || choices.includes(value) ? choices : [...choices, value];
+      input.append(...(value === undefined ? [new Option("", "")] : []), ...names.map((name) => new Option(name, name)));
+      input.value = value ?? "";
+    } else if (isBool) {
+      input.type = "checkbox";
+      input.checked = value === true;
+    } else if (LISTS.has(key) || TEXTS.has(key) && !(kind === "robot" && key === "mode")) {
+      input.value = value === undefined ? "" : LISTS.has(key) ? JSON.stringify(value).slice(1, -1) : value;
+      if (LISTS.has(key)) input.title = key === "turrets" || key === "spots" ? 'names, such as "gripper"' : "numbers, such as [0, 0], [600, 0]";
+    } else {
+      input.type = "number";
+      input.step = "any";
+      input.value = value ?? "";
+    }
+    input.addEventListener("change", () => this.#take(input, key, things));
+    return input;
+  }
+
+  #take(input, key, things) {
+    let value;
+    if (input.type === "checkbox") value = input.checked;
+    else if (input.type === "number") value = input.value === "" ? undefined : input.valueAsNumber;
+    else if (LISTS.has(key)) {
+      try {
+        value = input.value.trim() ? JSON.parse(`[${input.value}]`) : undefined;
+      } catch {
+        input.setCustomValidity("right are values with commas between them");
+        input.reportValidity();
+        return;
+      }
+    } else value = input.value || undefined;
+    for (const thing of things) {
+      if (value === undefined) delete thing[key];
+      else thing[key] = value;
+      if (key === "model") {
+        thing.calibration = value;
+        thing.rom = value === "khepera2" ? "khepera2" : "5.02";
+      }
+    }
+    this.model.commit();
+  }
+
+  #surfaces() {
+    const set = document.createElement("fieldset");
+    set.innerHTML = "<legend>surfaces</legend>";
+    const { draft } = this.model;
+    for (const [name, surface] of Object.entries(draft.surfaces ?? {})) {
+      const row = document.createElement("div");
+      row.className = "row";
+      const title = document.createElement("strong");
+      title.textContent = name;
+      const reflects = Object.assign(document.createElement("input"), { type: "number", step: "any", value: surface.reflectance, title: "infrared reflectance, white = 1" });
+      reflects.setAttribute("aria-label", `reflectance of ${name}`);
+      reflects.addEventListener("change", () => {
+        surface.reflectance = reflects.valueAsNumber;
+        this.model.commit();
+      });
+      const colour = Object.assign(document.createElement("input"), { type: "color", value: `#${surface.rgb.map((part) => part.toString(16).padStart(2, "0")).join("")}` });
+      colour.setAttribute("aria-label", `colour of ${name}`);
+      colour.addEventListener("change", () => {
+        surface.rgb = [1, 3, 5].map((at) => parseInt(colour.value.slice(at, at + 2), 16));
+        this.model.commit();
+      });
+      const away = Object.assign(document.createElement("button"), { textContent: "Remove" });
+      away.addEventListener("click", () => {
+        delete draft.surfaces[name];
+        this.model.commit();
+      });
+      row.append(title, reflects, colour, away);
+      set.append(row);
+    }
+    const add = Object.assign(document.createElement("button"), { textContent: "New surface" });
+    add.addEventListener("click", () => {
+      draft.surfaces ??= {};
+      let number = 1;
+      while (draft.surfaces[`surface${number}`]) number++;
+      draft.surfaces[`surface${number}`] = { reflectance: 0.6, rgb: [180, 140, 90] };
+      this.model.commit();
+    });
+    set.append(add);
+    return set;
+  }
+}
+
+function common(things, key) {
+  const [first, ...others] = things.map((thing) => thing[key]);
+  return others.every((other) => JSON.stringify(other) === JSON.stringify(first)) ? first : undefined;
+}

@@ -1,0 +1,162 @@
+// The playpen that is drawn: a draft in the keys of its file, what is selected of it, and what was before.
+
+export const KINDS = ["patch", "wall", "block", "cylinder", "spot", "lamp", "robot"];
+
+export const NEW = {
+  block: { angle_deg: 0, length_mm: 60, width_mm: 20, height_mm: 50, surface: "white", movable: false, mass_g: 20 },
+  cylinder: { radius_mm: 12.5, height_mm: 50, surface: "white", movable: false, mass_g: 20 },
+  wall: { closed: false, thickness_mm: 10, height_mm: 50, surface: "white" },
+  patch: { radius_mm: 40, surface: "black" },
+  lamp: { z_mm: 15, power_w: 7, dim: 1, rgb: [255, 217, 77], blink_period_s: 0, blink_duty: 0.5, fade_s: 0 },
+  robot: { heading_deg: 90, model: "khepera1", calibration: "khepera1", mode: 1, rom: "5.02" },
+  spot: { heading_deg: 90 },
+};
+
+export class Model extends EventTarget {
+  draft = { arena: { width_mm: 600, height_mm: 500 } };
+  file = null;
+  version = null;
+  base = {};
+  selected = new Set();
+  problems = [];
+  #before = [];
+  #after = [];
+  #now = "";
+  saved = "";
+
+  load(found, base = {}) {
+    this.draft = found.draft;
+    this.file = found.file ?? null;
+    this.version = found.version ?? null;
+    this.base = base;
+    this.selected.clear();
+    this.#before = [];
+    this.#after = [];
+    this.#now = this.saved = JSON.stringify(this.draft);
+    this.#tell("whole");
+  }
+
+  get changed() {
+    return this.#now !== this.saved;
+  }
+
+  list(kind) {
+    return this.draft[kind] ?? [];
+  }
+
+  at(id) {
+    const [kind, index] = id.split(":");
+    return this.list(kind)[+index];
+  }
+
+  ids() {
+    return KINDS.flatMap((kind) => this.list(kind).map((_, index) => `${kind}:${index}`));
+  }
+
+  select(ids) {
+    this.selected = new Set(ids);
+    this.#tell("selection");
+  }
+
+  // After a change: keeps what was before for undo.
+  commit() {
+    const now = JSON.stringify(this.draft);
+    if (now !== this.#now) {
+      this.#before.push(this.#now);
+      if (this.#before.length > 300) this.#before.shift();
+      this.#after = [];
+      this.#now = now;
+    }
+    this.#tell("whole");
+  }
+
+  undo() {
+    this.#swap(this.#before, this.#after);
+  }
+
+  redo() {
+    this.#swap(this.#after, this.#before);
+  }
+
+  get canUndo() {
+    return this.#before.length > 0;
+  }
+
+  get canRedo() {
+    return this.#after.length > 0;
+  }
+
+  // During a drag: only these have moved.
+  moved(ids) {
+    this.dispatchEvent(new CustomEvent("moved", { detail: ids }));
+  }
+
+  add(kind, thing) {
+    const whole = { ...structuredClone(NEW[kind]), ...thing };
+    if (kind === "spot") whole.name = this.#name("spot");
+    (this.draft[kind] ??= []).push(whole);
+    this.selected = new Set([`${kind}:${this.list(kind).length - 1}`]);
+    this.commit();
+  }
+
+  copy() {
+    const made = [];
+    for (const id of this.selected) {
+      const kind = id.split(":")[0];
+      const thing = structuredClone(this.at(id));
+      if (kind === "spot") thing.name = this.#name("spot");
+      else delete thing.name;
+      shift(thing, 20, -20);
+      this.draft[kind].push(thing);
+      made.push(`${kind}:${this.list(kind).length - 1}`);
+    }
+    this.selected = new Set(made);
+    this.commit();
+  }
+
+  remove() {
+    for (const kind of KINDS)
+      if (this.draft[kind]) this.draft[kind] = this.draft[kind].filter((_, index) => !this.selected.has(`${kind}:${index}`));
+    this.selected.clear();
+    this.commit();
+  }
+
+  #name(stem) {
+    const taken = new Set(this.ids().map((id) => this.at(id).name));
+    let number = 1;
+    while (taken.has(`${stem}${number}`)) number++;
+    return `${stem}${number}`;
+  }
+
+  #swap(from, to) {
+    if (!from.length) return;
+    to.push(this.#now);
+    this.#now = from.pop();
+    this.draft = JSON.parse(this.#now);
+    this.selected = new Set([...this.selected].filter((id) => this.at(id)));
+    this.#tell("whole");
+  }
+
+  #tell(what) {
+    this.dispatchEvent(new CustomEvent("change", { detail: what }));
+  }
+}
+
+export function shift(thing, dx, dy) {
+  if (thing.points_mm) thing.points_mm = thing.points_mm.map(([x, y]) => [tidy(x + dx), tidy(y + dy)]);
+  else {
+    thing.x_mm = tidy(thing.x_mm + dx);
+    thing.y_mm = tidy(thing.y_mm + dy);
+  }
+}
+
+export function turn(thing, degrees) {
+  const key = "heading_deg" in thing ? "heading_deg" : "angle_deg";
+  if (key in thing || "length_mm" in thing) thing[key] = angle((thing[key] ?? 0) + degrees);
+}
+
+export const angle = (degrees) => {
+  const turned = ((degrees % 360) + 360) % 360;
+  return tidy(turned > 180 ? turned - 360 : turned);
+};
+export const tidy = (value) => Math.round(value * 100) / 100;

@@ -1,0 +1,67 @@
+// khepbase: the robot from above, a pair of bars at each sensor and a bar at each motor, as the toolbox has it.
+
+import { make } from "./drawing.js";
+
+export const SENSORS = ["left 90", "left 45", "left 10", "right 10", "right 45", "right 90", "back right", "back left"];
+const BAR = 15;
+const [RED, ORANGE, BLUE] = ["#d55e00", "#e69f00", "#0072b2"];
+
+export class Panel {
+  constructor(svg, table) {
+    Object.assign(this, { svg, table });
+    const rows = SENSORS.map((name) => {
+      const row = document.createElement("tr");
+      row.append(...[name, "–", "–"].map((text) => Object.assign(document.createElement("td"), { textContent: text })));
+      return row;
+    });
+    const head = document.createElement("tr");
+    head.append(...["sensor", "proximity", "light"].map((text) => Object.assign(document.createElement("th"), { textContent: text })));
+    const last = document.createElement("tr");
+    last.append(...["speed left, right", "–", "–"].map((text) => Object.assign(document.createElement("td"), { textContent: text })));
+    table.replaceChildren(head, ...rows, last);
+    this.rows = [...rows, last];
+  }
+
+  // Ahead is up, left is left.
+  shape({ radius_mm: radius, sensors }) {
+    const bar = (x, y, fill, name) => make("rect", { x: x - 2, y, width: 4, height: 0, fill, class: name });
+    const ground = (x, y, height) => make("rect", { x: x - 2, y: y - height, width: 4, height, fill: "#e4e4e0" });
+    this.near = [];
+    this.light = [];
+    const parts = [make("circle", { r: radius, fill: "#dfe9f1", stroke: "#444" }), make("path", { d: `M-5 ${-radius + 9}L0 ${-radius + 3}L5 ${-radius + 9}`, fill: "none", stroke: "#444", "stroke-width": 1.4 })];
+    for (const [ahead, left] of sensors) {
+      const [x, y] = [-left * 1.5, -ahead * 1.5 + (ahead > 0 ? 3 : 12)];
+      const [near, light] = [bar(x - 2.4, y, RED, "proximity"), bar(x + 2.4, y, ORANGE, "light")];
+      parts.push(ground(x - 2.4, y, BAR), ground(x + 2.4, y, BAR), near, light);
+      this.near.push([near, y]);
+      this.light.push([light, y]);
+    }
+    this.motors = [-1, 1].map((side) => {
+      const motor = bar(side * 15, 0, BLUE, "speed");
+      parts.push(make("rect", { x: side * 22 - 1.2, y: -7.5, width: 2.4, height: 15, fill: "#333" }), make("rect", { x: side * 15 - 2, y: -BAR, width: 4, height: 2 * BAR, fill: "#e9e9e5" }), make("path", { d: `M${side * 15 - 3} 0h6`, stroke: "#444" }), motor);
+      return motor;
+    });
+    this.svg.replaceChildren(...parts);
+  }
+
+  read({ proximity, ambient, speed }) {
+    proximity.forEach((count, index) => {
+      rise(...this.near[index], (Math.min(count, 1023) / 1023) * BAR);
+      // Dark is 500 and more: a long bar is bright light.
+      rise(...this.light[index], (1 - Math.min(ambient[index], 500) / 500) * BAR);
+      this.rows[index].children[1].textContent = count;
+      this.rows[index].children[2].textContent = ambient[index];
+    });
+    speed.slice(0, 2).forEach((pulses, side) => {
+      const height = (Math.min(Math.abs(pulses), 20) / 20) * BAR;
+      this.motors[side].setAttribute("y", pulses > 0 ? -height : 0);
+      this.motors[side].setAttribute("height", height);
+      this.rows[8].children[side + 1].textContent = pulses;
+    });
+  }
+}
+
+function rise(bar, foot, height) {
+  bar.setAttribute("y", foot - height);
+  bar.setAttribute("height", height);
+}

@@ -1,0 +1,296 @@
+// What runs: a twin in the drawing or a robot at a port, live, with a hand that can lift it.
+
+import { post } from "./api.js";
+import { make, place } from "./drawing.js";
+import { Panel, SENSORS } from "./panel.js";
+
+const $ = (selector) => document.querySelector(selector);
+const number = (selector) => ($(selector).value === "" ? null : $(selector).valueAsNumber);
+
+export class Running {
+  active = false;
+  busy = false;
+  paused = false;
+  robots = [];
+  #held = null;
+  #trails = [];
+
+  constructor(drawing, model, banner) {
+    Object.assign(this, { drawing, model, banner });
+    this.panel = new Panel($("#panel"), $("#readings"));
+    $("#sensor").append(...SENSORS.map((name) => new Option(name, name)));
+    const press = (selector, act) => $(selector).addEventListener("click", () => this.#try(act));
+    press("#start", () => this.start());
+    press("#reset", () => this.start());
+    press("#end", () => post("end"));
+    press("#pause", () => this.pause());
+    press("#step", () => this.step());
+    press("#run", () => this.#run());
+    press("#stop", () => post("stop"));
+    press("#sense-stop", () => post("stop"));
+    press("#gather", () => this.#gather());
+    press("#display", () => this.#figure());
+    press("#connect", () => post("connect", { port: $("#device").value }));
+    press("#copy-port", () => navigator.clipboard.writeText($("#port").textContent));
+    press("#put", () => post("put", { robot: this.which, x_mm: number("#put-x"), y_mm: number("#put-y"), heading_deg: number("#put-h") }));
+    $("#speed").addEventListener("change", () => this.#try(() => this.#pace()));
+    $("#which").addEventListener("change", () => this.#shape());
+    model.addEventListener("change", ({ detail }) => {
+      if (detail === "whole" && this.active) this.#live();
+    });
+    this.#buttons();
+  }
+
+  get which() {
+    return Math.max(+$("#which").value || 0, 0);
+  }
+
+  async start() {
+    this.paused = false;
+    await post("start", { draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
+  }
+
+  async pause() {
+    this.paused = !this.paused;
+    await this.#pace();
+    this.#buttons();
+  }
+
+  async step() {
+    if (!this.paused) await this.pause();
+    await post("step");
+  }
+
+  async #pace() {
+    if (this.active && !this.real) await post("pace", { speed: +$("#speed").value, paused: this.paused });
+  }
+
+  async #run() {
+    if (!this.active) await this.start();
+    await this.#there();
+    $("#runs-done tbody").replaceChildren();
+    $("#part").value = 0;
+    await post("run", { controller: $("#controller").value, cycles: number("#cycles"), seconds: number("#seconds"), runs: number("#runs") ?? 1, pause: number("#between") ?? 0, folder: $("#keep").value || null });
+    this.busy = true;
+    this.#buttons();
+  }
+
+  async #gather() {
+    if (!this.active) await this.start();
+    await this.#there();
+    await post("sense", { what: $("#what").value, motion: $("#motion").value, amount: number("#amount"), speed: number("#sense-speed"), acceleration: number("#sense-acceleration"), return: $("#return").checked });
+    this.busy = true;
+    this.#buttons();
+  }
+
+  async #figure() {
+    const blob = await post("figure", { sensor: $("#sensor").value || null, grid: $("#with-grid").checked });
+    const picture = $("#figure");
+    URL.revokeObjectURL(picture.src);
+    picture.src = URL.createObjectURL(blob);
+    picture.alt = "Counts of the sensors over the way";
+    picture.hidden = false;
+  }
+
+  // Until the twin is there: a large playpen takes a moment.
+  async #there() {
+    for (let tries = 0; tries < 300 && !this.active; tries++) await new Promise((done) => setTimeout(done, 100));
+  }
+
+  hear(message) {
+    const hears = {
+      twin: () => this.#cast(message, false),
+      robot: () => this.#cast(message, true),
+      picture: () => this.#picture(message),
+      progress: () => ($("#part").value = message.part),
+      run: () => this.#ran(message),
+      sensed: () => this.#try(() => this.#figure()),
+      done: () => {
+        this.busy = false;
+        this.#buttons();
+      },
+      error: () => this.banner(message.text, "error"),
+      refused: () => this.banner(message.text, "error"),
+      note: () => this.banner(message.text),
+      ended: () => this.#ended(),
+    };
+    hears[message.kind]?.();
+  }
+
+  #cast(message, real) {
+    Object.assign(this, { active: true, real, busy: false, robots: message.robots });
+    this.#trails = message.robots.map(() => []);
+    const chosen = $("#which");
+    chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
+    this.model.select([]);
+    this.drawing.svg.classList.toggle("running", !real);
+    this.#shape();
+    if (!real) this.#live();
+    this.#buttons();
+  }
+
+  #live() {
+    const { drawing } = this;
+    this.nodes = this.robots.map((robot, index) => {
+      const node = drawing.robot(null, robot);
+      const rays = robot.sensors.map(([x, y, heading]) => {
+        const fan = make("path", { class: "ray", d: "M0 0L40 -14A42 42 0 0 1 40 14Z", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.06 });
+        node.prepend(fan);
+        return fan;
+      });
+      node.classList.add("live", "thing");
+      node.dataset.live = index;
+      return { node, rays };
+    });
+    this.trails = this.robots.map(() => make("path", { class: "trail" }));
+    drawing.live.replaceChildren(...this.trails, ...this.nodes.map(({ node }) => node));
+    $("#switches").replaceChildren(
+      ...this.model.list("lamp").map((_, index) => {
+        const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: true });
+        box.addEventListener("change", () => this.#try(() => post("switch", { lamp: index, on: box.checked })));
+        const label = document.createElement("label");
+        label.append(box, ` lamp ${index + 1}`);
+        return label;
+      }),
+    );
+  }
+
+  #shape() {
+    const robot = this.robots[this.which];
+    if (!robot) return;
+    this.panel.shape(robot);
+    $("#port").textContent = robot.port;
+  }
+
+  #picture(message) {
+    const shown = message.robots[this.which];
+    this.last = message;
+    if (shown && this.panel.near) this.panel.read(shown);
+    $("#clock").textContent = `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`;
+    if (this.real || !this.nodes) return;
+    $("#host").textContent = shown?.host ? `A host has it open${shown.host_commands ? `; ${shown.host_commands} commands between those of the program here` : ""}.` : "No host has it open.";
+    message.robots.forEach((robot, index) => {
+      const { node, rays } = this.nodes[index] ?? {};
+      if (!node) return;
+      if (this.#held?.index !== index) place(node, robot);
+      robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
+      const trail = this.#trails[index];
+      const last = trail.at(-1);
+      if (!last || Math.hypot(last[0] - robot.x_mm, last[1] - robot.y_mm) > 3) {
+        const jump = last && Math.hypot(last[0] - robot.x_mm, last[1] - robot.y_mm) > 60;
+        trail.push([robot.x_mm, robot.y_mm, jump || !last ? "M" : "L"]);
+        if (trail.length > 1500) trail.shift();
+        this.trails[index].setAttribute("d", trail.map(([x, y, letter], at) => `${at ? letter : "M"}${x} ${y}`).join(""));
+      }
+    });
+    message.lamps.forEach(({ power_w }, index) => {
+      this.drawing.nodes.get(`lamp:${index}`)?.classList.toggle("off", power_w === 0);
+      const box = $(`#switches label:nth-child(${index + 1}) input`);
+      if (box && box !== document.activeElement) box.checked = !message.lamps[index].off;
+    });
+    for (const kind of ["block", "cylinder"])
+      for (const [index, [x_mm, y_mm, angle_deg]] of Object.entries(message[kind])) {
+        const node = this.drawing.nodes.get(`${kind}:${index}`);
+        if (node) place(node, { x_mm, y_mm, angle_deg });
+      }
+  }
+
+  #ran(message) {
+    const { fitness, distance_m } = message.numbers;
+    const row = document.createElement("tr");
+    const cells = [message.number, message.cycles, message.seconds.toFixed(1), fitness?.toPrecision(3) ?? "–", distance_m?.toPrecision(3) ?? "–"];
+    row.append(...cells.map((text) => Object.assign(document.createElement("td"), { textContent: text })));
+    $("#runs-done tbody").append(row);
+  }
+
+  #ended() {
+    Object.assign(this, { active: false, busy: false, real: false, paused: false, nodes: null });
+    this.drawing.svg.classList.remove("running");
+    this.drawing.live.replaceChildren();
+    this.drawing.all();
+    $("#clock").textContent = "not running";
+    $("#port").textContent = "–";
+    $("#host").textContent = "";
+    this.#buttons();
+  }
+
+  #buttons() {
+    const { active, real, busy } = this;
+    $("#start").disabled = active;
+    for (const id of ["#reset", "#pause", "#step", "#put"]) $(id).disabled = !active || real;
+    $("#end").disabled = !active;
+    $("#stop").disabled = $("#sense-stop").disabled = !active;
+    $("#run").disabled = $("#gather").disabled = busy;
+    $("#pause").textContent = this.paused ? "Go on" : "Pause";
+    $("#connect").disabled = active && !real;
+    for (const id of ["undo", "redo", "copy", "delete", "new", "open"]) $(`#${id}`).toggleAttribute("data-while-running", active && !real);
+    this.told?.();
+  }
+
+  // The hand: lift a robot, put it down; a click on a lamp switches it. Whether the hand has taken something.
+  down(event, at, target) {
+    if (this.real || event.button !== 0) return false;
+    const live = target?.closest?.(".live");
+    const lamp = target?.dataset.id?.match(/^lamp:(\d+)$/);
+    if (lamp) {
+      const off = this.last?.lamps[+lamp[1]]?.off;
+      this.#try(() => post("switch", { lamp: +lamp[1], on: off === true }));
+      return true;
+    }
+    if (!live) return false;
+    const index = +live.dataset.live;
+    const { x_mm, y_mm, heading_deg } = this.last.robots[index];
+    this.#held = { index, at, from: [x_mm, y_mm], x_mm, y_mm, heading_deg, node: live };
+    live.classList.add("held");
+    $("#which").value = index;
+    this.#shape();
+    return true;
+  }
+
+  move(_, at) {
+    const held = this.#held;
+    if (!held) return;
+    held.x_mm = held.from[0] + at[0] - held.at[0];
+    held.y_mm = held.from[1] + at[1] - held.at[1];
+    place(held.node, held);
+  }
+
+  turn(degrees) {
+    if (!this.#held) return false;
+    this.#held.heading_deg += degrees;
+    place(this.#held.node, this.#held);
+    return true;
+  }
+
+  up() {
+    const held = this.#held;
+    if (!held) return;
+    held.node.classList.remove("held");
+    const { index, x_mm, y_mm, heading_deg } = held;
+    this.#try(async () => {
+      try {
+        if (Math.hypot(x_mm - held.from[0], y_mm - held.from[1]) > 1 || heading_deg !== this.last.robots[index].heading_deg)
+          await post("put", { robot: index, x_mm, y_mm, heading_deg });
+      } finally {
+        this.#held = null;
+      }
+    });
+  }
+
+  key(event) {
+    if (!this.active) return false;
+    if (this.#held && (event.key === "[" || event.key === "]")) return this.turn(event.key === "[" ? 15 : -15);
+    if (event.key === " " && !this.real) return this.#try(() => this.pause()), true;
+    if (event.key === "." && !this.real) return this.#try(() => this.step()), true;
+    if (event.key === "Escape") return this.#try(() => post("stop")), true;
+    return false;
+  }
+
+  async #try(act) {
+    try {
+      await act();
+    } catch (error) {
+      this.banner(error.message, "error");
+    }
+  }
+}
