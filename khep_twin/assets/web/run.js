@@ -223,8 +223,7 @@ export class Running {
     $("#run").disabled = $("#gather").disabled = busy;
     $("#pause").textContent = this.paused ? "Go on" : "Pause";
     $("#connect").disabled = active && !real;
-    for (const id of ["undo", "redo", "copy", "delete", "new", "open"]) $(`#${id}`).toggleAttribute("data-while-running", active && !real);
-    this.told?.();
+    document.body.classList.toggle("running", active);
   }
 
   // The hand: lift a robot, put it down; a click on a lamp switches it. Whether the hand has taken something.
