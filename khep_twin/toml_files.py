@@ -142,7 +142,7 @@ def check(
 
 
 def problems(model: type[Model], data: Mapping[str, Any]) -> list[Problem]:
-    """What is wrong with data, such as a file's that is still being written, as `model`; empty if nothing is."""
+    """What is wrong with data as `model`, as `check` would tell it; empty if nothing is."""
     try:
         model.model_validate(frozen(data))
     except ValidationError as trouble:

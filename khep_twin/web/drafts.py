@@ -21,7 +21,7 @@ def draft_of(playpen: Playpen) -> Draft:
 
 
 def problems_of(draft: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What is wrong with a draft, each with the place that it is about and a text, as `playpen check` tells it."""
+    """What is wrong with a draft, as `playpen check` tells it: the place that it is about, and a text."""
     return [
         {"place": [part for part in problem.location if part != "[key]"], "text": problem.text}
         for problem in toml_files.problems(Playpen, draft)

@@ -15,8 +15,6 @@ pytest.importorskip("starlette", reason="the designer's server is not installed"
 
 from khep_twin.web.server import Server
 
-BRAITENBERG = (Path(__file__).parent.parent.parent / "khep_twin/assets/playpens/obstacles.toml").read_text()
-
 
 @dataclass
 class Asker:

@@ -82,7 +82,7 @@ class Visit:
         self.page.click("#save-as")
         self.page.fill("#dialog input", name)
         self.page.click("#dialog .main")
-        self.page.wait_for_function("name => document.querySelector('#file').textContent === name", arg=name)
+        self.wait(f"document.querySelector('#file').textContent === '{name}'")
 
     def count(self, selector: str) -> int:
         return self.page.locator(selector).count()
@@ -92,7 +92,11 @@ class Visit:
         return float(found[0]) if found else 0.0
 
     def wait(self, expression: str) -> None:
-        self.page.wait_for_function(expression, timeout=60_000)
+        """Asks again and again: the page's own rules let nothing be evaluated in it by itself."""
+        end = time.monotonic() + 60
+        while not self.page.evaluate(expression):
+            assert time.monotonic() < end, expression
+            self.page.wait_for_timeout(50)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +155,7 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     page.click("#open")
     page.select_option("#dialog select", "ten.toml")
     page.click("#dialog .main")
-    page.wait_for_function("document.querySelectorAll('.drawn').length === 10")
+    visit.wait("document.querySelectorAll('.drawn').length === 10")
 
     # A minute of Braitenberg, ten times as fast.
     page.click('[data-tab="run"]')

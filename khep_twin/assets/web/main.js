@@ -229,7 +229,7 @@ function legend() {
     return [box, name];
   });
   const counts = ["block", "cylinder", "wall", "lamp", "robot"].map((kind) => [kind, model.list(kind).length]).filter(([, count]) => count);
-  $("#legend").replaceChildren(...entries.flat(), ` · ${counts.map(([kind, count]) => `${count} ${kind}${count > 1 ? "s" : ""}`).join(", ")} · dotted: movable, dashed red with !: wrong`);
+  $("#legend").replaceChildren(...entries.flat(), ` · ${counts.map(([kind, count]) => `${count} ${kind}${count > 1 ? "s" : ""}, `).join("")}dotted: movable, dashed with !: wrong`);
 }
 
 model.addEventListener("change", ({ detail }) => {
@@ -295,6 +295,10 @@ press("zoom-out", () => drawing.zoom(1.25));
 press("zoom-fit", () => drawing.fit());
 press("preview", preview);
 press("help", help);
+$("#figure").addEventListener("click", () => {
+  const picture = Object.assign(document.createElement("img"), { src: $("#figure").src, alt: $("#figure").alt });
+  attempt(() => ask("Sensor test", picture, "Close"));
+});
 for (const button of document.querySelectorAll("#tools button")) button.addEventListener("click", () => editor.use(button.dataset.tool));
 for (const button of document.querySelectorAll("[role=tab]"))
   button.addEventListener("click", () => {

@@ -177,7 +177,7 @@ export class Running {
       const trail = this.#trails[index];
       const last = trail.at(-1);
       if (!last || Math.hypot(last[0] - robot.x_mm, last[1] - robot.y_mm) > 3) {
-        const jump = last && Math.hypot(last[0] - robot.x_mm, last[1] - robot.y_mm) > 60;
+        const jump = last && Math.hypot(last[0] - robot.x_mm, last[1] - robot.y_mm) > 150;
         trail.push([robot.x_mm, robot.y_mm, jump || !last ? "M" : "L"]);
         if (trail.length > 1500) trail.shift();
         this.trails[index].setAttribute("d", trail.map(([x, y, letter], at) => `${at ? letter : "M"}${x} ${y}`).join(""));

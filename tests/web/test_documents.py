@@ -1,0 +1,132 @@
+"""Files below one folder, and what the page works on."""
+
+import json
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+pytest.importorskip("starlette", reason="the designer's server is not installed")
+
+from khep_twin import playpen as playpens
+from khep_twin.errors import PlaypenError
+from khep_twin.web.documents import ConflictError, Documents, OutsideError
+from khep_twin.web.drafts import draft_of, problems_of
+from tests.drawn_bitmap import drawn
+from tests.web.conftest import Asker
+
+MINE = """# My own.
+version = 1
+name = "mine"
+
+[arena]
+width_mm = 600  # measured
+height_mm = 500
+
+[[robot]] # the robot
+x_mm = 300
+y_mm = 250
+heading_deg = 90
+"""
+
+
+def test_comments_stay_in_a_file_that_is_saved(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    documents = Documents(tmp_path)
+    opened = documents.open("mine.toml")
+    opened["draft"]["robot"][0]["x_mm"] = 200
+    version = documents.save(
+        "mine.toml", opened["draft"], version=opened["version"], base={"file": "mine.toml"}
+    )
+    text = (tmp_path / "mine.toml").read_text()
+    assert text == MINE.replace("x_mm = 300", "x_mm = 200.0")
+    assert documents.version("mine.toml") == version != opened["version"]
+
+
+def test_a_playpen_of_the_library_keeps_its_comments_under_a_new_name(tmp_path: Path) -> None:
+    documents = Documents(tmp_path)
+    found = documents.library("obstacles")
+    documents.save("new.toml", found["draft"], version=None, base={"library": "obstacles"})
+    assert "wedged nowhere" in (tmp_path / "new.toml").read_text()
+
+
+def test_a_file_that_has_changed_meanwhile_is_not_written_over(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    documents = Documents(tmp_path)
+    opened = documents.open("mine.toml")
+    (tmp_path / "mine.toml").write_text(MINE + "# by another\n")
+    with pytest.raises(ConflictError):
+        documents.save("mine.toml", opened["draft"], version=opened["version"], base={})
+    with pytest.raises(ConflictError):
+        documents.save("mine.toml", opened["draft"], version=None, base={})
+    assert "by another" in (tmp_path / "mine.toml").read_text()
+    documents.save("mine.toml", opened["draft"], version=None, base={}, overwrite=True)
+
+
+def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    documents = Documents(tmp_path)
+    opened = documents.open("mine.toml")
+    opened["draft"]["robot"][0]["x_mm"] = 5
+    with pytest.raises(PlaypenError, match="overlaps the left wall"):
+        documents.save("mine.toml", opened["draft"], version=opened["version"], base={})
+    assert (tmp_path / "mine.toml").read_text() == MINE
+
+
+def test_a_draft_is_kept_until_it_is_saved(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    documents = Documents(tmp_path)
+    draft = documents.open("mine.toml")["draft"]
+    documents.keep("mine.toml", {**draft, "robot": "half"})
+    assert documents.open("mine.toml")["left"]["robot"] == "half"
+    assert documents.names() == ["mine.toml"]
+    documents.save("mine.toml", draft, version=documents.version("mine.toml"), base={})
+    assert documents.open("mine.toml")["left"] is None
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
+
+
+@pytest.mark.parametrize("name", ["../x.toml", "/x.toml", "a/../../x.toml", "a\\x.toml", "x\n.toml"])
+def test_names_lead_nowhere_else(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OutsideError):
+        Documents(tmp_path).path(name, ".toml")
+
+
+@pytest.mark.parametrize("name", ["x.py", ".x.toml", "x"])
+def test_other_files_are_left_alone(tmp_path: Path, name: str) -> None:
+    with pytest.raises(PlaypenError):
+        Documents(tmp_path).path(name, ".toml")
+
+
+def test_each_problem_of_a_draft_has_its_place() -> None:
+    draft = draft_of(playpens.parse(MINE, "mine"))
+    draft["robot"].append({"x_mm": 310, "y_mm": 250, "heading_deg": 0})
+    draft["lamp"] = [{"x_mm": 10, "y_mm": 10, "power_w": 7}, {"x_mm": "here", "y_mm": 1, "power_w": 7}]
+    [shape] = problems_of(draft)
+    assert shape["place"] == ["lamp", 1, "x_mm"]
+    del draft["lamp"]
+    [overlap] = problems_of(draft)
+    assert overlap["place"][:2] == ["robot", 1]
+    assert "overlaps robot 1" in overlap["text"]
+
+
+@pytest.mark.parametrize("draft", [{}, {"arena": 3}, {"robot": [[[]]]}, {"block": {"x": 1}}, {"name": None}])
+def test_any_draft_is_told_what_is_wrong_with_it(asker: Asker, draft: dict[str, object]) -> None:
+    status, answer = asker.do("check", draft=draft)
+    assert status == 200
+    assert answer["problems"]
+
+
+def test_no_json_is_told(asker: Asker) -> None:
+    for body in (b"", b"[]", b"{", b"[" * 100_000, b'{"draft": 1}', b"\xff"):
+        assert asker.raw("POST", f"{asker.base}/do/check", asker.own(), body)[0] == 400
+
+
+def test_a_scan_becomes_a_playpen(asker: Asker) -> None:
+    picture = BytesIO()
+    Image.fromarray(~drawn()).save(picture, format="PNG")
+    headers = asker.own(Content_Type="application/octet-stream")
+    status, body = asker.raw("POST", f"{asker.base}/import?name=scan.png&mm=2", headers, picture.getvalue())
+    assert status == 200, body
+    assert json.loads(body)["draft"]["arena"]["width_mm"] == 1160
+    assert asker.raw("POST", f"{asker.base}/import?name=scan.mat", headers, b"rubbish")[0] == 400

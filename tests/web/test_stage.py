@@ -1,0 +1,209 @@
+"""What runs for the page: twins that are watched, lifted, switched, shared and repeated; robots at ports."""
+
+import math
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette", reason="the designer's server is not installed")
+
+from khep_twin import playpen as playpens
+from khep_twin.errors import KhepTwinError, PortError
+from khep_twin.host import Khepera
+from khep_twin.lab.controllers import braitenberg
+from khep_twin.lab.repeat import read_recorded, repeat
+from khep_twin.lab.sensor_test import SensorRun, SensorTest
+from khep_twin.lab.series import Plan
+from khep_twin.ports.twin import TwinOptions
+from khep_twin.web.jobs import Sensing, Series
+from khep_twin.web.stage import RobotActor, TwinActor
+
+
+class Ear:
+    """Hears what is told, and waits for it."""
+
+    def __init__(self) -> None:
+        self.heard: list[Mapping[str, Any]] = []
+        self._news = threading.Condition()
+
+    def __call__(self, message: Mapping[str, Any]) -> None:
+        with self._news:
+            self.heard.append(message)
+            self._news.notify_all()
+
+    def wait(self, kind: str, fits: Any = lambda message: True) -> Mapping[str, Any]:
+        """The next message of a kind that fits."""
+        seen = 0
+        with self._news:
+            while True:
+                for message in self.heard[seen:]:
+                    if message["kind"] == kind and fits(message):
+                        del self.heard[: self.heard.index(message) + 1]
+                        return message
+                seen = len(self.heard)
+                assert self._news.wait(30), f"no {kind} among {[each['kind'] for each in self.heard]}"
+
+
+@pytest.fixture
+def ear() -> Ear:
+    return Ear()
+
+
+@pytest.fixture
+def actor(ear: Ear, tmp_path: Path) -> Iterator[TwinActor]:
+    """A twin among two lamps, as fast as it goes, recorded."""
+    actor = TwinActor(playpens.load("two-lamps"), TwinOptions(seed=3), tmp_path / "run.mcap", ear)
+    actor.set_pace(math.inf, False)
+    actor.begin()
+    yield actor
+    actor.end()
+    assert not actor.alive
+
+
+def test_a_twin_is_driven_lifted_and_switched_and_its_log_repeats(
+    actor: TwinActor, ear: Ear, tmp_path: Path
+) -> None:
+    ear.wait("twin")
+    actor.start(Series("braitenberg", braitenberg, Plan(runs=2, cycles=100), None))
+    ear.wait("run")
+    actor.put(0, 100, 120, 45)
+    actor.switch(0, False)
+    assert ear.wait("picture", lambda told: told["lamps"][0]["power_w"] == 0)["lamps"][1]["power_w"] > 0
+    assert ear.wait("run")["number"] == 2
+    ear.wait("done")
+    actor.switch(0, True)
+    ear.wait("picture", lambda told: told["lamps"][0]["power_w"] > 0)
+    actor.end()
+    recorded = read_recorded(tmp_path / "run.mcap")
+    assert repeat(recorded) is None
+
+
+def test_there_is_no_room_for_a_robot_in_a_wall(actor: TwinActor, ear: Ear) -> None:
+    ear.wait("twin")
+    actor.put(0, 5, 5, 0)
+    assert "overlaps the left wall" in ear.wait("refused")["text"]
+    actor.switch(7, False)
+    assert "lamp = 7" in ear.wait("refused")["text"]
+
+
+def test_a_paused_twin_steps_by_a_tenth_of_a_second(actor: TwinActor, ear: Ear) -> None:
+    ear.wait("picture")
+    actor.set_pace(1.0, True)
+    before = ear.wait("picture", lambda told: told["paused"])["time"]
+    actor.step()
+    after = ear.wait("picture", lambda told: told["time"] > before + 0.09)
+    assert after["time"] == pytest.approx(before + 0.1, abs=0.011)
+
+
+def test_one_job_at_a_time(actor: TwinActor, ear: Ear) -> None:
+    ear.wait("twin")
+    long = Series("braitenberg", braitenberg, Plan(cycles=10**6), None)
+    actor.start(long)
+    with pytest.raises(PortError, match="busy"):
+        actor.start(long)
+    ear.wait("progress")
+    actor.stop()
+    ear.wait("done")
+    ear.wait("picture", lambda told: not told["busy"])
+
+
+def test_a_controller_that_never_ends_its_cycle_is_broken_off_and_the_motors_stand(
+    actor: TwinActor, ear: Ear
+) -> None:
+    def stubborn(robot: Khepera) -> None:
+        while True:
+            robot.set_speed(5, 5)
+
+    ear.wait("twin")
+    actor.start(Series("stubborn", stubborn, Plan(cycles=5), None))
+    ear.wait("picture", lambda told: told["busy"])
+    actor.stop()
+    ear.wait("done")
+    assert ear.wait("picture", lambda told: told["robots"][0]["speed"] == [0, 0])
+
+
+def test_an_outside_host_has_the_line_alone(actor: TwinActor, ear: Ear) -> None:
+    port = ear.wait("twin")["robots"][0]["port"]
+    actor.set_pace(1.0, False)
+    host = Khepera(port)
+    try:
+        assert host.versions() == ("5.02", "5.01")
+        host.set_speed(5, 5)
+        ear.wait("picture", lambda told: told["robots"][0]["speed"] == [5, 5] and told["robots"][0]["host"])
+    finally:
+        host.close()
+
+
+def test_an_outside_host_shares_the_line_with_a_program_and_each_has_its_own_replies(
+    actor: TwinActor, ear: Ear
+) -> None:
+    port = ear.wait("twin")["robots"][0]["port"]
+    strange: list[str] = []
+
+    def program(robot: Khepera) -> None:
+        reply = robot.ask("E")
+        if not reply.startswith("e,"):
+            strange.append(reply)
+        robot.sleep(0.01)
+
+    actor.set_pace(2.0, False)
+    actor.start(Series("program", program, Plan(cycles=10**6), None))
+    ear.wait("picture", lambda told: told["busy"])
+    host = Khepera(port)
+    try:
+        replies = [host.ask(request)[:2] for request in "HNOB" * 5]
+    finally:
+        host.port.close()
+    actor.stop()
+    ear.wait("done")
+    assert replies == ["h,", "n,", "o,", "b,"] * 5
+    assert strange == []
+
+
+def test_a_sensor_test_gathers_rows(actor: TwinActor, ear: Ear) -> None:
+    gathered: list[SensorRun] = []
+    ear.wait("twin")
+    actor.start(Sensing(SensorTest(rotate_deg=30), gathered.append))
+    assert ear.wait("sensed")["rows"] == len(gathered[0].times) > 5
+
+
+def test_a_controller_that_fails_is_told_and_the_twin_goes_on(actor: TwinActor, ear: Ear) -> None:
+    def failing(robot: Khepera) -> None:
+        raise KhepTwinError("out of ideas")
+
+    ear.wait("twin")
+    actor.start(Series("failing", failing, Plan(cycles=5), None))
+    assert "out of ideas" in ear.wait("error")["text"]
+    ear.wait("done")
+    ear.wait("picture", lambda told: not told["busy"])
+
+
+def test_a_robot_at_a_port_shows_its_readings_and_stops(actor: TwinActor, ear: Ear) -> None:
+    """Its port is another twin's here, which speaks as a robot does."""
+    port = ear.wait("twin")["robots"][0]["port"]
+    actor.set_pace(1.0, False)
+    heard = Ear()
+    robot = RobotActor(port, heard)
+    robot.begin()
+    heard.wait("robot")
+    assert len(heard.wait("picture")["robots"][0]["proximity"]) == 8
+    robot.start(Series("braitenberg", braitenberg, Plan(cycles=10**6), None))
+    heard.wait("picture", lambda told: max(told["robots"][0]["speed"]) > 3)
+    robot.stop()
+    heard.wait("done")
+    heard.wait("picture", lambda told: told["robots"][0]["speed"] == [0, 0])
+    robot.end()
+    assert not robot.alive
+
+
+def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, ear: Ear) -> None:
+    ear.wait("picture")
+    ear.heard.clear()
+    start = time.monotonic()
+    for _ in range(5):
+        ear.wait("picture")
+    assert time.monotonic() - start >= 4 * 0.04 * 0.99
