@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format fuzz fuzz-files soak determinism kills pyserial schemas reference tutorial bench lock build clean
+.PHONY: help run test check format fuzz fuzz-files soak determinism kills pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -47,6 +47,10 @@ kills: $(VENV)/dev.stamp ## 200 served twins and 40 runs killed at random times,
 
 pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back line
 	@$(BIN)/python tests/pyserial_suite.py
+
+browser: $(VENV)/dev.stamp ## the designer's page in Chromium, which has to be installed; leaves pictures in out/browser
+	@$(BIN)/python -m pip install -q --disable-pip-version-check "playwright>=1.50,<2"
+	@$(BIN)/python -m pytest -n 0 -s tests/web/test_browser.py
 
 schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
 	@$(BIN)/python tests/log/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin

@@ -1,5 +1,8 @@
 """What is run on the page's robot, twin or real: controllers in series, and sensor tests."""
 
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -83,16 +86,20 @@ class Sensing:
     Attributes:
         test: what is driven.
         keep: takes what it has gathered.
+        text: a description to keep with it.
     """
 
     test: SensorTest
     keep: Callable[[SensorRun], None]
+    text: str = ""
 
     def do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
         """Drives it."""
-        run = sense(
-            robot, self.test, progress=lambda part: tell({"kind": "progress", "part": part}), stop=stop
-        )
+
+        def progress(part: float) -> None:
+            tell({"kind": "progress", "part": part})
+
+        run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
         self.keep(run)
         tell({"kind": "sensed", "rows": len(run.times)})
 
@@ -137,10 +144,10 @@ def sensing(wanted: Mapping[str, Any], keep: Callable[[SensorRun], None]) -> Sen
         )
     except ControllerError as error:
         raise SensorTestError(str(error)) from None
-    return Sensing(test, keep)
+    return Sensing(test, keep, str(wanted.get("text") or "")[:10_000])
 
 
-def figure(run: SensorRun, sensor: str | None, grid: bool) -> bytes:
+def figure(run: SensorRun, sensor: str | None, y_min: int, grid: bool) -> bytes:
     """The toolbox's picture of a sensor test, as PNG.
 
     Raises:
@@ -149,7 +156,7 @@ def figure(run: SensorRun, sensor: str | None, grid: bool) -> bytes:
     from khep_twin.lab.sensor_figure import draw
 
     picture = BytesIO()
-    draw([run], sensor=sensor, grid=grid).savefig(picture, format="png", dpi=100)
+    draw([run], sensor=sensor, y_min=y_min, grid=grid).savefig(picture, format="png", dpi=100)
     return picture.getvalue()
 
 

@@ -23,6 +23,7 @@ from khep_twin import __version__, bitmap, bitmap_files
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PortError, choices
 from khep_twin.host.discovery import found_ports
+from khep_twin.lab import sensor_files
 from khep_twin.lab.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import SensorRun
 from khep_twin.ports.twin import TwinOptions
@@ -75,6 +76,7 @@ class Page:
             "run": lambda wanted: self._running().start(jobs.series(wanted, self._documents)),
             "sense": lambda wanted: self._running().start(jobs.sensing(wanted, self._keep_sensed)),
             "figure": self._figure,
+            "save-sensed": self._save_sensed,
             "stop": lambda wanted: self._running().stop(),
         }
         routes = [
@@ -130,13 +132,13 @@ class Page:
         return self._documents.open(_text(wanted, "file"))
 
     def _save(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        base = wanted.get("base")
+        base: Any = wanted.get("base")
         name = _text(wanted, "file")
         version = self._documents.save(
             name,
             _draft(wanted),
             version=wanted.get("version"),
-            base={str(key): str(value) for key, value in base.items()} if isinstance(base, dict) else {},
+            base=_texts(base),
             overwrite=wanted.get("overwrite") is True,
         )
         self._audience.tell({"kind": "saved", "file": name, "version": version, "tab": wanted.get("tab")})
@@ -221,8 +223,15 @@ class Page:
         if self._sensed is None:
             raise PortError("no sensor test was driven yet")
         sensor = wanted.get("sensor")
-        picture = jobs.figure(self._sensed, str(sensor) if sensor else None, wanted.get("grid") is True)
+        name = str(sensor) if sensor else None
+        low = int(_number(wanted, "y_min")) if wanted.get("y_min") else 0
+        picture = jobs.figure(self._sensed, name, low, wanted.get("grid") is True)
         return Response(picture, media_type="image/png")
+
+    def _save_sensed(self, wanted: Mapping[str, Any]) -> None:
+        if self._sensed is None:
+            raise PortError("no sensor test was driven yet")
+        sensor_files.save(self._documents.path(_text(wanted, "file"), ".mat", ".csv", ".mcap"), self._sensed)
 
     def _keep_sensed(self, run: SensorRun) -> None:
         self._sensed = run
@@ -295,6 +304,12 @@ def _text(wanted: Mapping[str, Any], key: str) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= 1024:
         raise KhepTwinError(f"{key}: right is a text")
     return value
+
+
+def _texts(value: Any) -> dict[str, str]:
+    """An object of texts; empty for anything else."""
+    items: Any = value.items() if isinstance(value, dict) else ()  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+    return {str(key): str(each) for key, each in items}
 
 
 def _index(wanted: Mapping[str, Any], key: str) -> int:

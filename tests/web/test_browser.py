@@ -57,7 +57,8 @@ class Visit:
         """Where in the window a place of the arena is."""
         spot = self.page.evaluate(
             """([x, y]) => {
-                const at = new DOMPoint(x, y).matrixTransform(document.querySelector("#view > g").getScreenCTM());
+                const matrix = document.querySelector("#view > g").getScreenCTM();
+                const at = new DOMPoint(x, y).matrixTransform(matrix);
                 return [at.x, at.y];
             }""",
             [x_mm, y_mm],
@@ -251,7 +252,7 @@ def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, b
     visit.trouble = [text for text in visit.trouble if "409" not in text]
 
 
-def test_a_sensor_test_is_driven_and_shown(visit: Visit) -> None:
+def test_a_sensor_test_is_driven_and_shown(visit: Visit, tmp_path: Path) -> None:
     page = visit.page
     visit.add("robot", (300, 120))
     page.click('[data-tab="run"]')
@@ -262,6 +263,9 @@ def test_a_sensor_test_is_driven_and_shown(visit: Visit) -> None:
     page.wait_for_selector("#figure:not([hidden])", timeout=60_000)
     visit.wait("document.querySelector('#figure').naturalWidth > 100")
     visit.picture("5-sensed")
+    page.click("#save-sensed")
+    page.wait_for_selector("text=Saved as test.mat")
+    assert (tmp_path / "test.mat").stat().st_size > 500
 
 
 def test_an_outside_host_shares_the_line_of_the_robot_that_runs(visit: Visit) -> None:

@@ -30,6 +30,10 @@ export class Running {
     press("#sense-stop", () => post("stop"));
     press("#gather", () => this.#gather());
     press("#display", () => this.#figure());
+    press("#save-sensed", async () => {
+      await post("save-sensed", { file: $("#sensed-file").value });
+      this.banner(`Saved as ${$("#sensed-file").value}.`);
+    });
     press("#connect", () => post("connect", { port: $("#device").value }));
     press("#copy-port", () => navigator.clipboard.writeText($("#port").textContent));
     press("#put", () => post("put", { robot: this.which, x_mm: number("#put-x"), y_mm: number("#put-y"), heading_deg: number("#put-h") }));
@@ -78,13 +82,13 @@ export class Running {
   async #gather() {
     if (!this.active) await this.start();
     await this.#there();
-    await post("sense", { what: $("#what").value, motion: $("#motion").value, amount: number("#amount"), speed: number("#sense-speed"), acceleration: number("#sense-acceleration"), return: $("#return").checked });
+    await post("sense", { what: $("#what").value, motion: $("#motion").value, amount: number("#amount"), speed: number("#sense-speed"), acceleration: number("#sense-acceleration"), return: $("#return").checked, text: $("#text").value });
     this.busy = true;
     this.#buttons();
   }
 
   async #figure() {
-    const blob = await post("figure", { sensor: $("#sensor").value || null, grid: $("#with-grid").checked });
+    const blob = await post("figure", { sensor: $("#sensor").value || null, y_min: number("#y-min") ?? 0, grid: $("#with-grid").checked });
     const picture = $("#figure");
     URL.revokeObjectURL(picture.src);
     picture.src = URL.createObjectURL(blob);
