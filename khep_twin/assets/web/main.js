@@ -65,6 +65,7 @@ function ask(title, body, ok = "OK") {
   dialog.querySelector("h2").textContent = title;
   dialog.querySelector(".body").replaceChildren(body);
   dialog.querySelector("button.main").textContent = ok;
+  dialog.querySelector("[value=cancel]").hidden = ok === "Close";
   dialog.returnValue = "";
   dialog.showModal();
   body.querySelector?.("select, input")?.focus();

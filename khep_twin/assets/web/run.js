@@ -213,6 +213,7 @@ export class Running {
     this.drawing.live.replaceChildren();
     this.drawing.all();
     $("#clock").textContent = "not running";
+    $("#part").value = 0;
     $("#port").textContent = "–";
     $("#host").textContent = "";
     this.#buttons();

@@ -1,0 +1,46 @@
+"""Lamps in a world that runs, switched by hand."""
+
+import pytest
+
+from khep_twin import playpen as playpens
+from khep_twin.errors import PlaypenError
+from khep_twin.kernel import AMBIENT
+from khep_twin.playpen import Playpen
+from khep_twin.switching import switch
+from khep_twin.world import World
+
+SECOND = 10**9
+
+
+def lit() -> Playpen:
+    """One lamp ahead of the robot."""
+    return playpens.parse(
+        'version = 1\nname = "lit"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n[[lamp]]\nx_mm = 450\ny_mm = 250\n'
+        "power_w = 7\n[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n",
+        "lit",
+    )
+
+
+def test_a_lamp_is_dark_to_the_sensors_until_it_is_switched_on_again() -> None:
+    world = World(lit(), noise=False)
+    counts = []
+    for on in (True, False, True):
+        switch(world, 0, on)
+        world.advance_to(world.time_ns + SECOND)
+        counts.append(world.robots[0].registers[AMBIENT].min())
+    assert counts[0] == counts[2] < 300 < 450 < counts[1]
+
+
+def test_a_lamp_that_blinks_stays_dark_when_a_hand_has_switched_it_off() -> None:
+    playpen = lit()
+    lamp = playpen.lamps[0].model_copy(update={"blink_period_s": 0.2})
+    world = World(playpen.model_copy(update={"lamps": (lamp,)}))
+    switch(world, 0, False)
+    for _ in range(50):
+        world.advance_to(world.time_ns + SECOND // 50)
+        assert world.lamps.powers == [0]
+
+
+def test_a_lamp_that_there_is_not_is_told() -> None:
+    with pytest.raises(PlaypenError, match="lamp = 1: there is none"):
+        switch(World(lit()), 1, False)
