@@ -28,6 +28,9 @@ PICTURE_INTERVAL = 0.04
 STEP_NS = 10 * TICK_NS
 """What one step is, where time stands still otherwise [ns]."""
 
+_LISTENING_INTERVAL = 0.002
+"""Wall time from one look for hosts to the next while a program runs: each costs calls to the system [s]."""
+
 _PATIENCE = 1.0
 """So long a controller that is to end may go on with its cycle [s of wall time]."""
 
@@ -66,7 +69,7 @@ class PacedTwin(Twin):
         self._pacer = Pacer(1.0, self.world.time_ns)
         self._paced_by: float | None = None
         self._timer = Timer()
-        self._shown = 0.0
+        self._shown = self._listened = 0.0
         self._lock = threading.Lock()
 
     def wish(self, act: Callable[[], None]) -> None:
@@ -121,11 +124,16 @@ class PacedTwin(Twin):
             # Once: the commands that stop the motors still have to pass.
             self._broken_off = True
             raise BrokenOffError("stopped within a cycle")
-        for host in self._hosts:
-            if self.busy and host.robot is self.robot:
-                host.speak_between(self._slice)
-            else:
+        if not self.busy:
+            for host in self._hosts:
                 host.exchange(None if self.paused else self._due_ns)
+        elif time.monotonic() - self._listened >= _LISTENING_INTERVAL:
+            self._listened = time.monotonic()
+            for host in self._hosts:
+                if host.robot is self.robot:
+                    host.speak_between(self._slice)
+                else:
+                    host.exchange(None)
         self._picture()
 
     def close(self) -> None:

@@ -1,0 +1,46 @@
+"""`khep-twin design`, as a user types it."""
+
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("starlette", reason="the designer's server is not installed")
+
+COMMAND = [sys.executable, "-m", "khep_twin", "design"]
+
+
+def test_it_tells_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [*COMMAND, "mine.toml", "--no-browser"], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        url = process.stdout.readline().strip()
+        with urllib.request.urlopen(url) as answer:
+            assert b"Khepera designer" in answer.read()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+        assert process.stdout.read() == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["../mine.toml"], "right is a file below"),
+        (["mine.txt"], "ends in .toml"),
+        (["--listen", "0.0.0.0:0"], "--expose"),
+        (["--listen", "nowhere"], "nowhere"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(tmp_path: Path, arguments: list[str], told: str) -> None:
+    done = subprocess.run(
+        [*COMMAND, *arguments, "--no-browser"], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode in (1, 2)
+    assert told in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
