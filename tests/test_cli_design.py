@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("starlette", reason="the designer's server is not installed")
-
 COMMAND = [sys.executable, "-m", "khep_twin", "design"]
 
 

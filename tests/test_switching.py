@@ -15,8 +15,8 @@ SECOND = 10**9
 def lit() -> Playpen:
     """One lamp ahead of the robot."""
     return playpens.parse(
-        'version = 1\nname = "lit"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n[[lamp]]\nx_mm = 450\ny_mm = 250\n'
-        "power_w = 7\n[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n",
+        'version = 1\nname = "lit"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
+        "[[lamp]]\nx_mm = 450\ny_mm = 250\npower_w = 7\n[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n",
         "lit",
     )
 

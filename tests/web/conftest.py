@@ -11,8 +11,6 @@ from urllib.parse import urlsplit
 
 import pytest
 
-pytest.importorskip("starlette", reason="the designer's server is not installed")
-
 from khep_twin.web.server import Server
 
 

@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from khep_twin import playpen as playpens
 from khep_twin.host import Khepera
 from khep_twin.lab.repeat import read_recorded, repeat
+from tests.drawn_bitmap import drawn
 from tests.web.conftest import Asker
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; see make browser")
@@ -250,6 +252,32 @@ def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, b
     visit.page.click("#save")
     visit.page.wait_for_selector("text=Replace it")
     visit.trouble = [text for text in visit.trouble if "409" not in text]
+
+
+def test_a_picture_becomes_a_playpen(visit: Visit, tmp_path: Path) -> None:
+    Image.fromarray(~drawn()).save(tmp_path / "scan.png")
+    page = visit.page
+    page.set_input_files("#import", tmp_path / "scan.png")
+    page.click("#dialog .main")
+    visit.wait("document.querySelectorAll('.kind-block').length > 4")
+    page.wait_for_selector("#problems.none")
+    assert page.text_content("#file") == "new playpen *"
+
+
+def test_a_controller_of_ones_own_is_run_from_its_file(visit: Visit, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def controller(robot):\n    robot.set_speed(3, 3)\n")
+    page = visit.page
+    visit.add("robot", (300, 120))
+    page.click('[data-tab="run"]')
+    visit.wait("[...document.querySelector('#controller').options].some((each) => each.value === 'mine.py')")
+    page.select_option("#controller", "mine.py")
+    page.fill("#cycles", "20")
+    page.fill("#runs", "2")
+    page.fill("#keep", "series")
+    page.click("#run")
+    visit.wait("document.querySelectorAll('#runs-done tbody tr').length === 2")
+    assert (tmp_path / "series").is_dir()
+    page.click("#end")
 
 
 def test_a_sensor_test_is_driven_and_shown(visit: Visit, tmp_path: Path) -> None:

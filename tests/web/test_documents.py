@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-pytest.importorskip("starlette", reason="the designer's server is not installed")
-
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.web.documents import ConflictError, Documents, OutsideError

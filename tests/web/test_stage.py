@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("starlette", reason="the designer's server is not installed")
-
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera

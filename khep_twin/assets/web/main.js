@@ -365,7 +365,7 @@ offer(hello.left);
 await attempt(programs);
 let gone = null;
 say = listen(hear, (lost) => {
-  if (lost) gone ??= banner("The designer does not answer: it was ended, or is busy. What you draw stays in this page.", "error", { "": () => {} });
+  if (lost) gone ??= banner("The designer does not answer: it was ended, or is busy. What you draw stays in this page.", "error", { "All right": () => {} });
   else {
     gone?.();
     gone = null;

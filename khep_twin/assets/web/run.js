@@ -229,6 +229,8 @@ export class Running {
     $("#pause").textContent = this.paused ? "Go on" : "Pause";
     $("#connect").disabled = active && !real;
     document.body.classList.toggle("running", active);
+    // The drawing is what the twin was made of, and stays so.
+    for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = active && !real;
   }
 
   // The hand: lift a robot, put it down; a click on a lamp switches it. Whether the hand has taken something.
