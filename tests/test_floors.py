@@ -55,7 +55,6 @@ FLOORS = [
     ["robot", "world", "placing", "switching"],
     ["ports", "host", "log"],
     ["lab", "scale"],
-    ["lab"],
     ["web"],
     [
         "cli",
