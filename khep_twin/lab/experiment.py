@@ -3,7 +3,7 @@
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,17 +145,11 @@ def find_controller(name: str) -> AnyController:
             f"{choices(name, BUILT_IN)}"
         )
     offers = _offers_of(_module_of(path))
-    if not wanted:
-        # Beside a single class, functions are its tools.
-        classes = [each for each, offer in offers.items() if isinstance(offer, type)]
-        likely = classes if len(classes) == 1 else [*offers]
-        wanted = likely[0] if len(likely) == 1 and "controller" not in offers else "controller"
-    found = offers.get(wanted)
-    if found is None:
-        raise ControllerError(
-            f"{path}: no function {wanted!r} that takes a robot, and no such subclass of Controller; "
-            f"{choices(wanted, offers)}"
-        )
+    classes = {each: offer for each, offer in offers.items() if isinstance(offer, type)}
+    if not wanted and len(classes) == 1 and "controller" not in offers:
+        offers = classes  # beside a single class, functions are its tools
+    taking = "a robot, and no such subclass of Controller"
+    wanted, found = _chosen(path, wanted, offers, "controller", taking)
     return _made(path, wanted, found) if isinstance(found, type) else _plain(path, wanted, found, "robot")
 
 
@@ -175,16 +169,8 @@ def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., An
     path, wanted = _file_and_name(name)
     if path is None:
         raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
-    functions = {
-        each: offer for each, offer in _offers_of(_module_of(path)).items() if inspect.isfunction(offer)
-    }
-    if not wanted:
-        wanted = "controller" if "controller" in functions or len(functions) != 1 else next(iter(functions))
-    found = functions.get(wanted)
-    if found is None:
-        raise ControllerError(
-            f"{path}: no function {wanted!r} that takes {taking}; {choices(wanted, functions)}"
-        )
+    functions = _functions_of(_offers_of(_module_of(path)))
+    wanted, found = _chosen(path, wanted, functions, "controller", taking)
     if len(inspect.signature(found).parameters) != n_parameters:
         raise ControllerError(f"{path}: {wanted!r} takes {inspect.signature(found)}; right are {taking}")
     return found
@@ -207,15 +193,8 @@ def find_after(name: str, controller: AnyController) -> Callable[[Any], Any]:
         raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
     module = inspect.getmodule(defining(controller))
     same = module is not None and Path(module.__file__ or "") == path.absolute()
-    offers = _offers_of(module if module is not None and same else _module_of(path))
-    functions = {each: offer for each, offer in offers.items() if not isinstance(offer, type)}
-    if not wanted:
-        wanted = "after" if "after" in functions or len(functions) != 1 else next(iter(functions))
-    found = functions.get(wanted)
-    if found is None:
-        raise ControllerError(
-            f"{path}: no function {wanted!r} that takes a run; {choices(wanted, functions)}"
-        )
+    functions = _functions_of(_offers_of(module if module is not None and same else _module_of(path)))
+    wanted, found = _chosen(path, wanted, functions, "after", "a run")
     return _plain(path, wanted, found, "run")
 
 
@@ -223,6 +202,21 @@ def _file_and_name(typed: str) -> tuple[Path | None, str]:
     """FILE.py[:NAME] in its parts; no file for what is none."""
     path, _, name = typed.partition(":")
     return (Path(path) if path.endswith(".py") else None), name
+
+
+def _chosen(path: Path, wanted: str, offers: Mapping[str, Any], usual: str, taking: str) -> tuple[str, Any]:
+    """What a user's file offers by a name; without one by the usual name, or the only thing there is."""
+    if not wanted:
+        wanted = usual if usual in offers or len(offers) != 1 else next(iter(offers))
+    if wanted not in offers:
+        raise ControllerError(
+            f"{path}: no function {wanted!r} that takes {taking}; {choices(wanted, offers)}"
+        )
+    return wanted, offers[wanted]
+
+
+def _functions_of(offers: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
+    return {name: offer for name, offer in offers.items() if not isinstance(offer, type)}
 
 
 def _plain(path: Path, name: str, function: Callable[[Any], Any], taking: str) -> Callable[[Any], Any]:

@@ -22,12 +22,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import savemat
 
-from khep_twin import __version__
 from khep_twin.errors import LogError, choices
 from khep_twin.gripper import Register
 from khep_twin.kernel import Board, Wheel
+from khep_twin.lab.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_test import SENSORS
 from khep_twin.log.channels import Line
 from khep_twin.log.reader import Recording, Series
@@ -153,11 +152,7 @@ def matrices(recording: Recording, robot: str, channels: Sequence[Channel]) -> b
         values[f"{name}_time_s"] = np.array([line.time_ns / 1e9 for line in lines]).reshape(-1, 1)
         values[f"{name}_from"] = _cells([line.name for line in lines])
         values[f"{name}_text"] = _cells([line.text for line in lines])
-    file = BytesIO()
-    savemat(file, values, do_compression=True)
-    # scipy writes the machine and the hour here.
-    title = f"MATLAB 5.0 MAT-file, log by khep_twin {__version__}".encode("ascii")
-    return title.ljust(116) + file.getvalue()[116:]
+    return mat_bytes(values, "log")
 
 
 def transcript(lines: Sequence[Line]) -> bytes:

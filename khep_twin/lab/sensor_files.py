@@ -13,21 +13,20 @@ The same run gives the same bytes. All three give the whole run back.
 import math
 import re
 from collections.abc import Mapping
-from io import BytesIO
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import savemat
 
 from khep_twin import __version__
 from khep_twin.errors import LogError, SensorTestError
 from khep_twin.files import write_whole
+from khep_twin.lab.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_mat import read_mat
 from khep_twin.lab.sensor_test import SENSORS, SensorRun, SensorTest, What
-from khep_twin.log.channels import ArrayFrame
+from khep_twin.log.channels import FLOATS, ArrayFrame
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
 from khep_twin.units import COUNTS_LIMIT
@@ -38,7 +37,6 @@ _COLUMNS = ("left_pulses", "right_pulses", *(name.replace(" ", "_") for name in 
 _TITLE = "# khep-twin: sensor test"
 _ROBOT = "khepera0"
 _TOPICS: dict[What, str] = {"proximity": "proximity", "light": "ambient"}
-_FLOATS = "std_msgs/msg/Float64MultiArray"
 
 
 def save(path: Path, run: SensorRun) -> None:
@@ -222,11 +220,7 @@ def _mat(run: SensorRun) -> bytes:
         "motion": words["motion"],
         **numbers,
     }
-    file = BytesIO()
-    savemat(file, values)
-    # scipy writes the machine and the hour here.
-    title = f"MATLAB 5.0 MAT-file, sensor test by khep_twin {__version__}".encode("ascii")
-    return title.ljust(116) + file.getvalue()[116:]
+    return mat_bytes(values, "sensor test", packed=False)
 
 
 def _write_log(path: Path, run: SensorRun) -> None:
@@ -241,7 +235,7 @@ def _write_log(path: Path, run: SensorRun) -> None:
         (topic, "counts", run.dv[:, 2:]),
     ):
         frame = ArrayFrame(values.shape[1], "f8", label)
-        log.add_rows(f"/{_ROBOT}/{name}", _FLOATS, times_ns, frame.messages(values))
+        log.add_rows(f"/{_ROBOT}/{name}", FLOATS, times_ns, frame.messages(values))
     log.finish()
 
 

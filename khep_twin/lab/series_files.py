@@ -21,11 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import savemat
 
-from khep_twin import __version__
 from khep_twin.errors import ControllerError
 from khep_twin.files import write_whole
+from khep_twin.lab.mat_bytes import mat_bytes
 from khep_twin.lab.measures import UNITS
 from khep_twin.lab.series import Run
 
@@ -216,11 +215,7 @@ def _mat(values: Mapping[str, Any], what: str) -> bytes:
     named: dict[str, Any] = {}
     for name, value in values.items():
         named[_identifier(name, named)] = np.asarray(value)
-    file = BytesIO()
-    savemat(file, named, do_compression=True, oned_as="row")
-    # scipy writes the machine and the hour here.
-    title = f"MATLAB 5.0 MAT-file, {what} by khep_twin {__version__}".encode("ascii")
-    return title.ljust(116) + file.getvalue()[116:]
+    return mat_bytes(named, what)
 
 
 def _identifier(name: str, taken: Mapping[str, Any]) -> str:

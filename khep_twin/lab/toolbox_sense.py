@@ -9,7 +9,6 @@
 """
 
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,6 @@ from khep_twin.host.toolbox import Port, robot_at
 from khep_twin.lab import sensor_files
 from khep_twin.lab.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest, What, sense
 from khep_twin.lab.toolbox_simulator import opened
-
-A = TypeVar("A")
 
 EXCHANGE = 0.03
 """What a question costs in `simsense` [s] (assumed: about the mean of H and N at 9600 baud)."""

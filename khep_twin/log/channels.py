@@ -48,10 +48,13 @@ string label
 uint32 size
 uint32 stride"""
 
+FLOATS = "std_msgs/msg/Float64MultiArray"
+INTEGERS = "std_msgs/msg/Int64MultiArray"
+
 SCHEMAS = {
     "std_msgs/msg/String": "string data",
-    "std_msgs/msg/Float64MultiArray": _ARRAY.format(type="float64", rule=_RULE),
-    "std_msgs/msg/Int64MultiArray": _ARRAY.format(type="int64", rule=_RULE),
+    FLOATS: _ARRAY.format(type="float64", rule=_RULE),
+    INTEGERS: _ARRAY.format(type="int64", rule=_RULE),
     "tf2_msgs/msg/TFMessage": f"""geometry_msgs/TransformStamped[] transforms
 {_RULE}
 MSG: geometry_msgs/TransformStamped

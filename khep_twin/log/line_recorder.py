@@ -13,11 +13,11 @@ import numpy as np
 
 from khep_twin import __version__
 from khep_twin.errors import LogError
-from khep_twin.log.channels import ArrayFrame
+from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import TYPE, acts_message
+from khep_twin.log.wire import acts_message
 from khep_twin.protocol import Command, LineReader, parse
 from khep_twin.uart import Act, HostAct
 
@@ -113,7 +113,7 @@ class LineRecorder:
     def _write(self) -> None:
         self._transcript.write()
         if self._acts:
-            self._log.add(f"/{ROBOT}/wire", TYPE, self._acts[0][0], acts_message(self._acts))
+            self._log.add(f"/{ROBOT}/wire", INTEGERS, self._acts[0][0], acts_message(self._acts))
             self._acts.clear()
 
     def _take_setpoints(self, line: bytes) -> None:
@@ -135,4 +135,4 @@ class LineRecorder:
         if topic == "speed":
             values += self._setpoints
         message = self._frames[topic].messages(np.array([values]))[0].tobytes()
-        self._log.add(f"/{ROBOT}/{topic}", "std_msgs/msg/Float64MultiArray", time_ns, message)
+        self._log.add(f"/{ROBOT}/{topic}", FLOATS, time_ns, message)

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from zstandard import ZstdError
 
 from khep_twin.errors import LogError
-from khep_twin.log.channels import Line, read_array, read_arrays_of, read_line, read_transforms
+from khep_twin.log.channels import (
+    FLOATS,
+    INTEGERS,
+    Line,
+    read_array,
+    read_arrays_of,
+    read_line,
+    read_transforms,
+)
 
 _DAMAGE = (
     McapError,
@@ -164,7 +172,7 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
     with _opened(path) as reader:
         label = _label(path, reader)
         for schema, channel, message in reader.iter_messages():
-            if schema is not None and schema.name == "std_msgs/msg/Float64MultiArray":
+            if schema is not None and schema.name == FLOATS:
                 times.setdefault(channel.topic, []).append(message.log_time)
                 rows.setdefault(channel.topic, []).append(read_array(message.data, "d"))
         # In here, since rows of several lengths are damage, too.
@@ -215,7 +223,7 @@ def _in_order(times_ns: NDArray[np.int64], values: NDArray[np.int64] | NDArray[n
     return Series(times_ns[order], values[order])
 
 
-_KINDS = {"std_msgs/msg/Float64MultiArray": "d", "std_msgs/msg/Int64MultiArray": "q"}
+_KINDS = {FLOATS: "d", INTEGERS: "q"}
 """How the numbers of a message type are packed."""
 
 _FOR_REPEAT = ("wire", "state")

@@ -23,11 +23,11 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS, Board
 from khep_twin.log import channels, foxglove_scene
-from khep_twin.log.channels import ArrayFrame, TransformFrame
+from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import TYPE, Answered, acts_message, boards, hashes, states_message
+from khep_twin.log.wire import Answered, acts_message, boards, hashes, states_message
 from khep_twin.robot import Robot
 from khep_twin.uart import HostAct
 from khep_twin.world import SAMPLE_NS, World
@@ -45,21 +45,18 @@ hash has all of it."""
 
 _NONE: Mapping[str, str] = {}
 
-_FLOATS = "std_msgs/msg/Float64MultiArray"
-_INTEGERS = "std_msgs/msg/Int64MultiArray"
-
 SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
-    ("proximity", _FLOATS, "f8", "counts", list(PROXIMITY)),
-    ("ambient", _FLOATS, "f8", "counts", list(AMBIENT)),
+    ("proximity", FLOATS, "f8", "counts", list(PROXIMITY)),
+    ("ambient", FLOATS, "f8", "counts", list(AMBIENT)),
     (
         "speed",
-        _FLOATS,
+        FLOATS,
         "f8",
         "left, right, setpoint left, setpoint right [pulses/10 ms]",
         [*SPEEDS, *SETPOINTS],
     ),
-    ("duty", _FLOATS, "f8", "left, right [-255 to 255]", list(DUTIES)),
-    ("leds", _FLOATS, "f8", "lateral, frontal", [int(Board.LED_0), int(Board.LED_1)]),
+    ("duty", FLOATS, "f8", "left, right [-255 to 255]", list(DUTIES)),
+    ("leds", FLOATS, "f8", "lateral, frontal", [int(Board.LED_0), int(Board.LED_1)]),
 ]
 """Channels of every robot: topic, message type, kind of number, label, and the registers that they show."""
 
@@ -200,18 +197,18 @@ class Recorder:
         )
         self._log.add_rows("/tf", "tf2_msgs/msg/TFMessage", times_ns, poses)
         if self._lamps is not None:
-            self._log.add_rows("/lamps", _FLOATS, times_ns, self._lamps.messages(self._powers[:rows]))
+            self._log.add_rows("/lamps", FLOATS, times_ns, self._lamps.messages(self._powers[:rows]))
         for stream in self._streams:
             for topic, schema, messages in stream.messages(rows):
                 self._log.add_rows(topic, schema, times_ns, messages)
         self._transcript.write()
         for robot, acts in zip(self._world.robots, self._acts, strict=True):
             if acts:
-                self._log.add(f"/{robot.name}/wire", TYPE, acts[0][0], acts_message(acts))
+                self._log.add(f"/{robot.name}/wire", INTEGERS, acts[0][0], acts_message(acts))
                 acts.clear()
         # At the end, so that what a torn file has of it can be repeated with what came before.
         if rows:
-            self._log.add("/state", TYPE, int(times_ns[0]), states_message(self._states(rows)))
+            self._log.add("/state", INTEGERS, int(times_ns[0]), states_message(self._states(rows)))
 
     def _states(self, rows: int) -> NDArray[np.int64]:
         """Hashes of the state, for the first rows of the batch (rows,)."""
@@ -277,9 +274,9 @@ class _RobotStream:
             (f"/{robot.name}/{topic}", schema, ArrayFrame(len(columns), kind, label), columns)
             for topic, schema, kind, label, columns in (
                 *SAMPLED,
-                ("registers", _INTEGERS, "i8", "registers", list(range(N_REGISTERS))),
+                ("registers", INTEGERS, "i8", "registers", list(range(N_REGISTERS))),
                 *(
-                    (kind.name, _INTEGERS, "i8", "registers", list(range(start, end)))
+                    (kind.name, INTEGERS, "i8", "registers", list(range(start, end)))
                     for kind, start, end in zip(turrets, starts[1:], starts[2:], strict=False)
                 ),
             )

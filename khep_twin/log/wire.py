@@ -23,8 +23,6 @@ from khep_twin.log.channels import ArrayFrame, read_array
 from khep_twin.robot import Robot
 from khep_twin.uart import Act, HostAct, LineSettings
 
-TYPE = "std_msgs/msg/Int64MultiArray"
-
 _LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
 
