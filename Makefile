@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 
-.PHONY: help run test check format fuzz fuzz-files soak determinism kills pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test check format fuzz fuzz-files soak determinism kills worker-kills pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -44,6 +44,9 @@ determinism: $(VENV)/dev.stamp ## 100,000 steps of an environment, the same bit 
 kills: $(VENV)/dev.stamp ## 200 served twins and 40 runs killed at random times, and what their logs lost; about ten minutes
 	@$(BIN)/python tests/log/kills.py serve 200 --jobs 3
 	@$(BIN)/python tests/log/kills.py run 40 --jobs 2
+
+worker-kills: $(VENV)/dev.stamp ## 100 of Ray's workers killed in a sweep of 200 tasks; needs ray; about five minutes
+	@$(BIN)/python tests/scale/worker_kills.py --tasks 200 --kills 100
 
 pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back line
 	@$(BIN)/python tests/pyserial_suite.py

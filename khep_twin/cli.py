@@ -22,6 +22,7 @@ from khep_twin.cli_run import run
 from khep_twin.cli_sense import sense
 from khep_twin.cli_series import new, series
 from khep_twin.cli_serve import serve
+from khep_twin.cli_sweep import sweep
 from khep_twin.cli_view import view
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import unusable, write_whole
@@ -37,6 +38,7 @@ app.add_typer(playpen_app, name="playpen")
 for command in (
     run,
     series,
+    sweep,
     new,
     design,
     serve,

@@ -14,6 +14,7 @@
     ├── FaultError        a fault to inject that there is not
     ├── SensorTestError   a sensor test that cannot be driven, or data that is none of one
     ├── TurretError       a turret that cannot be plugged on
+    ├── StudyError        a study that cannot be used, or results that are not its own
     ├── MissingExtraError a part of khep_twin that needs a package which is not installed
     └── DivergedError     a simulation that left the bounds of physics
 
@@ -71,6 +72,10 @@ class LogError(KhepTwinError):
 
 class TurretError(KhepTwinError):
     """A turret that cannot be plugged on."""
+
+
+class StudyError(KhepTwinError):
+    """A study that cannot be used, or results that are not its own."""
 
 
 class FaultError(KhepTwinError):

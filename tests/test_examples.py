@@ -9,8 +9,11 @@ import pytest
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
-NEEDS = {"03_learn_to_avoid": "stable_baselines3"}
+NEEDS = {"03_learn_to_avoid": "stable_baselines3", "04_evolve": "cmaes"}
 """Packages that an example alone needs."""
+
+SHORTER = {"04_evolve": "--generations 2 --population 4 --lives 1 --seconds 0.4 --check-seconds 1".split()}
+"""What makes a long one short."""
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
@@ -18,4 +21,5 @@ def test_an_example_runs_on_a_twin_in_its_own_process(example: Path, tmp_path: P
     package = NEEDS.get(example.stem)
     if package is not None and importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed; right is: pip install {package}")
-    subprocess.run([sys.executable, str(example)], check=True, timeout=120, cwd=tmp_path)
+    options = SHORTER.get(example.stem, [])
+    subprocess.run([sys.executable, str(example), *options], check=True, timeout=120, cwd=tmp_path)

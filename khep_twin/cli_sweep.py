@@ -1,0 +1,104 @@
+"""`khep-twin sweep`: a study's lives, here or on Ray, each result once in one Parquet table."""
+
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli_options import program, usage
+from khep_twin.cli_progress import progress
+
+if TYPE_CHECKING:
+    from khep_twin.scale.sweep_tasks import Task, Work
+
+SECONDS_BETWEEN_LINES = 60.0
+"""How often a line tells of a sweep that no terminal shows."""
+
+
+def sweep(
+    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="What to go through.")],
+    ray: Annotated[
+        bool, typer.Option("--ray", help="On Ray, in processes that may die; without, in threads.")
+    ] = False,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="A Ray cluster that is there, or auto; without, this machine."
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Threads, or Ray's workers on this machine; without, all cores.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder of the results; without, the study's.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what is there: only what is missing is done.")
+    ] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Only check the study, and count its lives.")
+    ] = False,
+) -> None:
+    """Leads all the lives of a study and keeps each one's results once, in a Parquet table."""
+    from khep_twin.scale import study as studies
+    from khep_twin.scale.sweep import here, run_sweep
+    from khep_twin.scale.sweep_tasks import work_of
+
+    if address is not None and not ray:
+        raise usage(f"--address {address}: is Ray's; right is to give --ray too")
+    if address is not None and workers is not None:
+        raise usage("--workers is for this machine; a cluster at --address has its own")
+    file = studies.load(study)
+    if check:
+        work = work_of(file)
+        typer.echo(
+            f"{file.study.name}: {work.lives} lives of {file.study.seconds:g} s in {len(work.tasks)} tasks"
+        )
+        return
+    doers = here(workers)
+    if ray:
+        from khep_twin.scale.ray_workers import on_ray
+
+        doers = on_ray(address, workers)
+
+    def begin(work: "Work", missing: Sequence["Task"]) -> None:
+        lives = sum(task.count for task in missing)
+        there = f", {work.lives - lives} are there already" if lives < work.lives else ""
+        typer.echo(f"{file.study.name}: {work.lives} lives in {len(work.tasks)} tasks{there}")
+
+    try:
+        with progress() as show:
+            told = _Lines() if show is None else None
+
+            def tell(done: int, total: int) -> None:
+                if show is not None:
+                    show(done / total)
+                elif told is not None:
+                    told(done, total)
+
+            table = run_sweep(file, output=output, resume=resume, doers=doers, begin=begin, progress=tell)
+    except KeyboardInterrupt:
+        typer.echo(f"khep-twin: stopped; go on: {program()} sweep {study} --resume", err=True)
+        raise typer.Exit(130) from None
+    typer.echo(f"results  {table}")
+
+
+class _Lines:
+    """Progress in lines, for where no terminal shows a bar."""
+
+    def __init__(self) -> None:
+        self._start = self._last = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        now = time.monotonic()
+        if now - self._last < SECONDS_BETWEEN_LINES:
+            return
+        self._last = now
+        left = round((now - self._start) * (total - done) / done)
+        print(
+            f"{done} of {total} lives, {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left",
+            file=sys.stderr,
+        )

@@ -1,0 +1,56 @@
+"""Programs of a study: functions that travel as text, so that a worker elsewhere needs no file of them."""
+
+import hashlib
+import sys
+from dataclasses import dataclass
+from functools import lru_cache
+from types import ModuleType
+from typing import Any
+
+from khep_twin.errors import ControllerError, choices
+from khep_twin.scale.minds import Driver, Function
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A function in the text of a file, to be compiled where it is needed.
+
+    Attributes:
+        text: of the file.
+        file: what to call it.
+        function: its name.
+        memory: how many numbers it keeps.
+    """
+
+    text: str
+    file: str
+    function: str
+    memory: int
+
+
+def driver_of(driver: Driver | Program) -> Driver:
+    """What drives, compiled where it is a program; the same one each time.
+
+    Raises:
+        ControllerError: the program fails, or has no such function.
+    """
+    return _compiled(driver) if isinstance(driver, Program) else driver
+
+
+@lru_cache(maxsize=16)
+def _compiled(program: Program) -> Driver:
+    name = f"khep_twin_study_{hashlib.sha256(program.text.encode()).hexdigest()[:16]}"
+    module = ModuleType(name)
+    module.__file__ = program.file
+    # What numba compiles is looked up by its module.
+    sys.modules[name] = module
+    try:
+        exec(compile(program.text, program.file, "exec"), vars(module))  # the user's own program
+    except (Exception, SystemExit) as error:
+        raise ControllerError(f"{program.file}: {type(error).__name__}: {error}") from error
+    found: Any = vars(module).get(program.function)
+    if not callable(found):
+        offers = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise ControllerError(f"no function {program.function!r}; {choices(program.function, offers)}")
+    decide: Any = found
+    return Function(decide, program.memory)

@@ -1,0 +1,197 @@
+"""A sweep's folder: a part for each task that was done, then one table of all.
+
+    study.json                    which study, and how many tasks
+    parts/task-000012.parquet     the results of a task, there as a whole or not at all
+    results.parquet               all lives in their order; the parts go when it is whole
+
+A part's name is its task's number, and what it holds follows from the study alone: a task that was done twice
+is there once. The same study gives the same bytes of results.parquet, whatever has happened on the way.
+"""
+
+# pyarrow is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false
+
+import fcntl
+import io
+import json
+import os
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from khep_twin import __version__
+from khep_twin.errors import StudyError
+from khep_twin.files import write_whole
+from khep_twin.scale.sweep_tasks import Task, Work
+from khep_twin.scale.task_lives import Columns
+
+_STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
+
+
+_TYPES = {"failed_step": pa.int64(), "failure": pa.string()}
+"""Of columns that may have no value at all."""
+
+
+def encoded(work: Work, task: Task, columns: Columns) -> bytes:
+    """A task's results as the bytes of its part."""
+    # What is no number has no value.
+    arrays = {name: pa.array(values, _TYPES.get(name), from_pandas=True) for name, values in columns.items()}
+    marked = pa.table(arrays).replace_schema_metadata({_STUDY: work.digest, _TASK: str(task.index)})
+    file = io.BytesIO()
+    pq.write_table(marked, file)
+    return file.getvalue()
+
+
+class SweepFolder:
+    """Where a sweep's results are kept.
+
+    Args:
+        path: of the folder.
+        work: whose results they are.
+    """
+
+    def __init__(self, path: Path, work: Work) -> None:
+        self._path, self._work = path, work
+        self._parts = path / "parts"
+        self.table = path / "results.parquet"
+
+    @contextmanager
+    def opened(self, resume: bool) -> Generator[None]:
+        """Makes the folder, or goes on with it, for this process alone.
+
+        Raises:
+            StudyError: it belongs to something else, or to this study and is not to be resumed.
+        """
+        try:
+            self._path.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self._path, os.O_RDONLY)
+        except OSError as error:
+            raise StudyError(f"{self._path}: cannot be made: {error.strerror}") from error
+        try:
+            # It goes with the process, even if that is killed.
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._begin(resume)
+            yield
+        except BlockingIOError:
+            raise StudyError(
+                f"{self._path}: another sweep is at work there; right is to wait for it"
+            ) from None
+        finally:
+            os.close(descriptor)
+
+    def missing(self) -> list[Task]:
+        """Tasks whose results are not there as a whole."""
+        if self.table.exists():
+            return []
+        return [task for task in self._work.tasks if not self._is_there(task)]
+
+    def keep(self, task: Task, data: bytes) -> None:
+        """Keeps a task's results."""
+        write_whole(self._part(task), data)
+
+    def finish(self) -> Path:
+        """Makes one table of all parts.
+
+        Returns:
+            Its path.
+
+        Raises:
+            StudyError: a life is missing or there twice; the parts stay.
+        """
+        if not self.table.exists():
+            self._join()
+        shutil.rmtree(self._parts, ignore_errors=True)
+        return self.table
+
+    def _lock(self, descriptor: int) -> None:
+        """Keeps other sweeps away; the lock goes with the process, even if that is killed."""
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StudyError(
+                f"{self._path}: another sweep is at work there; right is to wait for its end"
+            ) from None
+
+    def _begin(self, resume: bool) -> None:
+        file, work = self._path / "study.json", self._work
+        known = _json(file)
+        if known is None:
+            if found := sorted(self._path.iterdir()):
+                raise StudyError(
+                    f"{self._path}: holds {found[0].name} and no study.json; right is a new folder"
+                )
+        elif known.get("digest") != work.digest:
+            raise StudyError(
+                f"{self._path}: holds results of another study, or of this one before it changed; right is a "
+                "new folder"
+            )
+        elif not resume:
+            raise StudyError(
+                f"{self._path}: holds results of this study already; right is --resume, or a new folder"
+            )
+        self._parts.mkdir(exist_ok=True)
+        told = {
+            "name": work.study.name,
+            "lives": work.lives,
+            "tasks": len(work.tasks),
+            "khep_twin": __version__,
+            "digest": work.digest,
+        }
+        write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
+
+    def _part(self, task: Task) -> Path:
+        return self._parts / f"task-{task.index:06}.parquet"
+
+    def _is_there(self, task: Task) -> bool:
+        try:
+            known = pq.read_metadata(self._part(task))
+        except (OSError, pa.ArrowInvalid):
+            return False
+        told = known.metadata or {}
+        return (
+            known.num_rows == task.count
+            and told.get(_STUDY) == self._work.digest.encode()
+            and told.get(_TASK) == str(task.index).encode()
+        )
+
+    def _join(self) -> None:
+        scratch = self.table.with_name(f".{self.table.name}.part")
+        try:
+            with pq.ParquetWriter(scratch, self._schema()) as writer:
+                following = 0
+                for task in self._work.tasks:
+                    table = pq.read_table(self._part(task))
+                    numbers = table["life"].to_numpy()
+                    if numbers.tolist() != list(range(following, following + task.count)):
+                        raise StudyError(
+                            f"{self._part(task)}: does not hold lives {following} to "
+                            f"{following + task.count - 1}, each once; right is to delete it and to resume"
+                        )
+                    following += task.count
+                    writer.write_table(table.replace_schema_metadata({_STUDY: self._work.digest}))
+            os.replace(scratch, self.table)
+        except OSError as error:
+            raise StudyError(f"{self.table}: cannot be written: {error.strerror or error}") from error
+        finally:
+            scratch.unlink(missing_ok=True)
+
+    def _schema(self) -> pa.Schema:
+        first = pq.read_schema(self._part(self._work.tasks[0]))
+        return first.with_metadata({_STUDY: self._work.digest})
+
+
+def _json(file: Path) -> dict[str, Any] | None:
+    """What a file says; None where there is none, nothing where it cannot be read."""
+    try:
+        found = json.loads(file.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]

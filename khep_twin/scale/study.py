@@ -1,0 +1,242 @@
+"""Studies: which lives a sweep goes through, as a TOML file.
+
+    version = 1
+    name = "noise"
+    playpens = ["looping-maze"]
+    controllers = ["braitenberg"]
+    seeds = 100
+    seconds = 60
+    output = "noise"
+
+    [grid]
+    noise = [true, false]
+
+Every playpen is lived in with every controller, genome and seed, at every point of the grid. The models are
+the format: their attributes are the file's keys, but for the tuples of `[[network]]` and `[[program]]`.
+Paths in a study are seen from the folder that it is in.
+"""
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from khep_twin import toml_files
+from khep_twin.clock import n_steps, to_ns
+from khep_twin.errors import KhepTwinError, StudyError
+from khep_twin.fitness import TOP_SPEED_PULSES
+from khep_twin.randomness import SEED_LIMIT, stream
+from khep_twin.scale.life import NUMBERS
+from khep_twin.scale.minds import Floats, Network
+from khep_twin.toml_files import Name, Problem, Problems, Table, show
+from khep_twin.toml_lines import Lines, Location
+
+Fitness = Literal["obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m"]
+"""What a life can be measured by; `life.NUMBERS`."""
+
+Switches = Annotated[tuple[bool, ...], Field(min_length=1, description="a list of true and false")]
+Lightings = Annotated[
+    tuple[Literal["all", "off"], ...], Field(min_length=1, description='a list of "all" and "off"')
+]
+Texts = Annotated[tuple[str, ...], Field(min_length=1, description="a list of texts, at least one")]
+
+
+class NetworkTable(Table):
+    """A `[[network]]`: its shape, as of `minds.Network`, and where its genomes come from."""
+
+    name: Name
+    hidden: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=1000)], ...],
+        Field(description="neurons of each hidden layer, from 1 to 1000"),
+    ] = ()
+    recurrent: bool = False
+    ambient: bool = False
+    top_speed_pulses: Annotated[float, Field(gt=0, le=127)] = float(TOP_SPEED_PULSES)
+    genomes: Annotated[str | None, Field(description="the path of a .npy or .csv file")] = None
+    drawn: Annotated[int | None, Field(ge=1, le=10**7)] = None
+    drawn_seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT)] = 0
+    drawn_sd: Annotated[float, Field(gt=0, le=1000)] = 1.0
+
+    def network(self) -> Network:
+        """What drives."""
+        return Network(self.hidden, self.recurrent, self.ambient, self.top_speed_pulses)
+
+
+class ProgramTable(Table):
+    """A `[[program]]`: a function of one's own, as of `minds.Function`."""
+
+    name: Name
+    file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
+    memory: Annotated[int, Field(ge=0, le=10**6)] = 0
+    genomes: Annotated[str | None, Field(description="the path of a .npy or .csv file")] = None
+
+
+class Grid(Table):
+    """Parameters, each with all the values it takes."""
+
+    noise: Switches = (True,)
+    spread: Switches = (False,)
+    lighting: Lightings = ("all",)
+    starts: Texts = ("playpen",)
+
+
+class Home(Table):
+    """Where the fitness `homing` has its home."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: Annotated[float, Field(gt=0)]
+    charge_s: Annotated[float, Field(gt=0)]
+
+
+class Study(Table):
+    """A whole study."""
+
+    version: Annotated[int, Field(ge=1, le=1, description="1")]
+    name: Name
+    playpens: Texts
+    controllers: Annotated[
+        tuple[Literal["braitenberg"], ...], Field(description='a list of built-in ones: "braitenberg"')
+    ] = ()
+    networks: Annotated[tuple[NetworkTable, ...], Field(alias="network")] = ()
+    programs: Annotated[tuple[ProgramTable, ...], Field(alias="program")] = ()
+    seeds: Annotated[int, Field(ge=1, le=10**9)]
+    first_seed: Annotated[int, Field(ge=0, le=2**62)] = 0
+    seconds: Annotated[float, Field(gt=0, le=10**6)]
+    step_ms: Annotated[float, Field(gt=0, description="2.5, 5 or 10")] = 2.5
+    period_ms: Annotated[int, Field(ge=10, le=10**4, multiple_of=10, description="a multiple of 10")] = 20
+    fitness: Annotated[
+        tuple[Fitness, ...], Field(min_length=1, description=f"a list of {', '.join(NUMBERS)}")
+    ] = ("obstacle_avoidance", "distance_m")
+    home: Home | None = None
+    grid: Grid = Grid()
+    rollouts_per_task: Annotated[int, Field(ge=1, le=10**6)] = 1000
+    output: Annotated[str, Field(min_length=1, description="the path of a folder")]
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if problems := list(self._problems()):
+            raise Problems(problems)
+        return self
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.step_ms not in (2.5, 5.0, 10.0):
+            yield Problem(("step_ms",), f"step_ms = {self.step_ms:g}: right is 2.5, 5 or 10")
+        try:
+            n_steps(to_ns(self.seconds), self.period_ms * 1_000_000)
+        except ValueError:
+            wish = f"right are whole control periods of {self.period_ms} ms"
+            yield Problem(("seconds",), f"seconds = {self.seconds:g}: {wish}")
+        if not (self.controllers or self.networks or self.programs):
+            yield Problem((), "no controller; right are controllers, a [[network]] or a [[program]]")
+        if "homing" in self.fitness and self.home is None:
+            yield Problem(("fitness",), 'fitness = "homing": there is no [home]')
+        for key, values in self._lists():
+            for value in sorted({str(each) for each in values if values.count(each) > 1}):
+                yield Problem(key, f"{key[-1]} has {show(value)} twice; right is once")
+        taken: set[str] = {*self.controllers}
+        for kind, tables in (("network", self.networks), ("program", self.programs)):
+            for index, table in enumerate(tables):
+                if table.name in taken:
+                    text = f'{kind} {index + 1}: name = "{table.name}": taken; right is a name of its own'
+                    yield Problem((kind, index, "name"), text)
+                taken.add(table.name)
+        for index, table in enumerate(self.networks):
+            if (table.genomes is None) == (table.drawn is None):
+                given = "both" if table.drawn else "neither"
+                text = f"network {index + 1}: has {given} of genomes and drawn; right is one of them"
+                yield Problem(("network", index), text)
+
+    def _lists(self) -> Iterator[tuple[Location, tuple[Any, ...]]]:
+        for key in ("playpens", "controllers", "fitness"):
+            yield (key,), getattr(self, key)
+        for key in Grid.model_fields:
+            yield ("grid", key), getattr(self.grid, key)
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFile:
+    """A study as it was read.
+
+    Attributes:
+        study: what it says.
+        source: what to call the file in messages.
+        folder: in which it is.
+        lines: where its keys stand.
+    """
+
+    study: Study
+    source: str
+    folder: Path
+    lines: Lines
+
+    @property
+    def output(self) -> Path:
+        """Where results go."""
+        return self.folder / self.study.output
+
+    def error(self, location: Location, text: str) -> StudyError:
+        """What is wrong at a place of the file."""
+        line = self.lines.of(location)
+        return StudyError(f"{self.source}{'' if line is None else f':{line}'}: {text}")
+
+
+def load(path: Path) -> StudyFile:
+    """A study by its path.
+
+    Raises:
+        StudyError: there is none, or it cannot be used; one line per problem.
+    """
+    if not path.exists():
+        raise StudyError(f"{path}: no such file; right is the path of a study")
+    text, source = toml_files.read("studies", path, StudyError)
+    return StudyFile(toml_files.validate(Study, text, source, StudyError), source, path.parent, Lines(text))
+
+
+def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int) -> Floats:
+    """Genomes of one of a study's controllers (n, n_genes); none for a program without.
+
+    Raises:
+        StudyError: their file cannot be read, or they do not fit.
+    """
+    table = file.study.networks[index] if kind == "network" else file.study.programs[index]
+    wanted = table.network().n_genes if isinstance(table, NetworkTable) else None
+    if isinstance(table, NetworkTable) and table.drawn is not None:
+        chance = stream(table.drawn_seed, "genomes", table.name)
+        return chance.normal(0.0, table.drawn_sd, (table.drawn, wanted or 0))
+    if table.genomes is None:
+        return np.zeros((1, 0))
+    place = (kind, index, "genomes")
+    key = f"{kind} {index + 1}: genomes = {show(table.genomes)}"
+    try:
+        found = _read(file.folder / table.genomes)
+    except (OSError, ValueError, EOFError) as trouble:
+        reason = (trouble.strerror if isinstance(trouble, OSError) else None) or str(trouble)
+        raise file.error(place, f"{key}: cannot be read: {reason.splitlines()[0]}") from None
+    if found.ndim != 2 or 0 in found.shape or (wanted is not None and found.shape[1] != wanted):
+        right = "finite numbers" if wanted is None else f"rows of {wanted} numbers"
+        raise file.error(place, f"{key}: is of shape {found.shape}; right are {right}")
+    if not np.isfinite(found).all():
+        raise file.error(place, f"{key}: has what is no number; right are finite numbers")
+    return found
+
+
+def _read(path: Path) -> Floats:
+    """A table of numbers; one row may stand alone."""
+    data = path.read_bytes()
+    if path.suffix == ".npy":
+        return np.atleast_2d(np.asarray(np.load(io.BytesIO(data), allow_pickle=False), np.float64))
+    if path.suffix == ".csv":
+        if not data.strip():
+            raise ValueError("it is empty")
+        return np.loadtxt(io.StringIO(data.decode("utf-8-sig")), delimiter=",", ndmin=2)
+    raise ValueError("right is a .npy or .csv file")
+
+
+def checked(file: StudyFile, location: Location, key: str, error: KhepTwinError) -> StudyError:
+    """What was found wrong with what a study names, as trouble of the study."""
+    return file.error(location, f"{key}: {str(error).splitlines()[0]}")

@@ -1,0 +1,198 @@
+"""Sweeps: each result once, whatever happens on the way; `make worker-kills` is harder on Ray's workers."""
+
+import builtins
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from test_study import STUDY, loaded
+from worker_kills import trial
+
+from khep_twin.errors import KhepTwinError, MissingExtraError, StudyError
+from khep_twin.scale import ray_workers
+from khep_twin.scale.sweep import here, run_sweep
+from khep_twin.scale.sweep_tasks import Task, Work, work_of
+
+pytestmark = pytest.mark.filterwarnings("ignore::khep_twin.scale.life.SlowerWarning")
+
+HAS_RAY = importlib.util.find_spec("ray") is not None
+
+MORE = """
+[grid]
+noise = [true, false]
+
+[[network]]
+name = "drawn"
+drawn = 2
+
+[[program]]
+name = "mine"
+file = "mine.py:steer"
+"""
+
+STEER = """
+def steer(proximity, ambient, memory, genes):
+    return 5.0, 5.0 - proximity[0] * 0.01
+"""
+
+
+def swept(folder: Path, text: str = STUDY + MORE, **options: Any) -> Path:
+    (folder / "mine.py").write_text(STEER)
+    return run_sweep(loaded(folder, text), **options)
+
+
+class Counted:
+    """Threads that note which tasks they do, and stop before one, as if the power had gone."""
+
+    def __init__(self, stop_before: int = -1) -> None:
+        self.done: list[int] = []
+        self._stop = stop_before
+
+    @contextmanager
+    def __call__(self, work: Work, tasks: Sequence[Task]) -> Iterator[Iterator[tuple[Task, bytes]]]:
+        def coming() -> Iterator[tuple[Task, bytes]]:
+            with here(1)(work, tasks) as done:
+                for task, data in done:
+                    if task.index == self._stop:
+                        raise KhepTwinError("stopped")
+                    self.done.append(task.index)
+                    yield task, data
+
+        yield coming()
+
+
+def test_every_life_is_in_the_table_once_with_what_it_was(tmp_path: Path) -> None:
+    rows = pq.read_table(swept(tmp_path)).to_pylist()
+    assert [row["life"] for row in rows] == list(range(24))
+    kinds = [(row["controller"], row["noise"], row["genome"], row["seed"]) for row in rows]
+    assert kinds == [
+        (name, noise, genome, seed)
+        for name, genomes in (("braitenberg", 1), ("drawn", 2), ("mine", 1))
+        for noise in (True, False)
+        for genome in range(genomes)
+        for seed in range(3)
+    ]
+    assert all(row["distance_m"] > 0 and row["failure"] is None for row in rows)
+    assert not (tmp_path / "out" / "parts").exists()
+
+
+def test_tasks_of_any_size_and_any_number_of_threads_give_the_same_lives(tmp_path: Path) -> None:
+    whole = pq.read_table(swept(tmp_path, doers=here(2)))
+    small = STUDY.replace("rollouts_per_task = 4", "rollouts_per_task = 1") + MORE
+    assert pq.read_table(swept(tmp_path, small, doers=here(1), output=tmp_path / "b")).equals(whole)
+
+
+def test_a_sweep_that_stopped_goes_on_with_only_what_is_missing_to_the_same_bytes(tmp_path: Path) -> None:
+    expected = swept(tmp_path, output=tmp_path / "whole").read_bytes()
+    with pytest.raises(KhepTwinError, match="stopped"):
+        swept(tmp_path, doers=Counted(stop_before=3))
+    # One part is damaged, as by a disk, and one is of another study.
+    parts = tmp_path / "out" / "parts"
+    assert sorted(each.name for each in parts.iterdir()) == [f"task-00000{i}.parquet" for i in range(3)]
+    (parts / "task-000001.parquet").write_bytes(b"PAR1")
+    following = Counted()
+    assert swept(tmp_path, doers=following, resume=True).read_bytes() == expected
+    assert following.done == [1, 3, 4, 5, 6, 7]
+    again = Counted()
+    assert swept(tmp_path, doers=again, resume=True).read_bytes() == expected
+    assert again.done == []
+
+
+def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
+    text = STUDY.replace("seeds = 3", "seeds = 160").replace("seconds = 0.2", "seconds = 0.4")
+    text = text.replace("rollouts_per_task = 4", "rollouts_per_task = 4")
+    file = loaded(tmp_path, text)
+    parts = tmp_path / "out" / "parts"
+    command = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml")]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sweep:
+        start = time.monotonic()
+        while len(list(parts.glob("task-*.parquet"))) < 4 and time.monotonic() - start < 100:
+            time.sleep(0.01)
+        os.kill(sweep.pid, signal.SIGKILL)
+    assert sweep.returncode == -signal.SIGKILL
+    there = len(list(parts.glob("task-*.parquet")))
+    assert 4 <= there < 40
+    following = Counted()
+    table = run_sweep(file, resume=True, doers=following)
+    assert len(following.done) == 40 - there
+    expected = run_sweep(file, output=tmp_path / "whole")
+    assert table.read_bytes() == expected.read_bytes()
+    assert pq.read_table(table)["life"].to_pylist() == list(range(160))
+
+
+def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("dear diary")
+    with pytest.raises(StudyError, match=r"mine: holds notes.txt and no study.json; right is a new folder"):
+        swept(tmp_path, output=tmp_path / "mine")
+    assert [each.name for each in (tmp_path / "mine").iterdir()] == ["notes.txt"]
+    swept(tmp_path)
+    with pytest.raises(StudyError, match=r"out: holds results of this study already; right is --resume"):
+        swept(tmp_path)
+    with pytest.raises(StudyError, match=r"out: holds results of another study"):
+        swept(tmp_path, STUDY, resume=True)
+
+
+def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:
+    @contextmanager
+    def meanwhile(work: Work, tasks: Sequence[Task]) -> Iterator[Iterator[tuple[Task, bytes]]]:
+        with pytest.raises(StudyError, match=r"out: another sweep is at work there"):
+            swept(tmp_path, STUDY, resume=True)
+        with here(1)(work, tasks) as done:
+            yield iter(done)
+
+    swept(tmp_path, STUDY, doers=meanwhile)
+
+
+def test_a_life_that_fails_is_told_in_its_row_and_the_others_live_on(tmp_path: Path) -> None:
+    (tmp_path / "wild.py").write_text(
+        "def steer(proximity, ambient, memory, genes):\n    return genes[0] * 1e308 * 10, 1.0\n"
+    )
+    (tmp_path / "genes.csv").write_text("0\n1\n")
+    text = STUDY + '[[program]]\nname = "wild"\nfile = "wild.py:steer"\ngenomes = "genes.csv"\n'
+    rows = pq.read_table(run_sweep(loaded(tmp_path, text))).to_pylist()
+    failed = [row for row in rows if row["failure"] is not None]
+    assert [(row["controller"], row["genome"], row["seed"]) for row in failed] == [
+        ("wild", 1, i) for i in range(3)
+    ]
+    assert failed[2]["failed_step"] == 0
+    assert "seed 2 failed at 0.0000 s" in failed[2]["failure"]
+    assert failed[2]["distance_m"] is None
+
+
+def test_without_ray_asking_for_it_is_one_line_that_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = builtins.__import__
+
+    def refuse(name: str, *rest: Any, **more: Any) -> Any:
+        if name == "ray":
+            raise ImportError(name)
+        return found(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    before = dict(os.environ)
+    with pytest.raises(MissingExtraError, match=r"^ray is not installed; right is: .*'khep-twin\[ray\]'$"):
+        ray_workers.on_ray()
+    assert dict(os.environ) == before
+
+
+def test_a_worker_with_other_versions_does_nothing(tmp_path: Path) -> None:
+    work = work_of(loaded(tmp_path, STUDY))
+    data, trouble = ray_workers._do(replace(work, versions="khep_twin 9.9"), work.tasks[0])
+    assert data == b""
+    assert re.search(r"a worker has khep_twin .* with mujoco .*; right is khep_twin 9.9, as here", trouble)
+
+
+@pytest.mark.skipif(not HAS_RAY, reason="ray, the extra [ray], is not installed")
+def test_rays_workers_may_be_killed_and_each_result_is_there_once(tmp_path: Path) -> None:
+    assert trial(tmp_path, tasks=8, kills=2, seconds=4, seed=0) == 2
