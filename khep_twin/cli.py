@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer.exceptions import TyperException
 
 from khep_twin import __version__
 from khep_twin.cli_design import design
 from khep_twin.cli_drive import drive
 from khep_twin.cli_fit import fit
 from khep_twin.cli_log import recover, repeat
-from khep_twin.cli_options import usage
+from khep_twin.cli_options import Commands, usage
 from khep_twin.cli_playpen import playpen_app
 from khep_twin.cli_ports import ports
 from khep_twin.cli_report import export, report
@@ -30,6 +31,7 @@ from khep_twin.files import unusable, write_whole
 app = typer.Typer(
     name="khep-twin",
     help="A physics-based digital twin of the Khepera miniature robot.",
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -58,11 +60,17 @@ for command in (
 def main() -> None:
     """Runs the command line; a user's mistake ends in one line, not in a trace."""
     try:
-        app(standalone_mode=True)
+        sys.exit(app(standalone_mode=False))
     except KhepTwinError as error:
-        for line in str(error).splitlines():
-            print(f"khep-twin: {line}", file=sys.stderr)
-        sys.exit(1)
+        text, code = str(error), 1
+    except TyperException as error:
+        text, code = error.format_message(), error.exit_code
+        if "\n" in text:  # the help, where nothing was typed
+            print(text, file=sys.stderr)
+            sys.exit(code)
+    for line in text.splitlines():
+        print(f"khep-twin: {line}", file=sys.stderr)
+    sys.exit(code)
 
 
 def _show_version(wanted: bool) -> None:

@@ -4,9 +4,12 @@ import shutil
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
+
+from khep_twin.errors import choices
 
 if TYPE_CHECKING:
     from khep_twin.log.line_recorder import LineRecorder
@@ -18,6 +21,16 @@ class Switch(StrEnum):
 
     ON = "on"
     OFF = "off"
+
+
+class Commands(TyperGroup):
+    """Commands by name; one that is not there gets the choices."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Finds a command by the first of the arguments."""
+        if args[0] not in self.commands:
+            raise usage(f"{args[0]}: no such command; {choices(args[0], self.commands)}")
+        return super().resolve_command(ctx, args)
 
 
 Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]

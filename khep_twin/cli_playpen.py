@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.cli_options import Commands
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
 
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
 
 playpen_app = typer.Typer(
-    help="Check, compile, draw and import playpens.", no_args_is_help=True, rich_markup_mode=None
+    help="Check, compile, draw and import playpens.",
+    cls=Commands,
+    no_args_is_help=True,
+    rich_markup_mode=None,
 )
 
 SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put to their spots.")]

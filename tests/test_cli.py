@@ -51,6 +51,28 @@ def test_the_version_and_the_help_come_at_once() -> None:
     assert result.stdout == "[]\n"
 
 
+@pytest.mark.parametrize(
+    ("typed", "told"),
+    [
+        ("frobnicate", "frobnicate: no such command; (choices: run, series, "),
+        ("plaipen", "plaipen: no such command; did you mean 'playpen'? (choices: run, "),
+        ("playpen chek", "chek: no such command; did you mean 'check'? (choices: check, "),
+        ("run --fats", "No such option: --fats (Possible options: --fast, "),
+        ("run --seconds abc", "Invalid value for '--seconds': "),
+        ("run --seed", "Option '--seed' requires an argument"),
+        ("conform", "Missing argument 'port'"),
+    ],
+)
+def test_what_is_typed_wrong_gets_one_line(typed: str, told: str) -> None:
+    assert complaint(*typed.split()).startswith(told)
+
+
+def test_nothing_typed_gets_the_help() -> None:
+    result = khep_twin()
+    assert result.returncode == 2
+    assert "Runs a controller on a twin or a robot, once or in a series." in result.stderr
+
+
 def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path) -> None:
     logs = [tmp_path / "one.mcap", tmp_path / "sub" / "other-name.mcap", tmp_path / "third.mcap"]
     logs[1].parent.mkdir()

@@ -155,6 +155,7 @@ WITHIN_A_FLOOR = {
     ("cli_run_logs", "cli_options"),
     ("cli_series", "cli_options"),
     ("cli_serve", "cli_options"),
+    ("cli_playpen", "cli_options"),
     ("cli_serve", "cli_playpen"),
     ("cli", "cli_log"),
     ("cli", "cli_playpen"),
