@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
+BENCH :=
 
 .PHONY: help run test check format fuzz fuzz-files soak determinism kills worker-kills pyserial browser schemas reference tutorial bench lock build clean
 
@@ -65,10 +66,8 @@ reference: $(VENV)/dev.stamp ## pages of every public function and class, docs/r
 tutorial: $(VENV)/dev.stamp ## the pictures of docs/tutorial.md anew, by its own commands
 	@$(BIN)/python tests/tutorial.py
 
-bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run
-	@$(BIN)/python -m benchmarks
-	@$(BIN)/python -m benchmarks.ports
-	@$(BIN)/python -m benchmarks.scale
+bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run; three minutes, BENCH=--quick for a short one
+	@$(BIN)/python -m benchmarks $(BENCH)
 
 lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv

@@ -1,79 +1,136 @@
-"""`make bench`: the main job beside the bare physics of the same scene, interleaved, one process, one core.
+"""`make bench`: one table of all that takes time, each row beside a floor measured in the same rounds.
 
-Each row is simulated seconds per second of wall time, as the median of the rounds (and the best), and its
-ratio to the floor: a loop around mj_step alone, called from Python, on the compiled scene with its
-rangefinders, driven by constant motor voltages.
+Floors are a loop around mj_step alone, called from Python, in the same scene with its rangefinders, and a
+process that does nothing but echo. `python -m benchmarks --help` lists what can be chosen;
+`benchmarks.scale`, `benchmarks.ports` and `benchmarks.growth` look closer, each by itself.
 """
 
-import platform
-import statistics
+import argparse
 import sys
-import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import ExitStack
+from datetime import date
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-import mujoco
-
+from benchmarks import growth, peers, record
+from benchmarks.ports import line_row, trip_rows
+from benchmarks.scale import POLICY, bare_row, batch_row, life_row, world_row
+from benchmarks.table import LEGEND, Table, measure, text
 from khep_twin import playpen, units
-from khep_twin.host import Khepera
-from khep_twin.lab.controllers import braitenberg
-from khep_twin.lab.experiment import run
-from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.errors import KhepTwinError
+from khep_twin.scale.life import Ground
 
 PLAYPEN = "obstacles"
-SECONDS = 60
-ROUNDS = 7
+PEERS = ("default", "looping-maze")
+"""Playpens of walls alone, which Kheperax can have too."""
 
 
-def bare_loop() -> float:
-    """The floor: nothing but mj_step."""
-    model = to_spec(playpen.load(PLAYPEN)).compile()
-    data = mujoco.MjData(model)
-    data.ctrl[:] = (0.35, 0.30)
-    start = time.perf_counter()
-    for _ in range(SECONDS * 1_000_000_000 // units.STEP_NS):
-        mujoco.mj_step(model, data)
-    return time.perf_counter() - start
+def main_job(part: float, rounds: int) -> Table:
+    """From the bare loop up to the whole twin with its line and log, and lives without a line."""
+    seconds, lives = max(round(30 * part), 1), 32 if part >= 1 else 8
+    ground = Ground(playpen.load(PLAYPEN))
+    with TemporaryDirectory() as folder:
+        rows = [
+            bare_row("bare mj_step, rangefinders (floor)", ground, seconds),
+            bare_row("bare mj_step, no sensors", ground, seconds, sensors=False),
+            world_row("World, told by no line", playpen.load(PLAYPEN), seconds),
+            line_row("main job over khep://, no log", PLAYPEN, seconds),
+            line_row("main job over khep://, logged", PLAYPEN, seconds, Path(folder) / "run.mcap"),
+            life_row("life, plain", ground, seconds, compiled=False),
+            life_row("life, compiled", ground, seconds),
+            batch_row("batch, 1 thread", ground, lives, 4 * part, 1),
+            batch_row("batch, 2 threads", ground, lives, 4 * part, 2),
+            batch_row("batch, Python policy, 1 thread", ground, lives, 4 * part, 1, POLICY),
+            batch_row("batch, Python policy, 2 threads", ground, lives, 4 * part, 2, POLICY),
+        ]
+        return measure(f"{PLAYPEN}, steps of 2.5 ms", rows, rounds)
 
 
-def braitenberg_run(options: str) -> float:
-    """The main job, with opening and closing."""
-    start = time.perf_counter()
-    with Khepera(f"khep://{PLAYPEN}?seed=1{options}") as robot:
-        run(braitenberg, robot, seconds=SECONDS)
-    return time.perf_counter() - start
+def beside_kheperax(name: str, part: float, rounds: int, python: str | None, found: dict[str, str]) -> Table:
+    """Lives in a playpen of walls, and Kheperax in the same one.
+
+    Args:
+        name: of the playpen.
+        part: of the usual length.
+        rounds: that count.
+        python: with Kheperax; None where there is none.
+        found: is filled with its versions.
+    """
+    scene, seconds, lives = playpen.load(name), max(round(20 * part), 1), 32 if part >= 1 else 8
+    fine, coarse = Ground(scene), Ground(scene, step_ns=4 * units.STEP_NS)
+    rows = [
+        bare_row("bare mj_step, rangefinders (floor)", fine, seconds),
+        life_row("life, steps of 2.5 ms", fine, seconds),
+        life_row("life, steps of 10 ms", coarse, seconds),
+        batch_row("batch, 2 threads, 2.5 ms", fine, lives, 4 * part, 2),
+        batch_row("batch, 2 threads, 10 ms", coarse, lives, 4 * part, 2),
+    ]
+    with ExitStack() as stack:
+        if python is not None:
+            kheperax = stack.enter_context(peers.Kheperax(python, scene))
+            found |= kheperax.versions
+            rows += [
+                kheperax.row("Kheperax, 1 robot, 20 ms", 1, 400 * part),
+                kheperax.row("Kheperax, 1024 robots, 20 ms", 1024, 4 * part),
+            ]
+        remarks = () if python else peers.ABSENT
+        return measure(f"{name}, beside Kheperax", rows, rounds, remarks=remarks)
 
 
-def idle_run() -> float:
-    """A twin without a host: firmware, sensors and physics only."""
-    start = time.perf_counter()
-    with Khepera(f"khep://{PLAYPEN}?seed=1") as robot:
-        robot.set_speed(5, 4)
-        robot.sleep(SECONDS)
-    return time.perf_counter() - start
+def ways_in(part: float, rounds: int) -> Table:
+    """Round trips over pseudo-terminals."""
+    with trip_rows(round(1000 * part)) as rows:
+        return measure("B over a pty", rows, rounds, unit="round trips per s")
+
+
+def tables(quick: bool, python: str | None, found: dict[str, str]) -> Iterator[Table]:
+    """All parts of the table, each as soon as it is there.
+
+    Args:
+        quick: shorter, and without the largest.
+        python: with Kheperax; None where there is none.
+        found: is filled with Kheperax's versions.
+    """
+    part, rounds = (0.25, 2) if quick else (1.0, 7)
+    yield main_job(part, rounds)
+    yield ways_in(part, rounds)
+    for name in PEERS[: 1 if quick else None]:
+        yield beside_kheperax(name, part, rounds, python, found)
+    yield from growth.tables(part, 1 if quick else 3, 2 if quick else None)
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "run.mcap"
-        rows: dict[str, Callable[[], float]] = {
-            "bare mj_step loop (floor)": bare_loop,
-            "twin, no host": idle_run,
-            "Braitenberg over khep://, no log": lambda: braitenberg_run(""),
-            "Braitenberg over khep://, logged": lambda: braitenberg_run(f"&log={log}"),
-        }
-        times: dict[str, list[float]] = {name: [] for name in rows}
-        for _ in range(ROUNDS):
-            for name, measure in rows.items():
-                times[name].append(measure())
-    floor = statistics.median(times["bare mj_step loop (floor)"])
-    versions = f"mujoco {mujoco.__version__}, Python {platform.python_version()}"
-    print(f"{PLAYPEN}, {SECONDS} s, {ROUNDS} rounds; {versions}")
-    print(f"{'':36}{'median':>10}{'best':>10}{'ratio':>8}   [simulated s per s]")
-    for name, taken in times.items():
-        median = statistics.median(taken)
-        print(f"{name:36}{SECONDS / median:10.0f}{SECONDS / min(taken):10.0f}{floor / median:8.2f}")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="How fast the twin is.")
+    parser.add_argument("--quick", action="store_true", help="half a minute, for a rough look")
+    parser.add_argument("--kheperax", metavar="PYTHON", help=f"with Kheperax installed; or {peers.VARIABLE}")
+    parser.add_argument(
+        "--save",
+        nargs="?",
+        const=record.FOLDER,
+        type=Path,
+        metavar="FOLDER",
+        help="keep the results in a file; without FOLDER in benchmarks/results",
+    )
+    given = parser.parse_args()
+    try:
+        python = peers.kheperax_python(given.kheperax)
+        if given.save is not None and not given.save.is_dir():
+            raise KhepTwinError(f"{given.save}: no directory; right is one that is there")
+    except KhepTwinError as error:
+        parser.error(str(error))
+    load, begun, found = record.load(), time.monotonic(), dict[str, str]()
+    measured: list[Table] = []
+    for table in tables(given.quick, python, found):
+        print(text([table]), end="\n\n", flush=True)
+        measured.append(table)
+    done = record.Record(
+        date.today().isoformat(), load, record.machine(), record.versions(found), tuple(measured)
+    )
+    print(f"{LEGEND}\n{record.head(done)}\n{time.monotonic() - begun:.0f} s")
+    if given.save is not None:
+        print(f"saved {record.save(done, given.save).name}")
 
 
 if __name__ == "__main__":

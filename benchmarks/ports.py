@@ -1,6 +1,7 @@
-"""`python -m benchmarks.ports`: a served twin beside a bare pseudo-terminal that echoes, in one run.
+"""The main job over the serial line, and a served twin beside a bare pseudo-terminal that echoes.
 
-The round trip is that of `B` and its 13 bytes, with a plain client that calls os.write and os.read. The floor
+`python -m benchmarks.ports` also tells how late replies are at 9600 baud, and how fast the wire's clock runs.
+A round trip is that of `B` and its 13 bytes, with a plain client that calls os.write and os.read. Its floor
 is a process that answers each line with 13 ready bytes and does nothing else.
 """
 
@@ -10,7 +11,14 @@ import subprocess
 import sys
 import time
 import tty
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
+
+from benchmarks.table import LEGEND, Row, Taken, measure, text, timed
+from khep_twin.host import Khepera
+from khep_twin.lab.controllers import braitenberg
+from khep_twin.lab.experiment import run
 
 ROUNDS = 5
 TRIPS = 1000
@@ -18,20 +26,44 @@ REPLY = b"b,5.02,5.01\r\n"
 EXAMPLE = Path(__file__).parents[1] / "examples" / "01_braitenberg.py"
 
 
-def main() -> None:
+def line_row(name: str, playpen: str, seconds: float, log: Path | None = None) -> Row:
+    """The main job through the serial line in this process, with its opening and closing."""
+    url = f"khep://{playpen}?seed=1" + (f"&log={log}" if log else "")
+
+    def drive() -> None:
+        with Khepera(url) as robot:
+            run(braitenberg, robot, seconds=seconds)
+
+    return Row(name, seconds, timed(drive))
+
+
+@contextmanager
+def trip_rows(trips: int) -> Generator[list[Row]]:
+    """Round trips over pseudo-terminals, while their processes live; what counts is a round's median trip."""
     echo, path = _echo()
-    floors: list[float] = []
-    trips: list[float] = []
     with _served("--unpaced") as twin:
-        name = _path_of(twin)
-        for _ in range(ROUNDS):
-            floors += _trips(path)
-            trips += _trips(name)
-        twin.terminate()
-    echo.kill()
-    floor, trip = statistics.median(floors), statistics.median(trips)
-    print(f"B over a pty, {len(trips)} times: p50 {trip * 1e6:.0f} us, p99 {_p99(trips) * 1e6:.0f} us")
-    print(f"bare pty echo:            p50 {floor * 1e6:.0f} us; ratio {trip / floor:.2f}")
+        try:
+            ends = {"bare pty echo (floor)": path, "served twin, unpaced": _path_of(twin)}
+            yield [_trip_row(name, end, trips) for name, end in ends.items()]
+        finally:
+            twin.terminate()
+            echo.kill()
+            echo.wait()
+
+
+def _trip_row(name: str, path: str, trips: int) -> Row:
+    return Row(
+        name,
+        1,
+        lambda: Taken(statistics.median(_trips(path, trips))),
+        lambda rate: f"p50 {1e6 / rate:.0f} us",
+    )
+
+
+def main() -> None:
+    with trip_rows(TRIPS) as rows:
+        print(text([measure("B over a pty", rows, ROUNDS, unit="round trips per s")]))
+    print(LEGEND)
     with _served() as twin:
         lateness = _lateness(_path_of(twin))
         twin.terminate()
@@ -72,11 +104,11 @@ def _path_of(process: subprocess.Popen[str]) -> str:
     return process.stdout.readline().strip()
 
 
-def _trips(path: str) -> list[float]:
+def _trips(path: str, trips: int) -> list[float]:
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     taken: list[float] = []
     try:
-        for _ in range(TRIPS):
+        for _ in range(trips):
             start, reply = time.perf_counter(), b""
             os.write(port, b"B\n")
             while len(reply) < len(REPLY):

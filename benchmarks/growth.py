@@ -1,0 +1,141 @@
+"""How time per simulated second grows: with blocks, robots, rays per sensor and lives in a batch.
+
+`python -m benchmarks.growth` prints these tables alone. Blocks stand in the same large arena, however many,
+in an order of places from the robot outwards, so that with more of them it meets the same ones first.
+"""
+
+import math
+import sys
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks.scale import bare_row, batch_row, life_row, world_row
+from benchmarks.table import COST, LEGEND, Row, Table, measure, text
+from khep_twin import playpen, playpen_to_mjcf
+from khep_twin.playpen import Arena, Block, Playpen, Robot
+from khep_twin.scale.life import Ground
+
+BLOCKS = (0, 20, 100, 1000)
+ROBOTS = (1, 2, 8)
+RAYS = (1, 3, 9, 27)
+LIVES = (32, 128, 1024)
+
+PLACE_MM = 150.0
+"""Each block has a square of this side to itself [mm]: of 60 x 25 mm, it leaves a robot room on all sides."""
+
+CONES = 'camera resolution="9 1" fovy="12.680383"'
+"""How assets/khepera.xml has the sensors' rays: nine over 90 degrees."""
+
+
+def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
+    """Blocks at any angle around robots in rows, in a square arena of so many places a side.
+
+    Raises:
+        ValueError: there are fewer places.
+    """
+    middle = (places - 1) / 2
+    grid = sorted(
+        ((row, column) for row in range(places) for column in range(places)),
+        key=lambda place: (max(abs(each - middle) for each in place), place),
+    )
+    if n_blocks + n_robots > len(grid):
+        raise ValueError(f"{n_blocks} blocks and {n_robots} robots; right are {len(grid)} in all")
+    chance = np.random.default_rng(1)
+    angles = chance.uniform(0, 180, len(grid)).round(1).tolist()
+    shifts = chance.uniform(-20, 20, (len(grid), 2)).round(1).tolist()
+    at = [((column + 0.5) * PLACE_MM, (row + 0.5) * PLACE_MM) for row, column in grid]
+    blocks = tuple(
+        Block(x_mm=x + aside, y_mm=y + ahead, length_mm=60, width_mm=25, height_mm=50, angle_deg=angle)
+        for (x, y), (aside, ahead), angle in zip(
+            at[n_robots : n_robots + n_blocks], shifts[n_robots:], angles[n_robots:], strict=False
+        )
+    )
+    robots = tuple(Robot(x_mm=x, y_mm=y, heading_deg=30) for x, y in at[:n_robots])
+    arena = Arena(width_mm=places * PLACE_MM, height_mm=places * PLACE_MM)
+    return Playpen.model_validate(
+        {"version": 1, "name": "field", "arena": arena, "block": blocks, "robot": robots}
+    )
+
+
+@contextmanager
+def rays_per_sensor(n_rays: int) -> Generator[None]:
+    """Scenes made meanwhile have robots with so many rays over the same 90 degrees."""
+    known = playpen_to_mjcf.ROBOT_FILE.read_text()
+    if known.count(CONES) != 1:
+        raise ValueError(f"assets/khepera.xml has not {CONES!r}, which is to be changed")
+    fovy = math.degrees(2 * math.atan(1 / n_rays))
+    with TemporaryDirectory() as folder:
+        robot = Path(folder) / "khepera.xml"
+        robot.write_text(known.replace(CONES, f'camera resolution="{n_rays} 1" fovy="{fovy:.6f}"'))
+        with patch.object(playpen_to_mjcf, "ROBOT_FILE", robot):
+            yield
+
+
+def blocks_tables(seconds: float, rounds: int, numbers: Sequence[int] = BLOCKS) -> Iterator[Table]:
+    """A life and the bare loop among more and more blocks."""
+    grounds = [(f"{number} blocks", Ground(field(number))) for number in numbers]
+    yield from _life_and_bare("blocks", grounds, seconds, rounds)
+
+
+def rays_tables(seconds: float, rounds: int, numbers: Sequence[int] = RAYS) -> Iterator[Table]:
+    """A life and the bare loop among 20 blocks, with finer and finer cones."""
+    grounds: list[tuple[str, Ground]] = []
+    for number in numbers:
+        with rays_per_sensor(number):
+            grounds.append((f"{number} ray{'s' * (number > 1)} per sensor", Ground(field(20))))
+    yield from _life_and_bare("rays", grounds, seconds, rounds)
+
+
+def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -> Table:
+    """A world told by no line, with more and more robots."""
+    rows = [
+        world_row(f"{number} robot{'s' * (number > 1)}", field(20, number), seconds) for number in numbers
+    ]
+    return measure("robots, World among 20 blocks", rows, rounds, unit=COST, cost=True)
+
+
+def lives_table(life_s: float, rounds: int, numbers: Sequence[int] = LIVES) -> Table:
+    """Batches of more and more short lives, on two threads."""
+    ground = Ground(playpen.load("default"))
+    rows = [batch_row(f"{number} lives", ground, number, life_s, 2) for number in numbers]
+    title = f"lives of {life_s:g} s in a batch, default, 2 threads"
+    return measure(title, rows, rounds, unit=COST, cost=True)
+
+
+def tables(part: float, rounds: int, most: int | None = None) -> Iterator[Table]:
+    """All of them.
+
+    Args:
+        part: of the usual length.
+        rounds: of each.
+        most: the last size of each that is measured, by its place; None for all.
+    """
+    seconds = max(round(10 * part), 1)
+    yield from blocks_tables(seconds, rounds, BLOCKS[:most])
+    yield from rays_tables(seconds, rounds, RAYS[:most])
+    yield robots_table(seconds, rounds, ROBOTS[:most])
+    yield lives_table(max(round(part, 1), 0.2), rounds, LIVES[:most])
+
+
+def _life_and_bare(
+    what: str, grounds: Sequence[tuple[str, Ground]], seconds: float, rounds: int
+) -> Iterator[Table]:
+    lives: list[Row] = [life_row(name, ground, seconds) for name, ground in grounds]
+    bare: list[Row] = [bare_row(name, ground, seconds) for name, ground in grounds]
+    yield measure(f"{what}, compiled life", lives, rounds, unit=COST, cost=True)
+    yield measure(f"{what}, bare mj_step with rangefinders", bare, rounds, unit=COST, cost=True)
+
+
+def main() -> None:
+    for table in tables(1.0, 3):
+        print(text([table]), end="\n\n", flush=True)
+    print(LEGEND)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""Other simulators beside khep_twin, each in a process and a Python of its own.
+
+`kheperax_peer` says what is the same in Kheperax and what is not.
+"""
+
+import importlib.util
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from benchmarks.scale import generation
+from benchmarks.table import Row, Taken
+from khep_twin import calibration, kernel, units
+from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
+
+REACH_MM = 50.0
+"""Beyond the body, how far Kheperax's lasers see: about as far as the sensors do [mm]."""
+
+VARIABLE = "KHEP_TWIN_KHEPERAX"
+
+ABSENT = (
+    "Kheperax was left out; right is: python -m venv KX && KX/bin/pip install kheperax==0.2.0,",
+    "then --kheperax KX/bin/python",
+)
+
+_PEER = Path(__file__).with_name("kheperax_peer.py")
+
+
+def kheperax_python(given: str | None) -> str | None:
+    """The Python with Kheperax: as given, by the environment, or this one; none if there is none.
+
+    Raises:
+        KhepTwinError: the one that was named has no Kheperax.
+    """
+    named = given or os.environ.get(VARIABLE)
+    if named is None:
+        return sys.executable if importlib.util.find_spec("kheperax") else None
+    look = "import importlib.util, sys; sys.exit(importlib.util.find_spec('kheperax') is None)"
+    if shutil.which(named) is None or subprocess.run([named, "-c", look]).returncode:
+        raise KhepTwinError(f"{named}: no Python with Kheperax; right is one that can import it")
+    return named
+
+
+class Kheperax(AbstractContextManager["Kheperax"]):
+    """Kheperax in a playpen.
+
+    Args:
+        python: that can import it.
+        playpen: with one robot; its blocks and cylinders are left out, its walls have no thickness.
+
+    Attributes:
+        versions: of Kheperax and jax.
+
+    Raises:
+        KhepTwinError: it does not start; its own last line says why.
+    """
+
+    def __init__(self, python: str, playpen: Playpen) -> None:
+        self._process = subprocess.Popen(
+            [python, str(_PEER)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "JAX_PLATFORMS": "cpu"},
+        )
+        self.versions: dict[str, str] = self._ask(json.dumps(scene(playpen)))
+
+    def __exit__(self, *_: object) -> None:
+        """Ends it."""
+        self._process.communicate()
+
+    def row(self, name: str, robots: int, seconds: float) -> Row:
+        """So many robots at once for so long."""
+        steps = round(seconds * 1e9) // units.SCAN_NS
+
+        def run() -> Taken:
+            answer = self._ask(f"{robots} {steps}")
+            return Taken(answer["wall"], answer["cpu"])
+
+        return Row(name, robots * seconds, run, generation if robots > 1 else lambda rate: "")
+
+    def _ask(self, line: str) -> dict[str, Any]:
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin is not None
+        assert stdout is not None
+        try:
+            print(line, file=stdin, flush=True)
+            return json.loads(stdout.readline())
+        except (BrokenPipeError, json.JSONDecodeError):
+            self._process.kill()
+            said = self._process.communicate()[1].strip().splitlines() or ["it said nothing"]
+            raise KhepTwinError(f"Kheperax failed: {said[-1]}") from None
+
+
+def scene(playpen: Playpen) -> dict[str, Any]:
+    """A playpen as Kheperax's process reads it: lengths in mm, angles in rad."""
+    robot, arena = playpen.robots[0], playpen.arena
+    lines = [_edges(arena.outline_mm, True)] if arena.outline_mm else []
+    lines += [_edges(wall.points_mm, wall.closed) for wall in playpen.walls]
+    headings = calibration.read(robot.calibration)[0].heading_deg
+    return {
+        "width_mm": arena.width_mm,
+        "height_mm": arena.height_mm,
+        "walls_mm": [edge for line in lines for edge in line],
+        "start": [robot.x_mm, robot.y_mm, math.radians(robot.heading_deg)],
+        "radius_mm": units.BODY_RADIUS * 1000,
+        "reach_mm": REACH_MM,
+        "headings": [math.radians(each) for each in headings],
+        "pulse_mm": units.PULSE_LENGTH * 1000,
+        "weights": kernel.DEMO_WEIGHTS,
+        "divisor": kernel.DEMO_DIVISOR,
+        "speed": kernel.DEMO_SPEED_PULSES,
+        "top_speed": 127,
+    }
+
+
+def _edges(points: Sequence[tuple[float, float]], closed: bool) -> list[tuple[float, ...]]:
+    """x, y, x, y [mm] of each piece of a line."""
+    ends = [*points[1:], points[0]] if closed else points[1:]
+    return [(*start, *end) for start, end in zip(points, ends, strict=False)]

@@ -1,0 +1,132 @@
+"""Results of benchmarks as files: a date, the machine, versions and all tables, in TOML.
+
+A file tells nothing of where it was made but the processor, its cores and the memory.
+"""
+
+import os
+import platform
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from benchmarks.table import Result, Table
+from khep_twin import __version__
+from khep_twin.files import write_whole
+
+FOLDER = Path(__file__).parent / "results"
+PACKAGES = ("mujoco", "numba", "numpy")
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One run of the benchmarks.
+
+    Attributes:
+        date: year, month and day.
+        load: how many processes wanted to run when it began, over 1, 5 and 15 minutes.
+        machine: processor, cores, memory.
+        versions: of what took part.
+        tables: what was measured.
+    """
+
+    date: str
+    load: tuple[float, ...]
+    machine: Mapping[str, str | int]
+    versions: Mapping[str, str]
+    tables: tuple[Table, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its file: the date and the machine."""
+        words = re.sub(r"[^a-z0-9]+", "-", str(self.machine["processor"]).lower()).strip("-")
+        return f"{self.date}-{words}-{self.machine['cores']}-cores.toml"
+
+
+def machine() -> dict[str, str | int]:
+    """This one."""
+    found = re.search(r"^model name\s*:\s*(.+)$", _read("/proc/cpuinfo"), re.MULTILINE)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return {
+        "processor": found[1] if found else platform.machine(),
+        "cores": len(os.sched_getaffinity(0)),
+        "memory_gib": round(memory / 2**30),
+        "system": f"{platform.system()} {'.'.join(re.findall('[0-9]+', platform.release())[:2])}",
+    }
+
+
+def versions(others: Mapping[str, str]) -> dict[str, str]:
+    """Of Python, this project and what it computes with, and of others that took part."""
+    own = {"python": platform.python_version(), "khep_twin": __version__}
+    return {**own, **{name: version(name) for name in PACKAGES}, **others}
+
+
+def load() -> tuple[float, ...]:
+    """How many processes want to run, over 1, 5 and 15 minutes."""
+    return tuple(round(each, 2) for each in os.getloadavg())
+
+
+def save(record: Record, folder: Path) -> Path:
+    """Writes a record under its own name.
+
+    Raises:
+        KhepTwinError: it cannot be written.
+    """
+    data = {
+        "date": record.date,
+        "load": list(record.load),
+        "machine": dict(record.machine),
+        "versions": dict(record.versions),
+        "table": [_plain(table) for table in record.tables],
+    }
+    document = tomlkit.document()
+    document.add(
+        tomlkit.comment("Written by `python -m benchmarks --save`; benchmarks/table.py has what it says.")
+    )
+    document.update(data)
+    path = folder / record.name
+    write_whole(path, tomlkit.dumps(document).encode())
+    return path
+
+
+def read(path: Path) -> Record:
+    """A record from its file."""
+    data = tomllib.loads(path.read_text())
+    tables = [
+        Table(
+            each["title"],
+            each["unit"],
+            each["rounds"],
+            tuple(Result(**row) for row in each["row"]),
+            tuple(each["remarks"]),
+        )
+        for each in data["table"]
+    ]
+    return Record(data["date"], tuple(data["load"]), data["machine"], data["versions"], tuple(tables))
+
+
+def head(record: Record) -> str:
+    """Date, machine, versions and load, in two lines."""
+    kept, made = record.machine, ", ".join(f"{name} {number}" for name, number in record.versions.items())
+    return (
+        f"{record.date}: {kept['processor']}, {kept['cores']} cores, {kept['memory_gib']} GiB, "
+        f"{kept['system']}; load {record.load[0]:g}\n{made}"
+    )
+
+
+def _plain(table: Table) -> dict[str, Any]:
+    plain: dict[str, Any] = {"title": table.title, "unit": table.unit, "rounds": table.rounds}
+    rows: Sequence[dict[str, Any]] = [asdict(row) for row in table.results]
+    return {**plain, "remarks": list(table.remarks), "row": rows}
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text()
+    except OSError:
+        return ""

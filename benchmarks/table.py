@@ -1,0 +1,186 @@
+"""The measuring loop of all benchmarks, and how its table looks.
+
+    rows = [Row("bare loop (floor)", 20.0, timed(bare)), Row("life", 20.0, timed(life))]
+    print(text([measure("default", rows, rounds=5)]))
+
+All rows of a table run once uncounted and then in turn, round by round, so that whatever else the machine
+does falls on all of them alike. A ratio is the median over the rounds of a row's speed beside that of the
+first row, the floor, in the same round; it depends least on machine and load. In a table of costs, where
+time per unit is shown instead of units per time, it is the ratio of the times.
+"""
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+WIDTH = 36
+"""Of a row's name in the printed table."""
+
+SIMULATED = "simulated s per s"
+COST = "ms per simulated s"
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What a run took.
+
+    Attributes:
+        wall: by the clock [s].
+        cpu: of the processor, over all threads [s]; not a number where other processes share the work.
+    """
+
+    wall: float
+    cpu: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Something to be measured.
+
+    Attributes:
+        name: in the table.
+        work: what one run does, in the table's unit: simulated seconds, round trips.
+        run: does it once.
+        note: what stands behind the numbers, of the median units per second.
+    """
+
+    name: str
+    work: float
+    run: Callable[[], Taken]
+    note: Callable[[float], str] = lambda rate: ""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A row's numbers, to four digits; not a number for what was not measured.
+
+    Attributes:
+        name: in the table.
+        median: of all rounds, by the clock.
+        best: likewise.
+        cpu: median by the processor's time.
+        ratio: to the first row, by the clock.
+        cpu_ratio: likewise, by the processor's time.
+        note: a word more.
+    """
+
+    name: str
+    median: float
+    best: float
+    cpu: float
+    ratio: float
+    cpu_ratio: float
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows that were measured in the same rounds.
+
+    Attributes:
+        title: the scene, or what grows.
+        unit: of the numbers.
+        rounds: how many.
+        results: of the rows; ratios are to the first.
+        remarks: what is to be known, a line each.
+    """
+
+    title: str
+    unit: str
+    rounds: int
+    results: tuple[Result, ...]
+    remarks: tuple[str, ...] = ()
+
+
+def timed(deed: Callable[[], object]) -> Callable[[], Taken]:
+    """Something done in this process as what a row runs."""
+
+    def run() -> Taken:
+        wall, cpu = time.perf_counter(), time.process_time()
+        deed()
+        return Taken(time.perf_counter() - wall, time.process_time() - cpu)
+
+    return run
+
+
+def measure(
+    title: str,
+    rows: Sequence[Row],
+    rounds: int,
+    *,
+    unit: str = SIMULATED,
+    cost: bool = False,
+    remarks: Sequence[str] = (),
+) -> Table:
+    """Measures rows in turn.
+
+    Args:
+        title: of the table.
+        rows: the floor first.
+        rounds: that count; there is one more before them.
+        unit: of a row's work per second, or with `cost` of the time of a unit.
+        cost: shows milliseconds per unit, and ratios of times.
+        remarks: for below the table.
+    """
+    for row in rows:
+        row.run()
+    taken = [[row.run() for row in rows] for _ in range(rounds)]
+    results: list[Result] = []
+    for number, row in enumerate(rows):
+        walls, cpus = ([getattr(one[number], clock) / row.work for one in taken] for clock in _CLOCKS)
+        floors = ([getattr(one[0], clock) / rows[0].work for one in taken] for clock in _CLOCKS)
+        ratios = [
+            statistics.median(_beside(own, floor) for own, floor in zip(each, first, strict=True))
+            for each, first in zip((walls, cpus), floors, strict=True)
+        ]
+        median, best, cpu = statistics.median(walls), min(walls), statistics.median(cpus)
+        shown = [1000 * each if cost else _per(each) for each in (median, best, cpu)]
+        beside = [_per(each) if cost else each for each in ratios]
+        note = row.note(_per(median))
+        results.append(Result(row.name, *_rounded(*shown), *_rounded(*beside), note=note))
+    return Table(title, unit, rounds, tuple(results), tuple(remarks))
+
+
+def text(tables: Sequence[Table]) -> str:
+    """All tables as one."""
+    lines: list[str] = []
+    for table in tables:
+        lines += ["", f"{table.title} [{table.unit}]", f"{'':{WIDTH}}{_HEAD}"]
+        for row in table.results:
+            numbers = "".join(f"{_short(each):>8}" for each in (row.median, row.best, row.cpu))
+            ratios = "".join(f"{_short(each):>8}" for each in (row.ratio, row.cpu_ratio))
+            lines.append(f"  {row.name:{WIDTH - 2}}{numbers}{ratios}   {row.note}".rstrip())
+        lines += [f"  {remark}" for remark in table.remarks]
+    return "\n".join(lines[1:])
+
+
+LEGEND = (
+    "median and best by the clock, CPU by the processor's time of all threads; ratios to the first row,\n"
+    "medians of each round's, by the clock and by the processor's time"
+)
+"""What the columns are."""
+
+_HEAD = "".join(f"{word:>8}" for word in ("median", "best", "CPU", "ratio", "of CPU"))
+_CLOCKS = ("wall", "cpu")
+
+
+def _beside(own: float, floor: float) -> float:
+    """How fast something is beside a floor, of the time that a unit takes either."""
+    return floor / own if own > 0 else math.nan
+
+
+def _per(value: float) -> float:
+    return 1 / value if value > 0 else math.nan
+
+
+def _rounded(*values: float) -> Iterator[float]:
+    return (float(f"{value:.4g}") for value in values)
+
+
+def _short(value: float) -> str:
+    """Three digits, and all of those before the point."""
+    if math.isnan(value):
+        return "-"
+    return f"{value:.0f}" if value >= 99.95 else f"{value:#.3g}"

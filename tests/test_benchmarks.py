@@ -1,0 +1,179 @@
+"""The benchmarks run and keep what they find; how fast anything is, no test asks."""
+
+import importlib
+import importlib.util
+import itertools
+import math
+import platform
+import sys
+from pathlib import Path
+
+import pytest
+
+import benchmarks
+from benchmarks import growth, peers, record
+from benchmarks.ports import line_row, trip_rows
+from benchmarks.scale import bare_row, life_row, world_row
+from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
+from khep_twin import playpen
+from khep_twin.casting import ray_slices
+from khep_twin.errors import KhepTwinError
+from khep_twin.scale.life import Ground
+from khep_twin.sensors import proximity_optics
+
+FOLDER = Path(benchmarks.__file__).parent
+
+
+def steady(name: str, work: float, wall: float, cpu: float = math.nan) -> Row:
+    return Row(name, work, lambda: Taken(wall, cpu), lambda rate: f"{rate:g} per s")
+
+
+def trivial() -> Table:
+    rows = [steady("floor", 10, 1, 0.5), steady("half as fast", 5, 1, 1), steady("elsewhere", 10, 0.5)]
+    return measure("scene", rows, 3, remarks=["a remark"])
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
+def test_a_benchmark_can_be_imported(path: Path) -> None:
+    importlib.import_module(f"benchmarks.{path.stem}")
+
+
+def test_ratios_are_speeds_beside_the_first_row() -> None:
+    floor, half, elsewhere = trivial().results
+    assert (floor.median, floor.best, floor.cpu, floor.ratio, floor.cpu_ratio) == (10, 10, 20, 1, 1)
+    assert (half.median, half.cpu, half.ratio, half.cpu_ratio) == (5, 5, 0.5, 0.25)
+    assert (elsewhere.ratio, elsewhere.note) == (2, "20 per s")
+    assert math.isnan(elsewhere.cpu)
+    assert math.isnan(elsewhere.cpu_ratio)
+
+
+def test_costs_are_times_beside_the_first_row() -> None:
+    _, dear = measure("size", [steady("1", 10, 1, 1), steady("2", 10, 4, 3)], 3, unit=COST, cost=True).results
+    assert (dear.median, dear.cpu, dear.ratio, dear.cpu_ratio) == (400, 300, 4, 3)
+
+
+def test_a_ratio_is_of_the_same_round() -> None:
+    # Whatever makes a round slow makes all of it slow.
+    walls = [iter([9.0, *slow]) for slow in ([1, 5, 20], [2, 10, 40])]
+    rows = [
+        Row("floor", 1, lambda: Taken(next(walls[0]))),
+        Row("half as fast", 1, lambda: Taken(next(walls[1]))),
+    ]
+    _, half = measure("scene", rows, 3).results
+    assert (half.ratio, half.median, half.best) == (0.5, 0.1, 0.5)
+
+
+def test_rows_take_turns_and_the_first_round_does_not_count() -> None:
+    told: list[str] = []
+    times = itertools.chain([100.0, 100.0], itertools.repeat(1.0))
+
+    def run(name: str) -> Taken:
+        told.append(name)
+        return Taken(next(times))
+
+    table = measure("scene", [Row(name, 1, lambda name=name: run(name)) for name in "ab"], 2)
+    assert told == ["a", "b"] * 3
+    assert [row.best for row in table.results] == [row.median for row in table.results] == [1, 1]
+
+
+def test_the_printed_table_is_aligned_and_fits_a_screen() -> None:
+    title, head, *rows, remark = text([trivial()]).splitlines()
+    assert title == "scene [simulated s per s]"
+    assert remark.strip() == "a remark"
+    ends = {
+        line.index(word) + len(word)
+        for line, word in zip([head, *rows], ["median", "10.0", "5.00", "20.0"], strict=True)
+    }
+    assert len(ends) == 1
+    assert all(len(line) <= 100 for line in [title, head, *rows])
+
+
+def test_results_survive_their_file_and_tell_nothing_of_where_they_were_made(tmp_path: Path) -> None:
+    kept = record.Record(
+        "2001-02-03", record.load(), record.machine(), record.versions({"peer": "1"}), (trivial(),)
+    )
+    path = record.save(kept, tmp_path)
+    assert path.name.startswith("2001-02-03-")
+    found = record.read(path)
+    assert repr(found) == repr(kept)
+    assert text(found.tables) == text(kept.tables)
+    written = path.read_text()
+    assert not [word for word in (platform.node(), str(Path.home())) if len(word) > 1 and word in written]
+
+
+def test_the_results_that_are_kept_can_be_read() -> None:
+    paths = sorted(record.FOLDER.glob("*.toml"))
+    assert paths
+    for path in paths:
+        found = record.read(path)
+        assert found.name == path.name
+        assert text(found.tables)
+
+
+def test_fields_grow_around_the_same_blocks() -> None:
+    small, large = growth.field(20), growth.field(100)
+    assert (len(small.blocks), len(large.blocks)) == (20, 100)
+    assert large.blocks[:20] == small.blocks
+    assert len(growth.field(20, 8).robots) == 8
+    with pytest.raises(ValueError, match="right are 4 in all"):
+        growth.field(4, 1, places=2)
+
+
+@pytest.mark.parametrize("n_rays", [1, 27])
+def test_cones_have_more_or_fewer_rays_over_the_same_angle(n_rays: int) -> None:
+    with growth.rays_per_sensor(n_rays):
+        ground = Ground(playpen.load("default"))
+    (first, *_), usual = ray_slices(ground.model, "khepera0/"), Ground(playpen.load("default"))
+    assert first.stop - first.start == 4 * n_rays
+    spans = [
+        near.aside[0][-1] * n / max(n - 1, 1)
+        for near, n in (
+            (proximity_optics(ground.model, "khepera0/", ground.calibration), n_rays),
+            (proximity_optics(usual.model, "khepera0/", usual.calibration), 9),
+        )
+    ]
+    assert spans[0] == pytest.approx(1 if n_rays > 1 else 0, abs=1e-6)
+    assert spans[1] == pytest.approx(1, abs=1e-6)
+
+
+def test_rows_run_what_they_name() -> None:
+    scene = playpen.load("default")
+    ground = Ground(scene)
+    rows = [
+        life_row("plain", ground, 0.1, compiled=False),
+        world_row("world", scene, 0.1),
+        line_row("line", "default", 0.1),
+    ]
+    if importlib.util.find_spec("numba"):
+        rows.append(bare_row("bare", ground, 0.1))
+    results = measure("all", rows, 1).results
+    assert all(row.median > 0 and row.cpu > 0 and row.ratio > 0 for row in results)
+    assert timed(lambda: None)().wall >= 0
+
+
+def test_round_trips_go_over_two_pseudo_terminals() -> None:
+    with trip_rows(5) as rows:
+        floor, twin = measure("B", rows, 1).results
+    assert floor.median > 0
+    assert twin.note.startswith("p50 ")
+
+
+def test_kheperax_gets_every_wall_of_a_playpen() -> None:
+    maze = playpen.load("looping-maze")
+    told = peers.scene(maze)
+    assert len(told["walls_mm"]) == len(maze.arena.outline_mm) + len(maze.walls[0].points_mm)
+    assert told["walls_mm"][-1] == (*maze.walls[0].points_mm[-1], *maze.walls[0].points_mm[0])
+    assert peers.scene(playpen.load("default"))["walls_mm"] == []
+
+
+def test_a_python_without_kheperax_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(peers.VARIABLE, raising=False)
+    if importlib.util.find_spec("kheperax"):
+        pytest.skip("Kheperax is installed here")
+    assert peers.kheperax_python(None) is None
+    with pytest.raises(KhepTwinError, match="right is one that can import it"):
+        peers.kheperax_python(sys.executable)
+    with pytest.raises(KhepTwinError, match="no Python with Kheperax"):
+        peers.kheperax_python("/nowhere/python")
+    with pytest.raises(KhepTwinError, match="Kheperax failed: ModuleNotFoundError"):
+        peers.Kheperax(sys.executable, playpen.load("default"))
