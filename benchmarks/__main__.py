@@ -113,7 +113,15 @@ def main() -> None:
         metavar="FOLDER",
         help="keep the results in a file; without FOLDER in benchmarks/results",
     )
+    parser.add_argument("--show", type=Path, metavar="FILE", help="print kept results, measure nothing")
     given = parser.parse_args()
+    if given.show is not None:
+        try:
+            shown = record.read(given.show)
+        except KhepTwinError as error:
+            parser.error(str(error))
+        print(f"{text(shown.tables)}\n\n{LEGEND}\n{record.head(shown)}")
+        return
     try:
         python = peers.kheperax_python(given.kheperax)
         if given.save is not None and not given.save.is_dir():

@@ -17,6 +17,7 @@ import tomlkit
 
 from benchmarks.table import Result, Table
 from khep_twin import __version__
+from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
 
 FOLDER = Path(__file__).parent / "results"
@@ -95,19 +96,19 @@ def save(record: Record, folder: Path) -> Path:
 
 
 def read(path: Path) -> Record:
-    """A record from its file."""
-    data = tomllib.loads(path.read_text())
-    tables = [
-        Table(
-            each["title"],
-            each["unit"],
-            each["rounds"],
-            tuple(Result(**row) for row in each["row"]),
-            tuple(each["remarks"]),
-        )
-        for each in data["table"]
-    ]
-    return Record(data["date"], tuple(data["load"]), data["machine"], data["versions"], tuple(tables))
+    """A record from its file.
+
+    Raises:
+        KhepTwinError: it cannot be read, or is none.
+    """
+    try:
+        data = tomllib.loads(path.read_text())
+        tables = tuple(_table(**each) for each in data["table"])
+        return Record(data["date"], tuple(data["load"]), data["machine"], data["versions"], tables)
+    except OSError as error:
+        raise KhepTwinError(f"{path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+        raise KhepTwinError(f"{path}: no results of benchmarks; right is a file of --save") from error
 
 
 def head(record: Record) -> str:
@@ -117,6 +118,10 @@ def head(record: Record) -> str:
         f"{record.date}: {kept['processor']}, {kept['cores']} cores, {kept['memory_gib']} GiB, "
         f"{kept['system']}; load {record.load[0]:g}\n{made}"
     )
+
+
+def _table(title: str, unit: str, rounds: int, remarks: list[str], row: list[dict[str, Any]]) -> Table:
+    return Table(title, unit, rounds, tuple(Result(**each) for each in row), tuple(remarks))
 
 
 def _plain(table: Table) -> dict[str, Any]:

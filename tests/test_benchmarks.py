@@ -110,6 +110,15 @@ def test_the_results_that_are_kept_can_be_read() -> None:
         assert text(found.tables)
 
 
+def test_what_is_no_record_is_told_in_a_line(tmp_path: Path) -> None:
+    for text_of_it in ("date = ", 'date = "today"', "\n".join(["[[table]]", 'title = "a"', "load = []"])):
+        (tmp_path / "other.toml").write_text(text_of_it)
+        with pytest.raises(KhepTwinError, match="right is a file of --save"):
+            record.read(tmp_path / "other.toml")
+    with pytest.raises(KhepTwinError, match="cannot be read"):
+        record.read(tmp_path / "none.toml")
+
+
 def test_fields_grow_around_the_same_blocks() -> None:
     small, large = growth.field(20), growth.field(100)
     assert (len(small.blocks), len(large.blocks)) == (20, 100)
