@@ -75,7 +75,7 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
                 kheperax.row("Kheperax, 1 robot, 20 ms", 1, 400 * part),
                 kheperax.row("Kheperax, 1024 robots, 20 ms", 1024, 4 * part),
             ]
-        remarks = () if python else peers.ABSENT
+        remarks = [] if python else [peers.ABSENT]
         return measure(f"{name}, beside Kheperax", rows, rounds, remarks=remarks)
 
 

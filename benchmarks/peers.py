@@ -26,10 +26,7 @@ REACH_MM = 50.0
 
 VARIABLE = "KHEP_TWIN_KHEPERAX"
 
-ABSENT = (
-    "Kheperax was left out; right is: python -m venv KX && KX/bin/pip install kheperax==0.2.0,",
-    "then --kheperax KX/bin/python",
-)
+ABSENT = "Kheperax left out: pip install kheperax==0.2.0 in an environment KX, then --kheperax KX/bin/python"
 
 _PEER = Path(__file__).with_name("kheperax_peer.py")
 
