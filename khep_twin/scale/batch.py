@@ -199,8 +199,13 @@ def _share_out(
                 failure = error
             results.keep(index, int(seeds[index]), life, failure)
 
-    for done in [pool.submit(work, life) for life in rooms]:
-        done.result()
+    try:
+        for done in [pool.submit(work, life) for life in rooms]:
+            done.result()
+    finally:
+        # Whoever is interrupted waits for lives that have begun, not for all of them.
+        for _ in turns:
+            pass
 
 
 def _live_together(

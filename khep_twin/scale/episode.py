@@ -27,7 +27,9 @@ N_STATE = 4
 PERIODS, AVOIDANCE, SEEKING, HOMING, FOLLOWING, WAY, CHARGE, LAST_X, LAST_Y = 0, 1, 2, 3, 4, 5, 6, 7, 8
 """Places in `Mind.sums`: control periods, sums of fitness over them, the way [m], the charge left [s], where
 the robot was last [m]."""
-N_SUMS = 9
+FORWARD = 9
+"""Likewise the way forwards less that backwards [m]."""
+N_SUMS = 10
 
 FASTEST = 1000.0
 """What no joint exceeds [m/s or rad/s], as in the world."""
@@ -194,8 +196,7 @@ def advance(body: Body, mind: Mind, span: Span, n_steps: int) -> int:
                 state[TROUBLE] = NO_SPEED
                 break
             period = wiring.steps_per_period * conversions * _CONVERSION
-            x, y = qpos[wiring.pose], qpos[wiring.pose + 1]
-            note(registers, mind.sums, mind.home, body.eyes.dark, body.eyes.floor, x, y, period)
+            note(registers, mind.sums, mind.home, body.eyes.dark, body.eyes.floor, qpos, wiring.pose, period)
         casting.step(body.scene)
         row = 0 if len(span.powers) == 1 else i
         for turn in range(conversions):
@@ -240,8 +241,8 @@ def note(
     home: Any,
     dark: float,
     floor: float,
-    x: float,
-    y: float,
+    qpos: Any,
+    pose: int,
     period: float,
 ) -> None:
     """Adds the fitness of a control period's beginning, with the speeds just set.
@@ -252,8 +253,8 @@ def note(
         home: as in `Mind`.
         dark: ambient reading in the dark [counts].
         floor: in the brightest light.
-        x: where the robot is [m].
-        y: likewise.
+        qpos: of the scene.
+        pose: of the robot in it.
         period: of the controller [s].
     """
     nearest, darkest = registers[_PROXIMITY], registers[_AMBIENT]
@@ -263,9 +264,13 @@ def note(
     side = max(registers[_PROXIMITY + _SIDES[0]], registers[_PROXIMITY + _SIDES[1]]) / units.COUNTS_LIMIT
     left, right = float(registers[_LEFT_SETPOINT]), float(registers[_RIGHT_SETPOINT])
     part = nearest / units.COUNTS_LIMIT
+    x, y = qpos[pose], qpos[pose + 1]
+    qw, qx, qy, qz = qpos[pose + 3], qpos[pose + 4], qpos[pose + 5], qpos[pose + 6]
     dx, dy = x - sums[LAST_X], y - sums[LAST_Y]
     if sums[PERIODS] > 0:
         sums[WAY] += math.sqrt(dx * dx + dy * dy)
+        # Cosine and sine of the heading, as far as the robot stands upright.
+        sums[FORWARD] += dx * (1 - 2 * (qy * qy + qz * qz)) + dy * (2 * (qw * qz + qx * qy))
     sums[LAST_X], sums[LAST_Y] = x, y
     sums[PERIODS] += 1
     sums[AVOIDANCE] += fitness.obstacle_avoidance(left, right, part)

@@ -39,8 +39,8 @@ from khep_twin.sensors import proximity_optics
 from khep_twin.sightlines import SightLines
 from khep_twin.supply import Supply
 
-NUMBERS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m")
-"""What a life is measured by: means over its control periods, and the way."""
+NUMBERS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
+"""What a life is measured by: means over its control periods, the way, and the way forwards less that back."""
 
 SPAN_NS = 2_000_000_000
 """Chance is drawn for so long at a time [ns]."""
@@ -353,7 +353,8 @@ class Life:
         ]
         if not self._mind.home[2]:
             means[2] = math.nan
-        return dict(zip(NUMBERS, [*means, float(sums[episode.WAY])], strict=True))
+        ways = [float(sums[each]) for each in (episode.WAY, episode.FORWARD)]
+        return dict(zip(NUMBERS, [*means, *ways], strict=True))
 
     def _span(self, powers: list[list[float]], conversions: int, feeds: int) -> episode.Span:
         """Chance and supply of the next steps."""

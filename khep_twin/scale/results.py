@@ -74,22 +74,23 @@ class SweepFolder:
         except OSError as error:
             raise StudyError(f"{self._path}: cannot be made: {error.strerror}") from error
         try:
-            # It goes with the process, even if that is killed.
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._lock(descriptor)
             self._begin(resume)
             yield
-        except BlockingIOError:
-            raise StudyError(
-                f"{self._path}: another sweep is at work there; right is to wait for it"
-            ) from None
         finally:
             os.close(descriptor)
 
     def missing(self) -> list[Task]:
         """Tasks whose results are not there as a whole."""
         if self.table.exists():
+            if not self._holds(self.table, self._work.lives):
+                raise StudyError(f"{self.table}: is damaged; right is to delete it, and --resume")
             return []
-        return [task for task in self._work.tasks if not self._is_there(task)]
+        return [
+            task
+            for task in self._work.tasks
+            if not self._holds(self._part(task), task.count, str(task.index).encode())
+        ]
 
     def keep(self, task: Task, data: bytes) -> None:
         """Keeps a task's results."""
@@ -102,7 +103,7 @@ class SweepFolder:
             Its path.
 
         Raises:
-            StudyError: a life is missing or there twice; the parts stay.
+            StudyError: it cannot be written, or a life is missing or there twice; the parts stay.
         """
         if not self.table.exists():
             self._join()
@@ -117,12 +118,15 @@ class SweepFolder:
             raise StudyError(
                 f"{self._path}: another sweep is at work there; right is to wait for its end"
             ) from None
+        except OSError as error:
+            raise StudyError(f"{self._path}: cannot be locked: {error.strerror}") from error
 
     def _begin(self, resume: bool) -> None:
         file, work = self._path / "study.json", self._work
         known = _json(file)
         if known is None:
-            if found := sorted(self._path.iterdir()):
+            # A sweep that was killed at once may have left the beginning of its file.
+            if found := sorted({*self._path.iterdir()} - {self._path / f".{file.name}.part"}):
                 raise StudyError(
                     f"{self._path}: holds {found[0].name} and no study.json; right is a new folder"
                 )
@@ -135,7 +139,6 @@ class SweepFolder:
             raise StudyError(
                 f"{self._path}: holds results of this study already; right is --resume, or a new folder"
             )
-        self._parts.mkdir(exist_ok=True)
         told = {
             "name": work.study.name,
             "lives": work.lives,
@@ -144,21 +147,23 @@ class SweepFolder:
             "digest": work.digest,
         }
         write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
+        try:
+            self._parts.mkdir(exist_ok=True)
+        except OSError as error:
+            raise StudyError(f"{self._parts}: cannot be made: {error.strerror}") from error
 
     def _part(self, task: Task) -> Path:
         return self._parts / f"task-{task.index:06}.parquet"
 
-    def _is_there(self, task: Task) -> bool:
+    def _holds(self, file: Path, lives: int, task: bytes | None = None) -> bool:
+        """Whether a file ends as one does that was written as a whole, with lives of this study."""
         try:
-            known = pq.read_metadata(self._part(task))
+            known = pq.read_metadata(file)
         except (OSError, pa.ArrowInvalid):
             return False
         told = known.metadata or {}
-        return (
-            known.num_rows == task.count
-            and told.get(_STUDY) == self._work.digest.encode()
-            and told.get(_TASK) == str(task.index).encode()
-        )
+        ours = told.get(_STUDY) == self._work.digest.encode() and told.get(_TASK) == task
+        return ours and known.num_rows == lives
 
     def _join(self) -> None:
         scratch = self.table.with_name(f".{self.table.name}.part")

@@ -35,7 +35,9 @@ from khep_twin.scale.minds import Floats, Network
 from khep_twin.toml_files import Name, Problem, Problems, Table, show
 from khep_twin.toml_lines import Lines, Location
 
-Fitness = Literal["obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m"]
+Fitness = Literal[
+    "obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m"
+]
 """What a life can be measured by; `life.NUMBERS`."""
 
 Switches = Annotated[tuple[bool, ...], Field(min_length=1, description="a list of true and false")]
