@@ -1,5 +1,6 @@
 """`khep-twin sweep`: a study's lives, here or on Ray, each result once in one Parquet table."""
 
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -81,9 +82,20 @@ def sweep(
 
             table = run_sweep(file, output=output, resume=resume, doers=doers, begin=begin, progress=tell)
     except KeyboardInterrupt:
-        typer.echo(f"khep-twin: stopped; go on: {program()} sweep {study} --resume", err=True)
+        again = shlex.join(_again(study, ray, address, workers, output))
+        typer.echo(f"khep-twin: stopped; go on: {program()} {again}", err=True)
         raise typer.Exit(130) from None
     typer.echo(f"results  {table}")
+
+
+def _again(
+    study: Path, ray: bool, address: str | None, workers: int | None, output: Path | None
+) -> list[str]:
+    """The words that do the rest of a sweep."""
+    words = ["sweep", str(study), "--resume", *(["--ray"] if ray else [])]
+    for name, value in (("--address", address), ("--workers", workers), ("--output", output)):
+        words += [] if value is None else [name, str(value)]
+    return words
 
 
 class _Lines:

@@ -40,7 +40,7 @@ from khep_twin.sightlines import SightLines
 from khep_twin.supply import Supply
 
 NUMBERS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
-"""What a life is measured by: means over its control periods, the way, and the way forwards less that back."""
+"""What a life is measured by: means over its control periods, the way, and that forwards less that back."""
 
 SPAN_NS = 2_000_000_000
 """Chance is drawn for so long at a time [ns]."""

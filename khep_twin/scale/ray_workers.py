@@ -36,6 +36,9 @@ _HERE = {"RAY_AUTH_MODE": "token", "RAY_USAGE_STATS_ENABLED": "0"}
 _ALONE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """Ray binds to loopback where it is not to make clusters; on Linux it has no other switch for that."""
 
+_NICENESS = "RAY_worker_niceness"
+"""Ray lets its workers stand back (15): beside anything else that works they would hardly get on."""
+
 
 def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
     """Ray's workers, one for each core.
@@ -52,7 +55,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
     if address is None:
         if "RAY_AUTH_TOKEN" not in os.environ:
             given["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
-        given[_ALONE] = "0"
+        given |= {_ALONE: "0"} | ({_NICENESS: "0"} if _NICENESS not in os.environ else {})
         if "ray" in sys.modules:
             raise KhepTwinError("ray is imported already and may listen to others; right is a new process")
     # Ray reads some of it when it is imported, and its processes when they start.

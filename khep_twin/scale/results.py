@@ -33,7 +33,6 @@ from khep_twin.scale.task_lives import Columns
 
 _STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
 
-
 _TYPES = {"failed_step": pa.int64(), "failure": pa.string()}
 """Of columns that may have no value at all."""
 
@@ -167,36 +166,44 @@ class SweepFolder:
 
     def _join(self) -> None:
         scratch = self.table.with_name(f".{self.table.name}.part")
+        schema = self._read(self._work.tasks[0]).schema
         try:
-            with pq.ParquetWriter(scratch, self._schema()) as writer:
-                following = 0
+            with pq.ParquetWriter(scratch, schema) as writer:
                 for task in self._work.tasks:
-                    table = pq.read_table(self._part(task))
-                    numbers = table["life"].to_numpy()
-                    if numbers.tolist() != list(range(following, following + task.count)):
-                        raise StudyError(
-                            f"{self._part(task)}: does not hold lives {following} to "
-                            f"{following + task.count - 1}, each once; right is to delete it and to resume"
-                        )
-                    following += task.count
-                    writer.write_table(table.replace_schema_metadata({_STUDY: self._work.digest}))
+                    writer.write_table(self._read(task))
             os.replace(scratch, self.table)
         except OSError as error:
             raise StudyError(f"{self.table}: cannot be written: {error.strerror or error}") from error
         finally:
             scratch.unlink(missing_ok=True)
 
-    def _schema(self) -> pa.Schema:
-        first = pq.read_schema(self._part(self._work.tasks[0]))
-        return first.with_metadata({_STUDY: self._work.digest})
+    def _read(self, task: Task) -> pa.Table:
+        """A part, with each of its lives there once."""
+        file = self._part(task)
+        try:
+            # A folder's name such as a=1 would make a column.
+            table = pq.read_table(file, partitioning=None)
+            whole = table["life"].to_pylist() == list(range(task.first, task.first + task.count))
+        except (OSError, pa.ArrowException):
+            table, whole = pa.table({}), False
+        if not whole:
+            raise StudyError(
+                f"{file}: does not hold lives {task.first} to {task.first + task.count - 1}, each once; "
+                "right is to delete it, and --resume"
+            )
+        return table.replace_schema_metadata({_STUDY: self._work.digest})
 
 
 def _json(file: Path) -> dict[str, Any] | None:
-    """What a file says; None where there is none, nothing where it cannot be read."""
+    """What a file says; None where there is none."""
     try:
         found = json.loads(file.read_text())
     except FileNotFoundError:
         return None
     except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+        found = None
+    if not isinstance(found, dict):
+        raise StudyError(
+            f"{file}: cannot be read, so nobody knows whose results these are; right is a new folder"
+        )
+    return found  # pyright: ignore[reportUnknownVariableType]
