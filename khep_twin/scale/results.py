@@ -171,6 +171,9 @@ class SweepFolder:
             with pq.ParquetWriter(scratch, schema) as writer:
                 for task in self._work.tasks:
                     writer.write_table(self._read(task))
+            # The parts go when it is there, even if the power does.
+            with scratch.open("rb") as file:
+                os.fsync(file.fileno())
             os.replace(scratch, self.table)
         except OSError as error:
             raise StudyError(f"{self.table}: cannot be written: {error.strerror or error}") from error

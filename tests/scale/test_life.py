@@ -220,6 +220,22 @@ def test_life_ends_its_homing_with_its_charge(compiled: bool) -> None:
     assert np.isnan(homing((0.0, 0.0, 0.0, 0.0)))
 
 
+@pytest.mark.parametrize("compiled", KINDS)
+def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> None:
+    def ways(left: int, right: int) -> tuple[float, float]:
+        free = playpen.load("default")
+        life = lived(free, 1.0, compiled, Hold(left, right), noise=False, start=(300.0, 250.0, 130.0))
+        numbers = life.numbers()
+        return numbers["forward_m"], numbers["distance_m"]
+
+    forwards, way = ways(5, 5)
+    assert forwards == pytest.approx(way, rel=1e-6) == pytest.approx(0.04, rel=0.1)
+    assert ways(-5, -5)[0] == pytest.approx(-forwards, rel=0.02)
+    # Along an arc it is the arc; on the spot it is nothing.
+    assert ways(4, 6)[0] == pytest.approx(ways(4, 6)[1], rel=1e-3)
+    assert abs(ways(-5, 5)[0]) < 0.002
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -144,6 +144,68 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None
         swept(tmp_path, STUDY, resume=True)
 
 
+def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done_then(tmp_path: Path) -> None:
+    text = STUDY.replace("seeds = 3", "seeds = 4000").replace(
+        "rollouts_per_task = 4", "rollouts_per_task = 200"
+    )
+    file = loaded(tmp_path, text.replace("seconds = 0.2", "seconds = 0.02"))
+    output = tmp_path / "another one"
+    command = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml"), "-o", str(output)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as sweep:
+        start = time.monotonic()
+        while len(list(output.glob("parts/task-*.parquet"))) < 2 and time.monotonic() - start < 100:
+            time.sleep(0.01)
+        sweep.send_signal(signal.SIGINT)
+        told = sweep.communicate()[1]
+    assert sweep.returncode == 130, told
+    assert told.endswith(
+        f"stopped; go on: khep-twin sweep {tmp_path}/study.toml --resume --output '{output}'\n"
+    )
+    there = len(list(output.glob("parts/task-*.parquet")))
+    assert 2 <= there < 20
+    following = Counted()
+    table = run_sweep(file, output=output, resume=True, doers=following)
+    assert len(following.done) == 20 - there
+    assert pq.read_table(table)["life"].to_pylist() == list(range(4000))
+
+
+def test_what_is_damaged_is_told_by_file(tmp_path: Path) -> None:
+    text = STUDY.replace("seeds = 3", "seeds = 12")
+    with pytest.raises(KhepTwinError, match="stopped"):
+        swept(tmp_path, text, doers=Counted(stop_before=2))
+    # Its end is whole, but not what comes before.
+    part = tmp_path / "out" / "parts" / "task-000001.parquet"
+    data = part.read_bytes()
+    part.write_bytes(data[:4] + bytes(100) + data[104:])
+    with pytest.raises(
+        StudyError, match=r"task-000001.parquet: does not hold lives 4 to 7, each once; right is"
+    ):
+        swept(tmp_path, text, resume=True)
+    part.unlink()
+    table = swept(tmp_path, text, resume=True)
+    table.write_bytes(table.read_bytes()[:-100])
+    with pytest.raises(StudyError, match=r"results.parquet: is damaged; right is to delete it, and --resume"):
+        swept(tmp_path, text, resume=True)
+    (tmp_path / "out" / "study.json").write_text("{")
+    with pytest.raises(StudyError, match=r"study.json: cannot be read, so nobody knows whose results"):
+        swept(tmp_path, text, resume=True)
+
+
+def test_a_folder_may_have_any_name_but_must_be_one(tmp_path: Path) -> None:
+    rows = pq.ParquetFile(swept(tmp_path, STUDY, output=tmp_path / "noise=1, 2 'ä'")).read()
+    assert "noise" in rows.column_names
+    assert len(rows) == 3
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StudyError, match=r"file: cannot be made: File exists"):
+        swept(tmp_path, STUDY, output=tmp_path / "file")
+
+
+def test_a_sweep_that_was_killed_at_its_very_beginning_can_be_begun_again(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".study.json.part").write_text("{")
+    assert len(pq.read_table(swept(tmp_path, STUDY, resume=True))) == 3
+
+
 def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:
     @contextmanager
     def meanwhile(work: Work, tasks: Sequence[Task]) -> Iterator[Iterator[tuple[Task, bytes]]]:
