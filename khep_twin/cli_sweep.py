@@ -3,13 +3,14 @@
 import shlex
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli_options import program, usage
+from khep_twin.cli_options import complain, program, usage
 from khep_twin.cli_progress import progress
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def sweep(
 ) -> None:
     """Leads all the lives of a study and keeps each one's results once, in a Parquet table."""
     from khep_twin.scale import study as studies
+    from khep_twin.scale.life import SlowerWarning, is_compiled
     from khep_twin.scale.sweep import here, run_sweep
     from khep_twin.scale.sweep_tasks import work_of
 
@@ -52,6 +54,13 @@ def sweep(
         raise usage(f"--address {address}: is Ray's; right is to give --ray too")
     if address is not None and workers is not None:
         raise usage("--workers is for this machine; a cluster at --address has its own")
+    if address not in (None, "auto"):
+        from khep_twin.scale.ray_workers import host_and_port
+
+        try:
+            host_and_port(address)
+        except ValueError as error:
+            raise usage(f"--address {error}") from None
     file = studies.load(study)
     if check:
         work = work_of(file)
@@ -64,6 +73,12 @@ def sweep(
         from khep_twin.scale.ray_workers import on_ray
 
         doers = on_ray(address, workers)
+    with warnings.catch_warnings(record=True) as slower:
+        warnings.simplefilter("always", SlowerWarning)
+        is_compiled(None)
+    for warning in slower:
+        complain(str(warning.message))
+    warnings.simplefilter("ignore", SlowerWarning)  # once is enough
 
     def begin(work: "Work", missing: Sequence["Task"]) -> None:
         lives = sum(task.count for task in missing)

@@ -11,6 +11,7 @@ again; whoever lost it has written nothing down.
 
 import os
 import secrets
+import socket
 import sys
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,8 +31,11 @@ AHEAD = 2
 
 LOOPBACK = "127.0.0.1"
 
-_HERE = {"RAY_AUTH_MODE": "token", "RAY_USAGE_STATS_ENABLED": "0"}
+_HERE = {"RAY_AUTH_MODE": "token", "RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "error"}
 """What Ray is told where the user has not said otherwise."""
+
+PATIENCE = 5.0
+"""How long a cluster may take to answer [s] (assumed); Ray itself would try for minutes."""
 
 _ALONE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """Ray binds to loopback where it is not to make clusters; on Linux it has no other switch for that."""
@@ -80,19 +84,38 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
     return done
 
 
+def host_and_port(address: str) -> tuple[str, int]:
+    """Both parts of HOST:PORT.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    host, _, port = address.rpartition(":")
+    if not host or "/" in host or not port.isdecimal() or not 0 < int(port) < 2**16:
+        raise ValueError(f"{address}: right is HOST:PORT, such as 10.0.0.1:6379, or auto")
+    return host.strip("[]"), int(port)
+
+
 def _join(ray: Any, address: str | None, workers: int | None) -> None:
     """Starts Ray here, or joins a cluster."""
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
         if address is not None:
+            if address != "auto":
+                host, port = host_and_port(address)
+                socket.create_connection((host, port), PATIENCE).close()
             ray.init(address=address, **quiet)
             return
         count = workers or len(os.sched_getaffinity(0))
         # "local" takes no cluster that the environment may name.
         found = ray.init(address="local", num_cpus=count, include_dashboard=False, **quiet)
     except (ValueError, RuntimeError, OSError) as error:
-        where = "cannot be started here" if address is None else f"no cluster can be joined at {address}"
-        raise KhepTwinError(f"ray: {where}: {_first_line(error)}") from error
+        if address is None:
+            raise KhepTwinError(f"ray: cannot be started here: {_first_line(error)}") from error
+        raise KhepTwinError(
+            f"ray: no cluster can be joined at {address}: {_first_line(error)}; right is one that is there, "
+            "and its token"
+        ) from error
     if found.address_info["node_ip_address"] != LOOPBACK:
         raise KhepTwinError(
             f"ray: it listens at {found.address_info['node_ip_address']}; right is {LOOPBACK} alone"

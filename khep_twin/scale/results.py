@@ -184,8 +184,9 @@ class SweepFolder:
         """A part, with each of its lives there once."""
         file = self._part(task)
         try:
-            # A folder's name such as a=1 would make a column.
-            table = pq.read_table(file, partitioning=None)
+            # read_table would make columns of folders such as a=1.
+            with pq.ParquetFile(file) as part:
+                table = part.read()
             whole = table["life"].to_pylist() == list(range(task.first, task.first + task.count))
         except (OSError, pa.ArrowException):
             table, whole = pa.table({}), False

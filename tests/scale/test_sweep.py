@@ -248,6 +248,14 @@ def test_without_ray_asking_for_it_is_one_line_that_names_the_extra(monkeypatch:
     assert dict(os.environ) == before
 
 
+def test_a_cluster_is_told_by_host_and_port() -> None:
+    assert ray_workers.host_and_port("10.0.0.1:6379") == ("10.0.0.1", 6379)
+    assert ray_workers.host_and_port("[::1]:6379") == ("::1", 6379)
+    for wrong in ("10.0.0.1", ":6379", "host:", "host:0", "host:65536", "ray://host:10001"):
+        with pytest.raises(ValueError, match=rf"^{wrong}: right is HOST:PORT, such as .*, or auto$"):
+            ray_workers.host_and_port(wrong)
+
+
 def test_a_worker_with_other_versions_does_nothing(tmp_path: Path) -> None:
     work = work_of(loaded(tmp_path, STUDY))
     data, trouble = ray_workers._do(replace(work, versions="khep_twin 9.9"), work.tasks[0])
