@@ -1,7 +1,8 @@
-"""Programs of a study: functions that travel as text, so that a worker elsewhere needs no file of them."""
+"""Programs and measures of a study: functions that travel as text, so that no worker needs a file of them."""
 
 import hashlib
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from types import ModuleType
@@ -13,13 +14,13 @@ from khep_twin.scale.minds import Driver, Function
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A function in the text of a file, to be compiled where it is needed.
+    """A function in the text of a file, to be made where it is needed.
 
     Attributes:
         text: of the file.
         file: what to call it.
         function: its name.
-        memory: how many numbers it keeps.
+        memory: how many numbers it keeps, if it drives.
     """
 
     text: str
@@ -39,6 +40,16 @@ def driver_of(driver: Driver | Program) -> Driver:
 
 @lru_cache(maxsize=16)
 def _compiled(program: Program) -> Driver:
+    return Function(function_of(program), program.memory)
+
+
+@lru_cache(maxsize=32)
+def function_of(program: Program) -> Callable[..., Any]:
+    """The function, as Python has it.
+
+    Raises:
+        ControllerError: the text fails, or has no such function.
+    """
     name = f"khep_twin_study_{hashlib.sha256(program.text.encode()).hexdigest()[:16]}"
     module = ModuleType(name)
     module.__file__ = program.file
@@ -52,5 +63,4 @@ def _compiled(program: Program) -> Driver:
     if not callable(found):
         offers = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise ControllerError(f"no function {program.function!r}; {choices(program.function, offers)}")
-    decide: Any = found
-    return Function(decide, program.memory)
+    return found

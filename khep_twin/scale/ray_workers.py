@@ -162,4 +162,6 @@ def _do(work: Work, task: Task) -> tuple[bytes, str]:
 
 def _first_line(error: BaseException) -> str:
     """What happened, without Ray's traces."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
     return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

@@ -12,7 +12,8 @@
     noise = [true, false]
 
 Every playpen is lived in with every controller, genome and seed, at every point of the grid. The models are
-the format: their attributes are the file's keys, but for the tuples of `[[network]]` and `[[program]]`.
+the format: their attributes are the file's keys, but for the tuples of `[[network]]`, `[[program]]` and
+`[[measure]]`.
 Paths in a study are seen from the folder that it is in.
 """
 
@@ -39,6 +40,12 @@ Fitness = Literal[
     "obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m"
 ]
 """What a life can be measured by; `life.NUMBERS`."""
+
+COLUMNS = frozenset(
+    "life playpen controller genome seed noise spread lighting start start_x_mm start_y_mm start_heading_deg "
+    "end_x_m end_y_m end_heading_rad failed_step failure".split()
+)
+"""Of the results, beside what lives are measured by."""
 
 Switches = Annotated[tuple[bool, ...], Field(min_length=1, description="a list of true and false")]
 Lightings = Annotated[
@@ -77,6 +84,13 @@ class ProgramTable(Table):
     genomes: Annotated[str | None, Field(description="the path of a .npy or .csv file")] = None
 
 
+class MeasureTable(Table):
+    """A `[[measure]]`: a fitness of one's own, a function of a life's end (`task_lives.measured`)."""
+
+    name: Name
+    file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
+
+
 class Grid(Table):
     """Parameters, each with all the values it takes."""
 
@@ -106,6 +120,7 @@ class Study(Table):
     ] = ()
     networks: Annotated[tuple[NetworkTable, ...], Field(alias="network")] = ()
     programs: Annotated[tuple[ProgramTable, ...], Field(alias="program")] = ()
+    measures: Annotated[tuple[MeasureTable, ...], Field(alias="measure")] = ()
     seeds: Annotated[int, Field(ge=1, le=10**9)]
     first_seed: Annotated[int, Field(ge=0, le=2**62)] = 0
     seconds: Annotated[float, Field(gt=0, le=10**6)]
@@ -147,6 +162,12 @@ class Study(Table):
                     text = f'{kind} {index + 1}: name = "{table.name}": taken; right is a name of its own'
                     yield Problem((kind, index, "name"), text)
                 taken.add(table.name)
+        columns = {*COLUMNS, *NUMBERS}
+        for index, table in enumerate(self.measures):
+            if table.name in columns:
+                text = f'measure {index + 1}: name = "{table.name}": taken; right is a name of its own'
+                yield Problem(("measure", index, "name"), text)
+            columns.add(table.name)
         for index, table in enumerate(self.networks):
             if (table.genomes is None) == (table.drawn is None):
                 given = "both" if table.drawn else "neither"

@@ -21,7 +21,7 @@ from khep_twin.lab import setting
 from khep_twin.playpen import Playpen
 from khep_twin.scale.life import Ground
 from khep_twin.scale.minds import Driver, Floats, Wander
-from khep_twin.scale.programs import Program, driver_of
+from khep_twin.scale.programs import Program, function_of
 from khep_twin.scale.study import Study, StudyFile, checked, genomes_of
 
 
@@ -90,6 +90,7 @@ class Work:
         study: what it says.
         playpens: as texts, which are equal where playpens are.
         controllers: all of them.
+        measures: functions that lives are measured by, by their names.
         groups: all of them.
         tasks: all of them.
         digest: tells this work from any other.
@@ -99,6 +100,7 @@ class Work:
     study: Study
     playpens: tuple[str, ...]
     controllers: tuple[Controller, ...]
+    measures: tuple[tuple[str, Program], ...]
     groups: tuple[Group, ...]
     tasks: tuple[Task, ...]
     digest: str
@@ -141,7 +143,11 @@ def work_of(file: StudyFile) -> Work:
         for start in range(group.first, end, study.rollouts_per_task):
             tasks.append(Task(len(tasks), number, start, min(study.rollouts_per_task, end - start)))
     texts = tuple(playpen.dump(each) for each in playpens)
-    work = Work(study, texts, controllers, tuple(groups), tuple(tasks), "", versions())
+    measures = tuple(
+        (table.name, _program(file, "measure", index, table.file))
+        for index, table in enumerate(study.measures)
+    )
+    work = Work(study, texts, controllers, measures, tuple(groups), tuple(tasks), "", versions())
     measured = [calibration.read(each.robots[0].calibration)[1] for each in playpens]
     return replace(work, digest=_digest(work, measured))
 
@@ -162,18 +168,23 @@ def _controllers(file: StudyFile) -> Iterator[Controller]:
     for index, table in enumerate(file.study.networks):
         yield Controller(table.name, table.network(), genomes_of(file, "network", index))
     for index, table in enumerate(file.study.programs):
-        path, _, function = table.file.rpartition(":")
-        place, key = ("program", index, "file"), f'program {index + 1}: file = "{table.file}"'
-        try:
-            text = (file.folder / path).read_text("utf-8")
-            program = Program(text, path, function, table.memory)
-            driver_of(program)
-        except (OSError, UnicodeDecodeError) as trouble:
-            reason = getattr(trouble, "strerror", None) or "no UTF-8 text"
-            raise file.error(place, f"{key}: cannot be read: {reason}") from None
-        except ControllerError as error:
-            raise checked(file, place, key, error) from None
+        program = _program(file, "program", index, table.file, table.memory)
         yield Controller(table.name, program, genomes_of(file, "program", index))
+
+
+def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0) -> Program:
+    """What FILE.py:NAME of a study says."""
+    path, _, function = name.rpartition(":")
+    place, key = (kind, index, "file"), f'{kind} {index + 1}: file = "{name}"'
+    try:
+        program = Program((file.folder / path).read_text("utf-8"), path, function, memory)
+        function_of(program)
+    except (OSError, UnicodeDecodeError) as trouble:
+        reason = getattr(trouble, "strerror", None) or "no UTF-8 text"
+        raise file.error(place, f"{key}: cannot be read: {reason}") from None
+    except ControllerError as error:
+        raise checked(file, place, key, error) from None
+    return program
 
 
 def _starts(file: StudyFile, place: Playpen) -> Iterator[str]:
@@ -195,7 +206,7 @@ def _digest(work: Work, measured: list[str]) -> str:
         mujoco.__version__,
         work.study.model_dump(mode="json", exclude={"output"}),
     ]
-    told += [list(work.playpens), measured]
+    told += [list(work.playpens), measured, [[name, measure.text] for name, measure in work.measures]]
     for controller in work.controllers:
         genomes = hashlib.sha256(controller.genomes.tobytes()).hexdigest()
         program = controller.driver.text if isinstance(controller.driver, Program) else ""

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from khep_twin import playpen
+from khep_twin.errors import ControllerError
 from khep_twin.lab import setting
-from khep_twin.scale.batch import rollout
+from khep_twin.scale.batch import Lives, rollout
 from khep_twin.scale.life import Ground, Start
-from khep_twin.scale.programs import driver_of
+from khep_twin.scale.minds import Floats
+from khep_twin.scale.programs import Program, driver_of, function_of
 from khep_twin.scale.sweep_tasks import Task, Work
 
 Columns = Mapping[str, Any]
@@ -76,12 +78,39 @@ def results(work: Work, task: Task, threads: int | None = 1, compiled: bool | No
         "start_y_mm": np.array([begin[1] for begin in begins], np.float64),
         "start_heading_deg": np.array([begin[2] for begin in begins], np.float64),
         **{name: lives.numbers[name] for name in study.fitness},
+        **{name: measured(measure, lives) for name, measure in work.measures},
         "end_x_m": lives.poses[:, 0],
         "end_y_m": lives.poses[:, 1],
         "end_heading_rad": lives.poses[:, 2],
         "failed_step": [failed[i].step if i in failed else None for i in range(count)],
         "failure": [failed[i].reason if i in failed else None for i in range(count)],
     }
+
+
+def measured(measure: Program, lives: Lives) -> Floats:
+    """What a function of a user's own makes of lives (n,); not a number for those that failed.
+
+    It is given a life's numbers by name, its board's registers (N_REGISTERS,) and its pose at the end, x, y
+    [m] and heading [rad], in plain Python.
+
+    Raises:
+        ControllerError: it fails, or returns no number.
+    """
+    function = function_of(measure)
+    found = np.full(len(lives.poses), np.nan)
+    failed = {failure.index for failure in lives.failures}
+    for life in range(len(found)):
+        if life in failed:
+            continue
+        numbers = {name: float(values[life]) for name, values in lives.numbers.items()}
+        try:
+            found[life] = float(
+                function(numbers, lives.registers[life].copy(), tuple(lives.poses[life].tolist()))
+            )
+        except (Exception, SystemExit) as error:  # the user's own function may raise anything
+            where = f"{measure.file}:{measure.function}"
+            raise ControllerError(f"{where}: {type(error).__name__}: {error}") from error
+    return found
 
 
 def _begin(ground: Ground, word: str, seed: int) -> Start:

@@ -21,6 +21,7 @@ from worker_kills import trial
 
 from khep_twin.errors import KhepTwinError, MissingExtraError, StudyError
 from khep_twin.scale import ray_workers
+from khep_twin.scale.study import COLUMNS
 from khep_twin.scale.sweep import here, run_sweep
 from khep_twin.scale.sweep_tasks import Task, Work, work_of
 
@@ -74,6 +75,7 @@ class Counted:
 
 def test_every_life_is_in_the_table_once_with_what_it_was(tmp_path: Path) -> None:
     rows = pq.read_table(swept(tmp_path)).to_pylist()
+    assert {*rows[0]} == {*COLUMNS, "obstacle_avoidance", "distance_m"}
     assert [row["life"] for row in rows] == list(range(24))
     kinds = [(row["controller"], row["noise"], row["genome"], row["seed"]) for row in rows]
     assert kinds == [
@@ -231,6 +233,29 @@ def test_a_life_that_fails_is_told_in_its_row_and_the_others_live_on(tmp_path: P
     assert failed[2]["failed_step"] == 0
     assert "seed 2 failed at 0.0000 s" in failed[2]["failure"]
     assert failed[2]["distance_m"] is None
+
+
+def test_lives_are_measured_by_functions_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "score.py").write_text(
+        "def twice(numbers, registers, pose):\n    return 2 * numbers['forward_m']\n\n\n"
+        "def place(numbers, registers, pose):\n    return pose[0] + registers[0]\n\n\n"
+        "def none(numbers, registers, pose):\n    return 'much'\n"
+    )
+    measure = '[[measure]]\nname = "{0}"\nfile = "score.py:{0}"\n'
+    text = STUDY + 'fitness = ["forward_m"]\n' + measure.format("twice") + measure.format("place")
+    rows = pq.read_table(run_sweep(loaded(tmp_path, text))).to_pylist()
+    assert [row["twice"] for row in rows] == [2 * row["forward_m"] for row in rows]
+    assert all(row["place"] >= row["end_x_m"] for row in rows)
+    with pytest.raises(KhepTwinError, match=r"^score.py:none: ValueError: could not convert string to float"):
+        swept(tmp_path, STUDY + measure.format("none"), output=tmp_path / "none")
+    with pytest.raises(
+        StudyError, match=r"study.toml:11: measure 1: name = \"seed\": taken; right is a name"
+    ):
+        swept(tmp_path, STUDY + measure.format("seed"))
+    with pytest.raises(
+        StudyError, match=r"study.toml:12: measure 1: file = .*no function 'twise'; did you mean"
+    ):
+        swept(tmp_path, STUDY + measure.format("twise"))
 
 
 def test_without_ray_asking_for_it_is_one_line_that_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
