@@ -31,7 +31,7 @@ AHEAD = 2
 
 LOOPBACK = "127.0.0.1"
 
-_HERE = {"RAY_AUTH_MODE": "token", "RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "error"}
+_HERE = {"RAY_AUTH_MODE": "token", "RAY_USAGE_STATS_ENABLED": "0"}
 """What Ray is told where the user has not said otherwise."""
 
 PATIENCE = 5.0
@@ -77,7 +77,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
             _join(ray, address, workers)
             yield _coming(ray, work, tasks)
         except (ray.exceptions.RayError, ConnectionError) as error:
-            raise KhepTwinError(f"ray: {_first_line(error)}; what was done is kept for --resume") from error
+            raise KhepTwinError(f"ray: {_sentence(error)}; what was done is kept for --resume") from error
         finally:
             ray.shutdown()
 
@@ -111,9 +111,9 @@ def _join(ray: Any, address: str | None, workers: int | None) -> None:
         found = ray.init(address="local", num_cpus=count, include_dashboard=False, **quiet)
     except (ValueError, RuntimeError, OSError) as error:
         if address is None:
-            raise KhepTwinError(f"ray: cannot be started here: {_first_line(error)}") from error
+            raise KhepTwinError(f"ray: cannot be started here: {_sentence(error)}") from error
         raise KhepTwinError(
-            f"ray: no cluster can be joined at {address}: {_first_line(error)}; right is one that is there, "
+            f"ray: no cluster can be joined at {address}: {_sentence(error)}; right is one that is there, "
             "and its token"
         ) from error
     if found.address_info["node_ip_address"] != LOOPBACK:
@@ -160,8 +160,9 @@ def _do(work: Work, task: Task) -> tuple[bytes, str]:
         return b"", str(error)
 
 
-def _first_line(error: BaseException) -> str:
-    """What happened, without Ray's traces."""
+def _sentence(error: BaseException) -> str:
+    """What happened, in a sentence and without Ray's traces."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    line = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    return line.partition(". ")[0].rstrip(".")

@@ -17,22 +17,20 @@ the format: their attributes are the file's keys, but for the tuples of `[[netwo
 Paths in a study are seen from the folder that it is in.
 """
 
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from khep_twin import toml_files
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.errors import KhepTwinError, StudyError
 from khep_twin.fitness import TOP_SPEED_PULSES
-from khep_twin.randomness import SEED_LIMIT, stream
+from khep_twin.randomness import SEED_LIMIT
 from khep_twin.scale.life import NUMBERS
-from khep_twin.scale.minds import Floats, Network
+from khep_twin.scale.minds import Network
 from khep_twin.toml_files import Name, Problem, Problems, Table, show
 from khep_twin.toml_lines import Lines, Location
 
@@ -218,46 +216,6 @@ def load(path: Path) -> StudyFile:
         raise StudyError(f"{path}: no such file; right is the path of a study")
     text, source = toml_files.read("studies", path, StudyError)
     return StudyFile(toml_files.validate(Study, text, source, StudyError), source, path.parent, Lines(text))
-
-
-def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int) -> Floats:
-    """Genomes of one of a study's controllers (n, n_genes); none for a program without.
-
-    Raises:
-        StudyError: their file cannot be read, or they do not fit.
-    """
-    table = file.study.networks[index] if kind == "network" else file.study.programs[index]
-    wanted = table.network().n_genes if isinstance(table, NetworkTable) else None
-    if isinstance(table, NetworkTable) and table.drawn is not None:
-        chance = stream(table.drawn_seed, "genomes", table.name)
-        return chance.normal(0.0, table.drawn_sd, (table.drawn, wanted or 0))
-    if table.genomes is None:
-        return np.zeros((1, 0))
-    place = (kind, index, "genomes")
-    key = f"{kind} {index + 1}: genomes = {show(table.genomes)}"
-    try:
-        found = _read(file.folder / table.genomes)
-    except (OSError, ValueError, EOFError) as trouble:
-        reason = (trouble.strerror if isinstance(trouble, OSError) else None) or str(trouble)
-        raise file.error(place, f"{key}: cannot be read: {reason.splitlines()[0]}") from None
-    if found.ndim != 2 or 0 in found.shape or (wanted is not None and found.shape[1] != wanted):
-        right = "finite numbers" if wanted is None else f"rows of {wanted} numbers"
-        raise file.error(place, f"{key}: is of shape {found.shape}; right are {right}")
-    if not np.isfinite(found).all():
-        raise file.error(place, f"{key}: has what is no number; right are finite numbers")
-    return found
-
-
-def _read(path: Path) -> Floats:
-    """A table of numbers; one row may stand alone."""
-    data = path.read_bytes()
-    if path.suffix == ".npy":
-        return np.atleast_2d(np.asarray(np.load(io.BytesIO(data), allow_pickle=False), np.float64))
-    if path.suffix == ".csv":
-        if not data.strip():
-            raise ValueError("it is empty")
-        return np.loadtxt(io.StringIO(data.decode("utf-8-sig")), delimiter=",", ndmin=2)
-    raise ValueError("right is a .npy or .csv file")
 
 
 def checked(file: StudyFile, location: Location, key: str, error: KhepTwinError) -> StudyError:

@@ -19,10 +19,11 @@ from khep_twin import __version__, calibration, playpen
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.lab import setting
 from khep_twin.playpen import Playpen
+from khep_twin.scale.genomes import genomes_of
 from khep_twin.scale.life import Ground
 from khep_twin.scale.minds import Driver, Floats, Wander
 from khep_twin.scale.programs import Program, function_of
-from khep_twin.scale.study import Study, StudyFile, checked, genomes_of
+from khep_twin.scale.study import Study, StudyFile, checked
 
 
 @dataclass(frozen=True, slots=True)
