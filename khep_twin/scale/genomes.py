@@ -29,7 +29,7 @@ def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int)
     key = f"{kind} {index + 1}: genomes = {show(table.genomes)}"
     try:
         found = _read(file.folder / table.genomes)
-    except (OSError, ValueError, EOFError) as trouble:
+    except (OSError, ValueError, TypeError) as trouble:
         reason = (trouble.strerror if isinstance(trouble, OSError) else None) or str(trouble)
         raise file.error(place, f"{key}: cannot be read: {reason.splitlines()[0]}") from None
     if found.ndim != 2 or 0 in found.shape or (wanted is not None and found.shape[1] != wanted):
@@ -44,7 +44,7 @@ def _read(path: Path) -> Floats:
     """A table of numbers; one row may stand alone."""
     data = path.read_bytes()
     if path.suffix == ".npy":
-        return np.atleast_2d(np.asarray(np.load(io.BytesIO(data), allow_pickle=False), np.float64))
+        return np.atleast_2d(np.asarray(np.lib.format.read_array(io.BytesIO(data)), np.float64))
     if path.suffix == ".csv":
         if not data.strip():
             raise ValueError("it is empty")

@@ -129,6 +129,14 @@ class SweepFolder:
                 raise StudyError(
                     f"{self._path}: holds {found[0].name} and no study.json; right is a new folder"
                 )
+            told = {
+                "name": work.study.name,
+                "lives": work.lives,
+                "tasks": len(work.tasks),
+                "khep_twin": __version__,
+                "digest": work.digest,
+            }
+            write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
         elif known.get("digest") != work.digest:
             raise StudyError(
                 f"{self._path}: holds results of another study, or of this one before it changed; right is a "
@@ -138,14 +146,6 @@ class SweepFolder:
             raise StudyError(
                 f"{self._path}: holds results of this study already; right is --resume, or a new folder"
             )
-        told = {
-            "name": work.study.name,
-            "lives": work.lives,
-            "tasks": len(work.tasks),
-            "khep_twin": __version__,
-            "digest": work.digest,
-        }
-        write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
         try:
             self._parts.mkdir(exist_ok=True)
         except OSError as error:

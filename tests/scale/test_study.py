@@ -68,6 +68,16 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
         ),
         (
             '"out"\n',
+            '"out"\n[[network]]\nname = "n"\ngenomes = "zip.npy"\n',
+            r"study.toml:12: network 1: genomes = \"zip.npy\": cannot be read: the magic string is not",
+        ),
+        (
+            '"out"\n',
+            '"out"\n[[program]]\nname = "n"\nfile = "mine.py:steer"\ngenomes = "nan.csv"\n',
+            r"study.toml:13: program 1: genomes = \"nan.csv\": has what is no number; right are finite",
+        ),
+        (
+            '"out"\n',
             '"out"\n[[program]]\nname = "n"\nfile = "mine.py:stear"\n',
             r"study.toml:12: program 1: file = .*no function 'stear'; did you mean 'steer'",
         ),
@@ -77,6 +87,8 @@ def test_a_mistake_is_told_by_file_line_key_and_value(
     tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     (tmp_path / "few.csv").write_text("1,2,3\n4,5,6\n")
+    (tmp_path / "zip.npy").write_bytes(b"PK" + bytes(200))
+    (tmp_path / "nan.csv").write_text("1,nan\n")
     (tmp_path / "mine.py").write_text("def steer(proximity, ambient, memory, genes):\n    return 1.0, 1.0\n")
     assert old in STUDY
     with pytest.raises(StudyError, match=message) as found:
