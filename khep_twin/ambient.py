@@ -83,7 +83,7 @@ def bulbs(lines: SightLines, lighting: Lighting) -> Bulbs:
         max_angle_deg=lighting.max_angle_deg,
         known=lines.known,
         first=first,
-        middles=[row[0] for row in rows],
-        halves=[row[1] for row in rows],
+        middles=[part for row in rows for part in (math.cos(row[0]), math.sin(row[0]))],
+        edges=[math.cos(row[1]) if row[1] < math.pi else -2.0 for row in rows],
         nearest=[row[2] for row in rows],
     )

@@ -134,8 +134,8 @@ def sensor_frame(scene: Scene, channel: int) -> list[float]:
     return scene.frames[channel].tolist()
 
 
-def rays(scene: Scene, near: Any, channel: int, level: float) -> list[float]:
-    """Length [m], below 0 for one that hits nothing, and normal of each ray of a sensor (4 n_rays,).
+def rays(scene: Scene, near: Any, channel: int, level: float, found: list[float]) -> int:
+    """Fills in length [m], below 0 for one that hits nothing, and normal of each ray of a sensor.
 
     They are all there already, as the rangefinders have found them; compiled code casts them where something
     may be near enough to count.
@@ -145,17 +145,32 @@ def rays(scene: Scene, near: Any, channel: int, level: float) -> list[float]:
         near: how proximity comes about.
         channel: of the sensor.
         level: what it reads with nothing in view, before it is cut off [counts].
+        found: is filled (4 n_rays,).
+
+    Returns:
+        How many numbers were filled in; 0 where no ray matters.
     """
-    return scene.rays[channel].tolist()
+    found[:] = scene.rays[channel].tolist()
+    return len(found)
 
 
-def direction(frame: Sequence[float], aside: float) -> tuple[float, float, float]:
+def direction(
+    scene: Scene, frame: Sequence[float], channel: int, ray: int, aside: float
+) -> tuple[float, float, float]:
     """Where a ray goes in the world, reckoned as MuJoCo does, to the last bit.
 
     Args:
+        scene: in which; like the next but one it is for those who have directions ready.
         frame: of the sensor (9,).
+        channel: of the sensor.
+        ray: which of its rays.
         aside: tangent of its angle off the sensor's axis.
     """
+    return through(frame, aside)
+
+
+def through(frame: Sequence[float], aside: float) -> tuple[float, float, float]:
+    """Unit vector of a ray at a tangent off the axis of a frame."""
     x, y, z = frame[0] * aside - frame[2], frame[3] * aside - frame[5], frame[6] * aside - frame[8]
     scale = 1 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale

@@ -23,6 +23,7 @@ KNOWN = {
     "fast",
     "period",
     "step",
+    "planar",
     "seed",
     "noise",
     "spread",
@@ -40,7 +41,7 @@ def check_fast(given: set[str], fast: bool) -> None:
     if fast and (strange := given - KNOWN):
         option = min(strange).replace("_", "-")
         raise usage(f"--{option} does not go with --fast, which has no serial line and no log")
-    if not fast and (lonely := given & {"period", "step"}):
+    if not fast and (lonely := given & {"period", "step", "planar"}):
         raise usage(f"--{min(lonely)} goes with --fast")
 
 
@@ -52,7 +53,8 @@ def run_fast(
     seconds: float,
     cycles: int | None,
     period: float,
-    step: float,
+    step: float | None,
+    planar: bool,
 ) -> None:
     """Lives through one life and tells how it went.
 
@@ -63,7 +65,8 @@ def run_fast(
         seconds: how long [s].
         cycles: or so many control periods.
         period: of the controller [ms].
-        step: of the physics [ms].
+        step: of the physics [ms]; None for 2.5 ms, and 10 ms in a plane.
+        planar: whether it goes on in a plane instead of MuJoCo.
     """
     from khep_twin.lab.experiment import find_function
     from khep_twin.playpen import placed
@@ -77,7 +80,8 @@ def run_fast(
         function = find_function(controller, "proximity and ambient light", 2)
     scene, _ = equipped(placed(playpen, stream(options.seed, "spots")), options)
     try:
-        ground = Ground(scene, step_ns=round(step * 1e6), period_ns=round(period * 1e6))
+        step_ns = None if step is None else round(step * 1e6)
+        ground = Ground(scene, step_ns=step_ns, period_ns=round(period * 1e6), planar=planar)
         periods = cycles or ground.periods(seconds)
     except ValueError as error:
         raise usage(str(error)) from None

@@ -104,8 +104,16 @@ def run(
     ] = False,
     period: Annotated[float, typer.Option(help="With --fast: the controller's period [ms].")] = 20.0,
     step: Annotated[
-        float, typer.Option(help="With --fast: step of the physics [ms]: 2.5, or coarser, 5 or 10.")
-    ] = 2.5,
+        float | None,
+        typer.Option(
+            help="With --fast: step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with "
+            "--planar."
+        ),
+    ] = None,
+    planar: Annotated[
+        bool,
+        typer.Option("--planar", help="With --fast: in a plane instead of MuJoCo, for screening."),
+    ] = False,
     picture: Annotated[
         Path | None,
         typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log."),
@@ -142,7 +150,16 @@ def run(
     if fast:
         scene = _scene(playpen, lighting, without_lamp or [])
         whole = 60.0 if seconds is None else seconds
-        run_fast(controller, scene, options, seconds=whole, cycles=cycles, period=period, step=step)
+        run_fast(
+            controller,
+            scene,
+            options,
+            seconds=whole,
+            cycles=cycles,
+            period=period,
+            step=step,
+            planar=planar,
+        )
         return
     found = find_controller(controller)
     user_function = None if after is None else find_after(after, found)

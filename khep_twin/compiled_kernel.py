@@ -13,6 +13,7 @@ from functools import cache
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from types import ModuleType
+from typing import Any
 
 from khep_twin import kernel
 from khep_twin.errors import MissingExtraError
@@ -28,12 +29,21 @@ def compiled_kernel() -> ModuleType:
     return compiled_copy(kernel)
 
 
-def compiled_copy(module: ModuleType, compiled: Mapping[str, ModuleType] | None = None) -> ModuleType:
+def compiled_copy(
+    module: ModuleType,
+    others: Mapping[str, ModuleType] | None = None,
+    name: str = "compiled",
+    *,
+    counted: bool = True,
+) -> ModuleType:
     """A second copy of a module whose own functions are compiled, each when it is first called.
 
     Args:
         module: whose source numba can compile.
-        compiled: other modules, by the names that it uses them by, which its copy is to use compiled.
+        others: modules, by the names that it uses them by, which its copy is to use instead, compiled too.
+        name: that tells this copy from others of the same module.
+        counted: whether numba counts who has which array. Code that neither makes nor returns any needs no
+            such counting, which can take half of the time.
 
     Raises:
         MissingExtraError: numba is not installed.
@@ -42,7 +52,18 @@ def compiled_copy(module: ModuleType, compiled: Mapping[str, ModuleType] | None 
         from numba import njit
     except ImportError as error:
         raise MissingExtraError("numba", "batch") from error
-    loader = SourceFileLoader(f"{module.__name__}#compiled", str(module.__file__))
+    copy = another_copy(module, others, name)
+    options: dict[str, Any] = {} if counted else {"_nrt": False}
+    # A compiled function finds the others by their names in the copy, compiled too.
+    for own, function in inspect.getmembers(copy, inspect.isfunction):
+        if function.__module__ == copy.__name__:
+            setattr(copy, own, njit(**options)(function))
+    return copy
+
+
+def another_copy(module: ModuleType, others: Mapping[str, ModuleType] | None, name: str) -> ModuleType:
+    """A second copy of a module that uses other modules, as it stands; arguments as of `compiled_copy`."""
+    loader = SourceFileLoader(f"{module.__name__}#{name}", str(module.__file__))
     spec = spec_from_loader(loader.name, loader)
     if spec is None:
         raise ImportError(f"no way to load {module.__file__}")
@@ -50,10 +71,6 @@ def compiled_copy(module: ModuleType, compiled: Mapping[str, ModuleType] | None 
     # Code that numba has kept from another process finds its module by name.
     sys.modules[loader.name] = copy
     loader.exec_module(copy)
-    # A compiled function finds the others by their names in the copy, compiled too.
-    for name, function in inspect.getmembers(copy, inspect.isfunction):
-        if function.__module__ == loader.name:
-            setattr(copy, name, njit(function))
-    for name, other in (compiled or {}).items():
-        setattr(copy, name, other)
+    for used, other in (others or {}).items():
+        setattr(copy, used, other)
     return copy

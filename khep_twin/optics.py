@@ -24,8 +24,6 @@ _FAINT = 30.0
 _CLOSEST_MM = 1.0
 """A lamp that would be nearer than this counts as so near."""
 
-_TURN = 2 * math.pi
-
 
 class Proximity(NamedTuple):
     """Reflected light; per-sensor numbers in the order of N.
@@ -43,7 +41,8 @@ class Proximity(NamedTuple):
         aside: tangents of their angles off the sensor's axis, to its right (8, n_rays).
         brightest: largest reflectance in the scene.
         uniform: whether all that can be hit has that reflectance.
-        directions: room for rays in the world (3 n_rays,).
+        found: room for what rays find (4 n_rays,).
+        directions: room for them in the world (3 n_rays,).
         incidences: room for their cosines to the normals (n_rays,).
         reflectances: room for the reflectances of what they hit (n_rays,).
     """
@@ -60,6 +59,7 @@ class Proximity(NamedTuple):
     aside: Sequence[Sequence[float]]
     brightest: float
     uniform: bool
+    found: list[float]
     directions: list[float]
     incidences: list[float]
     reflectances: list[float]
@@ -103,8 +103,8 @@ class Bulbs(NamedTuple):
         max_angle_deg: that law's.
         known: whether all that stops light stands still.
         first: where each lamp's hidden directions begin, and where the last ones end (n + 1,).
-        middles: of hidden directions [rad].
-        halves: of the angles that they take [rad].
+        middles: unit vectors to the middle of hidden directions, one after the other (2 n_hidden,).
+        edges: cosines of half the angles that they take, below -1 for all around (n_hidden,).
         nearest: how near what hides there is [m].
     """
 
@@ -115,7 +115,7 @@ class Bulbs(NamedTuple):
     known: bool
     first: Sequence[int]
     middles: Sequence[float]
-    halves: Sequence[float]
+    edges: Sequence[float]
     nearest: Sequence[float]
 
 
@@ -161,9 +161,8 @@ def proximity(
         range_left: part of the range that ambient light has left, 0 to 1.
     """
     level = near.noise * noise - near.threshold[channel]
-    found = casting.rays(scene, near, channel, level)
-    nearest = -1.0
-    for i in range(0, len(found), casting.LENGTH_AND_NORMAL):
+    found, nearest = near.found, -1.0
+    for i in range(0, casting.rays(scene, near, channel, level, found), casting.LENGTH_AND_NORMAL):
         length = found[i]
         if length >= 0 and (length < nearest or nearest < 0):
             nearest = length
@@ -244,10 +243,10 @@ def clear(bulbs: Bulbs, lamp: int, x: float, y: float) -> bool:
     if not bulbs.known:
         return False
     dx, dy = x - bulbs.places[3 * lamp], y - bulbs.places[3 * lamp + 1]
-    direction, distance = math.atan2(dy, dx), math.sqrt(dx * dx + dy * dy)
-    nearest, middles, halves = bulbs.nearest, bulbs.middles, bulbs.halves
+    distance = math.sqrt(dx * dx + dy * dy)
+    nearest, middles, edges = bulbs.nearest, bulbs.middles, bulbs.edges
     for i in range(bulbs.first[lamp], bulbs.first[lamp + 1]):
-        if distance > nearest[i] and abs((direction - middles[i] + math.pi) % _TURN - math.pi) < halves[i]:
+        if distance > nearest[i] and dx * middles[2 * i] + dy * middles[2 * i + 1] > distance * edges[i]:
             return False
     return True
 
@@ -325,7 +324,7 @@ def _look(scene: casting.Scene, near: Proximity, channel: int, found: Sequence[f
             farthest = found[first]
         if near.uniform and found[first] < 0:
             continue  # it is neither cast again nor counts
-        dx, dy, dz = casting.direction(frame, aside[i])
+        dx, dy, dz = casting.direction(scene, frame, channel, i, aside[i])
         near.directions[3 * i], near.directions[3 * i + 1], near.directions[3 * i + 2] = dx, dy, dz
         near.incidences[i] = -(found[first + 1] * dx + found[first + 2] * dy + found[first + 3] * dz)
     if not near.uniform:

@@ -96,6 +96,7 @@ def proximity_optics(model: mujoco.MjModel, prefix: str, calibration: Calibratio
         aside=aside,
         brightest=brightest,
         uniform=bool(np.all(seen == brightest)),
+        found=[0.0] * (LENGTH_AND_NORMAL * n_rays),
         directions=[0.0] * (3 * n_rays),
         incidences=[0.0] * n_rays,
         reflectances=[brightest] * n_rays,

@@ -27,10 +27,14 @@ class Supply:
 
     Args:
         battery_used_min: minutes that its cells were used before the run; None for the charger.
+
+    Attributes:
+        steady: whether its voltage never changes.
     """
 
     def __init__(self, battery_used_min: float | None) -> None:
         self._used_min = battery_used_min
+        self.steady = battery_used_min is None
 
     def voltage(self, time_ns: int) -> float:
         """Supply voltage at a time of the run [V]."""

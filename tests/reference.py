@@ -27,6 +27,7 @@ MODULES = (
     "khep_twin.log.reader",
     "khep_twin.ports.protocol_khep",
     "khep_twin.ports.twin",
+    "khep_twin.scale.screening",
     "khep_twin.scale.tasks",
     "khep_twin.scale.trial",
     "khep_twin.errors",

@@ -34,11 +34,18 @@ def test_a_fast_run_tells_how_it_went_and_the_same_again(tmp_path: Path) -> None
     assert "homing" not in first.stdout
 
 
+def test_a_fast_run_in_a_plane_goes_about_the_same_way(tmp_path: Path) -> None:
+    options = ("--fast", "--playpen", "looping-maze", "--noise", "off", "--seconds", "2")
+    ways = [float(fast(*options, *more, cwd=tmp_path).stdout.split()[-1]) for more in ((), ("--planar",))]
+    assert ways[1] == pytest.approx(ways[0], abs=2e-3)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("--fast", "--log", "x.mcap"), "--log does not go with --fast, which has no serial line and no log"),
         (("--period", "40"), "--period goes with --fast"),
+        (("--planar",), "--planar goes with --fast"),
         (("--fast", "--seconds", "0.03"), "0.03 s is no whole number of control periods of 20 ms"),
         (("own.py:three", "--fast"), "right are proximity and ambient light"),
         (("own.py:nothing", "--fast"), "nothing: returned None; right are two speeds in pulses per 10 ms"),

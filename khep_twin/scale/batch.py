@@ -81,15 +81,17 @@ def rollout(
     noise: bool = True,
     spread: bool = False,
     home: tuple[float, float, float, float] | None = None,
-    step_ns: int = units.STEP_NS,
+    step_ns: int | None = None,
     period_ns: int = units.SCAN_NS,
+    planar: bool = False,
     threads: int | None = None,
     compiled: bool | None = None,
 ) -> Lives:
     """Lives through a batch.
 
     Args:
-        playpen: with one robot; or ground that is made ready, with its own step and period.
+        playpen: with one robot; or ground that is made ready, which has its own step and period and is planar
+            or not.
         driver: what drives all of them.
         seeds: of the lives (n,).
         seconds: how long each lasts [s], whole control periods.
@@ -99,8 +101,10 @@ def rollout(
         noise: whether sensors are noisy.
         spread: whether each life has the sensors of another robot, by its seed.
         home: x, y, radius [mm] and how long a charge lasts [s], for the number "homing".
-        step_ns: of the physics [ns]: 2.5 ms as on the robot, or 5 or 10 ms.
+        step_ns: of the physics [ns]: 2.5 ms as on the robot, or 5 or 10 ms; without, 2.5 ms, and 10 ms in a
+            plane.
         period_ns: of the controller [ns].
+        planar: whether robots move in a plane instead of MuJoCo, for screening.
         threads: how many; without, as many as there are cores. Plain lives use one.
         compiled: None for compiled where numba is installed.
 
@@ -110,7 +114,9 @@ def rollout(
         PlaypenError: the playpen has what lives cannot have.
     """
     fast = is_compiled(compiled)
-    ground = playpen if isinstance(playpen, Ground) else Ground(playpen, step_ns=step_ns, period_ns=period_ns)
+    ground = playpen
+    if isinstance(ground, Playpen):
+        ground = Ground(ground, step_ns=step_ns, period_ns=period_ns, planar=planar)
     count = len(seeds)
     for name, given in (("genes", genes), ("starts", starts), ("lamps", lamps)):
         if given is not None and len(given) != count:

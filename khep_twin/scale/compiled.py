@@ -10,6 +10,7 @@ beside this file, or in the user's cache, for as long as no source has changed.
 import hashlib
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import mujoco
@@ -24,24 +25,26 @@ from khep_twin.errors import ControllerError
 from khep_twin.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.scale import addresses, compiled_casting, episode, networks
 
-_SOURCES = (kernel, units, fitness, optics, casting, networks, episode, compiled_casting, addresses)
+SOURCES = (kernel, units, fitness, optics, casting, networks, episode, compiled_casting, addresses)
+"""What is compiled."""
 
-_OWN = {"kernel": compiled_kernel(), "units": compiled_copy(units), "casting": compiled_casting}
 _EPISODE = compiled_copy(
     episode,
     {
-        **_OWN,
+        "kernel": compiled_kernel(),
+        "units": compiled_copy(units),
         "fitness": compiled_copy(fitness),
         "networks": compiled_copy(networks),
+        "casting": compiled_casting,
         "optics": compiled_copy(optics, {"casting": compiled_casting}),
     },
 )
 
 
-def _stamp() -> int:
+def stamp_of(sources: tuple[ModuleType, ...]) -> int:
     """What tells these sources from any others."""
     digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
-    for module in _SOURCES:
+    for module in sources:
         digest.update(Path(str(module.__file__)).read_bytes())
     return int.from_bytes(digest.digest()[:7], "big")
 
@@ -57,7 +60,7 @@ def _entry(stamp: int) -> Any:
     return njit(nogil=True, cache=True)(advance)
 
 
-advance = _entry(_stamp())
+advance = _entry(stamp_of(SOURCES))
 """`episode.advance`, compiled."""
 
 
@@ -102,13 +105,3 @@ def address_of(function: Any) -> int:
 
 
 _KEPT: list[Any] = []
-
-
-def as_arrays(numbers: Any) -> Any:
-    """A named tuple whose lists are arrays, as compiled code takes it."""
-    return type(numbers)(
-        *(
-            np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
-            for name, value in zip(numbers._fields, numbers, strict=True)
-        )
-    )

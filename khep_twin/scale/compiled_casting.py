@@ -36,7 +36,6 @@ class Scene(NamedTuple):
         cameras: of the sensors (8,).
         positions: of all cameras, live (n_cameras, 3) [m].
         frames: of all cameras, live (n_cameras, 9).
-        found: room for what a sensor's rays find (4 n_rays,).
         solid: geoms that rays can hit, in MuJoCo's order (n_solid,).
         kinds: their types (n_solid,).
         stops: which of them stop light (n_solid,).
@@ -61,7 +60,6 @@ class Scene(NamedTuple):
     cameras: NDArray[np.int64]
     positions: Floats
     frames: Floats
-    found: Floats
     solid: NDArray[np.int64]
     kinds: NDArray[np.int64]
     stops: NDArray[np.bool_]
@@ -92,7 +90,6 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
         np.array(cameras, np.int64),
         data.cam_xpos,
         data.cam_xmat,
-        np.zeros(slices[0].stop - slices[0].start),
         np.array(solid, np.int64),
         model.geom_type[solid].astype(np.int64),
         WITHOUT_WHEELS[model.geom_group[solid]] > 0,
@@ -129,7 +126,7 @@ def _meets(model: mujoco.MjModel, geom: int, cameras: list[int]) -> bool:
         width, height = model.cam_resolution[camera].tolist()
         half = np.tan(np.radians(model.cam_fovy[camera]) / 2) * width / height
         for aside in np.linspace(-half, half, 181).tolist():
-            way = np.array(casting.direction(data.cam_xmat[camera].tolist(), aside))
+            way = np.array(casting.through(data.cam_xmat[camera].tolist(), aside))
             at = data.cam_xpos[camera]
             if mujoco.mju_rayGeom(place, turn, size, at, way, int(model.geom_type[geom]), None) >= 0:
                 return True
@@ -176,15 +173,21 @@ def sensor_frame(scene, channel):
 
 
 @njit
-def direction(frame, aside):
+def direction(scene, frame, channel, ray, aside):
     """As `casting.direction`."""
+    return _through(frame, aside)
+
+
+@njit
+def _through(frame, aside):
+    """As `casting.through`."""
     x, y, z = frame[0] * aside - frame[2], frame[3] * aside - frame[5], frame[6] * aside - frame[8]
     scale = 1 / np.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
 
 @njit
-def rays(scene, near, channel, level):
+def rays(scene, near, channel, level, found):
     """As `casting.rays`, but none where nothing can be near enough to count."""
     reach = np.inf
     if level < 0:
@@ -194,13 +197,13 @@ def rays(scene, near, channel, level):
     camera = scene.cameras[channel]
     frame, place = scene.frames[camera], scene.positions[camera]
     if not _anything_within(scene, frame, place, reach):
-        return scene.found[:0]
+        return 0
     aside = near.aside[channel]
     for ray in range(len(aside)):
-        x, y, z = direction(frame, aside[ray])
+        x, y, z = _through(frame, aside[ray])
         scene.ways[0], scene.ways[1], scene.ways[2] = x, y, z
-        _cast_one(scene, place, x, y, z, ray)
-    return scene.found
+        _cast_one(scene, place, x, y, z, ray, found)
+    return len(found)
 
 
 @njit
@@ -245,9 +248,9 @@ def _anything_within(scene, frame, place, reach):
 
 
 @njit
-def _cast_one(scene, place, x, y, z, ray):
+def _cast_one(scene, place, x, y, z, ray, found):
     """Finds the first thing that a ray hits: each is asked in MuJoCo's order, and by MuJoCo."""
-    calls, found = scene.calls, scene.found
+    calls = scene.calls
     first = LENGTH_AND_NORMAL * ray
     best, geom = -1.0, -1
     for k in range(4):

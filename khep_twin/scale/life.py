@@ -9,6 +9,9 @@
 The same seed gives the same counts, registers and places as a `World` whose robot is told the same speeds at
 the same times by a line that costs no time, compiled or not, however often the life's memory was used before.
 Left out, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but are seen nowhere.
+
+On `Ground(..., planar=True)` the robot moves in a plane (`planar`), which is for screening: the same firmware
+and sensors, ten times faster and more, and about the same ways.
 """
 
 import copy
@@ -22,11 +25,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import calibration, casting, kernel, units
+from khep_twin import calibration, kernel, units
 from khep_twin.ambient import ambient_optics, bulbs
 from khep_twin.calibration import Calibration
 from khep_twin.clock import n_steps, to_ns
-from khep_twin.errors import DivergedError, MissingExtraError, PlaypenError
+from khep_twin.errors import DivergedError, PlaypenError
 from khep_twin.lamps import Lamps
 from khep_twin.optics import Bulbs
 from khep_twin.playpen import Lamp, Playpen, placed
@@ -35,6 +38,8 @@ from khep_twin.randomness import stream
 from khep_twin.rom import DEMO, ROMS
 from khep_twin.scale import episode
 from khep_twin.scale.minds import Driver, Floats, Hold, mind_of
+from khep_twin.scale.mujoco_room import MujocoRoom, Start, places
+from khep_twin.scale.planar import Outline, PlanarRoom, as_record
 from khep_twin.sensors import proximity_optics
 from khep_twin.sightlines import SightLines
 from khep_twin.supply import Supply
@@ -45,10 +50,13 @@ NUMBERS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "d
 SPAN_NS = 2_000_000_000
 """Chance is drawn for so long at a time [ns]."""
 
-_PREFIX = "khepera0/"
+PLANAR_SPAN_NS = 20_000_000_000
+"""Likewise in a plane, where two seconds are over before numbers are drawn; it makes no other difference."""
 
-Start = tuple[float, float, float]
-"""x [mm], y [mm], heading [deg]."""
+PLANAR_STEP_NS = 4 * units.STEP_NS
+"""In a plane nothing is lost by a step of one tick [ns], but that sensors are converted four at a time."""
+
+_PREFIX = "khepera0/"
 
 
 class SlowerWarning(UserWarning):
@@ -106,8 +114,10 @@ class Ground:
 
     Args:
         playpen: with one robot.
-        step_ns: of the physics [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms.
+        step_ns: of the physics [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; without, 2.5 ms, and
+            10 ms in a plane.
         period_ns: of the controller [ns], whole ticks of 10 ms.
+        planar: whether the robot moves in a plane instead of MuJoCo.
 
     Raises:
         PlaypenError: it has what lives cannot have.
@@ -115,7 +125,12 @@ class Ground:
     """
 
     def __init__(
-        self, playpen: Playpen, *, step_ns: int = units.STEP_NS, period_ns: int = units.SCAN_NS
+        self,
+        playpen: Playpen,
+        *,
+        step_ns: int | None = None,
+        period_ns: int = units.SCAN_NS,
+        planar: bool = False,
     ) -> None:
         _refuse(playpen)
         if period_ns <= 0 or period_ns % units.TICK_NS:
@@ -124,6 +139,8 @@ class Ground:
                 f"{units.TICK_NS / 1e6:g} ms"
             )
         mujoco.set_mju_user_warning(_keep_quiet)
+        if step_ns is None:
+            step_ns = PLANAR_STEP_NS if planar else units.STEP_NS
         self.playpen, self.step_ns, self.period_ns = playpen, step_ns, period_ns
         spec = to_spec(playpen)
         if step_ns != units.STEP_NS:
@@ -135,15 +152,10 @@ class Ground:
         self.entry = playpen.robots[0]
         self.calibration = calibration.read(self.entry.calibration)[0]
         self.light = self.lit(playpen.lamps)
-        model = self.model
-        joints = [model.joint(f"{_PREFIX}{side}_axle") for side in ("left", "right")]
+        self.outline = Outline(playpen, self.model, step_ns) if planar else None
         width, height = playpen.arena.width_mm, playpen.arena.height_mm
         self.wiring = episode.Wiring(
-            int(joints[0].qposadr[0]),
-            int(joints[1].qposadr[0]),
-            model.actuator(f"{_PREFIX}left_motor").id,
-            model.actuator(f"{_PREFIX}right_motor").id,
-            int(model.joint(f"{_PREFIX}pose").qposadr[0]),
+            *(places(self.model) if self.outline is None else Outline.PLACES),
             self.calibration.motors.constant,
             1.0 + max(units.metres(width), units.metres(height)),
             step_ns // units.STEP_NS,
@@ -194,25 +206,18 @@ class Life:
     def __init__(self, ground: Ground, driver: Driver | None = None, *, compiled: bool | None = None) -> None:
         self._ground, self._driver = ground, driver or Hold()
         self._compiled = is_compiled(compiled)
-        self._model = ground.without_sensors if self._compiled else ground.model
-        self._data = mujoco.MjData(self._model)
         self.registers: NDArray[np.int64] = np.zeros(kernel.N_REGISTERS, np.int64)
-        self._scene: Any
-        if self._compiled:
-            try:
-                from khep_twin.scale import compiled as fast
-                from khep_twin.scale import compiled_casting
-            except ImportError as error:
-                raise MissingExtraError("numba", "batch") from error
-            self._advance = fast.advance
-            self._numbers = fast.as_arrays
-            self._scene = compiled_casting.scene_of(self._model, self._data, _PREFIX)
+        self._numbers = _as_arrays if self._compiled else _as_it_is
+        self._optics = as_record if self._compiled and ground.outline else self._numbers
+        self._room: MujocoRoom | PlanarRoom
+        if ground.outline is None:
+            self._room = MujocoRoom(
+                ground.without_sensors if self._compiled else ground.model, self._compiled
+            )
         else:
-            self._advance = episode.advance
-            self._numbers = _as_it_is
-            self._scene = casting.scene_of(ground.model, self._data, _PREFIX)
+            self._room = PlanarRoom(ground.outline, self._compiled)
         self._state = np.zeros(episode.N_STATE, np.int64)
-        self._proximity = {0: self._numbers(proximity_optics(ground.model, _PREFIX, ground.calibration))}
+        self._proximity = {0: self._optics(proximity_optics(ground.model, _PREFIX, ground.calibration))}
         self._supply = Supply(ground.entry.battery_used_min)
         self._chance: list[np.random.Generator] = []
         self._seed = 0
@@ -244,20 +249,19 @@ class Life:
             ControllerError: the genes do not fit the driver.
             DivergedError: the physics does not even stand.
         """
-        ground, data = self._ground, self._data
+        ground, room = self._ground, self._room
         self._seed, self._light = seed, light or ground.light
         near = self._proximity[0]
         measured = ground.calibration
         if spread:
             measured = ground.another(seed)
-            near = self._numbers(proximity_optics(ground.model, _PREFIX, measured))
+            near = self._optics(proximity_optics(ground.model, _PREFIX, measured))
         self._chance = []
         if noise:
             self._chance = [stream(seed, "robot", 0, name) for name in ("proximity", "ambient", "idle")]
-        mujoco.mj_resetData(self._model, data)
         begins = start or ground.start(seed)
-        if begins != (ground.entry.x_mm, ground.entry.y_mm, ground.entry.heading_deg):
-            data.qpos[ground.wiring.pose : ground.wiring.pose + 7] = _free_joint(begins)
+        own = ground.entry.x_mm, ground.entry.y_mm, ground.entry.heading_deg
+        room.put(None if begins == own else begins)
         self.registers[:] = 0
         kernel.reset(self.registers.data)
         driver = self._driver
@@ -266,25 +270,29 @@ class Life:
         rom = ROMS[ground.entry.rom]
         self._state[:] = 0, 1, rom.modes[ground.entry.mode].function == DEMO, episode.FINE
         self._body = episode.Body(
-            self._scene,
+            room.scene,
             near,
-            self._numbers(ambient_optics(measured.ambient)),
+            self._optics(ambient_optics(measured.ambient)),
             self._numbers(self._light.bulbs),
             ground.wiring,
             self.registers if self._compiled else self.registers.data,
-            self._live(data.qpos),
-            self._live(data.qvel),
-            self._live(data.ctrl),
-            self._live(data.actuator_force),
-            self._live(data.xpos.reshape(-1)),
-            data.warning.number,
+            *room.live,
             self._state if self._compiled else self._state.data,
             np.zeros(1),
         )
         weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
         self._mind = mind_of(driver, weights, place, self._compiled)
-        self._advance(self._body, self._mind, self._span(self._light.at_start(), units.N_SENSORS, 1), -1)
+        self._room.advance(self._body, self._mind, self._span(self._light.at_start(), units.N_SENSORS, 1), -1)
         self._complain()
+
+    @property
+    def _data(self) -> mujoco.MjData:
+        """The scene's state, where it has one."""
+        if isinstance(self._room, PlanarRoom):
+            raise ValueError(
+                "a life in a plane has no scene of MuJoCo's; right is one on ground that is not planar"
+            )
+        return self._room.data
 
     @property
     def steps(self) -> int:
@@ -299,14 +307,12 @@ class Life:
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad] in the playpen."""
-        at = self._ground.wiring.pose
-        x, y, _, qw, qx, qy, qz = self._data.qpos[at : at + 7].tolist()
-        return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+        return self._room.pose
 
     @property
     def joints(self) -> Floats:
-        """All places of the scene, MuJoCo's qpos, as a copy."""
-        return self._data.qpos.copy()
+        """All places of the scene, MuJoCo's qpos or `plane.N_JOINTS` numbers, as a copy."""
+        return self._room.joints
 
     def readings(self) -> tuple[list[int], list[int]]:
         """Proximity and ambient counts in the registers, each (8,)."""
@@ -320,7 +326,7 @@ class Life:
             DivergedError: the physics left its bounds, or the controller gave what is no number.
         """
         steps = self._ground.periods(seconds) * self._ground.wiring.steps_per_period
-        longest = SPAN_NS // self._ground.step_ns
+        longest = (SPAN_NS if self._ground.outline is None else PLANAR_SPAN_NS) // self._ground.step_ns
         while steps > 0:
             self.go_on(min(steps, longest))
             steps -= longest
@@ -330,7 +336,7 @@ class Life:
         wiring = self._ground.wiring
         feeds = steps // wiring.steps_per_feed + 1
         span = self._span(self._light.during(self.steps, steps), steps * wiring.conversions, feeds)
-        if self._advance(self._body, self._mind, span, steps):
+        if self._room.advance(self._body, self._mind, span, steps):
             self._complain()
 
     def drive(self, left: float, right: float) -> None:
@@ -369,15 +375,14 @@ class Life:
         wiring, step_ns = self._ground.wiring, self._ground.step_ns
         fed = self.steps // wiring.steps_per_feed + (feeds > 1 or self.steps > 0)
         feed_ns = wiring.steps_per_feed * step_ns
-        volts = [self._supply.voltage((fed + i) * feed_ns) for i in range(feeds)]
+        if self._supply.steady:
+            volts = [self._supply.voltage(0)] * feeds
+        else:
+            volts = [self._supply.voltage((fed + i) * feed_ns) for i in range(feeds)]
         noisy = bool(self._chance)
         if not self._compiled:
             return episode.Span(powers, volts, noisy, *(draw.tolist() for draw in draws))
         return episode.Span(np.array(powers).reshape(len(powers), -1), np.array(volts), noisy, *draws)  # type: ignore
-
-    def _live(self, array: Any) -> Any:
-        """A view of MuJoCo's own memory, as quick as can be."""
-        return array if self._compiled else array.data
 
     def _complain(self) -> None:
         """Raises what ended the life, if anything has."""
@@ -386,8 +391,7 @@ class Life:
             return
         reason = "the physics left its bounds"
         if trouble == episode.WARNED:
-            number = self._data.warning.number
-            reason = f"MuJoCo warns of {mujoco.mjtWarning(int(np.flatnonzero(number)[0])).name}"
+            reason = f"MuJoCo warns of {self._room.warning}"
         elif trouble == episode.NO_SPEED:
             reason = "the controller gave a speed that is no number"
         raise DivergedError(
@@ -412,20 +416,14 @@ def _refuse(playpen: Playpen) -> None:
         )
 
 
-def _free_joint(start: Start) -> Floats:
-    """The numbers of a robot's free joint at a start (7,): what MuJoCo itself makes of the place."""
-    x_mm, y_mm, heading_deg = start
-    heading = units.radians(heading_deg)
-    spec = mujoco.MjSpec()
-    frame = spec.worldbody.add_frame(
-        pos=[units.metres(x_mm), units.metres(y_mm), 0],
-        quat=[math.cos(heading / 2), 0, 0, math.sin(heading / 2)],
+def _as_arrays(numbers: Any) -> Any:
+    """A named tuple whose lists are arrays, as compiled code takes it."""
+    return type(numbers)(
+        *(
+            np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
+            for name, value in zip(numbers._fields, numbers, strict=True)
+        )
     )
-    child = mujoco.MjSpec()
-    body = child.worldbody.add_body(name="base", mass=1, inertia=[1, 1, 1])
-    body.add_freejoint()
-    spec.attach(child, prefix="robot/", frame=frame)
-    return spec.compile().qpos0
 
 
 def _as_it_is(numbers: Any) -> Any:

@@ -88,7 +88,7 @@ def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
     model, data, prefix = world.model, world.data, "khepera0/"
     plain, fast = scene_of(model, data, prefix), compiled_casting.scene_of(model, data, prefix)
     near = proximity_optics(model, prefix, Ground(arena()).calibration)
-    from khep_twin.scale.compiled import as_arrays
+    from khep_twin.scale.life import _as_arrays as as_arrays
 
     arrays = as_arrays(near)
     world.robots[0].send(b"D,9,4\n")
@@ -97,9 +97,10 @@ def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
         world.advance_to((step + 1) * 2_500_000)
         channel = step % 8
         expected = plain.rays[channel].tolist()
-        assert compiled_casting.rays(fast, arrays, channel, 1.0).tolist() == expected
+        assert compiled_casting.rays(fast, arrays, channel, 1.0, arrays.found) == len(expected)
+        assert arrays.found.tolist() == expected
         # With a threshold it may see nothing, but never where something could be near enough.
-        if not len(compiled_casting.rays(fast, arrays, channel, -near.threshold[channel])):
+        if not compiled_casting.rays(fast, arrays, channel, -near.threshold[channel], arrays.found):
             shortest = min((length for length in expected[::4] if length >= 0), default=np.inf)
             reach = np.sqrt(near.gain[channel] * near.brightest / near.threshold[channel])
             assert shortest + near.offset[channel] >= reach

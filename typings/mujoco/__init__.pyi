@@ -47,9 +47,12 @@ class _Named:
     fovy: NDArray[np.float64]
     dofadr: NDArray[np.int32]
     qposadr: NDArray[np.int32]
+    pos: NDArray[np.float64]
+    size: NDArray[np.float64]
 
 class MjModel:
     nbody: int
+    nv: int
     nuser_site: int
     names: bytes
     body_parentid: NDArray[np.int32]
@@ -58,8 +61,11 @@ class MjModel:
     body_mass: NDArray[np.float64]
     body_rootid: NDArray[np.int32]
     body_weldid: NDArray[np.int32]
+    body_subtreemass: NDArray[np.float64]
     dof_bodyid: NDArray[np.int32]
     qpos0: NDArray[np.float64]
+    cam_pos: NDArray[np.float64]
+    cam_quat: NDArray[np.float64]
     cam_fovy: NDArray[np.float64]
     cam_resolution: NDArray[np.int32]
     geom_bodyid: NDArray[np.int32]
@@ -112,6 +118,7 @@ class MjData:
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]
     sensordata: NDArray[np.float64]
+    subtree_com: NDArray[np.float64]
     warning: _Warnings
     xmat: NDArray[np.float64]
     xpos: NDArray[np.float64]
@@ -133,6 +140,7 @@ class Renderer:
 
 class MjsOption:
     timestep: float
+    gravity: NDArray[np.float64]
     integrator: int
     cone: int
     impratio: float
@@ -210,6 +218,9 @@ class MjSpec:
     def to_xml(self) -> str: ...
 
 def set_mju_user_warning(handler: Callable[[str], None]) -> None: ...
+def mj_forward(model: MjModel, data: MjData) -> None: ...
+def mj_fullM(model: MjModel, data: MjData, dst: NDArray[np.float64]) -> None: ...
+def mju_quat2Mat(res: NDArray[np.float64], quat: NDArray[np.float64]) -> None: ...
 def mj_kinematics(model: MjModel, data: MjData) -> None: ...
 def mj_resetData(model: MjModel, data: MjData) -> None: ...
 def mj_camlight(model: MjModel, data: MjData) -> None: ...

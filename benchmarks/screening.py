@@ -1,0 +1,182 @@
+"""How far lives in a plane are from those in MuJoCo, and how much faster: `python -m benchmarks.screening`.
+
+Three tables. Ways: the same life in both, without noise, as the median and the largest of some; with speeds
+that are commanded by a list, whatever is in the way, and with the ROM's vehicle and networks, which steer by
+what they see, so that any difference grows. Ranks: Spearman's correlation of a measure over random networks
+between both, and, as what could be hoped for, between MuJoCo's own lives with other seeds. Speeds: in
+processor time, one thread, interleaved.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+from scipy.stats import spearmanr
+
+from benchmarks.scale import bare_loop
+from khep_twin import playpen, units
+from khep_twin.obstacle_field import obstacle_field
+from khep_twin.playpen import Arena, Playpen, Robot
+from khep_twin.scale.batch import rollout
+from khep_twin.scale.life import Ground, Life
+from khep_twin.scale.minds import Driver, Hold, Network, Wander
+from khep_twin.scale.screening import best_first
+
+NETWORK = Network(hidden=(5,), recurrent=True)
+GENOMES, SEEDS, LIFE_S, ELITE = 200, 3, 30.0, 20
+TIMES_S = (1.0, 6.0, 60.0)
+WAYS = 10
+ROUNDS = 5
+
+
+def open_floor() -> Playpen:
+    """A floor without anything to run into in a minute."""
+    robot = Robot(x_mm=5000, y_mm=5000, heading_deg=20)
+    arena = Arena(width_mm=10_000, height_mm=10_000)
+    return Playpen(version=1, name="open-floor", arena=arena, robot=(robot,), surfaces={})
+
+
+def field() -> Playpen:
+    """Seventeen blocks and cylinders by chance."""
+    return obstacle_field("field", 1400, 1000, 0.06, np.random.default_rng(3))
+
+
+def scenes() -> dict[str, Playpen]:
+    shipped = {name: playpen.load(name) for name in ("default", "obstacles", "looping-maze")}
+    return {**shipped, "field": field()}
+
+
+def genomes(count: int) -> np.ndarray:
+    return np.random.default_rng(7).normal(scale=1.5, size=(count, NETWORK.n_genes))
+
+
+def way(ground: Ground, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
+    """Poses of a life at some times; without a driver speeds change every half second, by chance."""
+    life = Life(ground, driver or Hold())
+    genes = genomes(WAYS)[index] if isinstance(driver, Network) else ()
+    robot = ground.entry
+    start = (robot.x_mm, robot.y_mm, robot.heading_deg + 3.0 * index)
+    life.begin(index, start=start, noise=False, genes=genes)
+    chance = np.random.default_rng(index)
+    poses: list[tuple[float, float, float]] = []
+    for half in range(round(2 * TIMES_S[-1])):
+        if driver is None:
+            life.drive(*chance.integers(-10, 16, 2).tolist())
+        life.live(0.5)
+        if (half + 1) / 2 in TIMES_S:
+            poses.append(life.pose)
+    return poses
+
+
+def ways(title: str, scene: Playpen, driver: Driver | None) -> None:
+    """Prints how far apart both end."""
+    both = [Ground(scene), Ground(scene, planar=True)]
+    found = np.array([[way(ground, index, driver) for ground in both] for index in range(WAYS)])
+    off = found[:, 0] - found[:, 1]
+    away_mm = np.hypot(off[..., 0], off[..., 1]) * 1e3
+    turned = np.degrees(np.abs((off[..., 2] + np.pi) % (2 * np.pi) - np.pi))
+    cells = [
+        f"{np.median(away_mm[:, i]):8.2f} {away_mm[:, i].max():7.1f} {np.median(turned[:, i]):7.2f}"
+        for i in range(len(TIMES_S))
+    ]
+    print(f"{title:36}{'   '.join(cells)}", flush=True)
+
+
+def ranks(name: str, scene: Playpen) -> None:
+    """Prints how both rank the same networks."""
+    genes = np.repeat(genomes(GENOMES), SEEDS, axis=0)
+
+    def judged(first: int, planar: bool) -> dict[str, np.ndarray]:
+        seeds = [first + seed for _ in range(GENOMES) for seed in range(SEEDS)]
+        found = rollout(scene, NETWORK, seeds, LIFE_S, genes=genes, planar=planar)
+        return {
+            number: found.numbers[number].reshape(GENOMES, SEEDS).mean(axis=1)
+            for number in ("obstacle_avoidance", "distance_m")
+        }
+
+    plane, true, again = judged(0, True), judged(0, False), judged(SEEDS, False)
+    for number in plane:
+        hit = len(set(best_first(plane[number])[:ELITE]) & set(best_first(true[number])[:ELITE]))
+        own = len(set(best_first(again[number])[:ELITE]) & set(best_first(true[number])[:ELITE]))
+        best = int(best_first(true[number])[0])
+        place = int(np.flatnonzero(best_first(plane[number]) == best)[0]) + 1
+        print(
+            f"{name:14}{number:20}{spearmanr(plane[number], true[number])[0]:8.3f}"
+            f"{spearmanr(again[number], true[number])[0]:12.3f}{hit:10d}{own:10d}{place:10d}",
+            flush=True,
+        )
+
+
+def speeds(name: str, scene: Playpen) -> None:
+    """Prints simulated seconds per second of the processor, of lives of networks and of the ROM's vehicle."""
+    true, plane = Ground(scene), Ground(scene, planar=True)
+    chosen = genomes(GENOMES)[::20]
+    still = [(0.5, 0.4)] * 500
+
+    def lives(ground: Ground, driver: Driver, seconds: float, genes: Sequence[np.ndarray]) -> float:
+        life = Life(ground, driver)
+        for seed, own in enumerate(genes):
+            life.begin(seed, genes=own)
+            life.live(seconds)
+        return seconds * len(genes)
+
+    def bare() -> float:
+        bare_loop(true, still, true.model)
+        return len(still) * units.TICK_NS * 1e-9
+
+    none = [np.zeros(0)] * 2
+    rows: dict[str, Callable[[], float]] = {
+        "bare mj_step": bare,
+        "MuJoCo, networks": lambda: lives(true, NETWORK, 2.0, chosen),
+        "plane, networks": lambda: lives(plane, NETWORK, 60.0, chosen),
+        "MuJoCo, ROM": lambda: lives(true, Wander(), 10.0, none),
+        "plane, ROM": lambda: lives(plane, Wander(), 60.0, none),
+    }
+    taken: dict[str, list[float]] = {row: [] for row in rows}
+    for _ in range(ROUNDS + 1):  # the first round warms up
+        for row, run in rows.items():
+            start = time.process_time()
+            simulated = run()
+            taken[row].append(simulated / (time.process_time() - start))
+    rates = [statistics.median(found[1:]) for found in taken.values()]
+    best = [max(found[1:]) for found in taken.values()]
+    cells = "".join(f"{rate:9.0f} ({most:6.0f})" for rate, most in zip(rates, best, strict=True))
+    print(f"{name:14}{cells}{rates[2] / rates[1]:8.1f}{rates[4] / rates[3]:8.1f}", flush=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("table", nargs="?", choices=["speeds", "ways", "ranks"], help="without, all three")
+    wanted = parser.parse_args(arguments).table or "speeds, ways and ranks"
+    print(f"mujoco {mujoco.__version__}")
+    if "speeds" in wanted:
+        columns = ("bare mj_step", "MuJoCo, nets", "plane, nets", "MuJoCo, ROM", "plane, ROM")
+        print("simulated s per processor s, median (best)")
+        print(" " * 14 + "".join(f"{column:>18}" for column in columns) + "    nets     ROM")
+        for name, scene in scenes().items():
+            speeds(name, scene)
+    if "ways" in wanted:
+        print("apart after" + "".join(f"{time_s:>24g} s " for time_s in TIMES_S))
+        print(" " * 36 + "   ".join("  median     max    turn" for _ in TIMES_S) + "  [mm, mm, deg]")
+        ways("open floor, speeds by a list", open_floor(), None)
+        for name, scene in scenes().items():
+            ways(f"{name}, speeds by a list", scene, None)
+        for name, scene in scenes().items():
+            ways(f"{name}, ROM's vehicle", scene, Wander())
+        for name, scene in scenes().items():
+            ways(f"{name}, random networks", scene, NETWORK)
+    if "ranks" in wanted:
+        print(
+            f"{GENOMES} networks, {SEEDS} lives of {LIFE_S:g} s each: Spearman's rank correlation to MuJoCo"
+        )
+        print(f"{'':34}{'plane':>8}{'own seeds':>12}{f'of {ELITE}':>10}{'own':>10}{'best at':>10}")
+        for name, scene in scenes().items():
+            ranks(name, scene)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

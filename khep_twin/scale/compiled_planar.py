@@ -1,0 +1,59 @@
+"""The episode in a plane compiled by numba, as `compiled` has it in MuJoCo.
+
+Only imported where numba is installed.
+"""
+
+# numba is not typed.
+# pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
+
+from types import ModuleType
+from typing import Any
+
+from numba import njit
+
+from khep_twin import fitness, kernel, optics, units
+from khep_twin.compiled_kernel import compiled_copy
+from khep_twin.scale import (
+    compiled_casting,
+    episode,
+    networks,
+    planar_casting,
+    planar_motion,
+    planar_pushes,
+    plane,
+)
+from khep_twin.scale.compiled import SOURCES, stamp_of
+
+
+def _copy(module: ModuleType, **others: ModuleType) -> ModuleType:
+    return compiled_copy(module, others, "compiled in a plane", counted=False)
+
+
+_FLAT = _copy(plane)
+_MOTION = _copy(planar_motion, flat=_FLAT, planar_pushes=_copy(planar_pushes, flat=_FLAT))
+_CASTING = _copy(planar_casting, flat=_FLAT, planar_motion=_MOTION)
+# A controller is called by its address here as there.
+setattr(_CASTING, "decide", compiled_casting.decide)  # noqa: B010
+_EPISODE = _copy(
+    episode,
+    kernel=_copy(kernel),
+    units=_copy(units),
+    fitness=_copy(fitness),
+    networks=_copy(networks),
+    casting=_CASTING,
+    optics=_copy(optics, casting=_CASTING),
+)
+
+
+def _entry(stamp: int) -> Any:
+    # As in `compiled`, the stamp makes numba forget what was compiled from other sources.
+    def advance(body, mind, span, n_steps):
+        if stamp == 0:
+            return -1
+        return _EPISODE.advance(body, mind, span, n_steps)
+
+    return njit(nogil=True, cache=True, _nrt=False)(advance)
+
+
+advance = _entry(stamp_of((*SOURCES, planar_casting, planar_motion, planar_pushes, plane)))
+"""`episode.advance` in a plane, compiled."""
