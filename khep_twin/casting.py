@@ -257,6 +257,17 @@ def blocked(
     return stopped / len(points.hits)
 
 
+def heading(qpos: Sequence[float], pose: int) -> tuple[float, float]:
+    """Cosine and sine of a robot's heading, as far as it stands upright.
+
+    Args:
+        qpos: of the scene.
+        pose: where in it the robot's free joint is.
+    """
+    w, x, y, z = qpos[pose + 3], qpos[pose + 4], qpos[pose + 5], qpos[pose + 6]
+    return 1 - 2 * (y * y + z * z), 2 * (w * z + x * y)
+
+
 def step(scene: Scene) -> None:
     """One step of the physics."""
     mujoco.mj_step(scene.model, scene.data)

@@ -49,18 +49,21 @@ def stamp_of(sources: tuple[ModuleType, ...]) -> int:
     return int.from_bytes(digest.digest()[:7], "big")
 
 
-def _entry(stamp: int) -> Any:
-    # numba keeps compiled code by the source of this one function and by what it closes over: the stamp makes
-    # it forget what was compiled from other sources of the functions that are called.
-    def advance(body, mind, span, n_steps):
-        if stamp == 0:
-            return -1
-        return _EPISODE.advance(body, mind, span, n_steps)
+def stamped(function: Any, sources: tuple[ModuleType, ...]) -> Any:
+    """The function, by a name with the stamp of the sources that it calls.
 
-    return njit(nogil=True, cache=True)(advance)
+    numba keeps compiled code in a file of the function's name, and looks for changes in that function's own
+    source alone.
+    """
+    function.__qualname__ = f"{function.__name__}_{stamp_of(sources):x}"
+    return function
 
 
-advance = _entry(stamp_of(SOURCES))
+def _advance(body, mind, span, n_steps):
+    return _EPISODE.advance(body, mind, span, n_steps)
+
+
+advance: Any = njit(nogil=True, cache=True)(stamped(_advance, SOURCES))
 """`episode.advance`, compiled."""
 
 

@@ -348,6 +348,9 @@ def _stops(scene, place, x, y, glass):
     return False
 
 
+heading = njit(casting.heading)
+
+
 @njit
 def decide(function, registers, memory, genes, speeds):
     """Calls a compiled controller by its address (`compiled.address_of`)."""

@@ -22,7 +22,7 @@ from khep_twin.scale import (
     planar_pushes,
     plane,
 )
-from khep_twin.scale.compiled import SOURCES, stamp_of
+from khep_twin.scale.compiled import SOURCES, stamped
 
 
 def _copy(module: ModuleType, **others: ModuleType) -> ModuleType:
@@ -45,15 +45,11 @@ _EPISODE = _copy(
 )
 
 
-def _entry(stamp: int) -> Any:
-    # As in `compiled`, the stamp makes numba forget what was compiled from other sources.
-    def advance(body, mind, span, n_steps):
-        if stamp == 0:
-            return -1
-        return _EPISODE.advance(body, mind, span, n_steps)
-
-    return njit(nogil=True, cache=True, _nrt=False)(advance)
+def _advance(body, mind, span, n_steps):
+    return _EPISODE.advance(body, mind, span, n_steps)
 
 
-advance = _entry(stamp_of((*SOURCES, planar_casting, planar_motion, planar_pushes, plane)))
+_SOURCES = (*SOURCES, planar_casting, planar_motion, planar_pushes, plane)
+
+advance: Any = njit(nogil=True, cache=True, _nrt=False)(stamped(_advance, _SOURCES))
 """`episode.advance` in a plane, compiled."""

@@ -196,7 +196,9 @@ def advance(body: Body, mind: Mind, span: Span, n_steps: int) -> int:
                 state[TROUBLE] = NO_SPEED
                 break
             period = wiring.steps_per_period * conversions * _CONVERSION
-            note(registers, mind.sums, mind.home, body.eyes.dark, body.eyes.floor, qpos, wiring.pose, period)
+            place = qpos[wiring.pose], qpos[wiring.pose + 1]
+            ahead = casting.heading(qpos, wiring.pose)
+            note(registers, mind.sums, mind.home, body.eyes.dark, body.eyes.floor, place, ahead, period)
         casting.step(body.scene)
         row = 0 if len(span.powers) == 1 else i
         for turn in range(conversions):
@@ -241,8 +243,8 @@ def note(
     home: Any,
     dark: float,
     floor: float,
-    qpos: Any,
-    pose: int,
+    place: tuple[float, float],
+    ahead: tuple[float, float],
     period: float,
 ) -> None:
     """Adds the fitness of a control period's beginning, with the speeds just set.
@@ -253,8 +255,8 @@ def note(
         home: as in `Mind`.
         dark: ambient reading in the dark [counts].
         floor: in the brightest light.
-        qpos: of the scene.
-        pose: of the robot in it.
+        place: x and y of the robot [m].
+        ahead: cosine and sine of its heading.
         period: of the controller [s].
     """
     nearest, darkest = registers[_PROXIMITY], registers[_AMBIENT]
@@ -264,13 +266,11 @@ def note(
     side = max(registers[_PROXIMITY + _SIDES[0]], registers[_PROXIMITY + _SIDES[1]]) / units.COUNTS_LIMIT
     left, right = float(registers[_LEFT_SETPOINT]), float(registers[_RIGHT_SETPOINT])
     part = nearest / units.COUNTS_LIMIT
-    x, y = qpos[pose], qpos[pose + 1]
-    qw, qx, qy, qz = qpos[pose + 3], qpos[pose + 4], qpos[pose + 5], qpos[pose + 6]
+    x, y = place
     dx, dy = x - sums[LAST_X], y - sums[LAST_Y]
     if sums[PERIODS] > 0:
         sums[WAY] += math.sqrt(dx * dx + dy * dy)
-        # Cosine and sine of the heading, as far as the robot stands upright.
-        sums[FORWARD] += dx * (1 - 2 * (qy * qy + qz * qz)) + dy * (2 * (qw * qz + qx * qy))
+        sums[FORWARD] += dx * ahead[0] + dy * ahead[1]
     sums[LAST_X], sums[LAST_Y] = x, y
     sums[PERIODS] += 1
     sums[AVOIDANCE] += fitness.obstacle_avoidance(left, right, part)

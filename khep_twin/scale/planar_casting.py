@@ -21,6 +21,7 @@ from khep_twin.scale.plane import (
     CENTRE_Y,
     COSINE,
     DISTANCE,
+    HEADING,
     HEADING_COSINE,
     HEADING_SINE,
     LENGTH,
@@ -48,6 +49,12 @@ _ROUNDING = 1e-9
 def step(scene: Scene) -> None:
     """One step of the way."""
     planar_motion.step(scene)
+
+
+def heading(qpos: Sequence[float], pose: int) -> tuple[float, float]:
+    """As `casting.heading`."""
+    angle = qpos[pose + HEADING]
+    return math.cos(angle), math.sin(angle)
 
 
 def body_frame(scene: Scene) -> Sequence[float]:
