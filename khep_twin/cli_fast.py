@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -24,6 +25,7 @@ KNOWN = {
     "period",
     "step",
     "planar",
+    "picture",
     "seed",
     "noise",
     "spread",
@@ -55,6 +57,7 @@ def run_fast(
     period: float,
     step: float | None,
     planar: bool,
+    picture: Path | None,
 ) -> None:
     """Lives through one life and tells how it went.
 
@@ -67,7 +70,10 @@ def run_fast(
         period: of the controller [ms].
         step: of the physics [ms]; None for 2.5 ms, and 10 ms in a plane.
         planar: whether it goes on in a plane instead of MuJoCo.
+        picture: where its way is drawn, if anywhere.
     """
+    import numpy as np
+
     from khep_twin.lab.experiment import find_function
     from khep_twin.playpen import placed
     from khep_twin.ports.twin import equipped
@@ -92,17 +98,25 @@ def run_fast(
         complain(str(warning.message))
     life = Life(ground, Wander() if function is None else Hold(), compiled=compiled)
     life.begin(options.seed, noise=options.noise, spread=options.spread)
+    way = [life.pose]
     with progress_bar() as show:
         for done in range(periods):
             if function is not None:
                 life.drive(*_speeds(function, life))
             life.go_on(ground.wiring.steps_per_period)
+            way.append(life.pose)
             if show is not None:
                 show((done + 1) / periods)
     typer.echo(f"{periods} cycles in {life.time_ns / 1e9:.1f} s")
     for name, value in life.numbers().items():
         if not math.isnan(value):  # homing is no number without a home
             typer.echo(f"{name.replace('_', ' '):20}{value:.4g}")
+    if picture is not None:
+        from khep_twin.drawing import Track, draw, save
+
+        times = np.arange(len(way)) * ground.period_ns / 1e9
+        save(draw(scene, [Track("khepera0", times, 1000 * np.array(way)[:, :2])]), picture)
+        typer.echo(f"picture  {picture}")
 
 
 def _speeds(function: Callable[..., Any], life: "Life") -> tuple[float, float]:

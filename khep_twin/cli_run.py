@@ -116,7 +116,9 @@ def run(
     ] = False,
     picture: Annotated[
         Path | None,
-        typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log."),
+        typer.Option(
+            help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log or --fast."
+        ),
     ] = None,
 ) -> None:
     """Runs a controller on a twin or a robot, once or in a series."""
@@ -133,7 +135,7 @@ def run(
         option = min(ignored).replace("_", "-")
         raise usage(f"--{option} is for a twin in this process, not for one behind --port")
     check_carry_on(carry_on, log)
-    check_picture(picture, log)
+    check_picture(picture, log, fast)
     if (seconds is not None and not 0 < seconds < math.inf) or (cycles is not None and cycles < 1):
         raise usage("--seconds and --cycles are above 0 and finite")
     _check_save(save, resume, log)
@@ -159,6 +161,7 @@ def run(
             period=period,
             step=step,
             planar=planar,
+            picture=picture,
         )
         return
     found = find_controller(controller)

@@ -75,15 +75,15 @@ def draw_logs(logs: Sequence[Path], picture: Path) -> None:
     drawing.save(drawing.draw(found, tracks), picture)
 
 
-def check_picture(picture: Path | None, log: Path | None) -> None:
+def check_picture(picture: Path | None, log: Path | None, fast: bool) -> None:
     """Refuses a picture that could not be drawn at the end of the run."""
     if picture is None:
         return
-    if log is None:
+    if log is None and not fast:
         raise usage("--picture draws the path from the log; right is to give --log FILE.mcap too")
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise usage(f"--picture {picture}: right is a name that ends in .png, .svg or .pdf")
-    if picture.resolve() == log.resolve():
+    if log is not None and picture.resolve() == log.resolve():
         raise usage(f"--picture {picture}: this is the log; right is a file of its own")
     if not picture.parent.is_dir():
         raise usage(f"--picture {picture}: there is no directory {picture.parent}")

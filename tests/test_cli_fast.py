@@ -40,10 +40,20 @@ def test_a_fast_run_in_a_plane_goes_about_the_same_way(tmp_path: Path) -> None:
     assert ways[1] == pytest.approx(ways[0], abs=2e-3)
 
 
+def test_the_way_of_a_fast_run_is_drawn(tmp_path: Path) -> None:
+    result = fast(
+        "--fast", "--playpen", "looping-maze", "--seconds", "2", "--picture", "way.png", cwd=tmp_path
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.endswith("picture  way.png\n")
+    assert (tmp_path / "way.png").read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("--fast", "--log", "x.mcap"), "--log does not go with --fast, which has no serial line and no log"),
+        (("--fast", "--picture", "way.bmp"), "right is a name that ends in .png, .svg or .pdf"),
         (("--period", "40"), "--period goes with --fast"),
         (("--planar",), "--planar goes with --fast"),
         (("--fast", "--seconds", "0.03"), "0.03 s is no whole number of control periods of 20 ms"),
