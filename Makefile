@@ -53,8 +53,8 @@ pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back
 	@$(BIN)/python tests/pyserial_suite.py
 
 browser: $(VENV)/dev.stamp ## the designer's page in Chromium, which has to be installed; leaves pictures in out/browser
-	@$(BIN)/python -m pip install -q --disable-pip-version-check "playwright>=1.50,<2"
-	@$(BIN)/python -m pytest -n 0 -s tests/web/test_browser.py
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements-browser.lock
+	@$(BIN)/python -m pytest -n 0 tests/web/test_browser.py
 
 schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
 	@$(BIN)/python tests/log/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin
@@ -73,6 +73,7 @@ lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv
 	@$(BIN)/uv pip compile pyproject.toml --group build --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
 	@$(BIN)/uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
+	@$(BIN)/uv pip compile --group browser --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements-dev.lock -o requirements-browser.lock
 
 build: $(VENV)/dev.stamp ## wheel and source archive, in dist/
 	@$(BIN)/python -m hatchling build

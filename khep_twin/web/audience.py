@@ -1,4 +1,8 @@
-"""The pages that watch: what a thread tells is sent to each of them, and a slow one misses pictures only."""
+"""The pages that watch: what a thread tells is sent to each of them, and a slow one misses pictures only.
+
+Each message to a page wakes the thread that sends, which then stands in the way of the simulation. So nothing
+is told more often than pictures are, and no pictures while nobody watches.
+"""
 
 import asyncio
 import json
@@ -14,17 +18,24 @@ _WAITING = 500
 
 
 class Audience:
-    """All pages that are open."""
+    """All pages that are open.
+
+    Attributes:
+        watching: whether there is any.
+    """
 
     def __init__(self) -> None:
+        self.watching = False
         self._watchers: list[_Watcher] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._last: dict[str, str] = {}
 
     def tell(self, message: Mapping[str, Any]) -> None:
         """Tells all pages something; from any thread."""
-        text = json.dumps(message, allow_nan=False)
         kind = str(message.get("kind"))
+        if kind == "picture" and not self.watching:
+            return
+        text = json.dumps(message, allow_nan=False, separators=(",", ":"))
         if kind in ("twin", "robot"):
             self._last = {"cast": text}
         elif kind == "ended":
@@ -41,6 +52,7 @@ class Audience:
         for text in self._last.values():
             watcher.take("cast", text)
         self._watchers.append(watcher)
+        self.watching = True
         sending = asyncio.create_task(self._send(socket, watcher))
         try:
             while True:
@@ -51,6 +63,7 @@ class Audience:
             pass
         finally:
             self._watchers.remove(watcher)
+            self.watching = bool(self._watchers)
             sending.cancel()
 
     def _spread(self, kind: str, text: str, but: "_Watcher | None" = None) -> None:

@@ -22,12 +22,15 @@ from khep_twin.web.documents import Documents
 Tell = Callable[[Mapping[str, Any]], None]
 """Takes a message for the page."""
 
+Progress = Callable[[float], None]
+"""Is told which part of a job is done, 0 to 1; as often as the job likes."""
+
 
 class Job(Protocol):
     """Something that has the robot for a while."""
 
-    def do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
-        """Does it, telling the page how far it is, until it is done or to stop."""
+    def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
+        """Does it, telling how far it is, until it is done or to stop."""
         ...
 
 
@@ -47,7 +50,7 @@ class Series:
     plan: Plan
     folder: Path | None
 
-    def do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
+    def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
         """Runs it."""
         kept = None
         if self.folder is not None:
@@ -59,9 +62,6 @@ class Series:
                 "pause": self.plan.pause,
             }
             kept = SeriesFolder(self.folder, settings, resume=False)
-
-        def progress(part: float) -> None:
-            tell({"kind": "progress", "part": part})
 
         series = run_series(self.controller, OneRobot(robot), self.plan, progress=progress, stop=stop)
         for run in series:
@@ -93,12 +93,8 @@ class Sensing:
     keep: Callable[[SensorRun], None]
     text: str = ""
 
-    def do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
+    def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
         """Drives it."""
-
-        def progress(part: float) -> None:
-            tell({"kind": "progress", "part": part})
-
         run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
         self.keep(run)
         tell({"kind": "sensed", "rows": len(run.times)})

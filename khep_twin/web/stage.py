@@ -5,7 +5,7 @@ what it shows is handed to the page, at most 25 times a second.
 """
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -38,11 +38,13 @@ class Actor:
 
     Attributes:
         job: that it is at, None without.
+        part: of the job that is done, 0 to 1; told with the pictures, as jobs tell it at each cycle.
     """
 
     def __init__(self, tell: Tell) -> None:
         self.tell = tell
         self.job: Job | None = None
+        self.part = 0.0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
 
@@ -63,6 +65,7 @@ class Actor:
         """
         if self.job is not None or not self.alive:
             raise PortError("the robot is busy; right is to stop it first" if self.alive else "it has ended")
+        self.part = 0.0
         self.job = job
 
     def stop(self) -> None:
@@ -89,12 +92,15 @@ class Actor:
     def _live(self) -> None:
         raise NotImplementedError
 
-    def _do(self, robot: Khepera, tell: Tell, stop: Callable[[], bool]) -> None:
+    def _progress(self, part: float) -> None:
+        self.part = round(part, 4)
+
+    def _do(self, robot: Khepera, stop: Callable[[], bool]) -> None:
         """Does the job; its errors are told, and the robot goes on."""
         if (job := self.job) is None:
             return
         try:
-            job.do(robot, tell, stop)
+            job.do(robot, self.tell, self._progress, stop)
         except KhepTwinError as error:
             if not stop():
                 self.tell({"kind": "error", "text": str(error)})
@@ -196,7 +202,7 @@ class TwinActor(Actor):
                 paced.stop_program(False)
                 try:
                     with Khepera(PacedSerial.of(paced, timeout=1.0)) as robot:
-                        self._do(robot, self.tell, paced.stopping)
+                        self._do(robot, paced.stopping)
                 finally:
                     paced.busy = False
                     paced.stop_program(False)
@@ -244,6 +250,7 @@ class TwinActor(Actor):
             "time": world.time_ns / 1e9,
             "busy": twin.busy,
             "paused": twin.paused,
+            "part": self.part,
             "robots": robots,
             "lamps": [
                 {"power_w": round(power, 3), "off": lamps.turned_off(index)}
@@ -275,6 +282,8 @@ class RobotActor(Actor):
         super().__init__(tell)
         self._url = url
         self._halt = threading.Event()
+        self._robot: Khepera | None = None
+        self._looked = 0.0
 
     def stop(self) -> None:
         """Ends the job and stops the motors."""
@@ -282,6 +291,7 @@ class RobotActor(Actor):
 
     def _live(self) -> None:
         with Khepera(self._url) as robot:
+            self._robot = robot
             told = {"name": robot.name, "port": self._url, **shape("khepera1", "khepera1")}
             self.tell({"kind": "robot", "robots": [told]})
             while not self._ended.is_set():
@@ -290,18 +300,16 @@ class RobotActor(Actor):
                     self._halt.clear()
                 self._look(robot)
                 if self.job is not None:
-                    self._do(robot, lambda message: self._tell_with_readings(robot, message), self._stopping)
+                    self._do(robot, self._stopping)
                 self._halt.wait(_LOOK)
 
     def _stopping(self) -> bool:
         return self._halt.is_set() or self._ended.is_set()
 
-    def _tell_with_readings(self, robot: Khepera, message: Mapping[str, Any]) -> None:
-        self.tell(message)
-        if robot.time - self._looked > 2 * _LOOK:
-            self._look(robot)
-
-    _looked = 0.0
+    def _progress(self, part: float) -> None:
+        super()._progress(part)
+        if self._robot is not None and self._robot.time - self._looked > 2 * _LOOK:
+            self._look(self._robot)
 
     def _look(self, robot: Khepera) -> None:
         proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
@@ -312,7 +320,10 @@ class RobotActor(Actor):
             "speed": list(speed),
             "leds": [0, 0],
         }
-        self.tell({"kind": "picture", "time": robot.time, "busy": self.job is not None, "robots": [reading]})
+        busy = self.job is not None
+        self.tell(
+            {"kind": "picture", "time": robot.time, "busy": busy, "part": self.part, "robots": [reading]}
+        )
 
 
 def shape(model: str, sensors: str) -> dict[str, Any]:

@@ -103,7 +103,7 @@ def test_one_job_at_a_time(actor: TwinActor, ear: Ear) -> None:
     actor.start(long)
     with pytest.raises(PortError, match="busy"):
         actor.start(long)
-    ear.wait("progress")
+    ear.wait("picture", lambda told: told["part"] > 0)
     actor.stop()
     ear.wait("done")
     ear.wait("picture", lambda told: not told["busy"])

@@ -49,16 +49,21 @@ export class Panel {
       rise(...this.near[index], (Math.min(count, 1023) / 1023) * BAR);
       // Dark is 500 and more: a long bar is bright light.
       rise(...this.light[index], (1 - Math.min(ambient[index], 500) / 500) * BAR);
-      this.rows[index].children[1].textContent = count;
-      this.rows[index].children[2].textContent = ambient[index];
+      write(this.rows[index].children[1], count);
+      write(this.rows[index].children[2], ambient[index]);
     });
     speed.slice(0, 2).forEach((pulses, side) => {
       const height = (Math.min(Math.abs(pulses), 20) / 20) * BAR;
       this.motors[side].setAttribute("y", pulses > 0 ? -height : 0);
       this.motors[side].setAttribute("height", height);
-      this.rows[8].children[side + 1].textContent = pulses;
+      write(this.rows[8].children[side + 1], pulses);
     });
   }
+}
+
+// A text that stays costs no layout.
+export function write(node, text) {
+  if (node.textContent !== `${text}`) node.textContent = text;
 }
 
 function rise(bar, foot, height) {

@@ -2,10 +2,33 @@
 
 import { post } from "./api.js";
 import { make, place } from "./drawing.js";
-import { Panel, SENSORS } from "./panel.js";
+import { Panel, SENSORS, write } from "./panel.js";
 
 const $ = (selector) => document.querySelector(selector);
 const number = (selector) => ($(selector).value === "" ? null : $(selector).valueAsNumber);
+
+// Where a robot has been: of many short paths only the last is drawn anew.
+class Trail {
+  node = make("g");
+  #last = null;
+  #path = null;
+  #points = [];
+
+  add(x, y) {
+    const way = this.#last ? Math.hypot(this.#last[0] - x, this.#last[1] - y) : Infinity;
+    if (way <= 3) return;
+    // After a jump, put by hand, it begins anew.
+    if (way > 150 || this.#points.length >= 60) {
+      this.#points = way > 150 ? [] : [this.#last];
+      this.#path = make("path", { class: "trail" });
+      this.node.append(this.#path);
+      if (this.node.childElementCount > 25) this.node.firstChild.remove();
+    }
+    this.#last = [x, y];
+    this.#points.push(this.#last);
+    this.#path.setAttribute("d", `M${this.#points.map((point) => point.join(" ")).join("L")}`);
+  }
+}
 
 export class Running {
   active = false;
@@ -106,7 +129,6 @@ export class Running {
       twin: () => this.#cast(message, false),
       robot: () => this.#cast(message, true),
       picture: () => this.#picture(message),
-      progress: () => ($("#part").value = message.part),
       run: () => this.#ran(message),
       sensed: () => this.#try(() => this.#figure()),
       done: () => {
@@ -123,7 +145,7 @@ export class Running {
 
   #cast(message, real) {
     Object.assign(this, { active: true, real, busy: false, robots: message.robots });
-    this.#trails = message.robots.map(() => []);
+    this.#trails = message.robots.map(() => new Trail());
     const chosen = $("#which");
     chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
     this.model.select([]);
@@ -146,8 +168,7 @@ export class Running {
       node.dataset.live = index;
       return { node, rays };
     });
-    this.trails = this.robots.map(() => make("path", { class: "trail" }));
-    drawing.live.replaceChildren(...this.trails, ...this.nodes.map(({ node }) => node));
+    drawing.live.replaceChildren(...this.#trails.map(({ node }) => node), ...this.nodes.map(({ node }) => node));
     $("#switches").replaceChildren(
       ...this.model.list("lamp").map((_, index) => {
         const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: true });
@@ -170,22 +191,17 @@ export class Running {
     const shown = message.robots[this.which];
     this.last = message;
     if (shown && this.panel.near) this.panel.read(shown);
-    $("#clock").textContent = `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`;
+    if (message.part !== $("#part").value) $("#part").value = message.part;
+    write($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
     if (this.real || !this.nodes) return;
-    $("#host").textContent = shown?.host ? `A host has it open${shown.host_commands ? `; ${shown.host_commands} commands between those of the program here` : ""}.` : "No host has it open.";
+    const between = shown?.host_commands ? `; ${shown.host_commands} commands between those of the program here` : "";
+    write($("#host"), shown?.host ? `A host has it open${between}.` : "No host has it open.");
     message.robots.forEach((robot, index) => {
       const { node, rays } = this.nodes[index] ?? {};
       if (!node) return;
       if (this.#held?.index !== index) place(node, robot);
       robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
-      const trail = this.#trails[index];
-      const last = trail.at(-1);
-      if (!last || Math.hypot(last[0] - robot.x_mm, last[1] - robot.y_mm) > 3) {
-        const jump = last && Math.hypot(last[0] - robot.x_mm, last[1] - robot.y_mm) > 150;
-        trail.push([robot.x_mm, robot.y_mm, jump || !last ? "M" : "L"]);
-        if (trail.length > 1500) trail.shift();
-        this.trails[index].setAttribute("d", trail.map(([x, y, letter], at) => `${at ? letter : "M"}${x} ${y}`).join(""));
-      }
+      this.#trails[index].add(robot.x_mm, robot.y_mm);
     });
     message.lamps.forEach(({ power_w }, index) => {
       this.drawing.nodes.get(`lamp:${index}`)?.classList.toggle("off", power_w === 0);
