@@ -2,7 +2,7 @@
 
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from pathlib import Path
@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from khep_twin.web.server import Server
+from tests.web.visit import CHROMIUM, Visit
 
 
 @dataclass
@@ -20,9 +21,11 @@ class Asker:
 
     Attributes:
         server: that is asked.
+        end: ends it.
     """
 
     server: Server
+    end: Callable[[], None]
 
     @property
     def host(self) -> str:
@@ -73,7 +76,43 @@ def asker(tmp_path: Path) -> Iterator[Asker]:
     server = Server(tmp_path, None, "127.0.0.1:0")
     thread = threading.Thread(target=server.serve, args=(ended.is_set,))
     thread.start()
-    yield Asker(server)
-    ended.set()
-    thread.join(20)
-    assert not thread.is_alive()
+
+    def end() -> None:
+        ended.set()
+        thread.join(60)
+        assert not thread.is_alive()
+
+    yield Asker(server, end)
+    end()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Chromium, where it and Playwright are installed; see `make browser`."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium here")
+    with sync_api.sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def visit(browser: Any, asker: Asker) -> Iterator[Visit]:
+    """A page of a designer of its own, 1280 x 720; its console has to stay empty."""
+    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    visit = Visit(context.new_page(), asker.server.url)
+    yield visit
+    context.close()
+    assert visit.trouble == []
+
+
+@pytest.fixture
+def tablet(browser: Any, asker: Asker) -> Iterator[Visit]:
+    """The same for fingers, 820 x 1180."""
+    context = browser.new_context(viewport={"width": 820, "height": 1180}, has_touch=True)
+    visit = Visit(context.new_page(), asker.server.url)
+    yield visit
+    context.close()
+    assert visit.trouble == []

@@ -9,6 +9,7 @@ export class Editor {
   tool = "select";
   #act = null;
   #wall = null;
+  #fingers = new Map();
 
   constructor(drawing, model, { snap, told, running }) {
     Object.assign(this, { drawing, model, snap, told, running });
@@ -61,9 +62,14 @@ export class Editor {
   #down(event) {
     const { drawing, model } = this;
     const at = drawing.point(event);
+    if (event.pointerType === "touch") {
+      this.#fingers.set(event.pointerId, [event.clientX, event.clientY]);
+      drawing.svg.setPointerCapture(event.pointerId);
+      if (this.#fingers.size > 1) return void this.#pinch();
+    }
     const target = event.target.closest?.("[data-handle], .drawn, .live");
     if (this.running.active && this.running.down(event, at, target)) {
-      this.#act = { kind: "running" };
+      this.#act = { kind: "running", hand: event.pointerId };
       drawing.svg.setPointerCapture(event.pointerId);
       return;
     }
@@ -84,7 +90,7 @@ export class Editor {
     } else if (this.tool !== "select") {
       const [x_mm, y_mm] = this.#inside(at, event.altKey);
       model.add(this.tool, { x_mm, y_mm });
-      this.#begin([...model.selected], at, [x_mm, y_mm]);
+      this.#begin([...model.selected], at, [x_mm, y_mm], true);
     } else if (target?.dataset.id) {
       const { id } = target.dataset;
       if (event.shiftKey) model.select(model.selected.has(id) ? [...model.selected].filter((each) => each !== id) : [...model.selected, id]);
@@ -101,14 +107,52 @@ export class Editor {
     event.preventDefault();
   }
 
-  #begin(ids, at, anchor) {
+  #begin(ids, at, anchor, fresh = false) {
     const from = new Map(ids.map((id) => [id, structuredClone(this.model.at(id))]));
-    this.#act = { kind: "move", ids, at, anchor, from };
+    this.#act = { kind: "move", ids, at, anchor, from, fresh };
+  }
+
+  // Two fingers zoom and move the view, and turn a robot that one of them has lifted.
+  #pinch() {
+    const act = this.#act;
+    if (act?.kind === "running" || act?.kind === "twist") {
+      this.#act = { kind: "twist", hand: act.hand, from: this.#span().angle };
+      return;
+    }
+    if (act?.fresh) this.model.undo();
+    else if (act && !["pan", "marquee", "pinch"].includes(act.kind)) this.model.commit();
+    if (!act && this.#wall?.pop() && !this.#wall.length) this.#wall = null;
+    this.#act = { kind: "pinch", view: { ...this.drawing.view }, pixel: this.drawing.pixel, from: this.#span() };
+  }
+
+  #span() {
+    const [[x, y], [x2, y2]] = [...this.#fingers.values()];
+    return { x: (x + x2) / 2, y: (y + y2) / 2, length: Math.max(Math.hypot(x2 - x, y2 - y), 1), angle: degrees(x2 - x, y - y2) };
+  }
+
+  #spread({ kind, view, pixel, from }) {
+    const now = this.#span();
+    if (kind === "twist") {
+      this.running.turn(angle(now.angle - from));
+      this.#act.from = now.angle;
+      return;
+    }
+    const { left, top, width, height } = this.drawing.svg.getBoundingClientRect();
+    // What was between the fingers stays there.
+    const factor = Math.min(Math.max((view.width * from.length) / now.length, 40), 30000) / view.width;
+    const [cx, cy] = [view.x + view.width / 2 + (from.x - left - width / 2) * pixel, view.y + view.height / 2 + (from.y - top - height / 2) * pixel];
+    const [dx, dy] = [(now.x - left - width / 2) * pixel * factor, (now.y - top - height / 2) * pixel * factor];
+    const [wide, high] = [view.width * factor, view.height * factor];
+    this.drawing.look(cx - dx - wide / 2, cy - dy - high / 2, wide, high);
   }
 
   #move(event) {
     const at = this.drawing.point(event);
-    this.at = at;
+    if (this.#fingers.has(event.pointerId)) this.#fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (this.#fingers.size > 1) {
+      if (["pinch", "twist"].includes(this.#act?.kind)) this.#spread(this.#act);
+      return;
+    }
     if (this.running.active && this.#act?.kind === "running") return void this.running.move(event, at);
     const act = this.#act;
     if (this.#wall && !act) this.#sketch(this.#inside(at, event.altKey));
@@ -178,12 +222,17 @@ export class Editor {
 
   #up(event) {
     const act = this.#act;
+    this.#fingers.delete(event.pointerId);
+    if (act?.kind === "twist" && act.hand !== event.pointerId) {
+      this.#act = { kind: "running", hand: act.hand };
+      return;
+    }
     this.#act = null;
-    if (act?.kind === "running") this.running.up(event, this.drawing.point(event));
+    if (["running", "twist"].includes(act?.kind)) this.running.up(event, this.drawing.point(event));
     else if (act && this.pending) this.#drag(act, this.last.at, this.last.event);
     cancelAnimationFrame(this.pending);
     this.pending = 0;
-    if (act && !["pan", "marquee", "running"].includes(act.kind)) this.model.commit();
+    if (act && !["pan", "marquee", "running", "twist", "pinch"].includes(act.kind)) this.model.commit();
     else this.handles();
     if (act && this.tool !== "select" && act.kind === "move" && !event.shiftKey) this.use("select");
   }

@@ -1,0 +1,215 @@
+"""Twins and robots are run from a page in a real browser."""
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from khep_twin import playpen as playpens
+from khep_twin.host import Khepera
+from khep_twin.lab.repeat import read_recorded, repeat
+from khep_twin.uart import Act
+from tests.served_twin import served
+from tests.web.visit import BROWSED, Visit
+
+pytestmark = BROWSED
+
+
+def draw_ten(visit: Visit) -> None:
+    visit.add("block", (120, 380), (480, 380))
+    visit.add("cylinder", (300, 400), (480, 120))
+    visit.add("lamp", (60, 440), (540, 440))
+    visit.add("robot", (300, 220))
+    visit.page.click('[data-tool="wall"]')
+    visit.click(100, 60)
+    visit.click(100, 200)
+    visit.page.keyboard.press("Enter")
+    visit.add("patch", (400, 80))
+    visit.add("spot", (200, 120))
+
+
+def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    draw_ten(visit)
+    assert visit.count(".drawn") == 10
+    # One block is dragged, turned and sized by hand, the other by its fields.
+    visit.drag((120, 380), (140, 330))
+    visit.drag((140 + 30 + 21, 330), (140, 400))
+    visit.click(480, 380)
+    page.fill("#field-block-angle_deg", "45")
+    page.keyboard.press("Tab")
+    page.select_option("#field-block-surface", "black")
+    page.wait_for_selector("#problems.none")
+    visit.picture("1-drawn")
+    visit.save_as("ten.toml")
+    saved = playpens.load(tmp_path / "ten.toml")
+    assert (len(saved.blocks), len(saved.cylinders), len(saved.lamps), len(saved.walls)) == (2, 2, 2, 1)
+    assert (len(saved.robots), len(saved.patches), len(saved.spots)) == (1, 1, 1)
+    assert (saved.blocks[0].x_mm, saved.blocks[0].y_mm, saved.blocks[0].angle_deg) == (140, 330, 90)
+    assert (saved.blocks[1].surface, saved.blocks[1].angle_deg) == ("black", 45)
+    assert saved.walls[0].points_mm == ((100, 60), (100, 200))
+
+    # Reopened, it is the same.
+    visit.open()
+    page.click("#open")
+    page.select_option("#dialog select", "ten.toml")
+    page.click("#dialog .main")
+    visit.wait("document.querySelectorAll('.drawn').length === 10")
+
+    # A minute of Braitenberg, ten times as fast.
+    page.click('[data-tab="run"]')
+    page.select_option("#speed", "10")
+    page.fill("#log", "run.mcap")
+    page.fill("#cycles", "")
+    page.fill("#seconds", "60")
+    page.click("#run")
+    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    bars = "[...document.querySelectorAll('#panel rect.proximity')].map((bar) => +bar.getAttribute('height'))"
+    visit.wait(f"Math.max(...{bars}) > 1")
+    motors = "[...document.querySelectorAll('#panel rect.speed')].map((bar) => +bar.getAttribute('height'))"
+    assert max(page.evaluate(motors)) > 1
+    visit.picture("2-running")
+    visit.wait("document.querySelectorAll('#runs-done tbody tr').length === 1")
+    assert visit.clock() >= 60
+
+    # Lifted and put down while it runs.
+    page.select_option("#speed", "1")
+    page.fill("#seconds", "600")
+    page.click("#run")
+    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.lift(300, 130)
+    visit.click(60, 440)
+    visit.wait("document.querySelector('.kind-lamp.off')")
+    visit.picture("3-lifted")
+    page.click("#stop")
+    visit.wait("!document.querySelector('#run').disabled")
+    page.click("#end")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    recorded = read_recorded(tmp_path / "run.mcap")
+    assert [act.kind for _, _, act in recorded.acts if act.kind in (Act.PUT, Act.SWITCH)] == [
+        Act.PUT,
+        Act.SWITCH,
+    ]
+    assert repeat(recorded) is None
+
+
+def test_a_controller_of_ones_own_is_run_from_its_file(visit: Visit, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def controller(robot):\n    robot.set_speed(3, 3)\n")
+    page = visit.page
+    visit.add("robot", (300, 120))
+    page.click('[data-tab="run"]')
+    visit.wait("[...document.querySelector('#controller').options].some((each) => each.value === 'mine.py')")
+    page.select_option("#controller", "mine.py")
+    page.fill("#cycles", "20")
+    page.fill("#runs", "2")
+    page.fill("#keep", "series")
+    page.click("#run")
+    visit.wait("document.querySelectorAll('#runs-done tbody tr').length === 2")
+    assert (tmp_path / "series").is_dir()
+    page.click("#end")
+
+
+def test_a_sensor_test_is_driven_and_shown(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    visit.add("robot", (300, 120))
+    page.click('[data-tab="run"]')
+    page.select_option("#speed", "0")
+    page.click('[data-tab="sense"]')
+    page.fill("#amount", "20")
+    page.click("#gather")
+    page.wait_for_selector("#figure:not([hidden])", timeout=60_000)
+    visit.wait("document.querySelector('#figure').naturalWidth > 100")
+    visit.picture("5-sensed")
+    page.click("#save-sensed")
+    page.wait_for_selector("text=Saved as test.mat")
+    assert (tmp_path / "test.mat").stat().st_size > 500
+
+
+def test_an_outside_host_shares_the_line_of_the_robot_that_runs(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    page.click('[data-tab="run"]')
+    page.fill("#cycles", "100000")
+    page.click("#run")
+    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    host = Khepera(page.text_content("#port"))
+    try:
+        for _ in range(5):
+            assert len(host.proximity()) == 8
+            assert host.versions() == ("5.02", "5.01")
+        visit.wait("document.querySelector('#host').textContent.includes('commands')")
+        visit.picture("6-shared")
+    finally:
+        host.port.close()
+    page.click("#stop")
+    page.click("#end")
+
+
+def test_a_robot_at_a_port_shows_its_readings_and_stops_at_a_click(visit: Visit) -> None:
+    """Its port is a served twin's, which speaks as a robot does."""
+    page = visit.page
+    with served("obstacles") as (_, port):
+        page.click('[data-tab="run"]')
+        page.fill("#device", port)
+        page.click("#connect")
+        visit.wait("document.querySelector('#clock').textContent.includes(' s')")
+        page.fill("#cycles", "100000")
+        page.click("#run")
+        speed = "document.querySelector('#readings tr:last-child').textContent"
+        visit.wait(
+            f"/[1-9]/.test({speed}) && document.querySelector('#clock').textContent.includes('driven')"
+        )
+        visit.picture("10-real")
+        assert page.is_disabled("#pause")
+        page.click("#stop")
+        visit.wait(f"{speed} === 'speed left, right00'")
+        page.click("#end")
+        visit.wait("document.querySelector('#clock').textContent === 'not running'")
+
+
+def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: Path) -> None:
+    page = tablet.page
+    tablet.add("robot", (300, 200))
+    page.click('[data-tab="run"]')
+    page.fill("#log", "run.mcap")
+    page.click("#start")
+    page.wait_for_selector(".live")
+    tablet.touch((300, 200))
+    page.wait_for_selector(".live.held")
+    tablet.touch((300, 200), (400, 200))
+    tablet.touch((300, 200), (300, 300))
+    tablet.touch((300, 200))
+    tablet.touch((200, 300))
+    tablet.touch()
+    tablet.wait("!document.querySelector('.held')")
+    page.click("#end")
+    tablet.wait("document.querySelector('#clock').textContent === 'not running'")
+    recorded = read_recorded(tmp_path / "run.mcap")
+    (put,) = [struct.unpack("<3d", act.data) for _, _, act in recorded.acts if act.kind is Act.PUT]
+    assert put == pytest.approx((200, 300, 180), abs=1.5) or put == pytest.approx((200, 300, -180), abs=1.5)
+
+
+def test_a_twin_is_run_by_keys_alone(visit: Visit) -> None:
+    page = visit.page
+    page.focus("#view")
+    for key in ("r", "Enter"):
+        page.keyboard.press(key)
+    tab_to(visit, '[data-tab="run"]')
+    page.keyboard.press("Enter")
+    tab_to(visit, "#run")
+    page.keyboard.press("Enter")
+    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.picture("11-keys")
+    page.keyboard.press("Escape")
+    visit.wait("!document.querySelector('#run').disabled")
+    tab_to(visit, "#end")
+    page.keyboard.press("Enter")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+
+
+def tab_to(visit: Visit, selector: str) -> None:
+    for _ in range(60):
+        if visit.page.evaluate(f"document.activeElement.matches({selector!r})"):
+            return
+        visit.page.keyboard.press("Tab")
+    raise AssertionError(f"{selector} is not reached")
