@@ -34,6 +34,7 @@ class Visit:
     def __init__(self, page: Any, url: str) -> None:
         self.page, self.url = page, url
         self.trouble: list[str] = []
+        self._session: Any = None
         self._touched = 0
         page.on("console", lambda told: told.type in ("error", "warning") and self.trouble.append(told.text))
         page.on("pageerror", lambda error: self.trouble.append(str(error)))
@@ -123,10 +124,9 @@ class Visit:
             self.page.wait_for_timeout(50)
 
     def touch(self, *fingers: tuple[float, float]) -> None:
-        """Has fingers at these places of the arena from now on, and nowhere else; none lifts them all."""
-        session = self.page.context.new_cdp_session(self.page)
-        points = [dict(zip("xy", self.at(*finger), strict=True), id=i) for i, finger in enumerate(fingers)]
-        kind = "touchEnd" if not points else "touchMove" if self._touched == len(points) else "touchStart"
-        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-        session.detach()
+        """Has fingers at these places of the window from now on, and nowhere else; none lifts them all."""
+        self._session = self._session or self.page.context.new_cdp_session(self.page)
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(fingers)]
+        kind = "touchEnd" if not points else "touchStart" if len(points) > self._touched else "touchMove"
+        self._session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
         self._touched = len(points)

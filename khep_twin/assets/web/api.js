@@ -4,7 +4,7 @@ const base = location.pathname.replace(/[^/]*$/, "");
 export const tab = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
 export async function post(action, wanted = {}, more = {}) {
-  const answer = await fetch(`${base}do/${action}`, {
+  const answer = await reach(`${base}do/${action}`, {
     method: "POST",
     headers: { "Content-Type": "application/json" },
     body: JSON.stringify({ ...wanted, tab }),
@@ -15,12 +15,18 @@ export async function post(action, wanted = {}, more = {}) {
 
 export async function upload(file, mm) {
   const query = new URLSearchParams({ name: file.name.replace(/[^\w.-]/g, "-"), mm });
-  const answer = await fetch(`${base}import?${query}`, {
+  const answer = await reach(`${base}import?${query}`, {
     method: "POST",
     headers: { "Content-Type": "application/octet-stream" },
     body: file,
   });
   return read(answer);
+}
+
+function reach(url, wanted) {
+  return fetch(url, wanted).catch(() => {
+    throw new Error("This did not reach the designer: nothing was saved or started.");
+  });
 }
 
 async function read(answer) {

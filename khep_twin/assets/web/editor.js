@@ -150,6 +150,7 @@ export class Editor {
     const at = this.drawing.point(event);
     if (this.#fingers.has(event.pointerId)) this.#fingers.set(event.pointerId, [event.clientX, event.clientY]);
     if (this.#fingers.size > 1) {
+      if (this.#act?.kind === "twist" && this.#act.hand === event.pointerId) this.running.move(event, at);
       if (["pinch", "twist"].includes(this.#act?.kind)) this.#spread(this.#act);
       return;
     }

@@ -13,6 +13,7 @@ const drawing = new Drawing($("#view"), model);
 const running = new Running(drawing, model, banner);
 const snap = () => ({ grid: +$("#grid").value, angle: +$("#angle").value });
 let hello;
+let gone = null;
 let say = () => {};
 
 const editor = new Editor(drawing, model, {
@@ -329,6 +330,10 @@ document.addEventListener("keydown", (event) => {
   if (running.key(event) || editor.key(event)) event.preventDefault();
 });
 addEventListener("pagehide", () => keepNow({ keepalive: true }));
+addEventListener("beforeunload", (event) => {
+  // Nobody keeps a draft any more.
+  if (gone && model.changed) event.preventDefault();
+});
 document.addEventListener("visibilitychange", () => document.hidden && keepNow({ keepalive: true }));
 
 async function programs() {
@@ -363,9 +368,8 @@ show(hello, hello.version ? { file: hello.file } : {});
 if (hello.trouble) banner(hello.trouble, "error");
 offer(hello.left);
 await attempt(programs);
-let gone = null;
 say = listen(hear, (lost) => {
-  if (lost) gone ??= banner("The designer does not answer: it was ended, or is busy. What you draw stays in this page.", "error", { "All right": () => {} });
+  if (lost) gone ??= banner("The designer does not answer: it was ended, or is busy. What you draw from now on stays in this page only.", "error", { "All right": () => {} });
   else {
     gone?.();
     gone = null;
