@@ -103,7 +103,7 @@ def test_a_picture_or_a_scan_becomes_a_playpen(
     if kind == "png":
         Image.fromarray(~drawn()).save(file)
     else:
-        savemat(file, {"btmap1": drawn()[::-1].astype(np.float64)})
+        savemat(file, {"btmap1": np.where(drawn()[::-1], 44, 1)})
     page = visit.page
     if dropped:
         visit.drop(file)
