@@ -38,6 +38,10 @@ def design(
         name = str(file.resolve().relative_to(folder.resolve()))
     with stopping() as stop:
         server = Server(folder, name, listen, expose=expose)
+        if expose:
+            typer.echo(
+                "khep-twin: whoever has this address may do all that you may; it is not encrypted", err=True
+            )
         typer.echo(server.url)
         if not no_browser:
             webbrowser.open(server.url)

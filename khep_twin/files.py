@@ -18,6 +18,8 @@ def unusable(path: Path) -> str:
             return f"there is no directory {path.parent}"
         if path.exists() and not path.is_file():
             return "this is no regular file; right is the name of a file"
+        if path.exists() and not (path.stat().st_mode & 0o222 and os.access(path, os.W_OK)):
+            return "the file is read-only"
         if not os.access(path.resolve().parent, os.W_OK):
             return f"nothing can be written in {path.parent}"
     except (OSError, ValueError) as error:

@@ -1,6 +1,7 @@
 """`khep-twin design`, as a user types it."""
 
 import signal
+import socket
 import subprocess
 import sys
 import urllib.request
@@ -32,12 +33,20 @@ def test_it_tells_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) ->
         (["mine.txt"], "ends in .toml"),
         (["--listen", "0.0.0.0:0"], "--expose"),
         (["--listen", "nowhere"], "nowhere"),
+        (["--listen", "127.0.0.1:{taken}"], "cannot listen there: Address already in use"),
+        (["broken.toml"], "broken.toml:1: nonsense"),
+        (["nowhere/mine.toml"], "nowhere/mine.toml: cannot be made: there is no directory"),
+        (["folder.toml"], "folder.toml"),
     ],
 )
 def test_a_mistake_is_told_in_one_line(tmp_path: Path, arguments: list[str], told: str) -> None:
-    done = subprocess.run(
-        [*COMMAND, *arguments, "--no-browser"], cwd=tmp_path, capture_output=True, text=True, timeout=60
-    )
+    (tmp_path / "broken.toml").write_text("nonsense = 1\n")
+    (tmp_path / "folder.toml").mkdir()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        given = [each.format(taken=taken.getsockname()[1]) for each in arguments]
+        done = subprocess.run(
+            [*COMMAND, *given, "--no-browser"], cwd=tmp_path, capture_output=True, text=True, timeout=60
+        )
     assert done.returncode in (1, 2)
     assert told in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr

@@ -14,7 +14,7 @@ from typing import Any
 from khep_twin import playpen as playpens
 from khep_twin import toml_files
 from khep_twin.errors import KhepTwinError, PlaypenError
-from khep_twin.files import write_whole
+from khep_twin.files import unusable, write_whole
 from khep_twin.toml_files import SIZE_LIMIT
 from khep_twin.web.drafts import Draft, draft_of, text_of
 
@@ -82,6 +82,18 @@ class Documents:
                 break
         return sorted(found)[:_LISTED]
 
+    def check(self, name: str) -> None:
+        """Whether a file can be opened, or made.
+
+        Raises:
+            KhepTwinError: it cannot.
+        """
+        path = self.path(name, ".toml")
+        if path.exists():
+            playpens.parse(self._text(name), name)
+        elif reason := unusable(path):
+            raise PlaypenError(f"{name}: cannot be made: {reason}")
+
     def open(self, name: str) -> dict[str, Any]:
         """A file for the page: its playpen, its version, and a draft if one was left.
 
@@ -94,7 +106,7 @@ class Documents:
             "file": name,
             "version": _version(text),
             "draft": draft_of(playpen),
-            "left": self._left(name),
+            "left": self.left(name),
         }
 
     def library(self, name: str) -> dict[str, Any]:
@@ -155,18 +167,14 @@ class Documents:
         else:
             write_whole(place, json.dumps(draft).encode("utf-8"))
 
-    def _left(self, name: str) -> Draft | None:
-        """The draft of a file that was left, if it can be read."""
+    def left(self, name: str | None) -> Draft | None:
+        """The draft of a file that was left, if it can be read; of what has no file for None."""
         try:
-            with self._draft_place(name).open("rb") as file:
+            with self._draft_place(name or UNNAMED).open("rb") as file:
                 found = json.loads(file.read(2 * SIZE_LIMIT))
         except (OSError, ValueError, RecursionError):
             return None
         return found if isinstance(found, dict) else None  # pyright: ignore[reportUnknownVariableType]
-
-    def left_unnamed(self) -> Draft | None:
-        """The draft of what has no file."""
-        return self._left(UNNAMED)
 
     def _draft_place(self, name: str) -> Path:
         path = self.path(name, ".toml")

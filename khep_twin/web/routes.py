@@ -45,7 +45,7 @@ class Page:
 
     Args:
         documents: that it works on.
-        file: that is opened at first; None for a new playpen.
+        file: that is opened at first; None for a new playpen. Later it is what was worked on last.
     """
 
     def __init__(self, documents: Documents, file: str | None) -> None:
@@ -96,7 +96,7 @@ class Page:
     # Files ---------------------------------------------------------------------------------------------
 
     def _hello(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        opened: dict[str, Any] = {"file": None, "version": None, "left": self._documents.left_unnamed()}
+        opened: dict[str, Any] = {"file": None, "version": None}
         trouble = None
         try:
             if self._file is not None and self._documents.version(self._file) is not None:
@@ -107,6 +107,7 @@ class Page:
             name = Path(self._file or "playpen").stem
             blank = playpens.parse(drafts.BLANK.format(name=name), name)
             opened |= {"file": self._file, "draft": drafts.draft_of(blank)}
+            opened["left"] = self._documents.left(self._file)
         return {
             **opened,
             "trouble": trouble,
@@ -116,8 +117,13 @@ class Page:
             "library": playpens.names(),
             "controllers": list(BUILT_IN),
             "shapes": {model: shape(model, model) for model in ("khepera1", "khepera2")},
-            "running": self._actor is not None and self._actor.alive,
+            "runs": self._runs(),
         }
+
+    def _runs(self) -> drafts.Draft | None:
+        """What a twin runs in, if one does."""
+        actor = self._actor
+        return drafts.draft_of(actor.playpen) if isinstance(actor, TwinActor) and actor.alive else None
 
     def _list(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
         found = [{"url": port.url, "what": port.what} for port in found_ports()]
@@ -129,7 +135,9 @@ class Page:
         }
 
     def _open(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        return self._documents.open(_text(wanted, "file"))
+        found = self._documents.open(_text(wanted, "file"))
+        self._file = found["file"]
+        return found
 
     def _save(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
         base: Any = wanted.get("base")
@@ -141,12 +149,16 @@ class Page:
             base=_texts(base),
             overwrite=wanted.get("overwrite") is True,
         )
+        self._file = name
         self._audience.tell({"kind": "saved", "file": name, "version": version, "tab": wanted.get("tab")})
         return {"file": name, "version": version}
 
     def _keep(self, wanted: Mapping[str, Any]) -> None:
+        name = str(wanted.get("file") or "")
         draft = wanted.get("draft")
-        self._documents.keep(str(wanted.get("file") or UNNAMED), None if draft is None else _draft(wanted))
+        self._documents.keep(name or UNNAMED, None if draft is None else _draft(wanted))
+        if draft is not None:
+            self._file = name or None
 
     def _preview(self, wanted: Mapping[str, Any]) -> Response:
         """A picture in perspective, by a process of its own: drivers of graphics may do anything."""

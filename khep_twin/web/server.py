@@ -3,7 +3,7 @@
 import secrets
 import socket
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import uvicorn
@@ -13,6 +13,9 @@ from khep_twin.ports.network import is_loopback, parse_address
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
+
+_ANY = ("0.0.0.0", "::")
+"""Hosts that stand for all of a machine's addresses."""
 
 MESSAGE_LIMIT = 64 * 1024
 """Longest message that a page may send by its websocket [bytes]."""
@@ -43,16 +46,17 @@ class Server:
             )
         documents = Documents(folder)
         if file is not None:
-            documents.path(file, ".toml")
+            documents.check(file)
         try:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
-            self._socket = socket.create_server((host, port), family=family)
+            self._socket = socket.create_server((host, port), family=family, dualstack_ipv6=host == "::")
         except OSError as error:
-            raise PortError(f"{listen}: cannot listen there: {error.strerror}") from error
+            reason = (error.strerror or str(error)).partition(" (while")[0]
+            raise PortError(f"{listen}: cannot listen there: {reason}") from error
         port = self._socket.getsockname()[1]
-        names = {f"[{host}]" if ":" in host else host} | ({"localhost"} if is_loopback(host) else set[str]())
+        names = _names(host)
         token = secrets.token_urlsafe(24)
-        self.url = f"http://{min(names - {'localhost'}, default='localhost')}:{port}/{token}/"
+        self.url = f"http://{names[0]}:{port}/{token}/"
         self._page = Page(documents, file)
         guard = Guard(self._page.app(), token, {f"{name}:{port}" for name in names})
         self._server = _Quiet(
@@ -79,6 +83,28 @@ class Server:
         finally:
             self._page.close()
             self._socket.close()
+
+
+def _names(host: str) -> list[str]:
+    """What a browser may call the host that listens; the first for its address."""
+    if is_loopback(host):
+        return [_bracketed(host)] if host == "localhost" else [_bracketed(host), "localhost"]
+    if host not in _ANY:
+        return [_bracketed(host)]
+    own = {socket.gethostname()}
+    with suppress(OSError):
+        own |= {str(found[4][0]) for found in socket.getaddrinfo(socket.gethostname(), None)}
+    outwards = []
+    with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        # Sends nothing: only the way out is looked up.
+        probe.connect(("192.0.2.1", 9))
+        outwards = [probe.getsockname()[0]]
+    others = [_bracketed(name.partition("%")[0]) for name in sorted(own)]
+    return list(dict.fromkeys([*outwards, *others, "127.0.0.1", "localhost"]))
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
 
 
 class _Quiet(uvicorn.Server):

@@ -117,11 +117,16 @@ class TwinActor(Actor):
         options: how it is brought to life.
         log: file to record it in.
         tell: takes messages for the page.
+
+    Attributes:
+        playpen: that it is in.
+        speed: simulated seconds per second.
+        paused: whether time stands still.
     """
 
     def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, tell: Tell) -> None:
         super().__init__(tell)
-        self._playpen, self._options, self._log = playpen, options, log
+        self.playpen, self._options, self._log = playpen, options, log
         self._paced: PacedTwin | None = None
         self._ready = threading.Event()
         self.speed, self.paused = 1.0, False
@@ -175,7 +180,7 @@ class TwinActor(Actor):
     def _live(self) -> None:
         options = replace(self._options, robot=None)
         with ExitStack() as stack:
-            twin = stack.enter_context(open_twin(self._playpen, options))
+            twin = stack.enter_context(open_twin(self.playpen, options))
             cables = [
                 stack.enter_context(closing(PtyPort(None, robot.firmware.baud))) for robot in twin.robots
             ]
@@ -187,7 +192,7 @@ class TwinActor(Actor):
                 twin.record(self._log)
             with suppress(PortError):
                 stack.enter_context(
-                    registered([cable.path for cable in cables], f"twin in {self._playpen.name}, in a page")
+                    registered([cable.path for cable in cables], f"twin in {self.playpen.name}, in a page")
                 )
             paced = PacedTwin(twin, hosts, lambda: self.tell(self._picture(paced, hosts)))
             stack.callback(paced.end)

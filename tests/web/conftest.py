@@ -89,10 +89,9 @@ def asker(tmp_path: Path) -> Iterator[Asker]:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
     """Chromium, where it and Playwright are installed; see `make browser`."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium here")
-    with sync_api.sync_playwright() as playwright:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
         opened = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         yield opened
         opened.close()

@@ -15,8 +15,9 @@ from khep_twin import playpen as playpens
 from khep_twin.playpen_parts import Block
 from tests.drawn_bitmap import drawn
 from tests.web.conftest import Asker
-from tests.web.visit import BROWSED, Visit
+from tests.web.visit import BROWSED, Visit, need_a_browser
 
+need_a_browser()
 pytestmark = BROWSED
 
 

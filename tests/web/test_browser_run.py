@@ -10,8 +10,9 @@ from khep_twin.host import Khepera
 from khep_twin.lab.repeat import read_recorded, repeat
 from khep_twin.uart import Act
 from tests.served_twin import served
-from tests.web.visit import BROWSED, Visit
+from tests.web.visit import BROWSED, Visit, need_a_browser
 
+need_a_browser()
 pytestmark = BROWSED
 
 
@@ -165,6 +166,26 @@ def test_a_robot_at_a_port_shows_its_readings_and_stops_at_a_click(visit: Visit)
         visit.wait(f"{speed} === 'speed left, right00'")
         page.click("#end")
         visit.wait("document.querySelector('#clock').textContent === 'not running'")
+
+
+def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 120))
+    visit.save_as("mine.toml")
+    visit.add("block", (300, 400))
+    page.click('[data-tab="run"]')
+    page.fill("#cycles", "100000")
+    page.click("#run")
+    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    page.click("#pause")
+    visit.wait("document.querySelector('#clock').textContent.includes('paused')")
+    visit.open()
+    visit.wait("document.querySelector('#clock').textContent.includes('paused')")
+    assert (visit.count(".drawn"), page.text_content("#file")) == (2, "mine.toml *")
+    visit.wait("document.querySelector('#pause').textContent === 'Go on'")
+    assert page.is_disabled("#run")
+    page.click("#end")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
 
 
 def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from khep_twin import playpen as playpens
-from khep_twin.errors import PlaypenError
+from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.drafts import draft_of, problems_of
 from tests.drawn_bitmap import drawn
@@ -60,6 +60,30 @@ def test_a_file_that_has_changed_meanwhile_is_not_written_over(tmp_path: Path) -
         documents.save("mine.toml", opened["draft"], version=None, base={})
     assert "by another" in (tmp_path / "mine.toml").read_text()
     documents.save("mine.toml", opened["draft"], version=None, base={}, overwrite=True)
+
+
+def test_a_read_only_file_is_not_written_over_and_keeps_its_draft(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    (tmp_path / "mine.toml").chmod(0o444)
+    documents = Documents(tmp_path)
+    opened = documents.open("mine.toml")
+    opened["draft"]["robot"][0]["x_mm"] = 200
+    documents.keep("mine.toml", opened["draft"])
+    with pytest.raises(KhepTwinError, match=r"mine.toml: cannot be written: the file is read-only"):
+        documents.save("mine.toml", opened["draft"], version=opened["version"], base={"file": "mine.toml"})
+    assert (tmp_path / "mine.toml").read_text() == MINE
+    assert documents.left("mine.toml") == opened["draft"]
+
+
+def test_what_was_worked_on_last_is_opened_first(asker: Asker, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    assert asker.do("hello")[1]["file"] is None
+    draft = asker.do("open", file="mine.toml")[1]["draft"]
+    assert asker.do("hello")[1]["file"] == "mine.toml"
+    draft["robot"][0]["x_mm"] = 100
+    asker.do("keep", file=None, draft=draft)
+    hello = asker.do("hello")[1]
+    assert (hello["file"], hello["left"]) == (None, draft)
 
 
 def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(tmp_path: Path) -> None:

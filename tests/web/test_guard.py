@@ -3,6 +3,7 @@
 import base64
 import os
 import socket
+import threading
 from pathlib import Path
 
 import pytest
@@ -179,6 +180,25 @@ def test_the_page_itself_is_answered(asker: Asker) -> None:
 def test_other_machines_are_let_in_on_demand_only(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="--expose"):
         Server(tmp_path, None, "0.0.0.0:0")
+
+
+def test_a_server_on_all_addresses_is_reached_by_each_of_them_and_by_no_other_name(tmp_path: Path) -> None:
+    ended = threading.Event()
+    server = Server(tmp_path, None, "0.0.0.0:0", expose=True)
+    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
+    thread.start()
+    asker = Asker(server, ended.set)
+    port = asker.host.rpartition(":")[2]
+    path = asker.base + "/"
+    try:
+        assert not asker.host.startswith("0.0.0.0")
+        for host in (asker.host, f"127.0.0.1:{port}", f"localhost:{port}"):
+            assert asker.raw("GET", path, {"Host": host})[0] == 200
+        for host in (f"evil.example:{port}", f"0.0.0.0:{port}", f"198.51.100.7:{port}"):
+            assert asker.raw("GET", path, {"Host": host})[0] == 403
+    finally:
+        ended.set()
+        thread.join(20)
 
 
 def test_each_server_has_a_token_of_its_own(tmp_path: Path) -> None:

@@ -23,6 +23,13 @@ BROWSED = [
 """The marks of tests in a browser."""
 
 
+def need_a_browser() -> None:
+    """Skips a file of tests where there is none."""
+    pytest.importorskip("playwright.sync_api", reason="playwright is not installed; see make browser")
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium here", allow_module_level=True)
+
+
 class Visit:
     """A page of the designer, and what a person does with it.
 

@@ -27,12 +27,13 @@ const editor = new Editor(drawing, model, {
 
 // Banners ------------------------------------------------------------------------------------------------
 
-function banner(text, kind = "", choices = {}) {
-  const same = [...$("#banners").children].find((each) => each.dataset.text === text);
+// One that is about the same takes the place of the last.
+function banner(text, kind = "", choices = {}, about = text) {
+  const same = [...$("#banners").children].find((each) => each.dataset.about === about);
   same?.remove();
   const box = document.createElement("div");
   box.className = `banner ${kind}`;
-  box.dataset.text = text;
+  box.dataset.about = about;
   box.append(Object.assign(document.createElement("span"), { textContent: text }));
   const close = () => box.remove();
   for (const [name, act] of Object.entries(choices)) {
@@ -47,7 +48,7 @@ function banner(text, kind = "", choices = {}) {
   away.addEventListener("click", close);
   box.append(away);
   $("#banners").append(box);
-  while ($("#banners").children.length > 4) $("#banners").firstChild.remove();
+  while ($("#banners").children.length > 3) $("#banners").firstChild.remove();
   if (!Object.keys(choices).length) setTimeout(close, kind === "error" ? 15000 : 8000);
   return close;
 }
@@ -96,8 +97,14 @@ async function mayLeave() {
 
 function show(found, base) {
   model.load(found, base);
+  remember();
   drawing.fit();
   say({ file: model.file, tab, ask: true });
+}
+
+// So that the page, loaded anew, has the same file again.
+function remember() {
+  history.replaceState(null, "", model.file ? `#${encodeURIComponent(model.file)}` : location.pathname);
 }
 
 async function openFile(name) {
@@ -129,14 +136,15 @@ async function save(name = model.file, overwrite = false) {
     Object.assign(model, { file: name, version: found.version, base: { file: name }, saved: JSON.stringify(draft) });
     if (before !== name) await post("keep", { file: before, draft: null });
     title();
-    banner(`Saved as ${name}.`);
+    remember();
+    banner(`Saved as ${name}.`, "", {}, "file");
   } catch (error) {
     if (!error.conflict) throw error;
     banner(error.message, "error", {
       "Load it anew": () => post("open", { file: name }).then((found) => show(found, { file: name })),
       "Save under another name": saveAs,
       "Replace it": () => save(name, true),
-    });
+    }, "file");
   }
 }
 
@@ -199,7 +207,10 @@ function problems(found) {
   drawing.marks();
   const list = $("#problems");
   list.classList.toggle("none", !found.length);
-  if (!found.length) return void (list.textContent = "No problems: this playpen can be saved and run.");
+  if (!found.length) {
+    list.textContent = `No problems: this playpen can be saved${model.list("robot").length ? " and run." : "; with a robot it can be run."}`;
+    return;
+  }
   list.replaceChildren(
     ...found.map(({ place, text }) => {
       const button = Object.assign(document.createElement("button"), { textContent: text });
@@ -231,7 +242,9 @@ function legend() {
     return [box, name];
   });
   const counts = ["block", "cylinder", "wall", "lamp", "robot"].map((kind) => [kind, model.list(kind).length]).filter(([, count]) => count);
-  $("#legend").replaceChildren(...entries.flat(), ` · ${counts.map(([kind, count]) => `${count} ${kind}${count > 1 ? "s" : ""}, `).join("")}dotted: movable, dashed with !: wrong`);
+  const live = Object.assign(document.createElement("div"), { className: "live-only" });
+  live.append(...[["seen", "what a sensor sees"], ["way", "the way so far"]].flatMap(([name, text]) => [Object.assign(document.createElement("i"), { className: name }), text]));
+  $("#legend").replaceChildren(...entries.flat(), ` · ${counts.map(([kind, count]) => `${count} ${kind}${count > 1 ? "s" : ""}, `).join("")}dotted: movable, dashed with !: wrong`, live);
 }
 
 model.addEventListener("change", ({ detail }) => {
@@ -258,6 +271,7 @@ const KEYS = [
   ["Ctrl+D, Ctrl+A, Ctrl+Z, Ctrl+Y, Ctrl+S", "copy, select all, undo, redo, save"],
   ["Shift+click, drag on the floor", "select several"],
   ["Alt while dragging", "without grid"],
+  ["two fingers", "zoom, move the view, turn a lifted robot"],
   ["wheel, + − 0", "zoom; middle button or Ctrl+drag moves the view"],
   ["Space . Esc", "while it runs: pause, step, stop; the wheel turns a lifted robot"],
 ];
@@ -351,11 +365,11 @@ function hear(message) {
     banner(`${message.file} was saved by another page.`, "error", {
       "Load it anew": () => post("open", { file: message.file }).then((found) => show(found, { file: message.file })),
       "Keep mine": () => {},
-    });
+    }, "file");
   else if (message.kind === "page") {
     const other = JSON.parse(message.said);
     if (other.tab === tab || other.file !== model.file) return;
-    banner(`Another page has ${model.file ?? "a new playpen"} open, too: who saves second is asked first.`);
+    banner(`Another page has ${model.file ?? "a new playpen"} open, too: who saves second is asked first.`, "", {}, "file");
     if (other.ask) say({ file: model.file, tab });
   } else running.hear(message);
 }
@@ -364,9 +378,16 @@ hello = await post("hello");
 drawing.surfaces = hello.surfaces;
 drawing.shapes = hello.shapes;
 new Fields(model, hello.surfaces);
-show(hello, hello.version ? { file: hello.file } : {});
+const last = decodeURIComponent(location.hash.slice(1));
+const found = (last && last !== hello.file && (await attempt(() => post("open", { file: last })))) || hello;
+show(found, found.version ? { file: found.file } : {});
 if (hello.trouble) banner(hello.trouble, "error");
-offer(hello.left);
+if (hello.runs) {
+  // What a twin runs in is shown as it is, saved or not.
+  model.draft = hello.runs;
+  model.commit();
+  $('[data-tab="run"]').click();
+} else offer(found.left);
 await attempt(programs);
 say = listen(hear, (lost) => {
   if (lost) gone ??= banner("The designer does not answer: it was ended, or is busy. What you draw from now on stays in this page only.", "error", { "All right": () => {} });

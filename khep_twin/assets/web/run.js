@@ -2,6 +2,7 @@
 
 import { post } from "./api.js";
 import { make, place } from "./drawing.js";
+import { angle, tidy } from "./model.js";
 import { Panel, SENSORS, write } from "./panel.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -149,7 +150,8 @@ export class Running {
     const chosen = $("#which");
     chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
     this.model.select([]);
-    this.drawing.svg.classList.toggle("running", !real);
+    if (!real && message.playpen !== this.model.draft.name) this.banner(`The twin that runs is in ${message.playpen}, not in this drawing: another page has started it.`, "error");
+    for (const part of [this.drawing.svg, $("#arena")]) part.classList.toggle("running", !real);
     this.#shape();
     if (!real) this.#live();
     this.#buttons();
@@ -188,8 +190,15 @@ export class Running {
   }
 
   #picture(message) {
+    if (!this.active) return;
     const shown = message.robots[this.which];
     this.last = message;
+    // Another page may have paused it, or this one was loaded meanwhile.
+    const [busy, paused] = [message.busy === true, message.paused === true];
+    if (busy !== this.busy || paused !== this.paused) {
+      Object.assign(this, { busy, paused });
+      this.#buttons();
+    }
     if (shown && this.panel.near) this.panel.read(shown);
     if (message.part !== $("#part").value) $("#part").value = message.part;
     write($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
@@ -225,7 +234,7 @@ export class Running {
 
   #ended() {
     Object.assign(this, { active: false, busy: false, real: false, paused: false, nodes: null });
-    this.drawing.svg.classList.remove("running");
+    for (const part of [this.drawing.svg, $("#arena")]) part.classList.remove("running");
     this.drawing.live.replaceChildren();
     this.drawing.all();
     $("#clock").textContent = "not running";
@@ -288,7 +297,8 @@ export class Running {
     const held = this.#held;
     if (!held) return;
     held.node.classList.remove("held");
-    const { index, x_mm, y_mm, heading_deg } = held;
+    const { index } = held;
+    const [x_mm, y_mm, heading_deg] = [tidy(held.x_mm), tidy(held.y_mm), angle(held.heading_deg)];
     this.#try(async () => {
       try {
         if (Math.hypot(x_mm - held.from[0], y_mm - held.from[1]) > 1 || heading_deg !== this.last.robots[index].heading_deg)
