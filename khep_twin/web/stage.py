@@ -4,6 +4,7 @@ One thread has the whole world of a twin, as no other may touch it. What the pag
 what it shows is handed to the page, at most 25 times a second.
 """
 
+import math
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
@@ -255,6 +256,7 @@ class TwinActor(Actor):
             "time": world.time_ns / 1e9,
             "busy": twin.busy,
             "paused": twin.paused,
+            "speed": twin.speed if math.isfinite(twin.speed) else 0,
             "part": self.part,
             "robots": robots,
             "lamps": [

@@ -47,6 +47,13 @@ def test_a_playpen_is_built_by_keys_alone(visit: Visit, tmp_path: Path) -> None:
     for key in ("b", "Enter", "ArrowLeft", "Shift+ArrowLeft", "[", "r", "Enter", "Shift+ArrowDown"):
         page.keyboard.press(key)
     page.wait_for_selector("#problems.none")
+    page.keyboard.press("Escape")
+    before = view(visit)
+    for key in ("+", "ArrowRight"):
+        page.keyboard.press(key)
+    after = view(visit)
+    assert after[2] == pytest.approx(0.8 * before[2])
+    assert after[0] == pytest.approx(before[0] + 0.1 * before[2] + 0.08 * before[2])
     page.keyboard.press("Control+s")
     page.fill("#dialog input", "keys")
     page.keyboard.press("Enter")

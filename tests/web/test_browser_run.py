@@ -174,6 +174,7 @@ def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> 
     visit.save_as("mine.toml")
     visit.add("block", (300, 400))
     page.click('[data-tab="run"]')
+    page.select_option("#speed", "2")
     page.fill("#cycles", "100000")
     page.click("#run")
     visit.wait("document.querySelector('#clock').textContent.includes('driven')")
@@ -184,6 +185,7 @@ def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> 
     assert (visit.count(".drawn"), page.text_content("#file")) == (2, "mine.toml *")
     visit.wait("document.querySelector('#pause').textContent === 'Go on'")
     assert page.is_disabled("#run")
+    assert page.input_value("#speed") == "2"
     page.click("#end")
     visit.wait("document.querySelector('#clock').textContent === 'not running'")
 

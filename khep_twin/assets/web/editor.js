@@ -308,6 +308,12 @@ export class Editor {
       else drawing.zoom(key === "-" ? 1.25 : 0.8);
       return true;
     }
+    const seen = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }[key];
+    if (seen && !model.selected.size && drawing.svg.contains(document.activeElement)) {
+      const { x, y, width, height } = drawing.view;
+      drawing.look(x + seen[0] * width, y + seen[1] * height, width, height);
+      return true;
+    }
     if (this.running.active) return false;
     const tools = { v: "select", b: "block", c: "cylinder", w: "wall", l: "lamp", r: "robot", p: "patch", s: "spot" };
     if (tools[key]) return this.use(tools[key]), true;

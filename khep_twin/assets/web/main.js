@@ -265,7 +265,7 @@ const KEYS = [
   ["V B C W L R P S", "select, block, cylinder, wall, lamp, robot, patch, spot"],
   ["Enter", "puts the tool's object into the middle; ends a wall"],
   ["Tab, Shift+Tab", "from object to object"],
-  ["arrows", "move by the grid, with Shift ten times, with Alt 1 mm"],
+  ["arrows", "move by the grid, with Shift ten times, with Alt 1 mm; with nothing selected, the view"],
   ["[ ]", "turn by the angle, with Alt 1°"],
   ["Delete, right button", "take away"],
   ["Ctrl+D, Ctrl+A, Ctrl+Z, Ctrl+Y, Ctrl+S", "copy, select all, undo, redo, save"],
@@ -386,6 +386,7 @@ if (hello.runs) {
   // What a twin runs in is shown as it is, saved or not.
   model.draft = hello.runs;
   model.commit();
+  drawing.fit();
   $('[data-tab="run"]').click();
 } else offer(found.left);
 await attempt(programs);

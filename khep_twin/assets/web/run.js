@@ -145,7 +145,7 @@ export class Running {
   }
 
   #cast(message, real) {
-    Object.assign(this, { active: true, real, busy: false, robots: message.robots });
+    Object.assign(this, { active: true, real, busy: false, robots: message.robots, last: null });
     this.#trails = message.robots.map(() => new Trail());
     const chosen = $("#which");
     chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
@@ -192,6 +192,7 @@ export class Running {
   #picture(message) {
     if (!this.active) return;
     const shown = message.robots[this.which];
+    if (!this.last && message.speed !== undefined) $("#speed").value = message.speed;
     this.last = message;
     // Another page may have paused it, or this one was loaded meanwhile.
     const [busy, paused] = [message.busy === true, message.paused === true];
@@ -260,7 +261,7 @@ export class Running {
 
   // The hand: lift a robot, put it down; a click on a lamp switches it. Whether the hand has taken something.
   down(event, at, target) {
-    if (this.real || event.button !== 0) return false;
+    if (this.real || !this.last || event.button !== 0) return false;
     const live = target?.closest?.(".live");
     const lamp = target?.dataset.id?.match(/^lamp:(\d+)$/);
     if (lamp) {
