@@ -17,6 +17,7 @@ from khep_twin.lab.repeat import read_recorded, repeat
 from khep_twin.lab.sensor_test import SensorRun, SensorTest
 from khep_twin.lab.series import Plan
 from khep_twin.ports.twin import TwinOptions
+from khep_twin.web.audience import Audience
 from khep_twin.web.jobs import Sensing, Series
 from khep_twin.web.stage import RobotActor, TwinActor
 
@@ -196,6 +197,31 @@ def test_a_robot_at_a_port_shows_its_readings_and_stops(actor: TwinActor, ear: E
     heard.wait("picture", lambda told: told["robots"][0]["speed"] == [0, 0])
     robot.end()
     assert not robot.alive
+
+
+def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
+    actor: TwinActor, ear: Ear
+) -> None:
+    ear.wait("twin")
+    kinds: list[str] = []
+
+    def tell(message: Mapping[str, Any]) -> None:
+        kinds.append(message["kind"])
+        ear(message)
+
+    actor.tell = tell
+    actor.start(Series("braitenberg", braitenberg, Plan(cycles=300), None))
+    assert 0 < ear.wait("picture", lambda told: told["part"] > 0)["part"] <= 1
+    ear.wait("done")
+    assert ear.wait("picture")["part"] == 1
+    assert sorted(kind for kind in kinds if kind != "picture") == ["done", "run"]
+
+
+def test_no_picture_is_told_while_nobody_watches() -> None:
+    audience = Audience()
+    audience.tell({"kind": "picture", "time": math.nan})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        audience.tell({"kind": "note", "text": math.nan})
 
 
 def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, ear: Ear) -> None:
