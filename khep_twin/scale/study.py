@@ -122,7 +122,8 @@ class Study(Table):
     seeds: Annotated[int, Field(ge=1, le=10**9)]
     first_seed: Annotated[int, Field(ge=0, le=2**62)] = 0
     seconds: Annotated[float, Field(gt=0, le=10**6)]
-    step_ms: Annotated[float, Field(gt=0, description="2.5, 5 or 10")] = 2.5
+    planar: Annotated[bool, Field(description="true or false")] = False
+    step_ms: Annotated[float | None, Field(gt=0, description="2.5, 5 or 10")] = None
     period_ms: Annotated[int, Field(ge=10, le=10**4, multiple_of=10, description="a multiple of 10")] = 20
     fitness: Annotated[
         tuple[Fitness, ...], Field(min_length=1, description=f"a list of {', '.join(NUMBERS)}")
@@ -139,7 +140,7 @@ class Study(Table):
         return self
 
     def _problems(self) -> Iterator[Problem]:
-        if self.step_ms not in (2.5, 5.0, 10.0):
+        if self.step_ms not in (None, 2.5, 5.0, 10.0):
             yield Problem(("step_ms",), f"step_ms = {self.step_ms:g}: right is 2.5, 5 or 10")
         try:
             n_steps(to_ns(self.seconds), self.period_ms * 1_000_000)

@@ -157,7 +157,7 @@ def _playpen(file: StudyFile, name: str) -> Playpen:
     """One of a study's playpens, by the name of a shipped one or by path."""
     try:
         found = playpen.load(name if name in playpen.names() else file.folder / name)
-        Ground(found)  # refuses here what lives cannot have
+        Ground(found, planar=file.study.planar)  # refuses here what lives cannot have
     except KhepTwinError as error:
         raise checked(file, ("playpens",), f'playpens: "{name}"', error) from None
     return found

@@ -39,7 +39,7 @@ def results(work: Work, task: Task, threads: int | None = 1, compiled: bool | No
     study, group = work.study, work.groups[task.group]
     controller = work.controllers[group.controller]
     ground = _ground(
-        work.playpens[group.playpen], group.lighting, round(study.step_ms * NS_PER_MS), study.period_ms
+        work.playpens[group.playpen], group.lighting, study.planar, study.step_ms, study.period_ms
     )
     numbers = np.arange(task.first - group.first, task.first - group.first + task.count)
     others, seeds = np.divmod(numbers, study.seeds)
@@ -121,6 +121,7 @@ def _begin(ground: Ground, word: str, seed: int) -> Start:
 
 
 @lru_cache(maxsize=4)
-def _ground(text: str, lighting: str, step_ns: int, period_ms: int) -> Ground:
+def _ground(text: str, lighting: str, planar: bool, step_ms: float | None, period_ms: int) -> Ground:
     place = setting.lit(playpen.parse(text, "a study's playpen"), "off" if lighting == "off" else None)
-    return Ground(place, step_ns=step_ns, period_ns=period_ms * NS_PER_MS)
+    step_ns = None if step_ms is None else round(step_ms * NS_PER_MS)
+    return Ground(place, step_ns=step_ns, period_ns=period_ms * NS_PER_MS, planar=planar)

@@ -141,3 +141,13 @@ def test_the_study_of_the_page_is_as_large_as_it_says(tmp_path: Path) -> None:
     text = page.partition("```toml\n")[2].partition("```")[0]
     work = work_of(loaded(tmp_path, text))
     assert f"noise: {work.lives} lives of 20 s in {len(work.tasks)} tasks" in page
+
+
+def test_what_a_plane_cannot_have_is_told_before_any_life(tmp_path: Path) -> None:
+    text = (studies.toml_files.folder("playpens") / "default.toml").read_text()
+    movable = "\n[[cylinder]]\nx_mm = 400\ny_mm = 100\nradius_mm = 10\nheight_mm = 30\nmovable = true\n"
+    (tmp_path / "loose.toml").write_text(text + movable)
+    study = STUDY.replace('"default"', '"loose.toml"')
+    assert work_of(loaded(tmp_path, study)).lives == 3
+    with pytest.raises(StudyError, match=r"study.toml:3: playpens: .*cylinder 1 is movable; right are fixed"):
+        work_of(loaded(tmp_path, study + "planar = true\n"))

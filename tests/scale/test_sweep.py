@@ -291,3 +291,13 @@ def test_a_worker_with_other_versions_does_nothing(tmp_path: Path) -> None:
 @pytest.mark.skipif(not HAS_RAY, reason="ray, the extra [ray], is not installed")
 def test_rays_workers_may_be_killed_and_each_result_is_there_once(tmp_path: Path) -> None:
     assert trial(tmp_path, tasks=8, kills=2, seconds=4, seed=0) == 2
+
+
+def test_a_study_in_a_plane_leads_planar_lives(tmp_path: Path) -> None:
+    (tmp_path / "flat").mkdir()
+    ways = [
+        pq.read_table(swept(folder, text)).to_pylist()[0]
+        for folder, text in ((tmp_path, STUDY), (tmp_path / "flat", STUDY + "planar = true\n"))
+    ]
+    assert ways[0]["distance_m"] != ways[1]["distance_m"]
+    assert ways[1]["distance_m"] == pytest.approx(ways[0]["distance_m"], abs=1e-3)
