@@ -60,7 +60,7 @@ for command in (
 def main() -> None:
     """Runs the command line; a user's mistake ends in one line, not in a trace."""
     try:
-        sys.exit(app(standalone_mode=False))
+        sys.exit(app(standalone_mode=False) or 0)
     except KhepTwinError as error:
         text, code = str(error), 1
     except TyperException as error:
