@@ -114,9 +114,7 @@ def rollout(
         PlaypenError: the playpen has what lives cannot have.
     """
     fast = is_compiled(compiled)
-    ground = playpen
-    if isinstance(ground, Playpen):
-        ground = Ground(ground, step_ns=step_ns, period_ns=period_ns, planar=planar)
+    ground = _ground(playpen, step_ns, period_ns, planar)
     count = len(seeds)
     for name, given in (("genes", genes), ("starts", starts), ("lamps", lamps)):
         if given is not None and len(given) != count:
@@ -128,9 +126,17 @@ def rollout(
         raise ValueError(f"genes are of shape {weights.shape}; right are finite numbers (n, n_genes)")
     if threads is not None and threads < 1:
         raise ValueError(f"{threads} threads; right is 1 or more")
+    for index, start in enumerate(() if starts is None else starts):
+        _check(f"starts[{index}]", start, "x, y [mm] and heading [deg]", 3)
+    for index, each in enumerate(() if lamps is None else lamps):
+        if isinstance(each, Lamp):
+            raise ValueError(f"lamps[{index}] is one lamp; right is a list of lamps for each life")
     ground.light.during(0, ground.periods(seconds) * ground.wiring.steps_per_period)
     place = (0.0,) * 4
     if home is not None:
+        _check("home", home, "x, y, radius [mm] and how long a charge lasts [s]", 4)
+        if home[2] <= 0 or home[3] <= 0:
+            raise ValueError(f"home = {home}: right are a radius and a charge above 0")
         place = (units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3])
     results = _Results(count)
 
@@ -158,6 +164,35 @@ def rollout(
                 pool, list(itertools.islice(made, min(workers, count))), begin, seeds, seconds, results
             )
     return results.lives()
+
+
+def _ground(playpen: Playpen | Ground, step_ns: int | None, period_ns: int, planar: bool) -> Ground:
+    """The ground of a batch; one that is made ready stays as it is."""
+    if isinstance(playpen, Playpen):
+        return Ground(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar)
+    if not isinstance(playpen, Ground):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise TypeError(f"playpen = {playpen!r}: right is a Playpen, such as playpen.load('obstacles')")
+    given = (
+        step_ns not in (None, playpen.step_ns)
+        or period_ns not in (units.SCAN_NS, playpen.period_ns)
+        or (planar and playpen.outline is None)
+    )
+    if given:
+        raise ValueError(
+            "the ground has its own step and period and is planar or not; right are step_ns, period_ns and "
+            "planar where it is made"
+        )
+    return playpen
+
+
+def _check(name: str, numbers: Sequence[float], what: str, count: int) -> None:
+    """Refuses what are not so many finite numbers."""
+    try:
+        fits = np.shape(numbers) == (count,) and bool(np.isfinite(np.asarray(numbers, np.float64)).all())
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise ValueError(f"{name} = {numbers!r}: right are {what}, {count} finite numbers")
 
 
 class _Results:
@@ -251,7 +286,13 @@ def _live_together(
             break
         board = np.stack([life.registers for _, life in living])
         which = np.array([index for index, _ in living])
-        speeds = np.asarray(policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which), np.float64)
+        decided = policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which)
+        try:
+            speeds = np.asarray(decided, np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"the policy gave what are no speeds: {error}; right is an array ({len(living)}, 2)"
+            ) from error
         if speeds.shape != (len(living), 2):
             raise ValueError(f"the policy gave speeds of shape {speeds.shape}; right is ({len(living)}, 2)")
         for (index, life), (left, right) in zip(living, speeds.tolist(), strict=True):

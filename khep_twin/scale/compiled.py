@@ -17,7 +17,7 @@ import mujoco
 import numba
 import numpy as np
 from numba import carray, cfunc, njit, types  # pyright: ignore
-from numba.core.errors import NumbaError
+from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 from khep_twin import casting, fitness, kernel, optics, units
 from khep_twin.compiled_kernel import compiled_copy, compiled_kernel
@@ -78,7 +78,6 @@ def address_of(function: Any) -> int:
     Raises:
         ControllerError: numba cannot compile it.
     """
-    decide = function if hasattr(function, "py_func") else njit(function)
     first_near, first_ambient, count = PROXIMITY[0], AMBIENT[0], len(PROXIMITY)
     whole, real = types.CPointer(types.int64), types.CPointer(types.float64)
 
@@ -98,13 +97,31 @@ def address_of(function: Any) -> int:
 
     signature = types.void(whole, real, types.int64, real, types.int64, real)
     try:
+        decide = _within_bounds(function)
         made = cfunc(signature)(call)
-    except NumbaError as error:
+    # numba leaves it to Python to tell what is no function, or what a module does not have.
+    except (NumbaError, UnsupportedBytecodeError, TypeError, AttributeError) as error:
         name = getattr(function, "__name__", "controller")
-        reason = str(error).strip().splitlines()[-1]
-        raise ControllerError(f"{name}: numba cannot compile it: {reason}") from error
+        lines = [line for line in str(error).strip().splitlines() if not line.startswith(_GENERAL)]
+        reason = lines[0].rstrip(":.") if lines else type(error).__name__
+        raise ControllerError(
+            f"{name}: numba cannot compile it: {reason}; right is a function of proximity, ambient, memory "
+            "and genes that returns two numbers"
+        ) from error
     _KEPT.append(made)
     return int(made.address or 0)
 
 
 _KEPT: list[Any] = []
+
+_GENERAL = "Failed in nopython mode"
+"""How a line of numba's begins that tells nothing yet."""
+
+
+def _within_bounds(function: Any) -> Any:
+    """A controller, compiled so that places beyond its arrays are errors, not whatever lies there."""
+    if not hasattr(function, "py_func"):
+        return njit(boundscheck=True)(function)
+    if function.targetoptions.get("boundscheck") is not None:
+        return function
+    return numba.jit(**{**function.targetoptions, "boundscheck": True})(function.py_func)

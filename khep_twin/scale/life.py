@@ -19,6 +19,7 @@ import importlib.util
 import math
 import warnings
 from collections.abc import Sequence
+from operator import index
 from typing import Any
 
 import mujoco
@@ -122,6 +123,7 @@ class Ground:
     Raises:
         PlaypenError: it has what lives cannot have.
         ValueError: the step or the period divides nothing whole.
+        TypeError: one of them is no whole number.
     """
 
     def __init__(
@@ -133,6 +135,8 @@ class Ground:
         planar: bool = False,
     ) -> None:
         _refuse(playpen)
+        # Where whole numbers are wanted, 5e6 is none.
+        period_ns, step_ns = index(period_ns), None if step_ns is None else index(step_ns)
         if period_ns <= 0 or period_ns % units.TICK_NS:
             raise ValueError(
                 f"a control period of {period_ns / 1e6:g} ms; right are whole ticks of "
@@ -168,8 +172,10 @@ class Ground:
         """How many control periods a time [s] has.
 
         Raises:
-            ValueError: it is no whole number of them.
+            ValueError: it is no whole number of them, or below 0.
         """
+        if not 0 <= seconds < math.inf:
+            raise ValueError(f"{seconds} s; right is a time from 0, of whole control periods")
         duration_ns = to_ns(seconds)
         if duration_ns % self.period_ns:
             raise ValueError(
@@ -265,8 +271,6 @@ class Life:
         self.registers[:] = 0
         kernel.reset(self.registers.data)
         driver = self._driver
-        if isinstance(driver, Hold) and (driver.left or driver.right):
-            episode.drive(self.registers.data, driver.left, driver.right)
         rom = ROMS[ground.entry.rom]
         self._state[:] = 0, 1, rom.modes[ground.entry.mode].function == DEMO, episode.FINE
         self._body = episode.Body(
@@ -282,6 +286,8 @@ class Life:
         )
         weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
         self._mind = mind_of(driver, weights, place, self._compiled)
+        if isinstance(driver, Hold) and (driver.left or driver.right):
+            self.drive(driver.left, driver.right)
         self._room.advance(self._body, self._mind, self._span(self._light.at_start(), units.N_SENSORS, 1), -1)
         self._complain()
 

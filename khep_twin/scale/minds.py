@@ -88,6 +88,8 @@ class Policy:
 
 Driver = Hold | Wander | Network | Function | Policy
 
+_DRIVERS = "right is a Hold, Wander, Network, Function or Policy"
+
 
 def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> episode.Mind:
     """A life's mind.
@@ -99,7 +101,8 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
         compiled: whether a function is given by its address.
 
     Raises:
-        ControllerError: there are too few or too many genes, or numba cannot compile the function.
+        ControllerError: there are too few or too many genes, numba cannot compile the function, or it is none
+            of those that drive.
     """
     kind, function, sizes, recurrent, top_speed, n_memory = episode.HOLD, 0, (), False, 0.0, 0
     match driver:
@@ -116,8 +119,10 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
                 from khep_twin.scale.compiled import address_of
 
                 function = address_of(driver.decide)
-        case _:
+        case Hold() | Policy():
             pass
+        case _:
+            raise ControllerError(f"{driver!r} drives nothing; {_DRIVERS}")
     sums = np.zeros(episode.N_SUMS)
     sums[episode.CHARGE] = home[3]
     mind = episode.Mind(

@@ -123,12 +123,13 @@ class SweepFolder:
     def _begin(self, resume: bool) -> None:
         file, work = self._path / "study.json", self._work
         known = _json(file)
-        if known is None:
-            # A sweep that was killed at once may have left the beginning of its file.
-            if found := sorted({*self._path.iterdir()} - {self._path / f".{file.name}.part"}):
-                raise StudyError(
-                    f"{self._path}: holds {found[0].name} and no study.json; right is a new folder"
-                )
+        # A sweep that was killed at once may have left the beginning of its file.
+        found = sorted({*self._path.iterdir()} - {self._path / f".{file.name}.part"})
+        if known is None and found:
+            raise StudyError(f"{self._path}: holds {found[0].name} and no study.json; right is a new folder")
+        # One that came to nothing, as with a program that does not compile, may be mended and begun anew.
+        ours = known is not None and known.get("digest") == work.digest
+        if known is None or not (ours or self._has_results()):
             told = {
                 "name": work.study.name,
                 "lives": work.lives,
@@ -137,7 +138,7 @@ class SweepFolder:
                 "digest": work.digest,
             }
             write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
-        elif known.get("digest") != work.digest:
+        elif not ours:
             raise StudyError(
                 f"{self._path}: holds results of another study, or of this one before it changed; right is a "
                 "new folder"
@@ -150,6 +151,10 @@ class SweepFolder:
             self._parts.mkdir(exist_ok=True)
         except OSError as error:
             raise StudyError(f"{self._parts}: cannot be made: {error.strerror}") from error
+
+    def _has_results(self) -> bool:
+        """Whether a task was done, of whichever study."""
+        return self.table.exists() or (self._parts.is_dir() and any(self._parts.iterdir()))
 
     def _part(self, task: Task) -> Path:
         return self._parts / f"task-{task.index:06}.parquet"

@@ -67,7 +67,8 @@ def screen(
         options: `noise`, `spread`, `home`, `period_ns`, `threads` and `compiled`, as for `batch.rollout`.
 
     Raises:
-        ValueError: there is no such number, no seed or no elite.
+        ValueError: there is no such number, no home for it, no seed or no elite, or starts or genes do not
+            fit.
     """
     if number not in NUMBERS:
         raise ValueError(f"number = {number!r}: there is none; right is one of {', '.join(NUMBERS)}")
@@ -75,6 +76,12 @@ def screen(
         raise ValueError(
             f"{len(genes)} genomes, {len(seeds)} seeds and an elite of {elite}; right are 1 or more of each"
         )
+    if number == "homing" and options.get("home") is None:
+        raise ValueError("number = 'homing': there is no home; right is home=(x, y, radius [mm], charge [s])")
+    if np.ndim(genes) != 2:
+        raise ValueError(f"genes are of shape {np.shape(genes)}; right is a row for each genome")
+    if starts is not None and len(starts) != len(seeds):
+        raise ValueError(f"{len(starts)} starts for {len(seeds)} seeds; right are as many")
 
     def judge(which: NDArray[np.int64], **how: Any) -> Floats:
         found = rollout(

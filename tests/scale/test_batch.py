@@ -1,6 +1,7 @@
 """Batches: the same as single lives, with any number of threads, and one that fails harms no other."""
 
 import importlib.util
+import math
 import tracemalloc
 from typing import Any
 
@@ -9,10 +10,11 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.errors import ControllerError
+from khep_twin.playpen import Lamp
 from khep_twin.scale import batch
 from khep_twin.scale.batch import Lives, rollout
 from khep_twin.scale.life import NUMBERS, Ground, Life
-from khep_twin.scale.minds import Function, Network, Policy, Wander
+from khep_twin.scale.minds import Function, Hold, Network, Policy, Wander
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
@@ -155,5 +157,70 @@ def test_a_function_that_numba_cannot_compile_is_told_by_name() -> None:
     def odd(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
         return open("x").fileno(), 0.0
 
-    with pytest.raises(ControllerError, match="odd: numba cannot compile it: "):
+    with pytest.raises(
+        ControllerError, match=r"odd: numba cannot compile it: .*open.*; right is a function of"
+    ):
         rollout(SCENE, Function(odd), [1], 0.02, compiled=True)
+
+
+def beyond(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+    return memory[len(memory)], 1.0
+
+
+@with_numba
+@pytest.mark.parametrize("njit", [False, True])
+def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_lies_there(njit: bool) -> None:
+    decide = beyond
+    if njit:
+        import numba  # pyright: ignore[reportMissingTypeStubs]
+
+        decide = numba.njit(beyond)  # pyright: ignore
+    lives = rollout(SCENE, Function(decide), range(2), 0.04, compiled=True)
+    assert [failure.step for failure in lives.failures] == [0, 0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"starts": [(60.0, 250.0)]}, r"starts\[0\] = \(60.0, 250.0\): right are x, y \[mm\] and heading"),
+        ({"starts": [(60.0, math.nan, 0.0)]}, r"starts\[0\] = .*, 3 finite numbers"),
+        ({"starts": ["60"]}, r"starts\[0\] = '60': right are"),
+        ({"home": (60.0, 250.0, 50.0)}, "home = .*, 4 finite numbers"),
+        ({"home": (60.0, 250.0, -50.0, 20.0)}, "home = .*: right are a radius and a charge above 0"),
+        ({"lamps": [Lamp(x_mm=60, y_mm=60, power_w=1)]}, r"lamps\[0\] is one lamp"),
+    ],
+)
+def test_what_lives_begin_with_is_checked_before_anything_lives(options: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        rollout(SCENE, Wander(), [1], 0.02, compiled=False, **options)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
+def test_a_time_that_is_none_is_refused(seconds: float) -> None:
+    with pytest.raises(ValueError, match="right is a time from 0"):
+        rollout(SCENE, Wander(), [1], seconds, compiled=False)
+
+
+def test_what_is_no_driver_or_no_playpen_is_told_so() -> None:
+    with pytest.raises(ControllerError, match=r"drives nothing; right is a Hold, Wander, Network"):
+        rollout(SCENE, along, [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"playpen = 'obstacles': right is a Playpen"):
+        rollout("obstacles", Wander(), [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"the policy gave what are no speeds: .*right is an array \(1, 2\)"):
+        rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
+
+
+def test_ground_that_is_made_ready_takes_no_other_step_period_or_plane() -> None:
+    ground = Ground(SCENE)
+    for options in ({"step_ns": 5_000_000}, {"period_ns": 40_000_000}, {"planar": True}):
+        with pytest.raises(ValueError, match="the ground has its own step and period"):
+            rollout(ground, Wander(), [1], 0.04, compiled=False, **options)
+    flat = Ground(SCENE, planar=True, period_ns=40_000_000)
+    assert not rollout(flat, Wander(), [1], 0.04, compiled=False, planar=True).failures
+    with pytest.raises(TypeError):
+        Ground(SCENE, step_ns=5e6)  # type: ignore[arg-type]
+
+
+def test_constant_speeds_that_are_no_numbers_fail() -> None:
+    lives = rollout(SCENE, Hold(math.nan, 1), [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    assert "no number" in lives.failures[0].reason

@@ -146,6 +146,12 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None
         swept(tmp_path, STUDY, resume=True)
 
 
+def test_a_sweep_that_came_to_nothing_is_begun_anew_when_its_program_is_mended(tmp_path: Path) -> None:
+    with pytest.raises(KhepTwinError, match="stopped"):
+        swept(tmp_path, STUDY, doers=Counted(stop_before=0))
+    assert pq.read_table(swept(tmp_path)).num_rows == 24
+
+
 def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done_then(tmp_path: Path) -> None:
     text = STUDY.replace("seeds = 3", "seeds = 4000").replace(
         "rollouts_per_task = 4", "rollouts_per_task = 200"
