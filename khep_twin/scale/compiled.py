@@ -124,4 +124,5 @@ def _within_bounds(function: Any) -> Any:
         return njit(boundscheck=True)(function)
     if function.targetoptions.get("boundscheck") is not None:
         return function
-    return numba.jit(**{**function.targetoptions, "boundscheck": True})(function.py_func)
+    options: dict[str, Any] = {**function.targetoptions, "boundscheck": True}
+    return numba.jit(**options)(function.py_func)

@@ -26,7 +26,7 @@ from khep_twin.kernel import AMBIENT, PROXIMITY, SETPOINTS
 from khep_twin.randomness import stream
 from khep_twin.scale import pair
 from khep_twin.scale.tasks import SENSES, TOP_SPEED, Task
-from khep_twin.scale.trial import Course, Outcome, Trial
+from khep_twin.scale.trial import Course, Outcome, Trial, cut
 
 pair.check()
 
@@ -97,8 +97,7 @@ class Physics(mujoco.Physics):
 
     def set_control(self, control: Any) -> None:
         """Takes the speeds of the next period (2,) [pulses/10 ms], not voltages."""
-        left, right = np.clip(np.asarray(control, np.float64), -TOP_SPEED, TOP_SPEED).tolist()
-        self._speeds = left, right
+        self._speeds = cut(control)
 
     def step(self, nstep: int = 1) -> None:
         """Lets control periods pass."""

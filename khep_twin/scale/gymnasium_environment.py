@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 from khep_twin.scale.tasks import TASKS, TOP_SPEED, Observation, Task
-from khep_twin.scale.trial import Course, Trial
+from khep_twin.scale.trial import Course, Trial, cut
 from khep_twin.scale.view import Painter, Picture, View
 
 try:
@@ -98,8 +98,7 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Lets a control period pass with these speeds of left and right wheel [pulses/10 ms] (2,)."""
-        left, right = np.clip(action, -TOP_SPEED, TOP_SPEED).tolist()
-        (outcome,) = self._trial.step([(left, right)])
+        (outcome,) = self._trial.step([cut(action)])
         return outcome.observation, outcome.reward, outcome.ended, self._trial.over, self._info()
 
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -186,6 +185,8 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
                 return observation, 0.0, False, False, info
             return each.step(actions[index])
 
+        if np.shape(actions)[:1] != (self.num_envs,):
+            raise ValueError(f"actions of shape {np.shape(actions)}; right is ({self.num_envs}, 2)")
         observations, rewards, ended, late, infos = zip(*self._share_out(one), strict=True)
         terminated, truncated = np.array(ended, np.bool_), np.array(late, np.bool_)
         self._over = terminated | truncated

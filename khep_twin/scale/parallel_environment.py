@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 from khep_twin.scale.gymnasium_environment import RENDER_MODES, spaces
-from khep_twin.scale.tasks import TOP_SPEED, Observation, Task
-from khep_twin.scale.trial import Course, Trial
+from khep_twin.scale.tasks import Observation, Task
+from khep_twin.scale.trial import Course, Trial, cut
 from khep_twin.scale.view import Painter, Picture, View
 
 try:
@@ -107,17 +107,17 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
 
         Raises:
             KhepTwinError: there is no action for an agent.
+            ValueError: one is not two numbers.
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
-        speeds = [[0.0, 0.0]] * len(self.possible_agents)
+        speeds = [(0.0, 0.0)] * len(self.possible_agents)
         for agent in self.agents:
             if agent not in actions:
                 raise KhepTwinError(
                     f"no action for {agent}; right is one for each of {', '.join(self.agents)}"
                 )
-            cut = np.clip(actions[agent], -TOP_SPEED, TOP_SPEED)
-            speeds[self.possible_agents.index(agent)] = cut.tolist()
+            speeds[self.possible_agents.index(agent)] = cut(actions[agent])
         became = dict(zip(self.possible_agents, self._trial.step(speeds), strict=True))
         outcomes, infos = {agent: became[agent] for agent in self.agents}, self._infos()
         late = self._trial.over

@@ -128,8 +128,7 @@ class SweepFolder:
         if known is None and found:
             raise StudyError(f"{self._path}: holds {found[0].name} and no study.json; right is a new folder")
         # One that came to nothing, as with a program that does not compile, may be mended and begun anew.
-        ours = known is not None and known.get("digest") == work.digest
-        if known is None or not (ours or self._has_results()):
+        if known is None or not self._has_results():
             told = {
                 "name": work.study.name,
                 "lives": work.lives,
@@ -138,7 +137,7 @@ class SweepFolder:
                 "digest": work.digest,
             }
             write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
-        elif not ours:
+        elif known.get("digest") != work.digest:
             raise StudyError(
                 f"{self._path}: holds results of another study, or of this one before it changed; right is a "
                 "new folder"

@@ -12,8 +12,10 @@ a command D that takes no time, physics, sensors and control loops go on at thei
 look again. A trial depends on its seed and its actions alone, whatever was done before.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,12 +28,27 @@ from khep_twin.kernel import LEFT, RIGHT, Wheel
 from khep_twin.playpen import Playpen, load
 from khep_twin.scale.life import Ground
 from khep_twin.scale.stages import Alone, Pose, Stage, Together, anywhere, at_spots, may_be_alone, several
-from khep_twin.scale.tasks import Moment, Observation, Task, find
+from khep_twin.scale.tasks import TOP_SPEED, Moment, Observation, Task, find
 
 PERIOD_NS = 50_000_000
 """Of the controller, unless told otherwise [ns]."""
 
 _ENCODERS = (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER)
+
+
+def cut(action: Any) -> tuple[float, float]:
+    """An action as the speeds of left and right wheel, cut at the top speed [pulses/10 ms].
+
+    Raises:
+        ValueError: it is not two numbers.
+    """
+    try:
+        left, right = np.clip(np.asarray(action, np.float64), -TOP_SPEED, TOP_SPEED).tolist()
+        return float(left), float(right)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"action {action!r}: right are two speeds, left and right, from {-TOP_SPEED:g} to {TOP_SPEED:g}"
+        ) from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +106,11 @@ class Course:
         self.playpen = several(given if isinstance(given, Playpen) else load(given), robots)
         self.noise, self.spread, self.period_ns = noise, spread, period_ns
         self.seconds = self.task.seconds if seconds is None else seconds
+        if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
+            raise ValueError(
+                f"seconds = {self.seconds}: right are one or more whole control periods of "
+                f"{period_ns / 1e6:g} ms"
+            )
         self.n_steps = n_steps(to_ns(self.seconds), period_ns)
         self.goal = _place_of(self.playpen, self.task.goal) if self.task.goal else (0.0, 0.0)
         self._compiled = compiled

@@ -2,6 +2,7 @@
 
 import builtins
 import importlib
+import math
 import re
 import sys
 import warnings
@@ -16,7 +17,7 @@ from khep_twin.playpen import Spot
 from khep_twin.playpen import load as load_playpen
 from khep_twin.scale import pair
 from khep_twin.scale.tasks import TASKS
-from khep_twin.scale.trial import Course, Trial
+from khep_twin.scale.trial import Course, Trial, cut
 from khep_twin.scale.view import MapWarning, Painter
 
 SHORT = {"seconds": 0.5, "compiled": False}
@@ -231,6 +232,32 @@ def test_an_agent_without_an_action_is_named() -> None:
     environment.reset(seed=1)
     with pytest.raises(KhepTwinError, match="no action for khepera1"):
         environment.step({"khepera0": np.zeros(2, np.float32)})
+
+
+# Mistakes -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, math.nan, math.inf, 0.06])
+def test_a_trial_lasts_whole_control_periods(seconds: float) -> None:
+    with pytest.raises(
+        ValueError, match=r"seconds = .*: right are one or more whole control periods of 50 ms"
+    ):
+        Course("ObstacleAvoidance", seconds=seconds)
+
+
+@pytest.mark.parametrize("action", [[1.0], [1.0, 2.0, 3.0], 5.0, "ab", None])
+def test_an_action_that_is_not_two_speeds_is_told_in_a_line(action: Any) -> None:
+    with pytest.raises(ValueError, match=r"action .*: right are two speeds, left and right, from -20 to 20"):
+        cut(action)
+
+
+def test_as_many_actions_as_environments_are_wanted() -> None:
+    environments = gyms(3)
+    environments.reset(seed=1)
+    for count in (2, 4):
+        with pytest.raises(ValueError, match=rf"actions of shape \({count}, 2\); right is \(3, 2\)"):
+            environments.step(np.zeros((count, 2), np.float32))
+    environments.close()
 
 
 # Pictures and extras ------------------------------------------------------------------------------------

@@ -146,9 +146,10 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None
         swept(tmp_path, STUDY, resume=True)
 
 
-def test_a_sweep_that_came_to_nothing_is_begun_anew_when_its_program_is_mended(tmp_path: Path) -> None:
-    with pytest.raises(KhepTwinError, match="stopped"):
-        swept(tmp_path, STUDY, doers=Counted(stop_before=0))
+def test_a_sweep_that_came_to_nothing_is_begun_anew_as_it_is_or_mended(tmp_path: Path) -> None:
+    for text in (STUDY, STUDY, STUDY + MORE):
+        with pytest.raises(KhepTwinError, match="stopped"):
+            swept(tmp_path, text, doers=Counted(stop_before=0))
     assert pq.read_table(swept(tmp_path)).num_rows == 24
 
 
