@@ -20,6 +20,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from operator import index
+from threading import Lock
 from typing import Any
 
 import mujoco
@@ -95,6 +96,7 @@ class Light:
         self.bulbs: Bulbs = bulbs(SightLines(model, _PREFIX, self._lamps.positions), playpen.lighting)
         self._first = list(self._lamps.powers)
         self._rows: list[list[float]] = []
+        self._turn = Lock()
 
     def at_start(self) -> list[list[float]]:
         """Powers before the first step (1, n_lamps) [W]."""
@@ -104,9 +106,11 @@ class Light:
         """Powers after each of some steps, or one row if nothing changes them (n, n_lamps) [W]."""
         if self._lamps.steady:
             return [self._first]
-        while len(self._rows) < first + count:
-            self._lamps.update((len(self._rows) + 1) * self._step_ns, ())
-            self._rows.append(list(self._lamps.powers))
+        # Environments in threads share the ground, and so its light.
+        with self._turn:
+            while len(self._rows) < first + count:
+                self._lamps.update((len(self._rows) + 1) * self._step_ns, ())
+                self._rows.append(list(self._lamps.powers))
         return self._rows[first : first + count]
 
 

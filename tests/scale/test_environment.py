@@ -175,6 +175,27 @@ def test_many_in_threads_are_the_same_as_one_after_another(threads: int) -> None
     each.close()
 
 
+def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
+    place = load_playpen("light-seeking")
+    lamps = tuple(lamp.model_copy(update={"blink_period_s": 0.3, "fade_s": 0.07}) for lamp in place.lamps)
+    blinking = place.model_copy(update={"lamps": lamps})
+
+    def seen(threads: int) -> list[Any]:
+        environments = gyms(4, task="LightSeeking", playpen=blinking, threads=threads, seconds=2.0)
+        environments.reset(seed=1)
+        found = [environments.step(action)[0] for action in actions(40, 4)]
+        environments.close()
+        return found
+
+    alone, usual = seen(1), sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)  # threads take turns all the time
+    try:
+        together = seen(4)
+    finally:
+        sys.setswitchinterval(usual)
+    assert all((one == other).all() for one, other in zip(alone, together, strict=True))
+
+
 def test_gymnasium_and_dm_env_are_the_same_trial() -> None:
     environment = dm("Homing", seed=3)
     first = environment.reset()
