@@ -39,7 +39,7 @@ from khep_twin.playpen_to_mjcf import set_step, to_spec
 from khep_twin.randomness import stream
 from khep_twin.rom import DEMO, ROMS
 from khep_twin.scale import episode
-from khep_twin.scale.minds import Driver, Floats, Hold, mind_of
+from khep_twin.scale.minds import Driver, Floats, Function, Hold, mind_of
 from khep_twin.scale.mujoco_room import MujocoRoom, Start, places
 from khep_twin.scale.planar import Outline, PlanarRoom, as_record
 from khep_twin.sensors import proximity_optics
@@ -232,6 +232,7 @@ class Life:
         self._chance: list[np.random.Generator] = []
         self._seed = 0
         self._light = ground.light
+        self._begun = False
 
     def begin(
         self,
@@ -290,6 +291,7 @@ class Life:
         )
         weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
         self._mind = mind_of(driver, weights, place, self._compiled)
+        self._begun = True
         if isinstance(driver, Hold) and (driver.left or driver.right):
             self.drive(driver.left, driver.right)
         self._room.advance(self._body, self._mind, self._span(self._light.at_start(), units.N_SENSORS, 1), -1)
@@ -332,7 +334,7 @@ class Life:
         """Lets it go on for a time [s], in whole control periods.
 
         Raises:
-            ValueError: the time is no whole number of control periods.
+            ValueError: the time is no whole number of control periods, or no life has begun.
             DivergedError: the physics left its bounds, or the controller gave what is no number.
         """
         steps = self._ground.periods(seconds) * self._ground.wiring.steps_per_period
@@ -343,6 +345,7 @@ class Life:
 
     def go_on(self, steps: int) -> None:
         """Lets it go on for some steps; errors as for `live`."""
+        self._insist()
         wiring = self._ground.wiring
         feeds = steps // wiring.steps_per_feed + 1
         span = self._span(self._light.during(self.steps, steps), steps * wiring.conversions, feeds)
@@ -355,12 +358,14 @@ class Life:
         Raises:
             DivergedError: a speed is no number.
         """
+        self._insist()
         if self._state[episode.POWERED] and not episode.drive(self.registers.data, left, right):
             self._state[episode.TROUBLE] = episode.NO_SPEED
             self._complain()
 
     def numbers(self) -> dict[str, float]:
         """What it is measured by up to now (`NUMBERS`); homing is not a number without a home."""
+        self._insist()
         sums = self._mind.sums
         periods = max(float(sums[episode.PERIODS]), 1.0)
         means = [
@@ -371,6 +376,11 @@ class Life:
             means[2] = math.nan
         ways = [float(sums[each]) for each in (episode.WAY, episode.FORWARD)]
         return dict(zip(NUMBERS, [*means, *ways], strict=True))
+
+    def _insist(self) -> None:
+        """Refuses what only a life that has begun can do."""
+        if not self._begun:
+            raise ValueError("no life has begun; right is begin() first")
 
     def _span(self, powers: list[list[float]], conversions: int, feeds: int) -> episode.Span:
         """Chance and supply of the next steps."""
@@ -404,6 +414,8 @@ class Life:
             reason = f"MuJoCo warns of {self._room.warning}"
         elif trouble == episode.NO_SPEED:
             reason = "the controller gave a speed that is no number"
+            if isinstance(self._driver, Function):
+                reason += ", or raised an error"
         raise DivergedError(
             f"the life of seed {self._seed} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: {reason}"
         )

@@ -177,6 +177,9 @@ def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_l
         decide = numba.njit(beyond)  # pyright: ignore
     lives = rollout(SCENE, Function(decide), range(2), 0.04, compiled=True)
     assert [failure.step for failure in lives.failures] == [0, 0]
+    assert lives.failures[0].reason.endswith(
+        "the controller gave a speed that is no number, or raised an error"
+    )
 
 
 @pytest.mark.parametrize(

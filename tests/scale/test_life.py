@@ -272,3 +272,10 @@ def test_the_demo_of_the_rom_drives_by_itself() -> None:
     assert life.registers[LEFT + Wheel.POSITION] > 100
     assert life.registers[Board.SCAN] == 0
     assert (life.registers[AMBIENT] > 0).all()
+
+
+def test_a_life_that_has_not_begun_says_so() -> None:
+    life = Life(Ground(arena()), Wander(), compiled=False)
+    for deed in (lambda: life.live(0.02), life.numbers, lambda: life.drive(1, 1)):
+        with pytest.raises(ValueError, match=r"no life has begun; right is begin\(\) first"):
+            deed()
