@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import threading
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,7 +28,8 @@ def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
     for note in folder.glob(f"*{_ENDING}"):
         if not _is_held(note):
             note.unlink(missing_ok=True)
-    note = folder / f"{os.getpid()}{_ENDING}"
+    # By its thread: a page whose last twin still hangs serves the next one, too.
+    note = folder / f"{threading.get_native_id()}{_ENDING}"
     lines = [path if "://" in path else os.path.abspath(path) for path in paths]
     try:
         file = note.open("w", encoding="utf-8", errors="surrogateescape")

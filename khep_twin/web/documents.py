@@ -16,7 +16,7 @@ from khep_twin import toml_files
 from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.files import unusable, write_whole
 from khep_twin.toml_files import SIZE_LIMIT
-from khep_twin.web.drafts import Draft, draft_of, text_of
+from khep_twin.web.drafts import Draft, draft_of, object_of, text_of
 
 UNNAMED = "unnamed.toml"
 """Under this name lies the draft of what has no file yet."""
@@ -64,6 +64,13 @@ class Documents:
             raise OutsideError(f"{name}: leads out of the folder that the designer was started in")
         if found.suffix not in endings or wanted.name.startswith("."):
             raise PlaypenError(f"{name}: right is a name that ends in {' or '.join(endings)}")
+        try:
+            # To open a pipe would wait for ever.
+            odd = found.suffix and found.exists() and not found.is_file()
+        except OSError as error:  # such as a name that is too long
+            raise PlaypenError(f"{name}: {error.strerror}") from error
+        if odd:
+            raise PlaypenError(f"{name}: this is no regular file; right is the name of a file")
         return found
 
     def names(self, ending: str = ".toml") -> list[str]:
@@ -170,15 +177,20 @@ class Documents:
     def left(self, name: str | None) -> Draft | None:
         """The draft of a file that was left, if it can be read; of what has no file for None."""
         try:
-            with self._draft_place(name or UNNAMED).open("rb") as file:
-                found = json.loads(file.read(2 * SIZE_LIMIT))
-        except (OSError, ValueError, RecursionError):
+            place = self._draft_place(name or UNNAMED)
+            if not place.is_file():
+                return None
+            with place.open("rb") as file:
+                return object_of(file.read(2 * SIZE_LIMIT))
+        except (OSError, OutsideError):
             return None
-        return found if isinstance(found, dict) else None  # pyright: ignore[reportUnknownVariableType]
 
     def _draft_place(self, name: str) -> Path:
         path = self.path(name, ".toml")
-        return path.with_name(f".{path.name}.draft")
+        place = path.with_name(f".{path.name}.draft")
+        if place.is_symlink():
+            raise OutsideError(f"{place.name}: a link, which may lead out of the folder")
+        return place
 
     def _base(self, base: dict[str, str], there: str | None) -> str | None:
         if "library" in base and base["library"] in playpens.names():

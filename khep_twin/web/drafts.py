@@ -1,5 +1,6 @@
 """What the page works on: a playpen as JSON, which may be wrong for now, and what is wrong with it."""
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +14,16 @@ Draft = dict[str, Any]
 
 BLANK = 'version = 1\nname = "{name}"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
 """A playpen to begin with: the toolbox's four walls [mm]."""
+
+
+def object_of(data: bytes) -> dict[str, Any] | None:
+    """An object of JSON that can be sent on as it is; None for anything else, as for what has NaN."""
+    try:
+        found = json.loads(data)
+        json.dumps(found, ensure_ascii=False, allow_nan=False).encode("utf-8")
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None  # pyright: ignore[reportUnknownVariableType]
 
 
 def draft_of(playpen: Playpen) -> Draft:

@@ -5,10 +5,10 @@ leads out of the folder 403.
 """
 
 import asyncio
-import json
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,7 @@ class Page:
         self._documents, self._file = documents, file
         self._audience = Audience()
         self._actor: Actor | None = None
+        self._changing = threading.Lock()
         self._sensed: SensorRun | None = None
 
     def app(self) -> Starlette:
@@ -213,13 +214,16 @@ class Page:
         self._replace(RobotActor(url, self._audience.tell))
 
     def _replace(self, actor: Actor) -> None:
-        self.close()
-        self._actor = actor
-        actor.begin()
+        # Two that come at once would both end the last one only.
+        with self._changing:
+            self.close()
+            self._actor = actor
+            actor.begin()
 
     def _end(self, wanted: Mapping[str, Any]) -> None:
-        self.close()
-        self._actor = None
+        with self._changing:
+            self.close()
+            self._actor = None
 
     def _pace(self, wanted: Mapping[str, Any]) -> None:
         self._twin().set_pace(_speed(wanted), wanted.get("paused") is True)
@@ -264,11 +268,8 @@ def _action(act: Callable[[Any], Any]) -> Callable[[Request], Any]:
     """An endpoint that has JSON and gives JSON."""
 
     async def endpoint(request: Request) -> Response:
-        try:
-            wanted = json.loads(await request.body())
-        except (ValueError, RecursionError):
-            wanted = None
-        if not isinstance(wanted, dict):
+        wanted = drafts.object_of(await request.body())
+        if wanted is None:
             return JSONResponse({"error": "no JSON object"}, 400)
         return await run_in_threadpool(_answered, lambda: act(wanted))
 
@@ -283,6 +284,8 @@ def _answered(act: Callable[[], Any]) -> Response:
         return JSONResponse({"error": str(error)}, 403)
     except ConflictError as error:
         return JSONResponse({"error": str(error), "conflict": True}, 409)
+    except OSError as error:  # such as a name that is too long
+        return JSONResponse({"error": error.strerror or str(error)}, 400)
     except (KhepTwinError, RecursionError, ValueError) as error:
         return JSONResponse({"error": str(error)}, 400)
 

@@ -6,7 +6,7 @@ what it shows is handed to the page, at most 25 times a second.
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +27,9 @@ from khep_twin.web.jobs import Job, Tell
 from khep_twin.web.outside_host import OutsideHost
 from khep_twin.web.paced_twin import PacedSerial, PacedTwin
 
+_PATIENCE = 5.0
+"""How long an actor may take to end [s]."""
+
 _LOOK = 0.08
 """How often a robot at a port is asked for its readings [s]."""
 
@@ -43,7 +46,8 @@ class Actor:
     """
 
     def __init__(self, tell: Tell) -> None:
-        self.tell = tell
+        self._tell = tell
+        self._left = False
         self.job: Job | None = None
         self.part = 0.0
         self._ended = threading.Event()
@@ -74,16 +78,25 @@ class Actor:
         raise NotImplementedError
 
     def end(self) -> None:
-        """Ends it."""
+        """Ends it; what does not end in time is left to itself, and heard no more."""
         self._ended.set()
-        self._thread.join(5)
+        self._thread.join(_PATIENCE)
+        if self.alive:
+            self.tell({"kind": "error", "text": "the program does not end; it is left to itself until it does"})
+            self.tell({"kind": "ended"})
+            self._left = True
+
+    def tell(self, message: Mapping[str, Any]) -> None:
+        """Tells the page something, unless there may be another actor by now."""
+        if not self._left:
+            self._tell(message)
 
     def _run(self) -> None:
         try:
             self._live()
         except KhepTwinError as error:
             self.tell({"kind": "error", "text": str(error)})
-        except Exception as error:  # a fault of ours: told where it can be seen, then as ever
+        except BaseException as error:  # told where it can be seen, then as ever
             self.tell({"kind": "error", "text": f"{type(error).__name__}: {error}"})
             raise
         finally:

@@ -216,3 +216,26 @@ def saved_blocks(folder: Path) -> tuple[Block, ...]:
 def view(visit: Visit) -> list[float]:
     """What of the arena is in view: x, y, width, height [mm]."""
     return [float(number) for number in visit.page.get_attribute("#view", "viewBox").split()]
+
+
+def test_what_is_typed_wrongly_is_told_drawn_somehow_and_left_by_tab(visit: Visit) -> None:
+    page = visit.page
+    visit.add("block", (300, 250))
+    for text in ("", "1e99", "-5", "60"):
+        page.fill("#field-block-length_mm", text)
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.id") == "field-block-width_mm"
+        page.wait_for_selector("#problems.none" if text == "60" else "#problems:not(.none)")
+    page.fill("#field-block-x_mm", "")
+    page.keyboard.press("Tab")
+    page.wait_for_selector("#problems:not(.none)")
+    page.click("#undo")
+    page.click('[data-tab="playpen"]')
+    for text in ("1e99", "1e7", "", "600"):
+        page.fill("#field-arena-width_mm", text)
+        page.keyboard.press("Tab")
+    page.fill("#field-arena-outline_mm", "1, 2")
+    page.keyboard.press("Tab")
+    assert not page.evaluate("document.querySelector('#field-arena-outline_mm').checkValidity()")
+    page.wait_for_selector("#problems.none")
+    assert visit.count(".drawn") == 1

@@ -236,3 +236,34 @@ def tab_to(visit: Visit, selector: str) -> None:
             return
         visit.page.keyboard.press("Tab")
     raise AssertionError(f"{selector} is not reached")
+
+
+def test_another_playpen_is_asked_for_before_the_twin_ends(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    page.click('[data-tab="run"]')
+    page.click("#start")
+    page.wait_for_selector(".live")
+    page.click("#new")
+    page.click("#dialog [value=cancel]")
+    page.click("#open")
+    page.wait_for_selector("text=There are no playpens")
+    assert visit.count(".live") == 1
+    page.click("#new")
+    page.click("#dialog .main")
+    page.wait_for_selector("text=There are changes that are not saved")
+    page.click("#dialog .main")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+
+
+def test_a_twin_that_does_not_come_up_is_not_waited_for(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    page.click('[data-tab="run"]')
+    page.fill("#log", "missing/run.mcap")
+    page.click("#run")
+    page.wait_for_selector("text=cannot be written")
+    page.fill("#log", "")
+    page.click("#run")
+    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    page.click("#end")

@@ -22,6 +22,13 @@ HANDSHAKE = {
     "Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode(),
 }
 
+DRAFT = {
+    "version": 1,
+    "name": "x",
+    "arena": {"width_mm": 600, "height_mm": 500},
+    "robot": [{"x_mm": 300, "y_mm": 250, "heading_deg": 90}],
+}
+
 
 def routes(tmp_path: Path) -> list[tuple[str, str]]:
     """Method and path of each route; GET with a handshake for the websocket."""
@@ -208,3 +215,39 @@ def test_each_server_has_a_token_of_its_own(tmp_path: Path) -> None:
     assert all(len(token) >= 32 for token in tokens)
     for server in servers:
         server.serve(lambda: True)
+
+
+def test_what_cannot_be_sent_on_is_no_object_and_leaves_no_draft(asker: Asker, tmp_path: Path) -> None:
+    for text in (rb'{"draft": {"name": "\ud800"}}', b'{"draft": {"x": NaN}}', b'{"draft": {"x": 1e999}}'):
+        for action in ("check", "keep", "connect", "pace"):
+            status, _ = asker.raw("POST", f"{asker.base}/do/{action}", asker.own(), text)
+            assert status == 400, (action, text)
+    assert not (tmp_path / ".unnamed.toml.draft").exists()
+    (tmp_path / ".unnamed.toml.draft").write_bytes(rb'{"name": "\ud800"}')
+    assert asker.do("hello")[0] == 200
+
+
+def test_a_name_that_is_too_long_is_told(asker: Asker) -> None:
+    for action in ("open", "save", "version", "keep"):
+        status, told = asker.do(action, file="x" * 300 + ".toml", draft=DRAFT)
+        assert (status, "too long" in told["error"]) == (400, True), action
+
+
+def test_a_pipe_is_no_file_and_holds_nobody_up(asker: Asker, tmp_path: Path) -> None:
+    for name in ("pipe.toml", "pipe.mcap", ".mine.toml.draft"):
+        os.mkfifo(tmp_path / name)
+    for action in ("open", "save", "version"):
+        status, told = asker.do(action, file="pipe.toml", draft=DRAFT)
+        assert (status, "no regular file" in told["error"]) == (400, True), action
+    assert "no regular file" in asker.do("start", draft=DRAFT, log="pipe.mcap")[1]["error"]
+    assert asker.do("save", file="mine.toml", draft=DRAFT)[0] == 200
+    assert asker.do("open", file="mine.toml")[0] == 200
+
+
+def test_a_draft_that_is_a_link_is_neither_read_nor_written(asker: Asker, tmp_path: Path) -> None:
+    outside = tmp_path.with_name(f"{tmp_path.name}-outside.json")
+    outside.write_text('{"name": "outside"}')
+    (tmp_path / ".mine.toml.draft").symlink_to(outside)
+    assert asker.do("keep", file="mine.toml", draft=DRAFT)[0] == 403
+    assert Documents(tmp_path).left("mine.toml") is None
+    assert outside.read_text() == '{"name": "outside"}'

@@ -231,3 +231,33 @@ def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, ear: Ear) -> 
     for _ in range(5):
         ear.wait("picture")
     assert time.monotonic() - start >= 4 * 0.04 * 0.99
+
+
+def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_it(
+    ear: Ear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("khep_twin.web.stage._PATIENCE", 0.2)
+    inside, go_on = threading.Event(), threading.Event()
+
+    def hangs(robot: Khepera) -> None:
+        inside.set()
+        go_on.wait(60)
+
+    first, second = (TwinActor(playpens.load("default"), TwinOptions(), None, ear) for _ in range(2))
+    first.begin()
+    ear.wait("twin")
+    first.start(Series("hangs", hangs, Plan(1, cycles=1), None))
+    assert inside.wait(30)
+    first.end()
+    assert "left to itself" in ear.wait("error")["text"]
+    ear.wait("ended")
+    second.begin()
+    ear.wait("twin")
+    go_on.set()
+    second.set_pace(2.0, False)
+    ear.wait("picture", lambda picture: picture["speed"] == 2)
+    while first.alive:
+        time.sleep(0.01)
+    assert "ended" not in [message["kind"] for message in ear.heard]
+    second.end()
+    ear.wait("ended")

@@ -1,6 +1,6 @@
 // The arena as SVG, in mm with y upwards: one group for each thing, placed by its transform.
 
-import { KINDS } from "./model.js";
+import { drawable, KINDS } from "./model.js";
 
 const NS = "http://www.w3.org/2000/svg";
 
@@ -35,9 +35,14 @@ export class Drawing {
   }
 
   fit() {
-    const { width_mm, height_mm, wall_thickness_mm = 10 } = this.model.draft.arena;
+    const { width_mm, height_mm, wall_thickness_mm } = this.#arena();
     const edge = wall_thickness_mm + 28;
     this.look(-edge, -height_mm - edge, width_mm + 2 * edge, height_mm + 2 * edge);
+  }
+
+  #arena() {
+    const { arena } = this.model.draft;
+    return { width_mm: Math.max(drawable(arena.width_mm), 1), height_mm: Math.max(drawable(arena.height_mm), 1), wall_thickness_mm: Math.max(drawable(arena.wall_thickness_mm, 10), 0) };
   }
 
   look(x, y, width, height) {
@@ -125,7 +130,7 @@ export class Drawing {
     this.labels.replaceChildren(
       ...shown.map(([id, text]) => {
         const thing = this.model.at(id);
-        const [x, y] = thing.points_mm ? thing.points_mm[0] : [thing.x_mm, thing.y_mm];
+        const [x, y] = (thing.points_mm ? thing.points_mm[0] : [thing.x_mm, thing.y_mm]).map((each) => drawable(each));
         const words = text.split("\n")[0].replace(/^[^:]*? (overlaps|is outside)/, "$1").split("; right is ");
         const { width_mm } = this.model.draft.arena;
         const end = x > width_mm / 2;
@@ -147,26 +152,27 @@ export class Drawing {
   shape(kind, thing) {
     if (kind === "block")
       return make("g", {}, rectangle(thing.length_mm, thing.width_mm, this.colour(thing.surface)));
-    if (kind === "cylinder") return make("g", {}, make("circle", { r: thing.radius_mm, class: "shape", fill: this.colour(thing.surface) }));
+    if (kind === "cylinder") return make("g", {}, make("circle", { r: Math.max(drawable(thing.radius_mm), 0), class: "shape", fill: this.colour(thing.surface) }));
     if (kind === "patch") {
       const fill = this.colour(thing.surface);
-      const shape = thing.radius_mm === undefined ? rectangle(thing.length_mm, thing.width_mm, fill) : make("circle", { r: thing.radius_mm, class: "shape", fill });
+      const shape = thing.radius_mm === undefined ? rectangle(thing.length_mm, thing.width_mm, fill) : make("circle", { r: Math.max(drawable(thing.radius_mm), 0), class: "shape", fill });
       shape.setAttribute("fill-opacity", "0.55");
       return make("g", {}, shape);
     }
     if (kind === "wall") {
+      const thick = Math.max(drawable(thing.thickness_mm), 0);
       const path = `M${thing.points_mm.map((point) => point.join(" ")).join("L")}${thing.closed ? "Z" : ""}`;
       return make(
         "g",
         {},
-        make("path", { d: path, fill: "none", stroke: "#444", "stroke-width": thing.thickness_mm + 1.5, "stroke-linejoin": "bevel" }),
-        make("path", { d: path, fill: "none", stroke: this.colour(thing.surface), "stroke-width": thing.thickness_mm, "stroke-linejoin": "bevel" }),
+        make("path", { d: path, fill: "none", stroke: "#444", "stroke-width": thick + 1.5, "stroke-linejoin": "bevel" }),
+        make("path", { d: path, fill: "none", stroke: this.colour(thing.surface), "stroke-width": thick, "stroke-linejoin": "bevel" }),
         make("path", { d: path, fill: "none", class: "shape" }),
       );
     }
     if (kind === "lamp") {
       const colour = `rgb(${thing.rgb ?? [255, 217, 77]})`;
-      const glow = 12 + 14 * Math.sqrt(Math.max(thing.power_w, 0) * (thing.dim ?? 1));
+      const glow = 12 + 14 * Math.sqrt(Math.min(Math.max(drawable(thing.power_w), 0) * Math.max(drawable(thing.dim, 1), 0), 1000));
       const rays = make("path", { class: "line", d: [0, 45, 90, 135, 180, 225, 270, 315].map((a) => `M${6.5 * cos(a)} ${6.5 * sin(a)}L${10 * cos(a)} ${10 * sin(a)}`).join("") });
       return make("g", {}, make("circle", { r: glow, class: "glow", fill: colour, "pointer-events": "none" }), rays, make("circle", { r: 5, class: "shape bulb", fill: colour }), make("circle", { r: 12, fill: "transparent" }));
     }
@@ -183,7 +189,8 @@ export class Drawing {
 
   #floor() {
     const { arena } = this.model.draft;
-    const { width_mm: width, height_mm: height, wall_thickness_mm: thick = 10, outline_mm: outline = [] } = arena;
+    const { width_mm: width, height_mm: height, wall_thickness_mm: thick } = this.#arena();
+    const { outline_mm: outline = [] } = arena;
     const corners = outline.length ? outline : [[0, 0], [width, 0], [width, height], [0, height]];
     const path = `M${corners.map((point) => point.join(" ")).join("L")}Z`;
     const step = Math.max(width, height) > 2500 ? 500 : 100;
@@ -209,10 +216,14 @@ export class Drawing {
 
 export function place(node, thing) {
   if (thing.points_mm) return;
-  const turned = thing.heading_deg ?? thing.angle_deg ?? 0;
-  node.setAttribute("transform", `translate(${thing.x_mm} ${thing.y_mm}) rotate(${turned})`);
+  const turned = drawable(thing.heading_deg ?? thing.angle_deg);
+  node.setAttribute("transform", `translate(${drawable(thing.x_mm)} ${drawable(thing.y_mm)}) rotate(${turned})`);
 }
 
-const rectangle = (length, width, fill) => make("rect", { x: -length / 2, y: -width / 2, width: length, height: width, class: "shape", fill });
+function rectangle(length_mm, width_mm, fill) {
+  const [width, height] = [length_mm, width_mm].map((each) => Math.max(drawable(each), 0));
+  return make("rect", { x: -width / 2, y: -height / 2, width, height, class: "shape", fill });
+}
+
 const cos = (degrees) => Math.cos((degrees * Math.PI) / 180);
 const sin = (degrees) => Math.sin((degrees * Math.PI) / 180);

@@ -1,7 +1,7 @@
 // The hand on the drawing: mouse, finger, pen and keys.
 
 import { make } from "./drawing.js";
-import { angle, shift, tidy, turn } from "./model.js";
+import { angle, drawable, shift, tidy, turn } from "./model.js";
 
 const degrees = (x, y) => (Math.atan2(y, x) * 180) / Math.PI;
 
@@ -281,16 +281,16 @@ export class Editor {
       over.append(...thing.points_mm.map(([x, y], index) => handle(`point${index}`, x, y)));
       return;
     }
-    const { x_mm: x, y_mm: y } = thing;
-    const turned = ((thing.heading_deg ?? thing.angle_deg ?? 0) * Math.PI) / 180;
+    const [x, y, length, width, radius] = ["x_mm", "y_mm", "length_mm", "width_mm", "radius_mm"].map((key) => drawable(thing[key]));
+    const turned = (drawable(thing.heading_deg ?? thing.angle_deg) * Math.PI) / 180;
     const at = (along, across) => [x + along * Math.cos(turned) - across * Math.sin(turned), y + along * Math.sin(turned) + across * Math.cos(turned)];
     if (thing.length_mm !== undefined || "heading_deg" in thing) {
-      const reach = (thing.length_mm ?? 56) / 2 + 24 * pixel;
+      const reach = (length || 56) / 2 + 24 * pixel;
       const [hx, hy] = at(reach, 0);
       over.append(make("path", { d: `M${x} ${y}L${hx} ${hy}`, class: "marquee" }), handle("turn", hx, hy));
     }
-    if (thing.length_mm !== undefined) over.append(handle("size", ...at(thing.length_mm / 2, thing.width_mm / 2)));
-    else if (thing.radius_mm !== undefined) over.append(handle("size", x + thing.radius_mm, y));
+    if (thing.length_mm !== undefined) over.append(handle("size", ...at(length / 2, width / 2)));
+    else if (thing.radius_mm !== undefined) over.append(handle("size", x + radius, y));
   }
 
   key(event) {

@@ -21,6 +21,7 @@ const PARTS = [
 ];
 const TEXTS = new Set(["name", "surface", "model", "calibration", "rom", "mode"]);
 const LISTS = new Set(["points_mm", "outline_mm", "rgb", "on_s", "turrets", "spots"]);
+const PLACES = new Set(["points_mm", "outline_mm"]);
 const WORDS = { mm: "mm", deg: "°", w: "W", g: "g", s: "s", min: "min" };
 
 export class Fields {
@@ -34,6 +35,8 @@ export class Fields {
   }
 
   show() {
+    // What was typed into stays: Tab goes on to the field after it.
+    if (this.taking) return this.fresh(true);
     const { model } = this;
     const ids = [...model.selected];
     this.bound = [];
@@ -59,9 +62,18 @@ export class Fields {
   }
 
   // Numbers only, while something is dragged.
-  fresh() {
-    for (const { input, key, things } of this.bound ?? [])
-      if (input !== document.activeElement && input.type === "number") input.value = common(things, key) ?? "";
+  fresh(all = false) {
+    for (const { input, key, things } of this.bound ?? []) {
+      const value = common(things, key);
+      if (input.type === "number" ? all || input !== document.activeElement : all && TEXTS.has(key)) input.value = value ?? "";
+      else if (all && LISTS.has(key)) input.value = listed(value);
+    }
+  }
+
+  #commit() {
+    this.taking = true;
+    this.model.commit();
+    this.taking = false;
   }
 
   #grid(keys, things, kind) {
@@ -94,7 +106,7 @@ export class Fields {
       input.type = "checkbox";
       input.checked = value === true;
     } else if (LISTS.has(key) || TEXTS.has(key) && !(kind === "robot" && key === "mode")) {
-      input.value = value === undefined ? "" : LISTS.has(key) ? JSON.stringify(value).slice(1, -1) : value;
+      input.value = LISTS.has(key) ? listed(value) : value ?? "";
       if (LISTS.has(key)) input.title = key === "turrets" || key === "spots" ? 'names, such as "gripper"' : "numbers, such as [0, 0], [600, 0]";
     } else {
       input.type = "number";
@@ -113,10 +125,13 @@ export class Fields {
       try {
         value = input.value.trim() ? JSON.parse(`[${input.value}]`) : undefined;
       } catch {
-        input.setCustomValidity("right are values with commas between them");
-        input.reportValidity();
-        return;
+        return wrong(input, "right are values with commas between them");
       }
+      // Drawn as it is typed, so it has to have corners.
+      if (PLACES.has(key) && !(value ?? []).every((at) => at?.length === 2 && at.every?.((each) => Math.abs(each) <= 1e5 && typeof each === "number")))
+        return wrong(input, "right are places, such as [0, 0], [600, 0]");
+      if (key === "points_mm" && !(value?.length > 1)) return wrong(input, "right are two places and more, such as [0, 0], [600, 0]");
+      input.setCustomValidity("");
     } else value = input.value || undefined;
     for (const thing of things) {
       if (value === undefined) delete thing[key];
@@ -126,7 +141,7 @@ export class Fields {
         thing.rom = value === "khepera2" ? "khepera2" : "5.02";
       }
     }
-    this.model.commit();
+    this.#commit();
   }
 
   #surfaces() {
@@ -142,13 +157,13 @@ export class Fields {
       reflects.setAttribute("aria-label", `reflectance of ${name}`);
       reflects.addEventListener("change", () => {
         surface.reflectance = reflects.valueAsNumber;
-        this.model.commit();
+        this.#commit();
       });
       const colour = Object.assign(document.createElement("input"), { type: "color", value: `#${surface.rgb.map((part) => part.toString(16).padStart(2, "0")).join("")}` });
       colour.setAttribute("aria-label", `colour of ${name}`);
       colour.addEventListener("change", () => {
         surface.rgb = [1, 3, 5].map((at) => parseInt(colour.value.slice(at, at + 2), 16));
-        this.model.commit();
+        this.#commit();
       });
       const away = Object.assign(document.createElement("button"), { textContent: "Remove" });
       away.addEventListener("click", () => {
@@ -169,6 +184,13 @@ export class Fields {
     set.append(add);
     return set;
   }
+}
+
+const listed = (value) => (value === undefined ? "" : JSON.stringify(value).slice(1, -1));
+
+function wrong(input, text) {
+  input.setCustomValidity(text);
+  input.reportValidity();
 }
 
 function common(things, key) {

@@ -89,10 +89,10 @@ async function choose(title, names, empty) {
 
 // What is not saved stays as a draft, and can be had back by undo of nothing: ask before it goes.
 async function mayLeave() {
-  if (running.active && !running.real) await post("end");
-  if (!model.changed) return true;
   const text = Object.assign(document.createElement("p"), { textContent: "There are changes that are not saved." });
-  return ask("Leave this playpen?", text, "Discard them");
+  if (model.changed && !(await ask("Leave this playpen?", text, "Discard them"))) return false;
+  if (running.active && !running.real) await post("end");
+  return true;
 }
 
 function show(found, base) {
@@ -292,9 +292,8 @@ function press(id, act) {
 
 const drawn = (act) => () => (running.active && !running.real ? banner("A twin runs in this drawing; right is to end it first.") : act());
 press("new", async () => {
-  if (!(await mayLeave())) return;
   const name = await choose("New from the library", hello.library);
-  if (name) {
+  if (name && (await mayLeave())) {
     await post("keep", { file: model.file, draft: null });
     show(await post("library", { name }), { library: name });
   }
@@ -378,7 +377,7 @@ hello = await post("hello");
 drawing.surfaces = hello.surfaces;
 drawing.shapes = hello.shapes;
 new Fields(model, hello.surfaces);
-const last = decodeURIComponent(location.hash.slice(1));
+const last = await attempt(() => decodeURIComponent(location.hash.slice(1)));
 const found = (last && last !== hello.file && (await attempt(() => post("open", { file: last })))) || hello;
 show(found, found.version ? { file: found.file } : {});
 if (hello.trouble) banner(hello.trouble, "error");

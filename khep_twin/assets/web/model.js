@@ -145,8 +145,8 @@ export class Model extends EventTarget {
 export function shift(thing, dx, dy) {
   if (thing.points_mm) thing.points_mm = thing.points_mm.map(([x, y]) => [tidy(x + dx), tidy(y + dy)]);
   else {
-    thing.x_mm = tidy(thing.x_mm + dx);
-    thing.y_mm = tidy(thing.y_mm + dy);
+    thing.x_mm = tidy(drawable(thing.x_mm) + dx);
+    thing.y_mm = tidy(drawable(thing.y_mm) + dy);
   }
 }
 
@@ -159,4 +159,6 @@ export const angle = (degrees) => {
   const turned = ((degrees % 360) + 360) % 360;
   return tidy(turned > 180 ? turned - 360 : turned);
 };
+// What is typed may be no number yet, or a monstrous one: what it is drawn as meanwhile.
+export const drawable = (value, otherwise = 0) => (Number.isFinite(value) ? Math.min(Math.max(value, -1e5), 1e5) : otherwise);
 export const tidy = (value) => Math.round(value * 100) / 100;

@@ -74,7 +74,7 @@ export class Running {
   }
 
   async start() {
-    this.paused = false;
+    this.paused = this.failed = false;
     await post("start", { draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
   }
 
@@ -95,7 +95,7 @@ export class Running {
 
   async #run() {
     if (!this.active) await this.start();
-    await this.#there();
+    if (!(await this.#there())) return;
     $("#runs-done tbody").replaceChildren();
     $("#part").value = 0;
     await post("run", { controller: $("#controller").value, cycles: number("#cycles"), seconds: number("#seconds"), runs: number("#runs") ?? 1, pause: number("#between") ?? 0, folder: $("#keep").value || null });
@@ -105,7 +105,7 @@ export class Running {
 
   async #gather() {
     if (!this.active) await this.start();
-    await this.#there();
+    if (!(await this.#there())) return;
     await post("sense", { what: $("#what").value, motion: $("#motion").value, amount: number("#amount"), speed: number("#sense-speed"), acceleration: number("#sense-acceleration"), return: $("#return").checked, text: $("#text").value });
     this.busy = true;
     this.#buttons();
@@ -120,9 +120,10 @@ export class Running {
     picture.hidden = false;
   }
 
-  // Until the twin is there: a large playpen takes a moment.
+  // Waits until the twin is there, as a large playpen takes a moment; or is not, for a reason that was told.
   async #there() {
-    for (let tries = 0; tries < 300 && !this.active; tries++) await new Promise((done) => setTimeout(done, 100));
+    for (let tries = 0; tries < 300 && !this.active && !this.failed; tries++) await new Promise((done) => setTimeout(done, 100));
+    return this.active;
   }
 
   hear(message) {
@@ -234,7 +235,7 @@ export class Running {
   }
 
   #ended() {
-    Object.assign(this, { active: false, busy: false, real: false, paused: false, nodes: null });
+    Object.assign(this, { active: false, busy: false, real: false, paused: false, nodes: null, failed: true });
     for (const part of [this.drawing.svg, $("#arena")]) part.classList.remove("running");
     this.drawing.live.replaceChildren();
     this.drawing.all();
