@@ -82,7 +82,7 @@ class Actor:
         self._ended.set()
         self._thread.join(_PATIENCE)
         if self.alive:
-            self.tell({"kind": "error", "text": "the program does not end; it is left to itself until it does"})
+            self.tell({"kind": "error", "text": "the program does not end; it is left to itself"})
             self.tell({"kind": "ended"})
             self._left = True
 

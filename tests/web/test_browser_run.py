@@ -262,7 +262,7 @@ def test_a_twin_that_does_not_come_up_is_not_waited_for(visit: Visit) -> None:
     page.click('[data-tab="run"]')
     page.fill("#log", "missing/run.mcap")
     page.click("#run")
-    page.wait_for_selector("text=cannot be written")
+    page.wait_for_selector(".banner.error >> text=missing")
     page.fill("#log", "")
     page.click("#run")
     visit.wait("document.querySelector('#clock').textContent.includes('driven')")
