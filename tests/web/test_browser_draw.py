@@ -239,3 +239,21 @@ def test_what_is_typed_wrongly_is_told_drawn_somehow_and_left_by_tab(visit: Visi
     assert not page.evaluate("document.querySelector('#field-arena-outline_mm').checkValidity()")
     page.wait_for_selector("#problems.none")
     assert visit.count(".drawn") == 1
+
+
+def test_a_file_that_cannot_be_opened_leaves_the_draft_of_the_last(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    visit.save_as("mine.toml")
+    visit.add("block", (300, 250))
+    (tmp_path / "broken.toml").write_text("x = [1")
+    draft = tmp_path / ".mine.toml.draft"
+    while not draft.exists():
+        page.wait_for_timeout(50)
+    page.click("#open")
+    page.select_option("#dialog select", "broken.toml")
+    page.click("#dialog .main")
+    page.wait_for_selector("text=There are changes that are not saved")
+    page.click("#dialog .main")
+    page.wait_for_selector("text=not TOML")
+    assert draft.exists()
+    visit.trouble.clear()  # the answer 400

@@ -109,10 +109,11 @@ function remember() {
 
 async function openFile(name) {
   if (!name || !(await mayLeave())) return;
-  await post("keep", { file: model.file, draft: null });
   const found = await post("open", { file: name });
+  await post("keep", { file: model.file, draft: null });
+  const left = name === model.file ? null : found.left;
   show(found, { file: name });
-  offer(found.left);
+  offer(left);
 }
 
 function offer(left) {
@@ -173,7 +174,8 @@ async function take(file) {
 }
 
 async function preview() {
-  const blob = await post("preview", { draft: model.draft });
+  const made = banner("The scene is being compiled and drawn.");
+  const blob = await post("preview", { draft: model.draft }).finally(made);
   const picture = Object.assign(document.createElement("img"), { src: URL.createObjectURL(blob), alt: "The compiled scene in perspective" });
   await ask("The compiled scene", picture, "Close");
   URL.revokeObjectURL(picture.src);
