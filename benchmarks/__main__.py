@@ -16,15 +16,15 @@ from tempfile import TemporaryDirectory
 
 from benchmarks import growth, peers, record
 from benchmarks.ports import line_row, trip_rows
-from benchmarks.scale import POLICY, bare_row, batch_row, life_row, world_row
+from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, life_row, world_row
 from benchmarks.table import LEGEND, Table, measure, text
 from khep_twin import playpen, units
 from khep_twin.errors import KhepTwinError
 from khep_twin.scale.life import Ground
 
 PLAYPEN = "obstacles"
-PEERS = ("default", "looping-maze")
-"""Playpens of walls alone, which Kheperax can have too."""
+PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
+"""Where Kheperax is, too."""
 
 
 def main_job(part: float, rounds: int) -> Table:
@@ -49,23 +49,29 @@ def main_job(part: float, rounds: int) -> Table:
 
 
 def beside_kheperax(name: str, part: float, rounds: int, python: str | None, found: dict[str, str]) -> Table:
-    """Lives in a playpen of walls, and Kheperax in the same one.
+    """Lives in MuJoCo and in a plane, and Kheperax in the same playpen.
 
     Args:
-        name: of the playpen.
+        name: of the playpen, or of what stands in it.
         part: of the usual length.
         rounds: that count.
         python: with Kheperax; None where there is none.
         found: is filled with its versions.
     """
-    scene, seconds, lives = playpen.load(name), max(round(20 * part), 1), 32 if part >= 1 else 8
+    scene = growth.twenty_blocks() if name == growth.TWENTY_BLOCKS else playpen.load(name)
+    seconds, lives = max(round(20 * part), 1), 32 if part >= 1 else 8
     fine, coarse = Ground(scene), Ground(scene, step_ns=4 * units.STEP_NS)
+    plane, long_s = Ground(scene, planar=True), 60 * part
     rows = [
         bare_row("bare mj_step, rangefinders (floor)", fine, seconds),
         life_row("life, steps of 2.5 ms", fine, seconds),
         life_row("life, steps of 10 ms", coarse, seconds),
         batch_row("batch, 2 threads, 2.5 ms", fine, lives, 4 * part, 2),
         batch_row("batch, 2 threads, 10 ms", coarse, lives, 4 * part, 2),
+        batch_row("plane, ROM's vehicle, 1 thread", plane, lives, long_s, 1),
+        batch_row("plane, ROM's vehicle, 2 threads", plane, lives, long_s, 2),
+        batch_row("plane, networks, 1 thread", plane, lives, long_s, 1, NETWORK),
+        batch_row("plane, networks, 2 threads", plane, lives, long_s, 2, NETWORK),
     ]
     with ExitStack() as stack:
         if python is not None:

@@ -25,6 +25,8 @@ ROBOTS = (1, 2, 8)
 RAYS = (1, 3, 9, 27)
 LIVES = (32, 128, 1024)
 
+TWENTY_BLOCKS = "twenty blocks"
+
 PLACE_MM = 150.0
 """Each block has a square of this side to itself [mm]: of 60 x 25 mm, it leaves a robot room on all sides."""
 
@@ -60,6 +62,11 @@ def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
     return Playpen.model_validate(
         {"version": 1, "name": "field", "arena": arena, "block": blocks, "robot": robots}
     )
+
+
+def twenty_blocks() -> Playpen:
+    """Twenty of them in 900 x 900 mm: wherever the robot goes, there is one."""
+    return field(20, places=6)
 
 
 @contextmanager

@@ -6,13 +6,14 @@ further line, "ROBOTS STEPS", is one measurement: so many robots at once take so
 `wall` and `cpu` [s], the latter of all threads, the mean `way_mm` of a robot's centre, and how many robots
 are `stuck` at the end, for Kheperax holds a robot that has touched a wall for ever.
 
-The same as in khep_twin: the arena's size and walls, the body's radius, eight sensors at the calibration's
-headings, the control period, speeds in pulses per 10 ms, and the ROM's rule, speed = counts x weights / 400
-+ 10. Not the same: Kheperax has no physics, motors, firmware, noise or lamps; a wheel's way of 20 ms is laid
-along an arc at once, with a wheel base as wide as the body; walls have no thickness; a sensor is one laser
-from the robot's centre to its reach, and what the rule takes for counts falls linearly with its length, from
-1023 at the body's edge to 0 at the reach; numbers have 32 bits. It draws random numbers and looks for walls
-at its bumpers in each step, though nothing here asks for either.
+The same as in khep_twin: the arena's size, walls and blocks, the body's radius, eight sensors at the
+calibration's headings, the control period, speeds in pulses per 10 ms, and the ROM's rule, speed = counts x
+weights / 400 + 10. Not the same: Kheperax has no physics, motors, firmware, noise or lamps; a wheel's way of
+20 ms is laid along an arc at once, with a wheel base as wide as the body; walls have no thickness, a cylinder
+has twelve sides, nothing has a height; a sensor is one laser from the robot's centre to its reach, and what
+the rule takes for counts falls linearly with its length, from 1023 at the body's edge to 0 at the reach;
+numbers have 32 bits. It draws random numbers and looks for walls at its bumpers in each step, though nothing
+here asks for either.
 """
 
 import json

@@ -19,10 +19,14 @@ from benchmarks.scale import generation
 from benchmarks.table import Row, Taken
 from khep_twin import calibration, kernel, units
 from khep_twin.errors import KhepTwinError
+from khep_twin.footprint import Circle, Footprint
 from khep_twin.playpen import Playpen
 
 REACH_MM = 50.0
 """Beyond the body, how far Kheperax's lasers see: about as far as the sensors do [mm]."""
+
+N_SIDES = 12
+"""Of a cylinder in Kheperax, which knows nothing round; the corners are on the circle."""
 
 VARIABLE = "KHEP_TWIN_KHEPERAX"
 
@@ -51,7 +55,7 @@ class Kheperax(AbstractContextManager["Kheperax"]):
 
     Args:
         python: that can import it.
-        playpen: with one robot; its blocks and cylinders are left out, its walls have no thickness.
+        playpen: with one robot; its walls have no thickness, and a cylinder has `N_SIDES` sides.
 
     Attributes:
         versions: of Kheperax and jax.
@@ -103,6 +107,7 @@ def scene(playpen: Playpen) -> dict[str, Any]:
     robot, arena = playpen.robots[0], playpen.arena
     lines = [_edges(arena.outline_mm, True)] if arena.outline_mm else []
     lines += [_edges(wall.points_mm, wall.closed) for wall in playpen.walls]
+    lines += [_edges(corners(thing.footprint), True) for thing in (*playpen.blocks, *playpen.cylinders)]
     headings = calibration.read(robot.calibration)[0].heading_deg
     return {
         "width_mm": arena.width_mm,
@@ -118,6 +123,21 @@ def scene(playpen: Playpen) -> dict[str, Any]:
         "speed": kernel.DEMO_SPEED_PULSES,
         "top_speed": 127,
     }
+
+
+def corners(shape: Footprint) -> list[tuple[float, float]]:
+    """Corners of what a thing covers, of a disc those of `N_SIDES` sides [mm]."""
+    if isinstance(shape, Circle):
+        angles = [2 * math.pi * side / N_SIDES for side in range(N_SIDES)]
+        offsets = [(shape.radius_mm * math.cos(angle), shape.radius_mm * math.sin(angle)) for angle in angles]
+    else:
+        (c, s), _ = shape.axes()
+        halves = [(along * shape.length_mm / 2, across * shape.width_mm / 2) for along, across in _AROUND]
+        offsets = [(along * c - across * s, along * s + across * c) for along, across in halves]
+    return [(shape.x_mm + aside, shape.y_mm + ahead) for aside, ahead in offsets]
+
+
+_AROUND = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 
 def _edges(points: Sequence[tuple[float, float]], closed: bool) -> list[tuple[float, ...]]:

@@ -8,13 +8,14 @@ the vehicle had. A second floor has no sensors at all.
 import sys
 
 import mujoco
+import numpy as np
 
 from benchmarks.table import LEGEND, Row, measure, text, timed
 from khep_twin import kernel, playpen, units
 from khep_twin.playpen import Playpen
 from khep_twin.scale.batch import rollout
 from khep_twin.scale.life import Ground, Life
-from khep_twin.scale.minds import Driver, Policy, Wander
+from khep_twin.scale.minds import Driver, Floats, Network, Policy, Wander
 from khep_twin.world import World
 
 PLAYPENS = ("default", "obstacles", "looping-maze")
@@ -78,13 +79,24 @@ def world_row(name: str, scene: Playpen, seconds: float) -> Row:
 def batch_row(
     name: str, ground: Ground, lives: int, life_s: float, threads: int, driver: Driver | None = None
 ) -> Row:
-    """A batch of lives."""
+    """A batch of lives, each with its own genes where the driver is a network."""
+    genes = random_genes(lives) if isinstance(driver, Network) else None
     return Row(
         name,
         lives * life_s,
-        timed(lambda: rollout(ground, driver or Wander(), range(lives), life_s, threads=threads)),
+        timed(
+            lambda: rollout(ground, driver or Wander(), range(lives), life_s, genes=genes, threads=threads)
+        ),
         generation,
     )
+
+
+NETWORK = Network(hidden=(5,), recurrent=True)
+
+
+def random_genes(count: int) -> Floats:
+    """Of so many networks (count, n_genes)."""
+    return np.random.default_rng(7).normal(scale=1.5, size=(count, NETWORK.n_genes))
 
 
 def generation(rate: float) -> str:

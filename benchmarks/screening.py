@@ -1,36 +1,32 @@
-"""How far lives in a plane are from those in MuJoCo, and how much faster: `python -m benchmarks.screening`.
+"""How far lives in a plane are from those in MuJoCo: `python -m benchmarks.screening`.
 
-Three tables. Ways: the same life in both, without noise, as the median and the largest of some; with speeds
-that are commanded by a list, whatever is in the way, and with the ROM's vehicle and networks, which steer by
-what they see, so that any difference grows. Ranks: Spearman's correlation of a measure over random networks
-between both, and, as what could be hoped for, between MuJoCo's own lives with other seeds. Speeds: in
-processor time, one thread, interleaved.
+Two tables; how much faster they are is in that of `python -m benchmarks`. Ways: the same life in both,
+without noise, as the median and the largest of some; with speeds that are commanded by a list, whatever is in
+the way, and with the ROM's vehicle and networks, which steer by what they see, so that any difference grows.
+Ranks: Spearman's correlation of a measure over random networks between both, and, as what could be hoped for,
+between MuJoCo's own lives with other seeds.
 """
 
 import argparse
-import statistics
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks.scale import bare_loop
-from khep_twin import playpen, units
-from khep_twin.obstacle_field import obstacle_field
+from benchmarks.growth import TWENTY_BLOCKS, twenty_blocks
+from benchmarks.scale import NETWORK, random_genes
+from khep_twin import playpen
 from khep_twin.playpen import Arena, Playpen, Robot
 from khep_twin.scale.batch import rollout
 from khep_twin.scale.life import Ground, Life
 from khep_twin.scale.minds import Driver, Hold, Network, Wander
 from khep_twin.scale.screening import best_first
 
-NETWORK = Network(hidden=(5,), recurrent=True)
 GENOMES, SEEDS, LIFE_S, ELITE = 200, 3, 30.0, 20
 TIMES_S = (1.0, 6.0, 60.0)
 WAYS = 10
-ROUNDS = 5
 
 
 def open_floor() -> Playpen:
@@ -40,24 +36,15 @@ def open_floor() -> Playpen:
     return Playpen(version=1, name="open-floor", arena=arena, robot=(robot,), surfaces={})
 
 
-def field() -> Playpen:
-    """Seventeen blocks and cylinders by chance."""
-    return obstacle_field("field", 1400, 1000, 0.06, np.random.default_rng(3))
-
-
 def scenes() -> dict[str, Playpen]:
     shipped = {name: playpen.load(name) for name in ("default", "obstacles", "looping-maze")}
-    return {**shipped, "field": field()}
-
-
-def genomes(count: int) -> np.ndarray:
-    return np.random.default_rng(7).normal(scale=1.5, size=(count, NETWORK.n_genes))
+    return {**shipped, TWENTY_BLOCKS: twenty_blocks()}
 
 
 def way(ground: Ground, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
     """Poses of a life at some times; without a driver speeds change every half second, by chance."""
     life = Life(ground, driver or Hold())
-    genes = genomes(WAYS)[index] if isinstance(driver, Network) else ()
+    genes = random_genes(WAYS)[index] if isinstance(driver, Network) else ()
     robot = ground.entry
     start = (robot.x_mm, robot.y_mm, robot.heading_deg + 3.0 * index)
     life.begin(index, start=start, noise=False, genes=genes)
@@ -88,7 +75,7 @@ def ways(title: str, scene: Playpen, driver: Driver | None) -> None:
 
 def ranks(name: str, scene: Playpen) -> None:
     """Prints how both rank the same networks."""
-    genes = np.repeat(genomes(GENOMES), SEEDS, axis=0)
+    genes = np.repeat(random_genes(GENOMES), SEEDS, axis=0)
 
     def judged(first: int, planar: bool) -> dict[str, np.ndarray]:
         seeds = [first + seed for _ in range(GENOMES) for seed in range(SEEDS)]
@@ -111,54 +98,11 @@ def ranks(name: str, scene: Playpen) -> None:
         )
 
 
-def speeds(name: str, scene: Playpen) -> None:
-    """Prints simulated seconds per second of the processor, of lives of networks and of the ROM's vehicle."""
-    true, plane = Ground(scene), Ground(scene, planar=True)
-    chosen = genomes(GENOMES)[::20]
-    still = [(0.5, 0.4)] * 500
-
-    def lives(ground: Ground, driver: Driver, seconds: float, genes: Sequence[np.ndarray]) -> float:
-        life = Life(ground, driver)
-        for seed, own in enumerate(genes):
-            life.begin(seed, genes=own)
-            life.live(seconds)
-        return seconds * len(genes)
-
-    def bare() -> float:
-        bare_loop(true, still, true.model)
-        return len(still) * units.TICK_NS * 1e-9
-
-    none = [np.zeros(0)] * 2
-    rows: dict[str, Callable[[], float]] = {
-        "bare mj_step": bare,
-        "MuJoCo, networks": lambda: lives(true, NETWORK, 2.0, chosen),
-        "plane, networks": lambda: lives(plane, NETWORK, 60.0, chosen),
-        "MuJoCo, ROM": lambda: lives(true, Wander(), 10.0, none),
-        "plane, ROM": lambda: lives(plane, Wander(), 60.0, none),
-    }
-    taken: dict[str, list[float]] = {row: [] for row in rows}
-    for _ in range(ROUNDS + 1):  # the first round warms up
-        for row, run in rows.items():
-            start = time.process_time()
-            simulated = run()
-            taken[row].append(simulated / (time.process_time() - start))
-    rates = [statistics.median(found[1:]) for found in taken.values()]
-    best = [max(found[1:]) for found in taken.values()]
-    cells = "".join(f"{rate:9.0f} ({most:6.0f})" for rate, most in zip(rates, best, strict=True))
-    print(f"{name:14}{cells}{rates[2] / rates[1]:8.1f}{rates[4] / rates[3]:8.1f}", flush=True)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("table", nargs="?", choices=["speeds", "ways", "ranks"], help="without, all three")
-    wanted = parser.parse_args(arguments).table or "speeds, ways and ranks"
+    parser.add_argument("table", nargs="?", choices=["ways", "ranks"], help="without, both")
+    wanted = parser.parse_args(arguments).table or "ways and ranks"
     print(f"mujoco {mujoco.__version__}")
-    if "speeds" in wanted:
-        columns = ("bare mj_step", "MuJoCo, nets", "plane, nets", "MuJoCo, ROM", "plane, ROM")
-        print("simulated s per processor s, median (best)")
-        print(" " * 14 + "".join(f"{column:>18}" for column in columns) + "    nets     ROM")
-        for name, scene in scenes().items():
-            speeds(name, scene)
     if "ways" in wanted:
         print("apart after" + "".join(f"{time_s:>24g} s " for time_s in TIMES_S))
         print(" " * 36 + "   ".join("  median     max    turn" for _ in TIMES_S) + "  [mm, mm, deg]")

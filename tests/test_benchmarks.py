@@ -175,6 +175,19 @@ def test_kheperax_gets_every_wall_of_a_playpen() -> None:
     assert peers.scene(playpen.load("default"))["walls_mm"] == []
 
 
+def test_kheperax_gets_the_sides_of_all_that_stands_around() -> None:
+    blocks = growth.twenty_blocks()
+    told = peers.scene(blocks)["walls_mm"]
+    assert len(told) == 4 * len(blocks.blocks)
+    for block, first in zip(blocks.blocks, told[::4], strict=True):
+        assert math.dist(first[:2], first[2:]) == pytest.approx(block.length_mm)
+    round_one = playpen.load("obstacles")
+    sides = peers.corners(round_one.cylinders[0].footprint)
+    place, radius = round_one.cylinders[0], round_one.cylinders[0].radius_mm
+    assert len(sides) == peers.N_SIDES
+    assert [math.dist(corner, (place.x_mm, place.y_mm)) for corner in sides] == pytest.approx([radius] * 12)
+
+
 def test_a_python_without_kheperax_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(peers.VARIABLE, raising=False)
     if importlib.util.find_spec("kheperax"):
