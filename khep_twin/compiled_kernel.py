@@ -35,6 +35,7 @@ def compiled_copy(
     name: str = "compiled",
     *,
     counted: bool = True,
+    within: bool = False,
 ) -> ModuleType:
     """A second copy of a module whose own functions are compiled, each when it is first called.
 
@@ -44,6 +45,8 @@ def compiled_copy(
         name: that tells this copy from others of the same module.
         counted: whether numba counts who has which array. Code that neither makes nor returns any needs no
             such counting, which can take half of the time.
+        within: whether functions become parts of what calls them, for long chains of calls with many
+            arguments; a division by 0 then raises nothing, and sources must not come to one.
 
     Raises:
         MissingExtraError: numba is not installed.
@@ -54,6 +57,8 @@ def compiled_copy(
         raise MissingExtraError("numba", "batch") from error
     copy = another_copy(module, others, name)
     options: dict[str, Any] = {} if counted else {"_nrt": False}
+    if within:
+        options |= {"forceinline": True, "error_model": "numpy"}
     # A compiled function finds the others by their names in the copy, compiled too.
     for own, function in inspect.getmembers(copy, inspect.isfunction):
         if function.__module__ == copy.__name__:

@@ -26,7 +26,7 @@ from khep_twin.scale.compiled import SOURCES, stamped
 
 
 def _copy(module: ModuleType, **others: ModuleType) -> ModuleType:
-    return compiled_copy(module, others, "compiled in a plane", counted=False)
+    return compiled_copy(module, others, "compiled in a plane", counted=False, within=True)
 
 
 _FLAT = _copy(plane)
@@ -51,5 +51,5 @@ def _advance(body, mind, span, n_steps):
 
 _SOURCES = (*SOURCES, planar_casting, planar_motion, planar_pushes, plane)
 
-advance: Any = njit(nogil=True, cache=True, _nrt=False)(stamped(_advance, _SOURCES))
+advance: Any = njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(stamped(_advance, _SOURCES))
 """`episode.advance` in a plane, compiled."""
