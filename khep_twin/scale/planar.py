@@ -30,6 +30,9 @@ from khep_twin.scale.plane import Plane, Robot
 N_CONTACTS = 8
 """So many things can push the robot at once: more than there is room for around it."""
 
+WIDE = 8
+"""Room for rays is for a multiple of this: processors can work on so many at once. The last ones go nowhere."""
+
 _PREFIX = "khepera0/"
 _NAME = "in a plane"
 
@@ -98,7 +101,9 @@ class Outline:
         self.mounts = np.array([_mount(model, camera) for camera in cameras])
         n_rays = int(model.cam_resolution[cameras[0], 0])
         ways = np.array([_ways(model, camera, n_rays) for camera in cameras])
-        self.ways = ways.reshape(len(cameras), -1)
+        wide = np.zeros((len(cameras), 2, -(-n_rays // WIDE) * WIDE))
+        wide[:, :, :n_rays] = ways.transpose(0, 2, 1)
+        self.ways = wide.reshape(len(cameras), -1)
         # To the inside of a cone: left of its rightmost ray, right of its leftmost.
         left, right = ways[:, 0], ways[:, -1]
         self.cones = np.column_stack([-right[:, 1], right[:, 0], left[:, 1], -left[:, 0]])
@@ -128,7 +133,7 @@ class PlanarRoom:
         else:
             self.advance = _plain_episode().advance
 
-        n_rays = outline.ways.shape[1] // 2
+        n_wide = outline.ways.shape[1] // 2
         points = [casting.points_of_a_bulb(number) for number in (casting.FEW, casting.MANY)]
         numbers: dict[str, Any] = {
             **outline.chassis,
@@ -136,7 +141,9 @@ class PlanarRoom:
             "mounts": outline.mounts,
             "ways": outline.ways,
             "cones": outline.cones,
-            "hits": np.zeros(n_rays, np.int64),
+            "looks": np.zeros(2 * n_wide),
+            "hits": np.zeros(n_wide, np.int64),
+            "lengths": np.zeros(n_wide),
             "n_few": len(points[0]),
             "points": np.concatenate(points),
             "hidden": np.zeros(sum(map(len, points)), np.int64),

@@ -85,7 +85,8 @@ def direction(
 ) -> tuple[float, float, float]:
     """As `casting.direction`."""
     c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
-    ahead, left = scene.robot.ways[channel, 2 * ray], scene.robot.ways[channel, 2 * ray + 1]
+    ways, n_wide = scene.robot.ways, len(scene.robot.hits)
+    ahead, left = ways[channel, ray], ways[channel, n_wide + ray]
     return c * ahead - s * left, s * ahead + c * left, 0.0
 
 
@@ -114,31 +115,55 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
         reach = math.sqrt(gain / -level) * 1.000001 - offset
         if not _within(scene, x, y, right_x, right_y, left_x, left_y, reach, away):
             return 0
-    n_rays = len(scene.robot.hits)
-    for ray in range(n_rays):
-        found[4 * ray] = -1.0
-        found[4 * ray + 1] = found[4 * ray + 2] = found[4 * ray + 3] = 0.0
-        scene.robot.hits[ray] = -1
+    n_rays, n_wide = len(found) // 4, len(robot.hits)
+    for ray in range(n_wide):
+        ahead, left = robot.ways[channel, ray], robot.ways[channel, n_wide + ray]
+        robot.looks[ray] = c * ahead - s * left
+        robot.looks[n_wide + ray] = s * ahead + c * left
+        robot.lengths[ray] = math.inf
+        robot.hits[ray] = -1
     farthest = math.inf
     for i in range(n):
-        if things[order[i], DISTANCE] - away > farthest:
-            break
         thing = order[i]
+        if things[thing, DISTANCE] - away > farthest:
+            break
         if not things[thing, SEEN] or not _in_cone(things, thing, x, y, right_x, right_y, left_x, left_y):
             continue
         if farthest < math.inf and flat.distance_to(things, thing, x, y) > farthest + _ROUNDING:
             continue
         if things[thing, WIDTH] < 0:
-            _meet_circle(scene, thing, channel, x, y, c, s, found)
+            _meet_circle(scene, thing, x, y)
         else:
-            _meet_box(scene, thing, channel, x, y, c, s, found)
+            _meet_box(scene, thing, x, y)
         farthest = 0.0
         for ray in range(n_rays):
-            length = found[4 * ray]
-            if length < 0:
-                farthest = math.inf
-                break
-            farthest = max(farthest, length)
+            farthest = max(farthest, robot.lengths[ray])
+    if level < 0:
+        # So much light comes back at most, if all is met head-on.
+        most, weights = 0.0, near.weights[channel]
+        for ray in range(n_rays):
+            path = robot.lengths[ray] + offset
+            most += weights[ray] / (path * path)
+        if gain * most * 1.000001 <= -level:
+            return 0
+    for ray in range(n_rays):
+        length, hit = robot.lengths[ray], robot.hits[ray]
+        found[4 * ray] = -1.0
+        found[4 * ray + 1] = found[4 * ray + 2] = found[4 * ray + 3] = 0.0
+        if hit < 0:
+            continue
+        found[4 * ray] = length
+        thing, face = hit >> 2, hit & 3
+        if things[thing, WIDTH] < 0:
+            dx = x + length * robot.looks[ray] - things[thing, CENTRE_X]
+            dy = y + length * robot.looks[n_wide + ray] - things[thing, CENTRE_Y]
+            found[4 * ray + 1], found[4 * ray + 2] = dx / things[thing, LENGTH], dy / things[thing, LENGTH]
+        else:
+            sign = -1.0 if face & 1 else 1.0
+            normal_x, normal_y = sign * things[thing, COSINE], sign * things[thing, SINE]
+            if face & 2:
+                normal_x, normal_y = -normal_y, normal_x
+            found[4 * ray + 1], found[4 * ray + 2] = normal_x, normal_y
     return len(found)
 
 
@@ -190,85 +215,63 @@ def _in_cone(
     return dx * left_x + dy * left_y + most >= 0
 
 
-def _meet_box(
-    scene: Scene, thing: int, channel: int, x: float, y: float, c: float, s: float, found: Any
-) -> None:
+def _meet_box(scene: Scene, thing: int, x: float, y: float) -> None:
     """Where a sensor's rays meet a box, if that is nearer than what they have met."""
-    things, ways = scene.things, scene.robot.ways
-    box_c, box_s = things[thing, COSINE], things[thing, SINE]
+    things, robot = scene.things, scene.robot
+    looks, lengths, hits = robot.looks, robot.lengths, robot.hits
+    n_wide = len(hits)
+    c, s = things[thing, COSINE], things[thing, SINE]
     length, width = things[thing, LENGTH], things[thing, WIDTH]
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
-    along, across = dx * box_c + dy * box_s, dy * box_c - dx * box_s
-    # The robot's frame, seen from the box.
-    turn_c, turn_s = c * box_c + s * box_s, s * box_c - c * box_s
-    end = side = 0.0  # of the two faces that it may see
-    if abs(along) > length:
-        end = 1.0 if along > 0 else -1.0
-    if abs(across) > width:
-        side = 1.0 if across > 0 else -1.0
-    inside = end == 0.0 and side == 0.0
-    for ray in range(len(scene.robot.hits)):
-        ahead, left = ways[channel, 2 * ray], ways[channel, 2 * ray + 1]
-        ray_along, ray_across = turn_c * ahead - turn_s * left, turn_s * ahead + turn_c * left
-        hit, normal_along, normal_across = -1.0, 0.0, 0.0
-        if inside:
-            # From inside, which does not happen but for rounding, it sees the face that it looks to.
-            first = second = math.inf
-            if ray_along != 0:
-                first = (math.copysign(length, ray_along) - along) / ray_along
-            if ray_across != 0:
-                second = (math.copysign(width, ray_across) - across) / ray_across
-            hit = min(first, second)
-            normal_along = math.copysign(1.0, ray_along) if first <= second else 0.0
-            normal_across = math.copysign(1.0, ray_across) if first > second else 0.0
-        if end * ray_along < 0:
-            hit = (end * length - along) / ray_along
-            normal_along = end
-            if abs(across + hit * ray_across) > width:
-                hit, normal_along = -1.0, 0.0
-        if hit < 0 and side * ray_across < 0:
-            hit = (side * width - across) / ray_across
-            normal_across = side
-            if abs(along + hit * ray_along) > length:
-                hit = -1.0
-        best = found[4 * ray]
-        if hit >= 0 and (best < 0 or hit < best):
-            found[4 * ray] = hit
-            found[4 * ray + 1] = box_c * normal_along - box_s * normal_across
-            found[4 * ray + 2] = box_s * normal_along + box_c * normal_across
-            scene.robot.hits[ray] = thing
+    along, across = dx * c + dy * s, dy * c - dx * s
+    # Of its faces a place sees at most one at an end and one at a side. These look so:
+    end, side = math.copysign(1.0, along), math.copysign(1.0, across)
+    end_x, end_y, side_x, side_y = end * c, end * s, -side * s, side * c
+    an_end, a_side = 4 * thing + (0 if end > 0 else 1), 4 * thing + (2 if side > 0 else 3)
+    along, across = abs(along), abs(across)
+    before_end, before_side = along - length, across - width
+    if before_end <= 0 and before_side <= 0:
+        # From inside, which does not happen but for rounding, it stands at the nearer face.
+        before_end, before_side = (0.0, -1.0) if before_end > before_side else (-1.0, 0.0)
+    # The same for all rays, and nothing skipped: compiled, they go side by side.
+    for ray in range(n_wide):
+        way_x, way_y = looks[ray], looks[n_wide + ray]
+        to_end, to_side = -(way_x * end_x + way_y * end_y), -(way_x * side_x + way_y * side_y)
+        # Whether it comes to the line of a face where that is.
+        at_end, at_side = across * to_end - before_end * to_side, along * to_side - before_side * to_end
+        by_end = (to_end > 0) & (before_end >= 0) & (abs(at_end) <= width * to_end)
+        by_side = (to_side > 0) & (before_side >= 0) & (abs(at_side) <= length * to_side)
+        end_hit = before_end / to_end if by_end else math.inf
+        side_hit = before_side / to_side if by_side else math.inf
+        hit, best = min(end_hit, side_hit), lengths[ray]
+        lengths[ray] = min(best, hit)
+        face = an_end if end_hit <= side_hit else a_side
+        hits[ray] = face if hit < best else hits[ray]
 
 
-def _meet_circle(
-    scene: Scene, thing: int, channel: int, x: float, y: float, c: float, s: float, found: Any
-) -> None:
+def _meet_circle(scene: Scene, thing: int, x: float, y: float) -> None:
     """Where a sensor's rays meet a cylinder, if that is nearer than what they have met."""
-    things, ways = scene.things, scene.robot.ways
-    radius = things[thing, LENGTH]
+    things, robot = scene.things, scene.robot
+    looks, lengths, hits = robot.looks, robot.lengths, robot.hits
+    n_wide = len(hits)
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
-    outside = dx * dx + dy * dy - radius * radius
-    for ray in range(len(scene.robot.hits)):
-        ahead, left = ways[channel, 2 * ray], ways[channel, 2 * ray + 1]
-        way_x, way_y = c * ahead - s * left, s * ahead + c * left
-        towards = -(dx * way_x + dy * way_y)
-        square = towards * towards - outside
-        if square < 0 or (towards < 0 and outside > 0):
-            continue
-        root = math.sqrt(square)
-        hit = towards - root if outside > 0 else towards + root
-        best = found[4 * ray]
-        if best < 0 or hit < best:
-            found[4 * ray] = hit
-            found[4 * ray + 1] = (dx + hit * way_x) / radius
-            found[4 * ray + 2] = (dy + hit * way_y) / radius
-            scene.robot.hits[ray] = thing
+    outside = dx * dx + dy * dy - things[thing, LENGTH] * things[thing, LENGTH]
+    # From inside, which does not happen but for rounding, it sees the far side.
+    sign, least = (1.0, 0.0) if outside > 0 else (-1.0, -math.inf)
+    for ray in range(n_wide):
+        towards = -(dx * looks[ray] + dy * looks[n_wide + ray])
+        square, best = towards * towards - outside, lengths[ray]
+        way = towards - sign * math.sqrt(max(square, 0.0))
+        hit = way if (square >= 0) & (towards >= least) else math.inf
+        lengths[ray] = min(best, hit)
+        hits[ray] = 4 * thing if hit < best else hits[ray]
 
 
 def surfaces(scene: Scene, channel: int, directions: Any, cutoff: float, found: Any) -> None:
     """As `casting.surfaces`: what `rays` has hit with the same rays."""
     for ray in range(len(found)):
-        thing = scene.robot.hits[ray]
-        found[ray] = scene.things[thing, REFLECTANCE] if thing >= 0 else 0.0
+        hit = scene.robot.hits[ray]
+        found[ray] = scene.things[hit >> 2, REFLECTANCE] if hit >= 0 else 0.0
 
 
 def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: float) -> bool:

@@ -46,9 +46,13 @@ class Robot(NamedTuple):
         height: of the sensors above the floor [m].
         mounts: x forward, y left, cosine and sine of where it looks, distance from the robot's centre, of
             each sensor (8, 5) [m].
-        ways: of all rays, x forward and y left in the robot's frame (8, 2 n_rays).
+        ways: of all rays in the robot's frame, first x forward of each, then y left (8, 2 n_wide); behind
+            the last, up to n_wide, there are some that go nowhere.
         cones: unit vectors across the edges of each sensor's cone, to its inside, right then left (8, 4).
-        hits: room for what a sensor's rays hit (n_rays,).
+        looks: room for the ways of a sensor's rays in the plane, first all x, then all y (2 n_wide,).
+        hits: room for what they hit, four times its number and which of its faces, ahead, behind, left or
+            right; below 0 for nothing (n_wide,).
+        lengths: room for how far off that is, infinite for nothing (n_wide,) [m].
         n_few: of the points of a bulb that are the few.
         points: of a bulb, few and then many (n_points, 2).
         hidden: room for which of these are (n_points,).
@@ -81,7 +85,9 @@ class Robot(NamedTuple):
     mounts: Any
     ways: Any
     cones: Any
+    looks: Any
     hits: Any
+    lengths: Any
     n_few: int
     points: Any
     hidden: Any
