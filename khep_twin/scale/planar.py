@@ -31,7 +31,7 @@ N_CONTACTS = 8
 """So many things can push the robot at once: more than there is room for around it."""
 
 WIDE = 8
-"""Room for rays is for a multiple of this: processors can work on so many at once. The last ones go nowhere."""
+"""Room for rays is for a multiple of this, as processors work on so many at once; the last go nowhere."""
 
 _PREFIX = "khepera0/"
 _NAME = "in a plane"
@@ -144,6 +144,7 @@ class PlanarRoom:
             "looks": np.zeros(2 * n_wide),
             "hits": np.zeros(n_wide, np.int64),
             "lengths": np.zeros(n_wide),
+            "shares": np.zeros(n_wide),
             "n_few": len(points[0]),
             "points": np.concatenate(points),
             "hidden": np.zeros(sum(map(len, points)), np.int64),

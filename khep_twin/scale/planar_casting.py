@@ -32,6 +32,7 @@ from khep_twin.scale.plane import (
     TOP,
     WIDTH,
     Plane,
+    Robot,
 )
 
 __all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY", "Scene"]
@@ -111,6 +112,7 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
     right_y = s * cones[channel, 0] + c * cones[channel, 1]
     left_x = c * cones[channel, 2] - s * cones[channel, 3]
     left_y = s * cones[channel, 2] + c * cones[channel, 3]
+    reach = math.inf
     if level < 0:
         reach = math.sqrt(gain / -level) * 1.000001 - offset
         if not _within(scene, x, y, right_x, right_y, left_x, left_y, reach, away):
@@ -122,11 +124,17 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
         robot.looks[n_wide + ray] = s * ahead + c * left
         robot.lengths[ray] = math.inf
         robot.hits[ray] = -1
-    farthest = math.inf
+    farthest, next_look = math.inf, reach
     for i in range(n):
         thing = order[i]
-        if things[thing, DISTANCE] - away > farthest:
+        least = things[thing, DISTANCE] - away
+        if least > farthest:
             break
+        if least > next_look:
+            # All that is left is farther off than this.
+            if gain * _most(robot, near.weights[channel], offset, least) * 1.000001 <= -level:
+                return 0
+            next_look = least + reach
         if not things[thing, SEEN] or not _in_cone(things, thing, x, y, right_x, right_y, left_x, left_y):
             continue
         if farthest < math.inf and flat.distance_to(things, thing, x, y) > farthest + _ROUNDING:
@@ -138,14 +146,8 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
         farthest = 0.0
         for ray in range(n_rays):
             farthest = max(farthest, robot.lengths[ray])
-    if level < 0:
-        # So much light comes back at most, if all is met head-on.
-        most, weights = 0.0, near.weights[channel]
-        for ray in range(n_rays):
-            path = robot.lengths[ray] + offset
-            most += weights[ray] / (path * path)
-        if gain * most * 1.000001 <= -level:
-            return 0
+    if level < 0 and gain * _most(robot, near.weights[channel], offset, math.inf) * 1.000001 <= -level:
+        return 0
     for ray in range(n_rays):
         length, hit = robot.lengths[ray], robot.hits[ray]
         found[4 * ray] = -1.0
@@ -165,6 +167,17 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
                 normal_x, normal_y = -normal_y, normal_x
             found[4 * ray + 1], found[4 * ray + 2] = normal_x, normal_y
     return len(found)
+
+
+def _most(robot: Robot, weights: Sequence[float], offset: float, rest: float) -> float:
+    """How much light comes back at most [1/m^2]: all is met head-on, and at `rest` [m] what else there is."""
+    for ray in range(len(robot.shares)):
+        path = min(robot.lengths[ray], rest) + offset
+        robot.shares[ray] = 1 / (path * path)
+    total = 0.0
+    for ray in range(len(weights)):
+        total += weights[ray] * robot.shares[ray]
+    return total
 
 
 def _within(

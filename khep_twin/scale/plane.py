@@ -53,6 +53,7 @@ class Robot(NamedTuple):
         hits: room for what they hit, four times its number and which of its faces, ahead, behind, left or
             right; below 0 for nothing (n_wide,).
         lengths: room for how far off that is, infinite for nothing (n_wide,) [m].
+        shares: room for how much light these send back at most (n_wide,) [1/m^2].
         n_few: of the points of a bulb that are the few.
         points: of a bulb, few and then many (n_points, 2).
         hidden: room for which of these are (n_points,).
@@ -88,6 +89,7 @@ class Robot(NamedTuple):
     looks: Any
     hits: Any
     lengths: Any
+    shares: Any
     n_few: int
     points: Any
     hidden: Any
