@@ -193,7 +193,9 @@ class Ground:
 
     def start(self, seed: int) -> Start:
         """Where a robot starts: in its place, or at the spot that the seed draws."""
-        robot = placed(self.playpen, stream(seed, "spots")).robots[0]
+        robot = self.entry
+        if robot.spots:
+            robot = placed(self.playpen, stream(seed, "spots")).robots[0]
         return robot.x_mm, robot.y_mm, robot.heading_deg
 
     def another(self, seed: int) -> Calibration:
@@ -227,7 +229,8 @@ class Life:
         else:
             self._room = PlanarRoom(ground.outline, self._compiled)
         self._state = np.zeros(episode.N_STATE, np.int64)
-        self._proximity = {0: self._optics(proximity_optics(ground.model, _PREFIX, ground.calibration))}
+        self._proximity = self._optics(proximity_optics(ground.model, _PREFIX, ground.calibration))
+        self._ambient = self._optics(ambient_optics(ground.calibration.ambient))
         self._supply = Supply(ground.entry.battery_used_min)
         self._chance: list[np.random.Generator] = []
         self._seed = 0
@@ -262,11 +265,11 @@ class Life:
         """
         ground, room = self._ground, self._room
         self._seed, self._light = seed, light or ground.light
-        near = self._proximity[0]
-        measured = ground.calibration
+        near, eyes = self._proximity, self._ambient
         if spread:
             measured = ground.another(seed)
             near = self._optics(proximity_optics(ground.model, _PREFIX, measured))
+            eyes = self._optics(ambient_optics(measured.ambient))
         self._chance = []
         if noise:
             self._chance = [stream(seed, "robot", 0, name) for name in ("proximity", "ambient", "idle")]
@@ -281,7 +284,7 @@ class Life:
         self._body = episode.Body(
             room.scene,
             near,
-            self._optics(ambient_optics(measured.ambient)),
+            eyes,
             self._numbers(self._light.bulbs),
             ground.wiring,
             self.registers if self._compiled else self.registers.data,
@@ -396,13 +399,13 @@ class Life:
         fed = self.steps // wiring.steps_per_feed + (feeds > 1 or self.steps > 0)
         feed_ns = wiring.steps_per_feed * step_ns
         if self._supply.steady:
-            volts = [self._supply.voltage(0)] * feeds
+            volts = np.full(feeds, self._supply.voltage(0))
         else:
-            volts = [self._supply.voltage((fed + i) * feed_ns) for i in range(feeds)]
+            volts = np.array([self._supply.voltage((fed + i) * feed_ns) for i in range(feeds)])
         noisy = bool(self._chance)
         if not self._compiled:
-            return episode.Span(powers, volts, noisy, *(draw.tolist() for draw in draws))
-        return episode.Span(np.array(powers).reshape(len(powers), -1), np.array(volts), noisy, *draws)  # type: ignore
+            return episode.Span(powers, volts.tolist(), noisy, *(draw.tolist() for draw in draws))
+        return episode.Span(np.array(powers).reshape(len(powers), -1), volts, noisy, *draws)  # type: ignore
 
     def _complain(self) -> None:
         """Raises what ended the life, if anything has."""
