@@ -9,13 +9,16 @@ import pytest
 from khep_twin import playpen, units
 from khep_twin.errors import PlaypenError
 from khep_twin.kernel import AMBIENT, PROXIMITY
+from khep_twin.optics import Proximity
 from khep_twin.playpen import Playpen
 from khep_twin.scale.batch import Lives, rollout
 from khep_twin.scale.life import NUMBERS, Ground, Life
 from khep_twin.scale.minds import Hold, Network, Wander
-from khep_twin.scale.planar import Outline, PlanarRoom
+from khep_twin.scale.planar import Outline, PlanarRoom, _plain_episode
+from khep_twin.scale.planar_casting import rays
 from khep_twin.scale.planar_motion import step
-from khep_twin.scale.plane import TOUCHED, distance_to, nearest
+from khep_twin.scale.plane import TOUCHED, Plane, distance_to, nearest
+from khep_twin.sensors import proximity_optics
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
@@ -197,6 +200,34 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
     # Both round, and MuJoCo's robot has sunk in by some micrometres.
     assert np.max(apart) <= 2
     assert np.mean(np.array(apart) <= 1) > 0.995
+
+
+@pytest.mark.parametrize("name", ["arena", "looping-maze"])
+def test_rays_that_end_early_change_no_count(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = arena() if name == "arena" else playpen.load(name)
+    ground = Ground(scene, planar=True)
+    near = proximity_optics(ground.model, "khepera0/", ground.calibration)
+    room = put(scene, units.TICK_NS, 0, 0, 0)
+    plain = _plain_episode().optics
+    chance, floor, seen, ended = np.random.default_rng(8), scene.arena, 0, 0
+
+    def whole(scene: Plane, near: Proximity, channel: int, level: float, found: list[float]) -> int:
+        return rays(scene, near, channel, 0.0, found)
+
+    for _ in range(100):
+        room.put(
+            (*chance.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), chance.uniform(0, 360))
+        )
+        drive(room, 0.5, 0.5, 1)
+        for channel, noise in enumerate(chance.normal(size=8).tolist()):
+            early = plain.proximity(room.scene, near, channel, noise, 1.0, 1.0)
+            looked = rays(room.scene, near, channel, 40 * noise - near.threshold[channel], near.found)
+            with monkeypatch.context() as patch:
+                patch.setattr(plain.casting, "rays", whole)
+                assert plain.proximity(room.scene, near, channel, noise, 1.0, 1.0) == early
+            seen, ended = seen + (early > 10), ended + (looked == 0)
+    assert seen > 50
+    assert ended > 50
 
 
 def test_what_is_movable_is_refused() -> None:
