@@ -11,7 +11,7 @@ the same times by a line that costs no time, compiled or not, however often the 
 Left out, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but are seen nowhere.
 
 On `Ground(..., planar=True)` the robot moves in a plane (`planar`), which is for screening: the same firmware
-and sensors, ten times faster and more, and about the same ways.
+and sensors, thirty times faster and more, and about the same ways.
 """
 
 import copy
