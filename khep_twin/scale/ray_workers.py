@@ -66,6 +66,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
     os.environ.update(given)
     try:
         import ray
+        import ray.exceptions
     except ImportError as error:
         for name in given:
             del os.environ[name]

@@ -303,7 +303,7 @@ class RobotActor(Actor):
         self._url = url
         self._halt = threading.Event()
         self._robot: Khepera | None = None
-        self._looked = 0.0
+        self._began = self._looked = 0.0
 
     def stop(self) -> None:
         """Ends the job and stops the motors."""
@@ -311,7 +311,7 @@ class RobotActor(Actor):
 
     def _live(self) -> None:
         with Khepera(self._url) as robot:
-            self._robot = robot
+            self._robot, self._began = robot, robot.time
             told = {"name": robot.name, "port": self._url, **shape("khepera1", "khepera1")}
             self.tell({"kind": "robot", "robots": [told]})
             while not self._ended.is_set():
@@ -340,10 +340,8 @@ class RobotActor(Actor):
             "speed": list(speed),
             "leds": [0, 0],
         }
-        busy = self.job is not None
-        self.tell(
-            {"kind": "picture", "time": robot.time, "busy": busy, "part": self.part, "robots": [reading]}
-        )
+        time_s, busy = robot.time - self._began, self.job is not None
+        self.tell({"kind": "picture", "time": time_s, "busy": busy, "part": self.part, "robots": [reading]})
 
 
 def shape(model: str, sensors: str) -> dict[str, Any]:

@@ -223,6 +223,7 @@ def test_a_twin_is_run_by_keys_alone(visit: Visit) -> None:
     page.keyboard.press("Enter")
     visit.wait("document.querySelector('#clock').textContent.includes('driven')")
     visit.picture("11-keys")
+    page.focus("#cycles")  # stops from anywhere
     page.keyboard.press("Escape")
     visit.wait("!document.querySelector('#run').disabled")
     tab_to(visit, "#end")

@@ -189,7 +189,9 @@ def test_a_robot_at_a_port_shows_its_readings_and_stops(actor: TwinActor, ear: E
     robot = RobotActor(port, heard)
     robot.begin()
     heard.wait("robot")
-    assert len(heard.wait("picture")["robots"][0]["proximity"]) == 8
+    first = heard.wait("picture")
+    assert len(first["robots"][0]["proximity"]) == 8
+    assert 0 <= first["time"] < 60  # since the page has it
     robot.start(Series("braitenberg", braitenberg, Plan(cycles=10**6), None))
     heard.wait("picture", lambda told: max(told["robots"][0]["speed"]) > 3)
     robot.stop()

@@ -340,6 +340,8 @@ document.addEventListener("keydown", (event) => {
     event.preventDefault();
     return void attempt(() => save());
   }
+  // Stopping comes first, wherever the keys go.
+  if (event.key === "Escape" && running.active) return void running.key(event);
   if (event.target.matches("input, select, textarea") || (event.target.matches("button") && [" ", "Enter"].includes(event.key))) return;
   if (event.key === "?") return void help();
   if (running.key(event) || editor.key(event)) event.preventDefault();

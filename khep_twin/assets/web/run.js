@@ -282,14 +282,14 @@ export class Running {
 
   move(_, at) {
     const held = this.#held;
-    if (!held) return;
+    if (!held || held.down) return;
     held.x_mm = held.from[0] + at[0] - held.at[0];
     held.y_mm = held.from[1] + at[1] - held.at[1];
     place(held.node, held);
   }
 
   turn(degrees) {
-    if (!this.#held) return false;
+    if (!this.#held || this.#held.down) return false;
     this.#held.heading_deg += degrees;
     place(this.#held.node, this.#held);
     return true;
@@ -297,7 +297,8 @@ export class Running {
 
   up() {
     const held = this.#held;
-    if (!held) return;
+    if (!held || held.down) return;
+    held.down = true; // and stays where it was let go until the twin has answered
     held.node.classList.remove("held");
     const { index } = held;
     const [x_mm, y_mm, heading_deg] = [tidy(held.x_mm), tidy(held.y_mm), angle(held.heading_deg)];
