@@ -20,6 +20,8 @@ from khep_twin.scale import (
     planar_casting,
     planar_motion,
     planar_pushes,
+    planar_rays,
+    planar_shadows,
     plane,
 )
 from khep_twin.scale.compiled import SOURCES, stamped
@@ -31,7 +33,13 @@ def _copy(module: ModuleType, **others: ModuleType) -> ModuleType:
 
 _FLAT = _copy(plane)
 _MOTION = _copy(planar_motion, flat=_FLAT, planar_pushes=_copy(planar_pushes, flat=_FLAT))
-_CASTING = _copy(planar_casting, flat=_FLAT, planar_motion=_MOTION)
+_CASTING = _copy(
+    planar_casting,
+    flat=_FLAT,
+    planar_motion=_MOTION,
+    planar_rays=_copy(planar_rays),
+    planar_shadows=_copy(planar_shadows),
+)
 # A controller is called by its address here as there.
 setattr(_CASTING, "decide", compiled_casting.decide)  # noqa: B010
 _EPISODE = _copy(
@@ -49,7 +57,7 @@ def _advance(body, mind, span, n_steps):
     return _EPISODE.advance(body, mind, span, n_steps)
 
 
-_SOURCES = (*SOURCES, planar_casting, planar_motion, planar_pushes, plane)
+_SOURCES = (*SOURCES, planar_casting, planar_motion, planar_pushes, planar_rays, planar_shadows, plane)
 
 advance: Any = njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(stamped(_advance, _SOURCES))
 """`episode.advance` in a plane, compiled."""

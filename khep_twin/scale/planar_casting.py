@@ -13,10 +13,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from khep_twin import casting
-from khep_twin.scale import planar_motion
+from khep_twin.scale import planar_motion, planar_rays, planar_shadows
 from khep_twin.scale import plane as flat
 from khep_twin.scale.plane import (
-    BOTTOM,
     CENTRE_X,
     CENTRE_Y,
     COSINE,
@@ -29,10 +28,8 @@ from khep_twin.scale.plane import (
     REFLECTANCE,
     SEEN,
     SINE,
-    TOP,
     WIDTH,
     Plane,
-    Robot,
 )
 
 __all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY", "Scene"]
@@ -64,7 +61,7 @@ def body_frame(scene: Scene) -> Sequence[float]:
     return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
 
-def position(scene: Scene, channel: int) -> Sequence[float]:
+def position(scene: Scene, channel: int) -> tuple[float, float, float]:
     """As `casting.position`."""
     last, mounts = scene.robot.last, scene.robot.mounts
     c, s = last[HEADING_COSINE], last[HEADING_SINE]
@@ -112,10 +109,11 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
     right_y = s * cones[channel, 0] + c * cones[channel, 1]
     left_x = c * cones[channel, 2] - s * cones[channel, 3]
     left_y = s * cones[channel, 2] + c * cones[channel, 3]
+    cone = right_x, right_y, left_x, left_y
     reach = math.inf
     if level < 0:
         reach = math.sqrt(gain / -level) * 1.000001 - offset
-        if not _within(scene, x, y, right_x, right_y, left_x, left_y, reach, away):
+        if not _within(scene, x, y, cone, reach, away):
             return 0
     n_rays, n_wide = len(found) // 4, len(robot.hits)
     for ray in range(n_wide):
@@ -132,22 +130,25 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
             break
         if least > next_look:
             # All that is left is farther off than this.
-            if gain * _most(robot, near.weights[channel], offset, least) * 1.000001 <= -level:
+            light = planar_rays.most(robot, near.weights[channel], offset, least)
+            if gain * light * 1.000001 <= -level:
                 return 0
             next_look = least + reach
-        if not things[thing, SEEN] or not _in_cone(things, thing, x, y, right_x, right_y, left_x, left_y):
+        if not things[thing, SEEN] or not planar_rays.in_cone(things, thing, x, y, cone):
             continue
         if farthest < math.inf and flat.distance_to(things, thing, x, y) > farthest + _ROUNDING:
             continue
         if things[thing, WIDTH] < 0:
-            _meet_circle(scene, thing, x, y)
+            planar_rays.meet_circle(scene, thing, x, y)
         else:
-            _meet_box(scene, thing, x, y)
+            planar_rays.meet_box(scene, thing, x, y)
         farthest = 0.0
         for ray in range(n_rays):
             farthest = max(farthest, robot.lengths[ray])
-    if level < 0 and gain * _most(robot, near.weights[channel], offset, math.inf) * 1.000001 <= -level:
-        return 0
+    if level < 0:
+        light = planar_rays.most(robot, near.weights[channel], offset, math.inf)
+        if gain * light * 1.000001 <= -level:
+            return 0
     for ray in range(n_rays):
         length, hit = robot.lengths[ray], robot.hits[ray]
         found[4 * ray] = -1.0
@@ -169,25 +170,11 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
     return len(found)
 
 
-def _most(robot: Robot, weights: Sequence[float], offset: float, rest: float) -> float:
-    """How much light comes back at most [1/m^2]: all is met head-on, and at `rest` [m] what else there is."""
-    for ray in range(len(robot.shares)):
-        path = min(robot.lengths[ray], rest) + offset
-        robot.shares[ray] = 1 / (path * path)
-    total = 0.0
-    for ray in range(len(weights)):
-        total += weights[ray] * robot.shares[ray]
-    return total
-
-
 def _within(
     scene: Scene,
     x: float,
     y: float,
-    right_x: float,
-    right_y: float,
-    left_x: float,
-    left_y: float,
+    cone: tuple[float, float, float, float],
     reach: float,
     away: float,
 ) -> bool:
@@ -200,84 +187,9 @@ def _within(
         if not scene.things[thing, SEEN]:
             continue
         distance = flat.distance_to(things, thing, x, y)
-        if distance <= reach and _in_cone(things, thing, x, y, right_x, right_y, left_x, left_y):
+        if distance <= reach and planar_rays.in_cone(things, thing, x, y, cone):
             return True
     return False
-
-
-def _in_cone(
-    things: Any,
-    thing: int,
-    x: float,
-    y: float,
-    right_x: float,
-    right_y: float,
-    left_x: float,
-    left_y: float,
-) -> bool:
-    """Whether a thing reaches over both edges of a cone."""
-    dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
-    length, width = things[thing, LENGTH], things[thing, WIDTH]
-    if width < 0:
-        return dx * right_x + dy * right_y + length >= 0 and dx * left_x + dy * left_y + length >= 0
-    c, s = things[thing, COSINE], things[thing, SINE]
-    most = length * abs(c * right_x + s * right_y) + width * abs(c * right_y - s * right_x)
-    if dx * right_x + dy * right_y + most < 0:
-        return False
-    most = length * abs(c * left_x + s * left_y) + width * abs(c * left_y - s * left_x)
-    return dx * left_x + dy * left_y + most >= 0
-
-
-def _meet_box(scene: Scene, thing: int, x: float, y: float) -> None:
-    """Where a sensor's rays meet a box, if that is nearer than what they have met."""
-    things, robot = scene.things, scene.robot
-    looks, lengths, hits = robot.looks, robot.lengths, robot.hits
-    n_wide = len(hits)
-    c, s = things[thing, COSINE], things[thing, SINE]
-    length, width = things[thing, LENGTH], things[thing, WIDTH]
-    dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
-    along, across = dx * c + dy * s, dy * c - dx * s
-    # Of its faces a place sees at most one at an end and one at a side. These look so:
-    end, side = math.copysign(1.0, along), math.copysign(1.0, across)
-    end_x, end_y, side_x, side_y = end * c, end * s, -side * s, side * c
-    an_end, a_side = 4 * thing + (0 if end > 0 else 1), 4 * thing + (2 if side > 0 else 3)
-    along, across = abs(along), abs(across)
-    before_end, before_side = along - length, across - width
-    if before_end <= 0 and before_side <= 0:
-        # From inside, which does not happen but for rounding, it stands at the nearer face.
-        before_end, before_side = (0.0, -1.0) if before_end > before_side else (-1.0, 0.0)
-    # The same for all rays, and nothing skipped: compiled, they go side by side.
-    for ray in range(n_wide):
-        way_x, way_y = looks[ray], looks[n_wide + ray]
-        to_end, to_side = -(way_x * end_x + way_y * end_y), -(way_x * side_x + way_y * side_y)
-        # Whether it comes to the line of a face where that is.
-        at_end, at_side = across * to_end - before_end * to_side, along * to_side - before_side * to_end
-        by_end = (to_end > 0) & (before_end >= 0) & (abs(at_end) <= width * to_end)
-        by_side = (to_side > 0) & (before_side >= 0) & (abs(at_side) <= length * to_side)
-        end_hit = before_end / to_end if by_end else math.inf
-        side_hit = before_side / to_side if by_side else math.inf
-        hit, best = min(end_hit, side_hit), lengths[ray]
-        lengths[ray] = min(best, hit)
-        face = an_end if end_hit <= side_hit else a_side
-        hits[ray] = face if hit < best else hits[ray]
-
-
-def _meet_circle(scene: Scene, thing: int, x: float, y: float) -> None:
-    """Where a sensor's rays meet a cylinder, if that is nearer than what they have met."""
-    things, robot = scene.things, scene.robot
-    looks, lengths, hits = robot.looks, robot.lengths, robot.hits
-    n_wide = len(hits)
-    dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
-    outside = dx * dx + dy * dy - things[thing, LENGTH] * things[thing, LENGTH]
-    # From inside, which does not happen but for rounding, it sees the far side.
-    sign, least = (1.0, 0.0) if outside > 0 else (-1.0, -math.inf)
-    for ray in range(n_wide):
-        towards = -(dx * looks[ray] + dy * looks[n_wide + ray])
-        square, best = towards * towards - outside, lengths[ray]
-        way = towards - sign * math.sqrt(max(square, 0.0))
-        hit = way if (square >= 0) & (towards >= least) else math.inf
-        lengths[ray] = min(best, hit)
-        hits[ray] = 4 * thing if hit < best else hits[ray]
 
 
 def surfaces(scene: Scene, channel: int, directions: Any, cutoff: float, found: Any) -> None:
@@ -289,16 +201,7 @@ def surfaces(scene: Scene, channel: int, directions: Any, cutoff: float, found: 
 
 def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: float) -> bool:
     """As `casting.stopped`."""
-    at_x, at_y, at_z = position(scene, channel)
-    if z < 0 and -at_z / z < glass:
-        return True
-    length = math.sqrt(x * x + y * y)
-    for thing in range(len(scene.things)):
-        if _beside(scene.things, thing, at_x, at_y, x, y, length, 0.0):
-            continue
-        if _stops(scene.things, thing, at_x, at_y, at_z, x, y, z, glass):
-            return True
-    return False
+    return planar_shadows.stopped(scene, position(scene, channel), (x, y, z), glass)
 
 
 def blocked(
@@ -312,99 +215,6 @@ def blocked(
     glass: float,
 ) -> float:
     """As `casting.blocked`."""
-    points, hidden, things = scene.robot.points, scene.robot.hidden, scene.things
-    first, last = (0, scene.robot.n_few) if disc == FEW else (scene.robot.n_few, len(points))
-    at_x, at_y, at_z = position(scene, channel)
-    hits = 0
-    for point in range(first, last):
-        z = points[point, 0] * left[2] + points[point, 1] * up[2] + way[2]
-        hidden[point] = z < 0 and -at_z / z < glass  # by the floor
-        hits += hidden[point]
-    # Light comes from within this of the line to the middle of the bulb.
-    broad = math.sqrt(left[0] * left[0] + left[1] * left[1]) + math.sqrt(up[0] * up[0] + up[1] * up[1])
-    length = math.sqrt(way[0] * way[0] + way[1] * way[1])
-    for thing in range(len(things)):
-        if _beside(things, thing, at_x, at_y, way[0], way[1], length, broad):
-            continue
-        for point in range(first, last):
-            if hidden[point]:
-                continue
-            across, upward = points[point, 0], points[point, 1]
-            x = across * left[0] + upward * up[0] + way[0]
-            y = across * left[1] + upward * up[1] + way[1]
-            z = across * left[2] + upward * up[2] + way[2]
-            if _stops(things, thing, at_x, at_y, at_z, x, y, z, glass):
-                hidden[point] = 1
-                hits += 1
-        if hits == last - first:
-            break
-    return hits / (last - first)
-
-
-def _beside(
-    things: Any,
-    thing: int,
-    x: float,
-    y: float,
-    way_x: float,
-    way_y: float,
-    length: float,
-    broad: float,
-) -> bool:
-    """Whether a thing surely is beside, behind or beyond a way of some length and half a breadth [m]."""
-    dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
-    half, width = things[thing, LENGTH], things[thing, WIDTH]
-    if width < 0:
-        size = (half + broad) * length
-        side = size
-    else:
-        c, s = things[thing, COSINE], things[thing, SINE]
-        along, across = abs(way_x * c + way_y * s), abs(way_y * c - way_x * s)
-        side = half * across + width * along + broad * length
-        size = half * along + width * across + broad * length
-    ahead = dx * way_x + dy * way_y
-    return abs(dx * way_y - dy * way_x) > side or ahead < -size or ahead - size > length * (length + broad)
-
-
-def _stops(
-    things: Any,
-    thing: int,
-    x: float,
-    y: float,
-    z: float,
-    way_x: float,
-    way_y: float,
-    way_z: float,
-    glass: float,
-) -> bool:
-    """Whether a thing stops light on a way [m] before a part of it."""
-    flat = way_x * way_x + way_y * way_y
-    length, width = things[thing, LENGTH], things[thing, WIDTH]
-    dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
-    if width < 0:
-        towards, outside = dx * way_x + dy * way_y, dx * dx + dy * dy - length * length
-        square = towards * towards - flat * outside
-        if square < 0 or flat == 0:
-            return False
-        root = math.sqrt(square)
-        first, last = (-towards - root) / flat, (-towards + root) / flat
-    else:
-        c, s = things[thing, COSINE], things[thing, SINE]
-        along, across = dx * c + dy * s, dy * c - dx * s
-        ray_along, ray_across = way_x * c + way_y * s, way_y * c - way_x * s
-        first, last = _crossing(along, ray_along, -length, length)
-        one, other = _crossing(across, ray_across, -width, width)
-        first, last = max(first, one), min(last, other)
-    if first > last or last < 0 or first >= glass:
-        return False
-    one, other = _crossing(z, way_z, things[thing, BOTTOM], things[thing, TOP])
-    first, last = max(first, one), min(last, other)
-    return first <= last and last >= 0 and (first if first >= 0 else last) < glass
-
-
-def _crossing(at: float, way: float, low: float, high: float) -> tuple[float, float]:
-    """Parts of a way at which it goes in and out between two planes; out before in for never."""
-    if way == 0:
-        return (-math.inf, math.inf) if low <= at <= high else (math.inf, -math.inf)
-    one, other = (low - at) / way, (high - at) / way
-    return min(one, other), max(one, other)
+    n_few, n_points = scene.robot.n_few, len(scene.robot.points)
+    first, last = (0, n_few) if disc == FEW else (n_few, n_points)
+    return planar_shadows.blocked(scene, position(scene, channel), first, last, left, up, way, glass)
