@@ -1,8 +1,8 @@
 """`casting` for screening: the same questions, asked of a plane instead of MuJoCo.
 
 The robot is a disc on two wheels, what stands around it are upright boxes and cylinders with their heights.
-Its way is worked out in `planar_motion`, what its sensors see in `planar_rays` and `planar_shadows`, as MuJoCo
-does for upright things and a robot that does not tilt. This source runs as it stands and compiled.
+Its way is worked out in `planar_motion`, what its sensors see in `planar_rays` and `planar_shadows`, as by
+MuJoCo for upright things and a robot that does not tilt. This source runs as it stands and compiled.
 
 Nothing is left out for being far off. But for each thing a distance is kept that it surely is away, less the
 way since; things are looked at in that order, and no longer than they can matter.
