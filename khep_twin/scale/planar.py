@@ -171,10 +171,10 @@ class PlanarRoom:
             self.scene = Plane(self._things.data, self._order.data, Robot(**views))
             live = [views[name] for name in LIVE]
 
-        # There are no bodies and no warnings.
+        # The robot is the only body, and there are no warnings.
         joints, speeds, ctrl, force = live
         none: Any = np.zeros(0) if compiled else np.zeros(0).data
-        self.live: Live = joints, speeds, ctrl, force, none, none
+        self.live: Live = joints, speeds, ctrl, force, joints[: flat.HEADING], none
 
     def put(self, start: Start | None) -> None:
         """Puts the robot down at rest, in its place or elsewhere [mm, deg]; nothing is left of what was."""

@@ -285,3 +285,10 @@ def test_compiled_lives_are_the_plain_ones_in_used_room_and_in_pieces(step_ns: i
         fast.live(0.02)
     assert plain.registers.tolist() == fast.registers.tolist()
     assert plain.joints.tobytes() == fast.joints.tobytes()
+
+
+def test_a_robot_far_off_is_a_failure_as_in_mujoco() -> None:
+    starts = [(1e6, 0.0, 0.0), (100.0, 150.0, 0.0)]
+    for planar in (False, True):
+        lives = rollout(arena(), Wander(), range(2), 0.1, starts=starts, planar=planar, compiled=False)
+        assert [failure.index for failure in lives.failures] == [0]
