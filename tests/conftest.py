@@ -1,5 +1,7 @@
 """What several tests need."""
 
+import os
+
 import hypothesis
 import pytest
 
@@ -35,3 +37,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """`pytest tests/conformance --port URL` checks a robot or a served twin instead of twins of its own."""
     parser.addoption("--port", help="port of a robot or twin to check; its robot moves about 10 cm")
     parser.addoption("--baudrate", type=int, default=9600, help="speed of that port's line")
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """For `-n auto`, one more than there are cores: many tests wait for a line or a clock."""
+    return len(os.sched_getaffinity(0)) + 1
