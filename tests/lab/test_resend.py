@@ -89,7 +89,8 @@ def test_a_served_twin_answers_over_its_terminal(tmp_path: Path, driven: Path) -
         server.terminate()
         server.communicate()
     assert (found.missing, found.more) == (0, 0)
-    assert abs(found.letters["h"].differences).max() < 20
+    # Of 1500 pulses on the left; on a busy machine the first command may be late by half a second.
+    assert abs(found.letters["h"].differences).max() < 250
 
 
 def test_what_cannot_be_sent_is_one_line(tmp_path: Path, driven: Path) -> None:
