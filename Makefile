@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
 PLAYPEN := obstacles
 BENCH :=
+BROWSER :=
 
 .PHONY: help run test check format fuzz fuzz-files soak determinism kills worker-kills pyserial browser schemas reference tutorial bench lock build clean
 
@@ -54,7 +55,7 @@ pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back
 
 browser: $(VENV)/dev.stamp ## the designer's page in Chromium, which has to be installed; leaves pictures in out/browser
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements-browser.lock
-	@$(BIN)/python -m pytest -n 0 tests/web/test_browser_*.py
+	@$(BIN)/python -m pytest -n 0 $(BROWSER) tests/web/test_browser_*.py
 
 schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
 	@$(BIN)/python tests/log/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin

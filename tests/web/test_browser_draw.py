@@ -93,6 +93,7 @@ def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, b
     second.page.click("#open")
     second.page.click("#dialog .main")
     second.page.wait_for_selector("text=Another page has both.toml open")
+    second.page.wait_for_timeout(1000)  # it had this file before, and nothing tells that it is there anew
     second.add("cylinder", (400, 200))
     second.page.click("#save")
     visit.page.wait_for_selector("text=was saved by another page")

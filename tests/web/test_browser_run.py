@@ -196,7 +196,7 @@ def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: P
     page.click('[data-tab="run"]')
     page.fill("#log", "run.mcap")
     page.click("#start")
-    page.wait_for_selector(".live")
+    tablet.wait("/^[0-9.]+ s/.test(document.querySelector('#clock').textContent)")
     there, beside, above = map(tablet.at, (300, 400, 300), (200, 200, 300))
     tablet.touch(there)
     page.wait_for_selector(".live.held")
