@@ -250,7 +250,6 @@ def _anything_within(scene, frame, place, reach):
 @njit
 def _cast_one(scene, place, x, y, z, ray, found):
     """Finds the first thing that a ray hits: each is asked in MuJoCo's order, and by MuJoCo."""
-    calls = scene.calls
     first = LENGTH_AND_NORMAL * ray
     best, geom = -1.0, -1
     for k in range(4):
@@ -266,16 +265,7 @@ def _cast_one(scene, place, x, y, z, ray, found):
                 continue
             if best >= 0 and ahead - bound > best * flat + 1e-9:
                 continue
-        length = _call_ray_geom(
-            calls[3],
-            scene.places[here].ctypes.data,
-            scene.turns[here].ctypes.data,
-            scene.sizes[here].ctypes.data,
-            place.ctypes.data,
-            scene.ways.ctypes.data,
-            scene.kinds[i],
-            scene.normal.ctypes.data,
-        )
+        length = _length(scene, i, place, scene.normal.ctypes.data)
         if length >= 0 and (best < 0 or length < best):
             best, geom = length, here
             for k in range(3):
@@ -320,7 +310,6 @@ def blocked(scene, channel, disc, left, up, way, cutoff, glass):
 @njit
 def _stops(scene, place, x, y, glass):
     """Whether light on a way is stopped before the bulb's glass: by anything, whichever is first."""
-    calls = scene.calls
     flat = x * x + y * y
     length = np.sqrt(flat)
     for i in range(len(scene.solid)):
@@ -333,22 +322,29 @@ def _stops(scene, place, x, y, glass):
             ahead, aside = dx * x + dy * y, dx * y - dy * x
             if ahead < -bound or ahead - bound > flat or abs(aside) > bound:
                 continue
-        hit = _call_ray_geom(
-            calls[3],
-            scene.places[here].ctypes.data,
-            scene.turns[here].ctypes.data,
-            scene.sizes[here].ctypes.data,
-            place.ctypes.data,
-            scene.ways.ctypes.data,
-            scene.kinds[i],
-            np.int64(0),
-        )
+        hit = _length(scene, i, place, np.int64(0))
         if 0 <= hit < glass:
             return True
     return False
 
 
 heading = njit(casting.heading)
+
+
+@njit
+def _length(scene, i, place, normal):
+    """How far a ray along `scene.ways` goes to a solid thing, by MuJoCo; the normal's address may be 0."""
+    here = scene.solid[i]
+    return _call_ray_geom(
+        scene.calls[3],
+        scene.places[here].ctypes.data,
+        scene.turns[here].ctypes.data,
+        scene.sizes[here].ctypes.data,
+        place.ctypes.data,
+        scene.ways.ctypes.data,
+        scene.kinds[i],
+        normal,
+    )
 
 
 @njit

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from test_batch import same
 
 from khep_twin import playpen, units
 from khep_twin.errors import PlaypenError
@@ -12,7 +13,7 @@ from khep_twin.kernel import AMBIENT, PROXIMITY
 from khep_twin.optics import Proximity
 from khep_twin.playpen import Playpen
 from khep_twin.scale.batch import Lives, rollout
-from khep_twin.scale.life import NUMBERS, Ground, Life
+from khep_twin.scale.life import Ground, Life
 from khep_twin.scale.minds import Hold, Network, Wander
 from khep_twin.scale.planar import Outline, PlanarRoom, _plain_episode
 from khep_twin.scale.planar_casting import rays
@@ -256,11 +257,6 @@ def batch_of(compiled: bool, **options: object) -> Lives:
     starts = [(120.0, 290.0, 25.0), *((350.0 + 10 * i, 300.0, 60.0 * i) for i in range(5))]
     found = {"genes": genes, "starts": starts, "spread": True, "compiled": compiled, "planar": True}
     return rollout(arena(), NETWORK, range(6), 3.0, **(found | options))  # type: ignore[arg-type]
-
-
-def same(one: Lives, other: Lives) -> bool:
-    numbers = all(one.numbers[name].tobytes() == other.numbers[name].tobytes() for name in NUMBERS)
-    return numbers and bool((one.registers == other.registers).all() and (one.poses == other.poses).all())
 
 
 @with_numba
