@@ -46,6 +46,7 @@ FLOORS = [
         "optics",
         "ambient",
         "sensors",
+        "sensor_bars",
         "illumination",
         "symbols",
         "drawing",

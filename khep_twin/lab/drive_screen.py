@@ -2,13 +2,11 @@
 
 from khep_twin.host import SensorCounts
 from khep_twin.lab.teleoperation import View
-from khep_twin.units import COUNTS_LIMIT, speed
+from khep_twin.sensor_bars import BARS
+from khep_twin.units import speed
 
 WIDTH, HEIGHT = 64, 18
 """The smallest terminal [characters]."""
-
-_DARK_COUNTS = 512
-"""No light: at about this many counts of ambient light (manual II, 3.1.7)."""
 
 _NAMES = [name.replace("_", " ") for name in SensorCounts._fields]
 _LABEL, _COUNTS, _GAP = 12, 5, 3
@@ -33,11 +31,11 @@ def draw(view: View, name: str, width: int, height: int) -> list[str]:
     lines = [
         f"khep-twin drive  {name}",
         "",
-        f"{'':{_LABEL}}{'proximity':{column}}light (low is bright)",
+        f"{'':{_LABEL}}{'proximity':{column}}{BARS['light'].legend}",
         *(
             f"{sensor:{_LABEL}}"
-            f"{_bar(near / COUNTS_LIMIT, bar)}{near:{_COUNTS}}{'':{_GAP}}"
-            f"{_bar(1 - dark / _DARK_COUNTS, bar)}{dark:{_COUNTS}}"
+            f"{_bar('proximity', near, bar)}{near:{_COUNTS}}{'':{_GAP}}"
+            f"{_bar('light', dark, bar)}{dark:{_COUNTS}}"
             for sensor, near, dark in zip(_NAMES, view.proximity, view.ambient, strict=True)
         ),
         "",
@@ -51,7 +49,7 @@ def draw(view: View, name: str, width: int, height: int) -> list[str]:
     return [line[: width - 1] for line in lines]
 
 
-def _bar(part: float, width: int) -> str:
-    """So much of a bar of this many characters, 0 to 1."""
-    full = round(min(max(part, 0.0), 1.0) * width)
+def _bar(name: str, value: float, width: int) -> str:
+    """Return a bar of this many characters, filled by a value."""
+    full = round(BARS[name].filled(value) * width)
     return "#" * full + "." * (width - full)

@@ -6,6 +6,7 @@
 At each sensor stands a pair of bars, proximity (0 to 1023) and ambient light (0 to 500, as counted: long in
 the dark), beside each wheel its speed (0 to 20 pulses/10 ms, downwards when it drives backwards). It is a
 window where there is a screen; else a picture that is written anew each time.
+`khep_twin.sensor_bars` has what fills a bar.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -20,15 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
 from khep_twin.lab.toolbox_windows import refresh, show
-from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+from khep_twin.sensor_bars import BARS
+from khep_twin.units import BODY_RADIUS, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
-
-LIGHT_LIMIT, SPEED_LIMIT = 500, 20
-"""What fills a bar of ambient light [counts], and of speed [pulses/10 ms] (toolbox)."""
 
 _BAR, _WIDTH = 0.012, 0.0028
 """Of a full bar, and of any [m]."""
@@ -94,14 +93,13 @@ class _View:
 
     def set(self, proximity: NDArray[Any], light: NDArray[Any], speed: NDArray[Any]) -> None:
         """Gives the bars their lengths."""
-        for bars, values, limit in (
-            (self._proximity, proximity, COUNTS_LIMIT),
-            (self._light, light, LIGHT_LIMIT),
-            (self._speed, speed, SPEED_LIMIT),
+        for name, bars, values in (
+            ("proximity", self._proximity, proximity),
+            ("light", self._light, light),
+            ("speed", self._speed, speed),
         ):
-            lowest = -1 if bars is self._speed else 0
-            for bar, part in zip(bars, np.clip(values / limit, lowest, 1).tolist(), strict=True):
-                bar.set_height(part * _BAR)
+            for bar, value in zip(bars, values.tolist(), strict=True):
+                bar.set_height(BARS[name].filled(value) * _BAR)
 
     def show(self) -> Path | None:
         """Brings it to the screen, or into its file."""
@@ -147,10 +145,17 @@ def _sheet() -> "tuple[Figure, Axes]":
         axes.add_patch(Rectangle(corner, WHEEL_WIDTH, 2 * WHEEL_RADIUS, facecolor=INK, lw=0))
     for forward, left in SENSOR_POSITIONS:
         axes.add_patch(Circle((-left, forward), 0.0013, facecolor=INK, lw=0))
-    names = {f"proximity, to {COUNTS_LIMIT}": _PROXIMITY, f"light, to {LIGHT_LIMIT}": _LIGHT}
-    names[f"speed, to {SPEED_LIMIT}"] = _SPEED
-    handles = [Line2D([], [], color=colour, lw=5, label=name) for name, colour in names.items()]
-    figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=8)
+    colours = zip(BARS.values(), (_PROXIMITY, _LIGHT, _SPEED), strict=True)
+    handles = [Line2D([], [], color=colour, lw=5, label=bar.legend) for bar, colour in colours]
+    figure.legend(
+        handles=handles,
+        loc="lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=6.8,
+        columnspacing=0.8,
+        handlelength=1.2,
+    )
     return figure, axes
 
 

@@ -1,8 +1,8 @@
 """The toolbox's khepbase as a panel of rerun: the robot from above, with bars for what it senses and does.
 
-At each sensor a pair of bars, proximity (0 to 1023) and depth of the light below 500 counts; beside each
-wheel a bar of its speed (0 to 20 pulses/10 ms, downwards when it drives backwards). And in the arena, where
-the sensors look: a fan of lines at each of them.
+At each sensor a pair of bars, proximity (0 to 1023) and ambient light (0 to 500, as counted: long in the
+dark); beside each wheel a bar of its speed (0 to 20 pulses/10 ms, downwards when it drives backwards), by
+`khep_twin.sensor_bars`. And in the arena, where the sensors look: a fan of lines at each of them.
 """
 
 # rerun's types are partly unknown.
@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.units import BODIES, COUNTS_LIMIT, WHEEL_BASE, WHEEL_RADIUS
+from khep_twin.sensor_bars import BARS
+from khep_twin.units import BODIES, WHEEL_BASE, WHEEL_RADIUS
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
@@ -36,7 +37,6 @@ _BAR = 0.012
 _HALF_WIDTH = 0.0014
 _PROXIMITY, _LIGHT, _SPEED = (228, 87, 46), (244, 200, 70), (77, 171, 247)
 _OUTLINE = (150, 150, 150)
-_DARK_COUNTS, _FASTEST = 500.0, 20.0
 _RAYS = 9
 
 
@@ -113,17 +113,14 @@ def panel_chunks(
     times = rr.TimeColumn(timeline, duration=track.times_ns[some].astype("timedelta64[ns]"))
     # Pictures have y downwards: ahead is up, left is left.
     feet = np.array([(-left, -forward) for forward, left in _BODY.sensor_positions]) * 1.35
-    near = np.clip(track.proximity[some] / COUNTS_LIMIT, 0, 1)
-    light = np.clip(1 - track.ambient[some] / _DARK_COUNTS, 0, 1)
     shift = np.array([_HALF_WIDTH * 1.15, 0])
     beside = np.array([(-WHEEL_BASE / 2 + 0.006, 0.0), (WHEEL_BASE / 2 - 0.006, 0.0)])
-    speeds = np.clip(track.speed[some, :2] / _FASTEST, -1, 1)
     return [
-        Chunk.from_columns(f"{place}/{name}", [times], _bars(rr, values, at, colour))
+        Chunk.from_columns(f"{place}/{name}", [times], _bars(rr, _filled(name, values), at, colour))
         for name, values, at, colour in (
-            ("proximity", near, feet - shift, _PROXIMITY),
-            ("light", light, feet + shift, _LIGHT),
-            ("speed", speeds, beside, _SPEED),
+            ("proximity", track.proximity[some], feet - shift, _PROXIMITY),
+            ("light", track.ambient[some], feet + shift, _LIGHT),
+            ("speed", track.speed[some, :2], beside, _SPEED),
         )
     ]
 
@@ -154,6 +151,11 @@ def fan_chunks(robot: str, headings_deg: tuple[float, ...]) -> "list[Chunk]":
     lines = rr.LineStrips3D.columns(strips=strips, colors=[(*_PROXIMITY, 90)] * n, radii=[0.0003] * n)
     frame = rr.CoordinateFrame.columns(frame=[f"{robot}/base"])
     return [_standing(f"/obstacles/{robot}_sensors", [*lines.partition([n]), *frame])]
+
+
+def _filled(name: str, values: Floats) -> Floats:
+    parts: Floats = np.vectorize(BARS[name].filled, otypes=[np.float64])(values)
+    return parts
 
 
 def _standing(place: str, columns: Any) -> "Chunk":

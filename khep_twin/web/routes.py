@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from khep_twin.lab import sensor_files
 from khep_twin.lab.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import SensorRun
 from khep_twin.ports.twin import TwinOptions
+from khep_twin.sensor_bars import BARS
 from khep_twin.web import drafts, jobs
 from khep_twin.web.audience import Audience
 from khep_twin.web.documents import UNNAMED, ConflictError, Documents, OutsideError
@@ -117,6 +119,7 @@ class Page:
             "surfaces": drafts.surfaces(),
             "library": playpens.names(),
             "controllers": list(BUILT_IN),
+            "bars": {name: asdict(bar) for name, bar in BARS.items()},
             "shapes": {model: shape(model, model) for model in ("khepera1", "khepera2")},
             "runs": self._runs(),
         }

@@ -136,9 +136,9 @@ def test_a_line_that_breaks_ends_the_drive_and_a_robot_that_comes_back_is_stoppe
         assert fake.requests[-1] == "D,0,0"
 
 
-def test_the_screen_shows_bars_that_grow_with_what_is_near_and_bright() -> None:
+def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
     near = SensorCounts(0, 1023, 512, 0, 0, 0, 0, 0)
-    dark = SensorCounts(512, 0, 512, 512, 512, 512, 512, 512)
+    dark = SensorCounts(0, 512, 0, 0, 0, 0, 0, 0)
     view = View(7, Way.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
     for width in (WIDTH, 80, 133):
         lines = draw(view, "a port with a long name" * 9, width, HEIGHT)

@@ -67,6 +67,9 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     visit.wait("document.querySelector('#clock').textContent.includes('driven')")
     bars = "[...document.querySelectorAll('#panel rect.proximity')].map((bar) => +bar.getAttribute('height'))"
     visit.wait(f"Math.max(...{bars}) > 1")
+    lights = bars.replace("proximity", "light")
+    assert max(page.evaluate(lights)) > 14  # of 15: full in the dark
+    assert "500 dark" in page.inner_text("#bars")
     motors = "[...document.querySelectorAll('#panel rect.speed')].map((bar) => +bar.getAttribute('height'))"
     assert max(page.evaluate(motors)) > 1
     visit.picture("2-running")

@@ -380,6 +380,7 @@ function hear(message) {
 hello = await post("hello");
 drawing.surfaces = hello.surfaces;
 drawing.shapes = hello.shapes;
+running.panel.limits(hello.bars, $("#bars"));
 new Fields(model, hello.surfaces);
 const last = await attempt(() => decodeURIComponent(location.hash.slice(1)));
 const found = (last && last !== hello.file && (await attempt(() => post("open", { file: last })))) || hello;

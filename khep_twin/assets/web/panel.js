@@ -7,6 +7,8 @@ const BAR = 15;
 const [RED, ORANGE, BLUE] = ["#d55e00", "#e69f00", "#0072b2"];
 
 export class Panel {
+  #bars = {};
+
   constructor(svg, table) {
     Object.assign(this, { svg, table });
     const rows = SENSORS.map((name) => {
@@ -20,6 +22,12 @@ export class Panel {
     last.append(...["speed left, right", "–", "–"].map((text) => Object.assign(document.createElement("td"), { textContent: text })));
     table.replaceChildren(head, ...rows, last);
     this.rows = [...rows, last];
+  }
+
+  // The kinds of bars by name, each with the value that fills it and its entry in the legend.
+  limits(bars, legend) {
+    this.#bars = bars;
+    legend.replaceChildren(...Object.entries(bars).flatMap(([name, bar]) => [Object.assign(document.createElement("i"), { className: name }), `${bar.legend} `]));
   }
 
   // Ahead is up, left is left.
@@ -45,15 +53,15 @@ export class Panel {
   }
 
   read({ proximity, ambient, speed }) {
+    const part = (name, value) => Math.min(Math.abs(value) / this.#bars[name].full, 1);
     proximity.forEach((count, index) => {
-      rise(...this.near[index], (Math.min(count, 1023) / 1023) * BAR);
-      // Dark is 500 and more: a long bar is bright light.
-      rise(...this.light[index], (1 - Math.min(ambient[index], 500) / 500) * BAR);
+      rise(...this.near[index], part("proximity", count) * BAR);
+      rise(...this.light[index], part("light", ambient[index]) * BAR);
       write(this.rows[index].children[1], count);
       write(this.rows[index].children[2], ambient[index]);
     });
     speed.slice(0, 2).forEach((pulses, side) => {
-      const height = (Math.min(Math.abs(pulses), 20) / 20) * BAR;
+      const height = part("speed", pulses) * BAR;
       this.motors[side].setAttribute("y", pulses > 0 ? -height : 0);
       this.motors[side].setAttribute("height", height);
       write(this.rows[8].children[side + 1], pulses);

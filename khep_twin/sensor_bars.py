@@ -1,0 +1,36 @@
+"""Bars for what a robot senses and does, as the toolbox's khepbase draws them.
+
+A bar of ambient light shows the robot's count, which falls where it is brighter: full in the dark, empty in
+bright light.
+"""
+
+from dataclasses import dataclass
+
+from khep_twin.units import COUNTS_LIMIT
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A kind of bar.
+
+    Attributes:
+        full: the value that fills it.
+        legend: its entry in a legend.
+        lowest: the part that it has at least; below 0 where negative values fill it downwards.
+    """
+
+    full: int
+    legend: str
+    lowest: float = 0.0
+
+    def filled(self, value: float) -> float:
+        """Return the part of the bar that a value fills, at most 1."""
+        return min(max(value / self.full, self.lowest), 1.0)
+
+
+BARS = {
+    "proximity": Bar(COUNTS_LIMIT, f"proximity, 0 to {COUNTS_LIMIT}"),
+    "light": Bar(500, "light, 500 dark to 0 bright"),
+    "speed": Bar(20, "speed, -20 to 20", lowest=-1.0),
+}
+"""The kinds of bars by name [counts, counts, pulses/10 ms]; the limits are the toolbox's."""
