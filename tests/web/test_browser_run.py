@@ -234,6 +234,24 @@ def test_a_twin_is_run_by_keys_alone(visit: Visit) -> None:
     visit.wait("document.querySelector('#clock').textContent === 'not running'")
 
 
+def test_run_and_stop_are_in_the_top_bar_whatever_the_panel_shows(tablet: Visit) -> None:
+    page = tablet.page
+    tablet.add("robot", (300, 200))
+    page.set_viewport_size({"width": 390, "height": 844})
+    for tab in ("object", "playpen", "sense"):
+        page.click(f'[data-tab="{tab}"]')
+        for button in ("#run", "#stop"):
+            assert page.locator(button).bounding_box()["y"] < 60
+    page.click("#run")
+    tablet.wait("document.querySelector('#clock').textContent.includes('driven')")
+    assert page.is_visible("#tab-run")
+    page.locator("#tab-run #put").scroll_into_view_if_needed()
+    tablet.picture("12-narrow")
+    page.click("#stop")
+    tablet.wait("!document.querySelector('#run').disabled")
+    page.click("#end")
+
+
 def tab_to(visit: Visit, selector: str) -> None:
     for _ in range(60):
         if visit.page.evaluate(f"document.activeElement.matches({selector!r})"):

@@ -27,7 +27,12 @@ export class Panel {
   // The kinds of bars by name, each with the value that fills it and its entry in the legend.
   limits(bars, legend) {
     this.#bars = bars;
-    legend.replaceChildren(...Object.entries(bars).flatMap(([name, bar]) => [Object.assign(document.createElement("i"), { className: name }), `${bar.legend} `]));
+    const entries = Object.entries(bars).map(([name, bar]) => {
+      const entry = document.createElement("span");
+      entry.append(Object.assign(document.createElement("i"), { className: name }), bar.legend);
+      return entry;
+    });
+    legend.replaceChildren(...entries);
   }
 
   // Ahead is up, left is left.

@@ -51,7 +51,6 @@ export class Running {
     press("#step", () => this.step());
     press("#run", () => this.#run());
     press("#stop", () => post("stop"));
-    press("#sense-stop", () => post("stop"));
     press("#gather", () => this.#gather());
     press("#display", () => this.#figure());
     press("#save-sensed", async () => {
@@ -94,6 +93,7 @@ export class Running {
   }
 
   async #run() {
+    $('[data-tab="run"]').click();
     if (!this.active) await this.start();
     if (!(await this.#there())) return;
     $("#runs-done tbody").replaceChildren();
@@ -251,7 +251,7 @@ export class Running {
     $("#start").disabled = active;
     for (const id of ["#reset", "#pause", "#step", "#put"]) $(id).disabled = !active || real;
     $("#end").disabled = !active;
-    $("#stop").disabled = $("#sense-stop").disabled = !active;
+    $("#stop").disabled = !active;
     $("#run").disabled = $("#gather").disabled = busy;
     $("#pause").textContent = this.paused ? "Go on" : "Pause";
     $("#connect").disabled = active && !real;
