@@ -126,6 +126,11 @@ class Injector:
         self._lasting("brown-out", time_ns)
         return len(self._begun) > begun
 
+    def next_brown_out_ns(self) -> int | None:
+        """Return from when on the supply drops out next [ns], None if it does not."""
+        waiting = (fault for fault in self._faults if fault.text not in self._begun)
+        return min((fault.start_ns for fault in waiting if fault.kind == "brown-out"), default=None)
+
     def _active(self, kind: str, time_ns: int) -> list[Fault]:
         return [fault for fault in self._faults if fault.kind == kind and time_ns >= fault.start_ns]
 

@@ -65,7 +65,8 @@ class Firmware:
         registers: the board's state (N_REGISTERS,).
         cells: the same memory, as `kernel` likes to index it.
         turrets: what is plugged on top.
-        baud: speed that the serial line has to have.
+        baud: speed that the serial line has to have from the next reply on.
+        reply_baud: speed of the line for the last reply; another one than `baud` after the tool `serial`.
         running: function of the ROM that runs, empty for none.
         powered: whether the processor has the voltage that it needs.
     """
@@ -85,6 +86,7 @@ class Firmware:
         """Takes bytes from the line; returns the replies to the commands that they complete."""
         if not self.powered:
             return b""
+        self.reply_baud = self.baud
         return b"".join(self._answer(parse(line)) for line in self._lines.feed(data))
 
     def forget_line(self) -> None:
@@ -110,12 +112,17 @@ class Firmware:
         self.powered = False
 
     def reset(self) -> bytes:
-        """Puts everything to its reset state, as at power-up; returns what the robot shows then."""
+        """Puts everything to its reset state, as at power-up; returns what the robot shows then.
+
+        A processor without power cannot start: it changes nothing and shows nothing.
+        """
+        if not self.powered:
+            return b""
         kernel.reset(self.cells)
         self._lines.clear()
         for turret in self.turrets.values():
             turret.reset()
-        self.baud = self._mode.baud
+        self.baud = self.reply_baud = self._mode.baud
         self.running = ""
         banner = b"".join(line.encode("ascii") + END for line in self._rom.banner)
         return banner + self._start(self._mode.function)

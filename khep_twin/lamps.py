@@ -54,9 +54,11 @@ class Lamps:
         """Which one is on, where they are on one at a time; else None."""
         return self._lit
 
-    def turn(self, index: int, on: bool) -> None:
-        """Switches a lamp by hand: off, or as it would be without a hand."""
+    def turn(self, index: int, on: bool, time_ns: int) -> None:
+        """Switch a lamp by hand at a time [ns]: off, or back to what it does by itself."""
         (self._off.discard if on else self._off.add)(index)
+        if self.steady:  # nobody has called `update` so far
+            self._time_ns = time_ns
         self.steady = False
 
     def turned_off(self, index: int) -> bool:

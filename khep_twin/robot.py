@@ -179,6 +179,7 @@ class Robot:
         if sent := rx.read(rx.arrival(len(rx)) or time_ns):
             self._stage.hear(time_ns, self.index, True, sent)
             self.firmware.receive(sent)
+            self._take_speed(self.firmware.baud)
         self.firmware.forget_line()
         tx.read(time_ns)
         for line in (rx, tx):
@@ -196,6 +197,19 @@ class Robot:
             return None
         return max(arrival_ns, tx.arrival(len(tx) - REPLY_LIMIT) or 0)
 
+    def next_answer_ns(self) -> int | None:
+        """Return when the firmware may next put bytes on the line [ns], None if nothing makes it do so.
+
+        Commands make it answer, and a brown-out fault makes it show its banner.
+        """
+        command_ns = self.next_command_ns()
+        brown_out_ns = None if self._faults is None else self._faults.next_brown_out_ns()
+        if brown_out_ns is None or not self.firmware.powered:
+            return command_ns
+        # Faults happen in control ticks, the first of them one period after the start.
+        tick_ns = units.TICK_NS * max(-(-brown_out_ns // units.TICK_NS), 1)
+        return tick_ns if command_ns is None else min(command_ns, tick_ns)
+
     def exchange(self, time_ns: int) -> None:
         """Lets the firmware take what arrives by `time_ns` and puts its answers on the line."""
         rx = self.uart.rx
@@ -203,10 +217,11 @@ class Robot:
             line = rx.read(taken_ns, rx.count_to(*LINE_ENDS))
             self._stage.hear(taken_ns, self.index, True, line)
             answer = self.firmware.receive(line)
+            # A restart sets the speed before its banner, the tool `serial` after its reply.
+            self._take_speed(self.firmware.reply_baud)
             if answer:
                 self._reply(answer, taken_ns)
-            # The tool `serial`, or a restart after it, changes the speed from the next byte on.
-            self._take_speed()
+            self._take_speed(self.firmware.baud)
         # Of a line that has not ended, what is there is taken at once; a whole one that waits stays whole.
         count = rx.arrived(time_ns)
         if taken_ns is None and count:
@@ -275,11 +290,11 @@ class Robot:
     def _mismatched(self) -> bool:
         return self._host is not None and self._host.baud != self._baud
 
-    def _take_speed(self) -> None:
-        """Sets the line to the speed that the firmware wants."""
-        self._baud = self.firmware.baud
+    def _take_speed(self, baud: int) -> None:
+        """Set the robot's end of the line to a speed that the firmware wants."""
+        self._baud = baud
         if not self._unpaced:
-            self.uart.tx.baud = self._baud
+            self.uart.tx.baud = baud
 
     def _over_the_line(self, data: bytes, time_ns: int) -> bytes:
         """Bytes as they come out of the cable at its other end."""
@@ -297,9 +312,9 @@ class Robot:
                 # Its own voltage as a generator: no current, no torque.
                 self._ctrl[motor] = self._motor_constant * self._qvel[speed]
         if faults.brown_out(time_ns):
-            banner = self.firmware.reset()
-            self._take_speed()
-            self._reply(banner, time_ns)
+            if banner := self.firmware.reset():
+                self._take_speed(self.firmware.reply_baud)
+                self._reply(banner, time_ns)
 
 
 class _Light:

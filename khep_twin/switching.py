@@ -24,7 +24,7 @@ def switch(world: World, lamp: int, on: bool) -> None:
     if not 0 <= lamp < len(names):
         raise PlaypenError(f"lamp = {lamp}: there is none; {choices(lamp, range(len(names)))}")
     world.act(0, HostAct(Act.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
-    world.lamps.turn(lamp, on)
+    world.lamps.turn(lamp, on, world.time_ns)
     world.tell(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
 
 

@@ -107,6 +107,11 @@ class Line:
         places = [place for byte in wanted if (place := self._bytes.find(byte)) >= 0]
         return min(places) + 1 if places else None
 
+    def count_to_end_of(self, text: bytes) -> int | None:
+        """Return how many bytes under way end with the first `text`, None if it is not there."""
+        place = self._bytes.find(text) if text else -1
+        return place + len(text) if place >= 0 else None
+
     def read(self, time_ns: int, limit: int | None = None) -> bytes:
         """Takes what has arrived by `time_ns`, at most `limit` bytes."""
         count = self.arrived(time_ns)

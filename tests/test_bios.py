@@ -58,10 +58,11 @@ def test_serial_changes_the_speed_behind_its_reply_and_restart_changes_it_back()
         start = robot.time
         robot.ask("H")
         assert robot.time - start == pytest.approx((2 + 7) * 11 / 38400, rel=0.01)
-        robot.ask("restart")
+        start = robot.time
+        robot.port.write(b"restart\n")
         robot.port.baudrate = 9600
-        robot.sleep(0.3)
-        robot.port.reset_input_buffer()
+        banner = b"".join(robot.port.readline() for _ in ROMS["5.02"].banner)
+        assert robot.time - start == pytest.approx((8 / 38400 + len(banner) / 9600) * 11, rel=0.01)
         start = robot.time
         robot.ask("H")
         assert robot.time - start == pytest.approx((2 + 7) * 11 / 9600, rel=0.01)

@@ -8,6 +8,7 @@ from khep_twin import units
 from khep_twin.calibration import MotorCalibration
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
+from khep_twin.kernel import DUTIES
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.supply import DISCHARGE, Supply, discharged
@@ -103,3 +104,15 @@ def test_below_4_volts_the_processor_stands_still_and_the_motors_do_not() -> Non
         before = world.robots[0].pose[2]
         robot.sleep(1)
         assert world.robots[0].pose[2] != pytest.approx(before, abs=0.3)
+
+
+def test_a_processor_without_supply_does_not_start_anew_after_a_brown_out_fault() -> None:
+    notes = Notes()
+    twin = open_twin("default", TwinOptions(battery_used_min=41.2, faults=("brown-out@0.05",)))
+    twin.world.taps.append(notes)
+    with Serial.of(twin, timeout=0.5) as port:
+        twin.robot.firmware.cells[DUTIES[0]] = 20
+        assert port.read(100) == b""
+        assert notes.told[-1] == "fault brown-out@0.05 begins"
+        # The motors keep their duty all the same.
+        assert (twin.robot.firmware.powered, twin.robot.firmware.cells[DUTIES[0]]) == (False, 20)

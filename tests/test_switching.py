@@ -44,3 +44,16 @@ def test_a_lamp_that_blinks_stays_dark_when_a_hand_has_switched_it_off() -> None
 def test_a_lamp_that_there_is_not_is_told() -> None:
     with pytest.raises(PlaypenError, match="lamp = 1: there is none"):
         switch(World(lit()), 1, False)
+
+
+def test_a_lamp_that_fades_does_so_from_the_moment_a_hand_switches_it() -> None:
+    playpen = lit()
+    lamp = playpen.lamps[0].model_copy(update={"fade_s": 1.0})
+    world = World(playpen.model_copy(update={"lamps": (lamp,)}))
+    world.advance_to(2 * SECOND + 1)
+    switch(world, 0, False)
+    world.advance_to(world.time_ns + SECOND // 4)
+    assert world.lamps.powers == [pytest.approx(7 * 0.75, rel=1e-6)]
+    switch(world, 0, True)
+    world.advance_to(world.time_ns + SECOND // 8)
+    assert world.lamps.powers == [pytest.approx(7 * 0.875, rel=1e-6)]

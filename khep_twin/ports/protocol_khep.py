@@ -74,7 +74,6 @@ class Serial(SerialBase):
     def _connect(self, twin: Twin) -> None:
         self.twin = twin
         self._uart = twin.robot.uart
-        self._poll_ns = self._uart.tx.byte_ns or _POLL_NS
         self.is_open = True
 
     def close(self) -> None:
@@ -98,7 +97,7 @@ class Serial(SerialBase):
         """How many bytes have arrived; a look at an empty line costs one byte time."""
         self._check_open()
         if not self._uart.tx.arrived(self.time_ns):
-            self.twin.advance_to(self.time_ns + self._poll_ns)
+            self._poll()
         return self._uart.tx.arrived(self.time_ns)
 
     @property
@@ -113,9 +112,15 @@ class Serial(SerialBase):
 
     def read_until(self, expected: bytes = b"\n", size: int | None = None) -> bytes:
         """Reads up to and with `expected`, or `size` bytes, or until the timeout."""
-        if len(expected) != 1 or size is not None:
-            return super().read_until(expected, size)
-        return self._read(lambda: self._uart.tx.count_to(expected[0]), None)
+        tx = self._uart.tx
+
+        def wanted() -> int | None:
+            count = tx.count_to_end_of(expected)
+            if size is not None and len(tx) >= size and (count is None or count > size):
+                return size
+            return count
+
+        return self._read(wanted, size)
 
     def readline(self, size: int | None = -1, /) -> bytes:
         """Reads a line with its line feed, or until the timeout."""
@@ -169,13 +174,11 @@ class Serial(SerialBase):
         tx = self._uart.tx
         deadline_ns = None if self._timeout is None else self.time_ns + to_ns(self._timeout)
         while (count := wanted()) is None:
-            # Nothing comes but in answer to a command that has reached the robot.
-            next_ns = self.twin.robot.next_command_ns()
+            next_ns = self.twin.robot.next_answer_ns()
             if next_ns is None or (deadline_ns is not None and next_ns > deadline_ns):
                 break
             self.twin.advance_to(max(next_ns, self.time_ns))
-        goal_ns = None if count is None else tx.arrival(count)
-        if goal_ns is None and deadline_ns is None:
+        if count is None and deadline_ns is None:
             reason = (
                 "no timeout is set and no answer is under way "
                 "(every command ends with a line feed or carriage return)"
@@ -183,14 +186,17 @@ class Serial(SerialBase):
                 else "the robot's supply is below 4 V, it is dead"
             )
             raise TwinPortError(f"{self._port}: waiting for ever: {reason}")
-        if goal_ns is not None and (deadline_ns is None or goal_ns <= deadline_ns):
-            self.twin.advance_to(max(goal_ns, self.time_ns))
-            return tx.read(self.time_ns, count)
-        if self._timeout:
-            self.twin.advance_to(max(deadline_ns or 0, self.time_ns))
-        elif not tx.arrived(self.time_ns):
-            self.twin.advance_to(self.time_ns + self._poll_ns)
-        return tx.read(self.time_ns, limit)
+        ends_ns = [end_ns for end_ns in (deadline_ns, count and tx.arrival(count)) if end_ns is not None]
+        if self._timeout == 0 and not tx.arrived(self.time_ns):
+            self._poll()
+        else:
+            self.twin.advance_to(max(min(ends_ns), self.time_ns))
+        count = wanted()
+        return tx.read(self.time_ns, limit if count is None else count)
+
+    def _poll(self) -> None:
+        """Let pass what a look at an empty line costs."""
+        self.twin.advance_to(self.time_ns + (self._uart.tx.byte_ns or _POLL_NS))
 
     def _check_open(self) -> None:
         if not self.is_open:

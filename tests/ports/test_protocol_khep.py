@@ -287,3 +287,55 @@ def test_a_log_is_whole_when_the_port_is_closed(tmp_path: Path) -> None:
         assert not log.exists()
     assert log.read_bytes().endswith(b"\x89MCAP0\r\n")
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_a_line_read_is_one_line_whatever_makes_the_robot_speak() -> None:
+    url = "khep://default?fault=brown-out@0.5015"
+    for timeout in (None, 2.0, 0.531):
+        with connect(url, timeout=timeout) as port:
+            line = port.readline()
+            assert line == b"ROM of minirobot KHEPERA, "[: len(line)] or line.endswith(b"\r\n"), timeout
+            assert line.count(b"\n") == (timeout != 0.531)
+    with connect(url, timeout=None) as port:
+        assert port.read(4) == b"ROM "
+        # Control ticks come every 10 ms; the fault happens in the first one behind its start.
+        assert port.time_ns == 510_000_000 + 4 * 11 * 10**9 // 9600
+
+
+def test_a_poll_that_lets_several_lines_arrive_gives_one_of_them() -> None:
+    with connect("khep://default?unpaced=on", timeout=0) as port:
+        port.sleep(0.0001)
+        port.twin.robot.send(b"B\nE\n", port.time_ns + 500_000)
+        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert port.readline() == b"e,0,0\r\n"
+
+
+def test_a_poll_costs_a_byte_at_the_speed_that_the_line_has_now() -> None:
+    with connect(timeout=1) as port:
+        port.write(b"serial 115200\n")
+        assert port.readline() == b"serial 115200\r\n"
+        port.timeout, start_ns = 0, port.time_ns
+        assert (port.in_waiting, port.read(1)) == (0, b"")
+        assert port.time_ns - start_ns == 2 * (11 * 10**9 // 115200)
+
+
+def test_a_read_ends_with_any_text_or_at_a_number_of_bytes() -> None:
+    with connect(timeout=1) as port:
+        port.write(b"B\nB\nB\n")
+        assert port.read_until(b"\r\n") == b"b,5.02,5.01\r\n"
+        assert port.readline(4) == b"b,5."
+        assert port.readline(100) == b"02,5.01\r\n"
+        start_ns = port.time_ns
+        assert port.read_until(b"no such text") == b"b,5.02,5.01\r\n"
+        assert port.time_ns - start_ns == 10**9
+
+
+def test_a_host_that_hangs_up_leaves_the_line_at_the_speed_that_it_set() -> None:
+    with connect(timeout=1) as port:
+        port.write(b"serial 38400\n")
+        port.twin.robot.hang_up()
+        port.baudrate = 38400
+        start_ns = port.time_ns
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert port.time_ns - start_ns == 2 * 11 * 10**9 // 38400 + 13 * 11 * 10**9 // 38400
