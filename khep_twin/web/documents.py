@@ -2,11 +2,15 @@
 
 A file is known by its version, a hash of its bytes: who saves tells on which version that is built, so that
 two pages, or a page and an editor, never write over each other unseen. What a page has not saved yet lies as
-a draft beside the file, `.NAME.toml.draft`, until it is.
+a draft beside the file, `.NAME.toml.PAGE.draft`, until it is saved or thrown away. Each page writes and
+deletes its own drafts only.
 """
 
 import json
 import os
+import re
+from collections.abc import Mapping
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -16,10 +20,13 @@ from khep_twin import toml_files
 from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.files import unusable, write_whole
 from khep_twin.toml_files import SIZE_LIMIT
-from khep_twin.web.drafts import Draft, draft_of, object_of, text_of
+from khep_twin.web.drafts import Draft, blank, draft_of, object_of, text_of
 
-UNNAMED = "unnamed.toml"
-"""Under this name lies the draft of what has no file yet."""
+_UNNAMED = "unnamed"
+"""Stands in a draft's name for a playpen that has no file yet."""
+
+_PAGE = re.compile("[A-Za-z0-9-]{0,40}")
+"""Identifiers of pages."""
 
 _LISTED, _LOOKED_AT = 300, 20_000
 """Most files that are listed, and most that are looked at for it."""
@@ -102,7 +109,7 @@ class Documents:
             raise PlaypenError(f"{name}: cannot be made: {reason}")
 
     def open(self, name: str) -> dict[str, Any]:
-        """A file for the page: its playpen, its version, and a draft if one was left.
+        """A file for the page: its playpen, its version, and the drafts that were left of it.
 
         Raises:
             KhepTwinError: it cannot be used.
@@ -116,6 +123,11 @@ class Documents:
             "left": self.left(name),
         }
 
+    def new(self, name: str | None) -> dict[str, Any]:
+        """Return an empty playpen for a file that does not exist yet, and the drafts that were left of it."""
+        draft = blank(Path(name or "playpen.toml").stem)
+        return {"file": name, "version": None, "draft": draft, "left": self.left(name)}
+
     def library(self, name: str) -> dict[str, Any]:
         """A shipped playpen as a new document.
 
@@ -127,9 +139,16 @@ class Documents:
         return {"file": None, "version": None, "draft": draft_of(playpens.load(name))}
 
     def save(
-        self, name: str, draft: Draft, *, version: str | None, base: dict[str, str], overwrite: bool = False
+        self,
+        name: str,
+        draft: Draft,
+        *,
+        version: str | None,
+        base: dict[str, str],
+        overwrite: bool = False,
+        page: str = "",
     ) -> str:
-        """Writes a playpen file as a whole, comments kept.
+        """Writes a playpen file as a whole, comments kept, and deletes the page's draft of it.
 
         Args:
             name: of the file.
@@ -137,6 +156,7 @@ class Documents:
             version: of the file as the page knows it; None for a new one.
             base: what its text goes on from: {"file": NAME}, {"library": NAME} or {}.
             overwrite: takes the file as it is, whatever the page knew.
+            page: identifier of the page that saves.
 
         Returns:
             Its version by now.
@@ -154,7 +174,7 @@ class Documents:
             )
         text = text_of(draft, self._base(base, there))
         write_whole(path, text.encode("utf-8"))
-        self.keep(name, None)
+        self.keep(name, None, page)
         return _version(text)
 
     def version(self, name: str) -> str | None:
@@ -162,32 +182,48 @@ class Documents:
         path = self.path(name, ".toml")
         return _version(self._text(name)) if path.exists() else None
 
-    def keep(self, name: str, draft: Draft | None) -> None:
-        """Keeps a draft of a file beside it, or takes it away.
+    def keep(self, name: str | None, kept: Mapping[str, Any] | None, page: str = "") -> None:
+        """Write a page's draft beside the file, or delete it.
+
+        Args:
+            name: File that the draft belongs to; None for a playpen without a file.
+            kept: The "draft", with the "version" and the "base" that it was made from; None to delete it.
+            page: Identifier of the page.
 
         Raises:
-            KhepTwinError: that is not possible.
+            KhepTwinError: The draft cannot be written.
         """
-        place = self._draft_place(name)
-        if draft is None:
+        if not _PAGE.fullmatch(page):
+            raise OutsideError("page: expected letters, digits and hyphens, at most 40")
+        place = self._draft_place(name, page)
+        if kept is None:
             place.unlink(missing_ok=True)
         else:
-            write_whole(place, json.dumps(draft).encode("utf-8"))
+            write_whole(place, json.dumps(kept).encode("utf-8"))
 
-    def left(self, name: str | None) -> Draft | None:
-        """The draft of a file that was left, if it can be read; of what has no file for None."""
-        try:
-            place = self._draft_place(name or UNNAMED)
-            if not place.is_file():
-                return None
-            with place.open("rb") as file:
-                return object_of(file.read(2 * SIZE_LIMIT))
-        except (OSError, OutsideError):
-            return None
+    def left(self, name: str | None) -> list[dict[str, Any]]:
+        """Return the readable drafts of a file, the newest first, each with its "page" and its "time" [s].
 
-    def _draft_place(self, name: str) -> Path:
-        path = self.path(name, ".toml")
-        place = path.with_name(f".{path.name}.draft")
+        Args:
+            name: File that the drafts belong to; None for a playpen without a file.
+        """
+        found: list[dict[str, Any]] = []
+        with suppress(OSError, KhepTwinError):
+            path = self._draft_path(name)
+            named = re.compile(rf"\.{re.escape(path.name)}(?:\.({_PAGE.pattern}))?\.draft")
+            for place in path.parent.iterdir():
+                match = named.fullmatch(place.name)
+                if match is not None and (kept := _kept(place)) is not None:
+                    found.append({**kept, "page": match[1] or ""})
+        return sorted(found, key=lambda kept: -kept["time"])
+
+    def _draft_path(self, name: str | None) -> Path:
+        """Return the file that the names of its drafts are made from."""
+        return self.root / _UNNAMED if name is None else self.path(name, ".toml")
+
+    def _draft_place(self, name: str | None, page: str) -> Path:
+        path = self._draft_path(name)
+        place = path.with_name(f".{path.name}.{page}.draft" if page else f".{path.name}.draft")
         if place.is_symlink():
             raise OutsideError(f"{place.name}: a link, which may lead out of the folder")
         return place
@@ -201,6 +237,20 @@ class Documents:
 
     def _text(self, name: str) -> str:
         return toml_files.read("playpens", self.path(name, ".toml"), PlaypenError)[0]
+
+
+def _kept(place: Path) -> dict[str, Any] | None:
+    """Return what a draft's file holds, with its "time" [s]; None if it cannot be read."""
+    try:
+        if place.is_symlink() or not place.is_file():
+            return None
+        with place.open("rb") as file:
+            kept = object_of(file.read(2 * SIZE_LIMIT))
+            time = os.fstat(file.fileno()).st_mtime
+    except OSError:
+        return None
+    # A draft of an earlier version is the playpen alone.
+    return None if kept is None else {**(kept if "draft" in kept else {"draft": kept}), "time": time}
 
 
 def _version(text: str) -> str:

@@ -1,6 +1,8 @@
 """What the page works on: a playpen as JSON, which may be wrong for now, and what is wrong with it."""
 
 import json
+import re
+import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,6 +26,18 @@ def object_of(data: bytes) -> dict[str, Any] | None:
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None  # pyright: ignore[reportUnknownVariableType]
+
+
+def name_of(stem: str) -> str:
+    """Return the name of a playpen in a file of any name: letters without accents, digits, '_' and '-'."""
+    letters = (each for each in unicodedata.normalize("NFKD", stem) if not unicodedata.combining(each))
+    return re.sub("[^A-Za-z0-9_-]+", "-", "".join(letters))[:64].strip("-") or "playpen"
+
+
+def blank(stem: str) -> Draft:
+    """Return an empty playpen for a file whose name, less its ending, is `stem`."""
+    name = name_of(stem)
+    return draft_of(playpens.parse(BLANK.format(name=name), name))
 
 
 def draft_of(playpen: Playpen) -> Draft:

@@ -31,7 +31,7 @@ from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensor_bars import BARS
 from khep_twin.web import drafts, jobs
 from khep_twin.web.audience import Audience
-from khep_twin.web.documents import UNNAMED, ConflictError, Documents, OutsideError
+from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.stage import Actor, RobotActor, TwinActor, shape
 
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
@@ -56,6 +56,7 @@ class Page:
         self._actor: Actor | None = None
         self._changing = threading.Lock()
         self._sensed: SensorRun | None = None
+        self._runs_in: str | None = None
 
     def app(self) -> Starlette:
         """The application, to be put behind a guard."""
@@ -64,6 +65,7 @@ class Page:
             "list": self._list,
             "open": self._open,
             "library": lambda wanted: self._documents.library(_text(wanted, "name")),
+            "left": lambda wanted: {"left": self._documents.left(_file(wanted))},
             "version": lambda wanted: {"version": self._documents.version(_text(wanted, "file"))},
             "check": lambda wanted: {"problems": drafts.problems_of(_draft(wanted))},
             "save": self._save,
@@ -99,18 +101,19 @@ class Page:
     # Files ---------------------------------------------------------------------------------------------
 
     def _hello(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        opened: dict[str, Any] = {"file": None, "version": None}
+        """Answer the first request of a page: a document, and what the page needs to know.
+
+        A page that is loaded again names its "file". A new page gets the playpen that runs, or else the last
+        that was worked on.
+        """
+        runs = self._runs()
+        file = _file(wanted) if "file" in wanted else self._file if runs is None else runs["file"]
         trouble = None
         try:
-            if self._file is not None and self._documents.version(self._file) is not None:
-                opened = self._documents.open(self._file)
+            there = file is not None and self._documents.version(file) is not None
+            opened = self._documents.open(file) if file and there else self._documents.new(file)
         except KhepTwinError as error:
-            trouble = str(error)
-        if "draft" not in opened:
-            name = Path(self._file or "playpen").stem
-            blank = playpens.parse(drafts.BLANK.format(name=name), name)
-            opened |= {"file": self._file, "draft": drafts.draft_of(blank)}
-            opened["left"] = self._documents.left(self._file)
+            opened, trouble = self._documents.new(None), str(error)
         return {
             **opened,
             "trouble": trouble,
@@ -121,13 +124,15 @@ class Page:
             "controllers": list(BUILT_IN),
             "bars": {name: asdict(bar) for name, bar in BARS.items()},
             "shapes": {model: shape(model, model) for model in ("khepera1", "khepera2")},
-            "runs": self._runs(),
+            "runs": runs,
         }
 
-    def _runs(self) -> drafts.Draft | None:
-        """What a twin runs in, if one does."""
+    def _runs(self) -> dict[str, Any] | None:
+        """Return the playpen that a twin runs in, and the file that it was drawn in; None without a twin."""
         actor = self._actor
-        return drafts.draft_of(actor.playpen) if isinstance(actor, TwinActor) and actor.alive else None
+        if not isinstance(actor, TwinActor) or not actor.alive:
+            return None
+        return {"file": self._runs_in, "draft": drafts.draft_of(actor.playpen)}
 
     def _list(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
         found = [{"url": port.url, "what": port.what} for port in found_ports()]
@@ -144,25 +149,29 @@ class Page:
         return found
 
     def _save(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        base: Any = wanted.get("base")
-        name = _text(wanted, "file")
+        name, draft = _text(wanted, "file"), _draft(wanted)
+        if wanted.get("rename") is True:
+            draft = {**draft, "name": drafts.name_of(Path(name).stem)}
         version = self._documents.save(
             name,
-            _draft(wanted),
+            draft,
             version=wanted.get("version"),
-            base=_texts(base),
+            base=_texts(wanted.get("base")),
             overwrite=wanted.get("overwrite") is True,
+            page=_page(wanted),
         )
         self._file = name
         self._audience.tell({"kind": "saved", "file": name, "version": version, "tab": wanted.get("tab")})
-        return {"file": name, "version": version}
+        return {"file": name, "version": version, "name": draft.get("name")}
 
     def _keep(self, wanted: Mapping[str, Any]) -> None:
-        name = str(wanted.get("file") or "")
-        draft = wanted.get("draft")
-        self._documents.keep(name or UNNAMED, None if draft is None else _draft(wanted))
-        if draft is not None:
-            self._file = name or None
+        name, kept = _file(wanted), None
+        if wanted.get("draft") is not None:
+            base = _texts(wanted.get("base"))
+            kept = {"draft": _draft(wanted), "version": wanted.get("version"), "base": base}
+        self._documents.keep(name, kept, _page(wanted))
+        if kept is not None:
+            self._file = name
 
     def _preview(self, wanted: Mapping[str, Any]) -> Response:
         """A picture in perspective, by a process of its own: drivers of graphics may do anything."""
@@ -207,6 +216,7 @@ class Page:
         actor = TwinActor(playpen, options, path, self._audience.tell)
         actor.set_pace(_speed(wanted), wanted.get("paused") is True)
         self._replace(actor)
+        self._runs_in = _file(wanted)
 
     def _connect(self, wanted: Mapping[str, Any]) -> None:
         url = _text(wanted, "port")
@@ -304,9 +314,8 @@ async def _asset(request: Request) -> Response:
 
 def _imported(data: bytes, name: str, mm_per_pixel: float) -> dict[str, Any]:
     found = bitmap_files.decode(data)
-    stem = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in Path(name).stem)[:64]
     solid = found.solid[::-1] if found.scanned else found.solid
-    made = bitmap.to_playpen(solid, stem.strip("-") or "imported", mm_per_pixel=mm_per_pixel)
+    made = bitmap.to_playpen(solid, drafts.name_of(Path(name).stem), mm_per_pixel=mm_per_pixel)
     return {"file": None, "version": None, "draft": drafts.draft_of(made.playpen)}
 
 
@@ -315,6 +324,16 @@ def _draft(wanted: Mapping[str, Any]) -> drafts.Draft:
     if not isinstance(draft, dict):
         raise KhepTwinError("no draft")
     return draft  # pyright: ignore[reportUnknownVariableType]
+
+
+def _file(wanted: Mapping[str, Any]) -> str | None:
+    """Return the name of the page's file; None for a playpen without a file."""
+    return None if wanted.get("file") is None else _text(wanted, "file")
+
+
+def _page(wanted: Mapping[str, Any]) -> str:
+    """Return the identifier of the page whose draft is meant: by default, the one that asks."""
+    return str(wanted.get("page", wanted.get("tab", "")))
 
 
 def _text(wanted: Mapping[str, Any], key: str) -> str:

@@ -1,8 +1,10 @@
 """Playpens are drawn in a real browser, saved, lost and found."""
 
 import re
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUn
 
 from khep_twin import playpen as playpens
 from khep_twin.playpen_parts import Block
+from khep_twin.web.server import Server
 from tests.drawn_bitmap import drawn
 from tests.web.conftest import Asker
 from tests.web.visit import BROWSED, Visit, need_a_browser
@@ -67,10 +70,123 @@ def test_what_was_not_saved_is_offered_again(visit: Visit, tmp_path: Path) -> No
     visit.add("block", (200, 200))
     # As when the tab is closed: at once, before the page has kept its draft by itself.
     visit.page.goto("about:blank")
-    wait_for(lambda: (tmp_path / ".unnamed.toml.draft").exists())
+    wait_for(lambda: drafts(tmp_path) == ["unnamed"])
     visit.open()
     visit.page.click("text=Go on with it")
     assert visit.count(".kind-block.drawn") == 1
+
+
+def test_a_draft_is_offered_for_its_own_playpen_only_and_outlives_another(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.add("robot", (300, 100))
+    visit.save_as("mine.toml")
+    content = (tmp_path / "mine.toml").read_bytes()
+    page.click("#new")
+    page.select_option("#dialog select", "default")
+    page.click("#dialog .main")
+    visit.add("block", (200, 200))
+    page.goto("about:blank")
+    wait_for(lambda: drafts(tmp_path) == ["unnamed"])
+    visit.open()
+    page.wait_for_selector("text=A draft of a new playpen was never saved")
+    page.click("#open")
+    page.click("#dialog .main")
+    visit.wait("document.querySelector('#file').textContent === 'mine.toml'")
+    assert visit.count("text=Go on with it") == 0
+    page.click("#save")
+    page.wait_for_selector("text=Saved as mine.toml")
+    assert (tmp_path / "mine.toml").read_bytes() == content
+    visit.add("lamp", (100, 100))
+    page.click("#undo")
+    assert drafts(tmp_path) == ["unnamed"]
+    # Nor does drawing something else delete or replace it.
+    page.goto(f"{visit.url}#new")
+    page.reload()
+    page.wait_for_selector("html[data-ready]")
+    visit.add("cylinder", (200, 200))
+    wait_for(lambda: drafts(tmp_path) == ["unnamed", "unnamed"])
+    page.click("text=Go on with it")
+    wait_for(lambda: drafts(tmp_path) == ["unnamed"])
+    assert (visit.count(".kind-block.drawn"), visit.count(".kind-cylinder.drawn")) == (1, 0)
+    page.click("#undo")  # what was drawn before is not lost either
+    assert (visit.count(".kind-block.drawn"), visit.count(".kind-cylinder.drawn")) == (0, 1)
+    page.click("#redo")
+    visit.save_as("other.toml")
+    assert drafts(tmp_path) == []
+    assert len(playpens.load(tmp_path / "other.toml").blocks) == 1
+
+
+def test_a_draft_is_thrown_away_only_when_the_person_says_so(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    for _ in range(2):
+        visit.add("block", (200, 200))
+        page.goto("about:blank")
+        visit.open()
+    wait_for(lambda: drafts(tmp_path) == ["unnamed", "unnamed"])
+    visit.open()
+    page.click(".banner button[title=Close]")
+    page.wait_for_timeout(1000)
+    visit.open()
+    assert drafts(tmp_path) == ["unnamed", "unnamed"]
+    for left in (1, 0):
+        page.click("text=Throw it away")
+        wait_for(lambda count=left: len(drafts(tmp_path)) == count)
+    assert visit.count(".banner") == 0
+
+
+def test_a_draft_of_a_file_that_has_changed_since_does_not_replace_it_unasked(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.save_as("mine.toml")
+    visit.add("block", (200, 200))
+    page.goto("about:blank")
+    wait_for(lambda: drafts(tmp_path) == ["mine.toml"])
+    file = tmp_path / "mine.toml"
+    file.write_text(file.read_text() + "# by an editor\n")
+    visit.open()
+    page.click("text=Go on with it")
+    page.wait_for_selector(".kind-block.drawn")
+    page.click("#save")
+    page.wait_for_selector("text=was changed by another page or program")
+    assert "by an editor" in file.read_text()
+    visit.trouble = [text for text in visit.trouble if "409" not in text]
+
+
+def test_a_new_file_of_any_name_is_drawn_and_saved(browser: Any, tmp_path: Path) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    with designer(tmp_path, "my pen.toml") as url:
+        visit = Visit(context.new_page(), url)
+        assert visit.page.text_content("#file") == "my pen.toml"
+        visit.add("block", (200, 200))
+        visit.page.click("#save")
+        visit.page.wait_for_selector("text=Saved as my pen.toml")
+        visit.page.reload()
+        visit.page.wait_for_selector("html[data-ready]")
+        assert (visit.page.text_content("#file"), visit.count(".kind-block.drawn")) == ("my pen.toml", 1)
+        visit.save_as("größe 2.toml")
+    context.close()
+    assert visit.trouble == []
+    assert playpens.load(tmp_path / "my pen.toml").name == "my-pen"
+    assert playpens.load(tmp_path / "größe 2.toml").name == "gro-e-2"
+
+
+def test_an_error_of_the_first_request_is_shown(browser: Any, asker: Asker) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    page = context.new_page()
+
+    def refuse(route: Any) -> None:
+        route.fulfill(status=500, body="no more room")
+
+    page.route("**/do/hello", refuse)
+    page.goto(asker.server.url)
+    page.wait_for_selector(".banner.error >> text=no more room")
+    page.unroute("**/do/hello")
+    page.click("text=Try again")
+    page.wait_for_selector("html[data-ready]")
+    context.close()
 
 
 def test_what_is_drawn_outlives_a_designer_that_was_ended(visit: Visit, asker: Asker) -> None:
@@ -86,7 +202,7 @@ def test_what_is_drawn_outlives_a_designer_that_was_ended(visit: Visit, asker: A
     visit.trouble = [text for text in visit.trouble if "ERR_CONNECTION" not in text]
 
 
-def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, browser: Any) -> None:
+def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, tmp_path: Path) -> None:
     visit.add("block", (200, 200))
     visit.save_as("both.toml")
     second = Visit(visit.page.context.new_page(), visit.url)
@@ -100,6 +216,13 @@ def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, b
     visit.add("lamp", (100, 100))
     visit.page.click("#save")
     visit.page.wait_for_selector("text=Replace it")
+    # What was saved by one page leaves the draft of the other, which it no longer is to close first.
+    second.page.goto("about:blank")
+    assert drafts(tmp_path) == ["both.toml"]
+    visit.page.goto("about:blank")
+    visit.open()
+    visit.page.click("text=Go on with it")
+    visit.page.wait_for_selector(".kind-lamp.drawn")
     visit.trouble = [text for text in visit.trouble if "409" not in text]
 
 
@@ -203,6 +326,23 @@ def test_a_drag_among_two_hundred_objects_ends_where_the_mouse_does(visit: Visit
     assert moved.startswith(f"translate({x_mm + 50:g} {y_mm - 10:g})")
 
 
+def drafts(folder: Path) -> list[str]:
+    """Return the documents that have drafts, once for each draft."""
+    return sorted(re.sub(r"\.[\d-]+\.draft$", "", path.name)[1:] for path in folder.glob(".*.draft"))
+
+
+@contextmanager
+def designer(folder: Path, file: str) -> Generator[str]:
+    """Serve a designer that was started with a file; give its URL."""
+    ended = threading.Event()
+    server = Server(folder, file, "127.0.0.1:0")
+    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
+    thread.start()
+    yield server.url
+    ended.set()
+    thread.join(60)
+
+
 def wait_for(happens: Callable[[], bool]) -> None:
     end = time.monotonic() + 60
     while not happens():
@@ -247,14 +387,12 @@ def test_a_file_that_cannot_be_opened_leaves_the_draft_of_the_last(visit: Visit,
     visit.save_as("mine.toml")
     visit.add("block", (300, 250))
     (tmp_path / "broken.toml").write_text("x = [1")
-    draft = tmp_path / ".mine.toml.draft"
-    while not draft.exists():
-        page.wait_for_timeout(50)
+    wait_for(lambda: drafts(tmp_path) == ["mine.toml"])
     page.click("#open")
     page.select_option("#dialog select", "broken.toml")
     page.click("#dialog .main")
     page.wait_for_selector("text=There are changes that are not saved")
     page.click("#dialog .main")
     page.wait_for_selector("text=not TOML")
-    assert draft.exists()
+    assert drafts(tmp_path) == ["mine.toml"]
     visit.trouble.clear()  # the answer 400

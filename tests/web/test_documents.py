@@ -1,6 +1,7 @@
 """Files below one folder, and what the page works on."""
 
 import json
+import threading
 from io import BytesIO
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.drafts import draft_of, problems_of
+from khep_twin.web.server import Server
 from tests.drawn_bitmap import drawn
 from tests.web.conftest import Asker
 
@@ -72,7 +74,7 @@ def test_a_read_only_file_is_not_written_over_and_keeps_its_draft(tmp_path: Path
     with pytest.raises(KhepTwinError, match=r"mine.toml: cannot be written: the file is read-only"):
         documents.save("mine.toml", opened["draft"], version=opened["version"], base={"file": "mine.toml"})
     assert (tmp_path / "mine.toml").read_text() == MINE
-    assert documents.left("mine.toml") == opened["draft"]
+    assert [kept["draft"] for kept in documents.left("mine.toml")] == [opened["draft"]]
 
 
 def test_what_was_worked_on_last_is_opened_first(asker: Asker, tmp_path: Path) -> None:
@@ -83,7 +85,7 @@ def test_what_was_worked_on_last_is_opened_first(asker: Asker, tmp_path: Path) -
     draft["robot"][0]["x_mm"] = 100
     asker.do("keep", file=None, draft=draft)
     hello = asker.do("hello")[1]
-    assert (hello["file"], hello["left"]) == (None, draft)
+    assert (hello["file"], [kept["draft"] for kept in hello["left"]]) == (None, [draft])
 
 
 def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(tmp_path: Path) -> None:
@@ -99,13 +101,88 @@ def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(tmp_path: Path) -> Non
 def test_a_draft_is_kept_until_it_is_saved(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(MINE)
     documents = Documents(tmp_path)
-    draft = documents.open("mine.toml")["draft"]
-    documents.keep("mine.toml", {**draft, "robot": "half"})
-    assert documents.open("mine.toml")["left"]["robot"] == "half"
+    opened = documents.open("mine.toml")
+    version = opened["version"]
+    kept = {"draft": {**opened["draft"], "robot": "half"}, "version": version, "base": {"file": "mine.toml"}}
+    documents.keep("mine.toml", kept, "1-2")
+    [left] = documents.open("mine.toml")["left"]
+    assert left == {**kept, "page": "1-2", "time": left["time"]}
     assert documents.names() == ["mine.toml"]
-    documents.save("mine.toml", draft, version=documents.version("mine.toml"), base={})
-    assert documents.open("mine.toml")["left"] is None
+    documents.save("mine.toml", opened["draft"], version=version, base={}, page="1-2")
+    assert documents.open("mine.toml")["left"] == []
     assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
+
+
+def test_a_page_that_saves_leaves_the_drafts_of_other_pages_and_documents(tmp_path: Path) -> None:
+    documents = Documents(tmp_path)
+    draft = documents.new("mine.toml")["draft"]
+    for name in ("mine.toml", "mine.toml.1-1.toml", None):
+        for page in ("1-1", "2-2"):
+            documents.keep(name, {"draft": {**draft, "name": f"{name} {page}"}}, page)
+    documents.save("mine.toml", draft, version=None, base={}, page="1-1")
+    assert [kept["draft"]["name"] for kept in documents.left("mine.toml")] == ["mine.toml 2-2"]
+    for name in ("mine.toml.1-1.toml", None):
+        assert {kept["draft"]["name"] for kept in documents.left(name)} == {f"{name} 1-1", f"{name} 2-2"}
+
+
+def test_a_draft_of_an_earlier_version_is_still_offered_and_what_is_none_is_not(
+    tmp_path: Path,
+) -> None:
+    documents = Documents(tmp_path)
+    (tmp_path / ".mine.toml.draft").write_text('{"name": "mine"}')
+    (tmp_path / ".mine.toml.1.draft").write_text("{")
+    (tmp_path / ".mine.toml.2.draft").symlink_to(tmp_path / ".mine.toml.draft")
+    (tmp_path / ".mine.toml.3.draft").mkdir()
+    [left] = documents.left("mine.toml")
+    assert (left["draft"], left["page"]) == ({"name": "mine"}, "")
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("my pen.toml", "my-pen"),
+        ("größe.toml", "gro-e"),
+        ("a.b.toml", "a-b"),
+        ("été 2.toml", "ete-2"),
+        ("迷路.toml", "playpen"),
+        ("[x]*?.toml", "x"),
+        ("'\".toml", "playpen"),
+        ("n" * 100 + ".toml", "n" * 64),
+    ],
+)
+def test_any_name_of_a_file_will_do(tmp_path: Path, file: str, name: str) -> None:
+    ended = threading.Event()
+    server = Server(tmp_path, file, "127.0.0.1:0")
+    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
+    thread.start()
+    try:
+        asker = Asker(server, ended.set)
+        status, hello = asker.do("hello")
+        assert (status, hello["file"], hello["draft"]["name"]) == (200, file, name)
+        assert asker.do("keep", file=file, draft={"half": 1}, tab="7-7") == (200, {})
+        assert asker.do("hello")[1]["left"][0]["draft"] == {"half": 1}
+        saved = asker.do("save", file=file, draft=hello["draft"], version=None, base={}, tab="7-7")
+        assert (saved[0], saved[1]["name"]) == (200, name)
+        assert asker.do("hello")[1]["left"] == []
+        # As when a playpen of another name is saved under this one.
+        renamed = {**hello["draft"], "name": "other"}
+        wanted = {"file": file, "draft": renamed, "version": saved[1]["version"], "base": {}, "rename": True}
+        assert asker.do("save", **wanted)[1]["name"] == playpens.load(tmp_path / file).name == name
+    finally:
+        ended.set()
+        thread.join(60)
+
+
+def test_a_page_loaded_again_gets_its_own_document(asker: Asker, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    assert asker.do("open", file="mine.toml")[0] == 200
+    assert asker.do("hello")[1]["file"] == "mine.toml"
+    assert asker.do("hello", file=None)[1]["file"] is None
+    assert asker.do("hello", file="new one.toml")[1]["draft"]["name"] == "new-one"
+    (tmp_path / "mine.toml").write_text("broken")
+    hello = asker.do("hello")[1]
+    assert hello["file"] is None
+    assert "mine.toml" in hello["trouble"]
 
 
 @pytest.mark.parametrize("name", ["../x.toml", "/x.toml", "a/../../x.toml", "a\\x.toml", "x\n.toml"])

@@ -14,6 +14,7 @@ const running = new Running(drawing, model, banner);
 const snap = () => ({ grid: +$("#grid").value, angle: +$("#angle").value });
 let hello;
 let gone = null;
+let offered = null;
 let say = () => {};
 
 const editor = new Editor(drawing, model, {
@@ -87,7 +88,7 @@ async function choose(title, names, empty) {
   return (await ask(title, list)) ? list.value : null;
 }
 
-// What is not saved stays as a draft, and can be had back by undo of nothing: ask before it goes.
+// Changes that are not saved are thrown away with their draft: ask before.
 async function mayLeave() {
   const text = Object.assign(document.createElement("p"), { textContent: "There are changes that are not saved." });
   if (model.changed && !(await ask("Leave this playpen?", text, "Discard them"))) return false;
@@ -96,55 +97,92 @@ async function mayLeave() {
 }
 
 function show(found, base) {
+  // What these say is about the document that was open.
+  for (const each of [...$("#banners").children]) if (["file", "draft"].includes(each.dataset.about)) each.remove();
   model.load(found, base);
+  hasDraft = false;
   remember();
   drawing.fit();
   say({ file: model.file, tab, ask: true });
 }
 
-// So that the page, loaded anew, has the same file again.
+// Opens a document in place of the one whose changes the person has given up, and offers the drafts left of it.
+function leaveFor(found, base) {
+  const before = model.file;
+  show(found, base);
+  offer(found.left ?? []);
+  return forget(before);
+}
+
+// Deletes this page's own draft of a document; those of others stay.
+function forget(file) {
+  return post("keep", { file, draft: null });
+}
+
+// So that the page, loaded anew, has the same document again; every file ends in .toml.
 function remember() {
-  history.replaceState(null, "", model.file ? `#${encodeURIComponent(model.file)}` : location.pathname);
+  history.replaceState(null, "", model.file ? `#${encodeURIComponent(model.file)}` : "#new");
 }
 
 async function openFile(name) {
-  if (!name || !(await mayLeave())) return;
-  const found = await post("open", { file: name });
-  await post("keep", { file: model.file, draft: null });
-  const left = name === model.file ? null : found.left;
-  show(found, { file: name });
-  offer(left);
+  if (name && (await mayLeave())) await loadAnew(name);
 }
 
+async function loadAnew(name) {
+  await leaveFor(await post("open", { file: name }), { file: name });
+}
+
+// Offers the newest of the drafts that other pages have left of this document, then the next.
 function offer(left) {
-  if (!left || JSON.stringify(left) === JSON.stringify(model.draft)) return;
-  banner("There is a draft of this playpen that was never saved.", "", {
-    "Go on with it": () => {
-      model.draft = left;
-      model.commit();
+  const [kept, ...others] = left.filter((each) => each.page !== tab && JSON.stringify(each.draft) !== JSON.stringify(model.draft));
+  if (!kept) return;
+  const { file, opened } = model;
+  const when = new Date(kept.time * 1000).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+  const close = banner(`A draft of ${file ?? "a new playpen"} was never saved (${when}).`, "", {
+    "Go on with it": async () => {
+      if (running.active && !running.real) {
+        offer(left);
+        throw new Error("A twin runs in this drawing: end it first.");
+      }
+      // The page that it is from may have written it once more as it was closed.
+      const now = (await post("left", { file })).left.find(({ page }) => page === kept.page) ?? kept;
+      if (model.opened !== opened) return;
+      // On the version that it was made from, so that Save asks where the file has changed since.
+      Object.assign(model, { version: now.version === undefined ? model.version : now.version, base: now.base ?? model.base });
+      model.replace(now.draft);
+      if (await keepNow()) await post("keep", { file, draft: null, page: kept.page });
     },
-    "Throw it away": () => post("keep", { file: model.file, draft: null }),
-  });
+    "Throw it away": async () => {
+      await post("keep", { file, draft: null, page: kept.page });
+      if (model.opened === opened) offer(others);
+    },
+  }, "draft");
+  offered = { page: kept.page, close };
 }
 
-async function save(name = model.file, overwrite = false) {
+async function save(name = model.file, overwrite = false, rename = false) {
   if (!name) return saveAs();
   const draft = structuredClone(model.draft);
+  const { file: before, opened } = model;
   try {
-    const version = name === model.file ? model.version : null;
-    const found = await post("save", { file: name, draft, version, base: model.base, overwrite });
-    const before = model.file;
+    const version = name === before ? model.version : null;
+    const found = await post("save", { file: name, draft, version, base: model.base, overwrite, rename });
+    if (before !== name) await forget(before);
+    if (model.opened !== opened) return;
+    hasDraft = false;
+    if (rename) draft.name = model.draft.name = found.name;
+    model.commit();
     Object.assign(model, { file: name, version: found.version, base: { file: name }, saved: JSON.stringify(draft) });
-    if (before !== name) await post("keep", { file: before, draft: null });
     title();
     remember();
+    if (model.changed) keepSoon();
     banner(`Saved as ${name}.`, "", {}, "file");
   } catch (error) {
-    if (!error.conflict) throw error;
+    if (!error.conflict || model.opened !== opened) throw error;
     banner(error.message, "error", {
-      "Load it anew": () => post("open", { file: name }).then((found) => show(found, { file: name })),
+      "Load it anew": () => loadAnew(name),
       "Save under another name": saveAs,
-      "Replace it": () => save(name, true),
+      "Replace it": () => save(name, true, rename),
     }, "file");
   }
 }
@@ -154,12 +192,8 @@ async function saveAs() {
   input.setAttribute("aria-label", "Name of the file");
   if (!(await ask("Save as", input, "Save"))) return;
   const name = input.value.trim().replace(/(\.toml)?$/, ".toml");
-  const stem = name.replace(/^.*\//, "").slice(0, -5);
-  if (name !== model.file && /^[A-Za-z0-9_-]{1,64}$/.test(stem) && stem !== model.draft.name) {
-    model.draft.name = stem;
-    model.commit();
-  }
-  await save(name);
+  // A playpen under another name is called by it.
+  await save(name, false, name !== model.file);
 }
 
 async function take(file) {
@@ -168,7 +202,7 @@ async function take(file) {
   const label = document.createElement("label");
   label.append("How many mm is a pixel of it? ", input);
   if (!(await ask(`Import ${file.name}`, label, "Import"))) return;
-  show(await upload(file, input.value), {});
+  await leaveFor(await upload(file, input.value), {});
   model.saved = "";
   title();
 }
@@ -224,6 +258,7 @@ function problems(found) {
 }
 
 let keeping;
+let hasDraft = false;
 
 function keepSoon() {
   clearTimeout(keeping);
@@ -233,7 +268,11 @@ function keepSoon() {
 function keepNow(more = {}) {
   clearTimeout(keeping);
   keeping = undefined;
-  if (model.changed) attempt(() => post("keep", { file: model.file, draft: model.draft }, more));
+  const { file, version, base, draft, changed } = model;
+  // Changes that were undone leave no draft.
+  if (!changed && !hasDraft) return undefined;
+  hasDraft = changed;
+  return attempt(() => post("keep", { file, version, base, draft: changed ? draft : null }, more));
 }
 
 function legend() {
@@ -295,10 +334,7 @@ function press(id, act) {
 const drawn = (act) => () => (running.active && !running.real ? banner("A twin runs in this drawing; right is to end it first.") : act());
 press("new", async () => {
   const name = await choose("New from the library", hello.library);
-  if (name && (await mayLeave())) {
-    await post("keep", { file: model.file, draft: null });
-    show(await post("library", { name }), { library: name });
-  }
+  if (name && (await mayLeave())) await leaveFor(await post("library", { name }), { library: name });
 });
 press("open", async () => openFile(await choose("Open", (await post("list")).files, "There are no playpens below this folder yet.")));
 press("save", () => save());
@@ -361,45 +397,63 @@ async function programs() {
   $("#ports").replaceChildren(...found.ports.map(({ url, what }) => new Option(what, url)));
 }
 
+function decodedHash() {
+  try {
+    return decodeURIComponent(location.hash.slice(1));
+  } catch {
+    return "";
+  }
+}
+
 // Other pages --------------------------------------------------------------------------------------------
 
 function hear(message) {
   if (message.kind === "saved" && message.tab !== tab && message.file === model.file && message.version !== model.version)
     banner(`${message.file} was saved by another page.`, "error", {
-      "Load it anew": () => post("open", { file: message.file }).then((found) => show(found, { file: message.file })),
+      "Load it anew": () => loadAnew(message.file),
       "Keep mine": () => {},
     }, "file");
   else if (message.kind === "page") {
     const other = JSON.parse(message.said);
     if (other.tab === tab || other.file !== model.file) return;
+    // It still works on what was taken for left.
+    if (other.tab === offered?.page) offered.close();
     banner(`Another page has ${model.file ?? "a new playpen"} open, too: who saves second is asked first.`, "", {}, "file");
     if (other.ask) say({ file: model.file, tab });
   } else running.hear(message);
 }
 
-hello = await post("hello");
-drawing.surfaces = hello.surfaces;
-drawing.shapes = hello.shapes;
-running.panel.limits(hello.bars, $("#bars"));
-new Fields(model, hello.surfaces);
-const last = await attempt(() => decodeURIComponent(location.hash.slice(1)));
-const found = (last && last !== hello.file && (await attempt(() => post("open", { file: last })))) || hello;
-show(found, found.version ? { file: found.file } : {});
-if (hello.trouble) banner(hello.trouble, "error");
-if (hello.runs) {
-  // What a twin runs in is shown as it is, saved or not.
-  model.draft = hello.runs;
-  model.commit();
-  drawing.fit();
-  $('[data-tab="run"]').click();
-} else offer(found.left);
-await attempt(programs);
-say = listen(hear, (lost) => {
-  if (lost) gone ??= banner("The designer does not answer: it was ended, or is busy. What you draw from now on stays in this page only.", "error", { "All right": () => {} });
-  else {
-    gone?.();
-    gone = null;
-    say({ file: model.file, tab, ask: true });
+async function begin() {
+  const last = decodedHash();
+  try {
+    hello = await post("hello", last === "" ? {} : { file: last === "new" ? null : last });
+  } catch (error) {
+    banner(`The designer cannot begin: ${error.message}`, "error", { "Try again": () => location.reload() });
+    return;
   }
-});
-document.documentElement.dataset.ready = "yes";
+  drawing.surfaces = hello.surfaces;
+  drawing.shapes = hello.shapes;
+  running.panel.limits(hello.bars, $("#bars"));
+  new Fields(model, hello.surfaces);
+  show(hello, hello.version ? { file: hello.file } : {});
+  if (hello.trouble) banner(hello.trouble, "error");
+  if (hello.runs && hello.runs.file === hello.file) {
+    // What a twin runs in is shown as it is, saved or not.
+    model.replace(hello.runs.draft);
+    drawing.fit();
+    $('[data-tab="run"]').click();
+  }
+  offer(hello.left);
+  await attempt(programs);
+  say = listen(hear, (lost) => {
+    if (lost) gone ??= banner("The designer does not answer: it was ended, or is busy. What you draw from now on stays in this page only.", "error", { "All right": () => {} });
+    else {
+      gone?.();
+      gone = null;
+      say({ file: model.file, tab, ask: true });
+    }
+  });
+  document.documentElement.dataset.ready = "yes";
+}
+
+begin();

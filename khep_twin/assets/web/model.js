@@ -17,6 +17,7 @@ export class Model extends EventTarget {
   file = null;
   version = null;
   base = {};
+  opened = 0; // counts the documents that this page has opened
   selected = new Set();
   problems = [];
   #before = [];
@@ -29,6 +30,7 @@ export class Model extends EventTarget {
     this.file = found.file ?? null;
     this.version = found.version ?? null;
     this.base = base;
+    this.opened++;
     this.selected.clear();
     this.#before = [];
     this.#after = [];
@@ -68,6 +70,12 @@ export class Model extends EventTarget {
       this.#now = now;
     }
     this.#tell("whole");
+  }
+
+  // Takes another drawing in place of this one; undo brings it back.
+  replace(draft) {
+    this.#take(draft);
+    this.commit();
   }
 
   undo() {
@@ -132,9 +140,13 @@ export class Model extends EventTarget {
     if (!from.length) return;
     to.push(this.#now);
     this.#now = from.pop();
-    this.draft = JSON.parse(this.#now);
-    this.selected = new Set([...this.selected].filter((id) => this.at(id)));
+    this.#take(JSON.parse(this.#now));
     this.#tell("whole");
+  }
+
+  #take(draft) {
+    this.draft = draft;
+    this.selected = new Set([...this.selected].filter((id) => this.at(id)));
   }
 
   #tell(what) {

@@ -74,7 +74,7 @@ export class Running {
 
   async start() {
     this.paused = this.failed = false;
-    await post("start", { draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
+    await post("start", { file: this.model.file, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
   }
 
   async pause() {
