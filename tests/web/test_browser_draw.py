@@ -86,6 +86,7 @@ def test_a_draft_is_offered_for_its_own_playpen_only_and_outlives_another(
     page.click("#new")
     page.select_option("#dialog select", "default")
     page.click("#dialog .main")
+    visit.wait("document.querySelector('#file').textContent === 'new playpen'")
     visit.add("block", (200, 200))
     page.goto("about:blank")
     wait_for(lambda: drafts(tmp_path) == ["unnamed"])
