@@ -77,6 +77,7 @@ class Page:
             "pace": self._pace,
             "step": lambda wanted: self._twin().step(),
             "put": self._put,
+            "room": self._room,
             "switch": self._switch,
             "run": lambda wanted: self._running().start(jobs.series(wanted, self._documents)),
             "sense": lambda wanted: self._running().start(jobs.sensing(wanted, self._keep_sensed)),
@@ -244,6 +245,10 @@ class Page:
     def _put(self, wanted: Mapping[str, Any]) -> None:
         place = [_number(wanted, key) for key in ("x_mm", "y_mm", "heading_deg")]
         self._twin().put(_index(wanted, "robot"), *place)
+
+    def _room(self, wanted: Mapping[str, Any]) -> None:
+        place = [_number(wanted, key) for key in ("x_mm", "y_mm")]
+        self._twin().room(_index(wanted, "robot"), *place)
 
     def _switch(self, wanted: Mapping[str, Any]) -> None:
         self._twin().switch(_index(wanted, "lamp"), wanted.get("on") is True)

@@ -16,7 +16,7 @@ from khep_twin import calibration
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera, commands
 from khep_twin.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
-from khep_twin.placing import as_it_stands, put
+from khep_twin.placing import as_it_stands, no_room, put
 from khep_twin.playpen import Playpen
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.register import registered
@@ -159,6 +159,18 @@ class TwinActor(Actor):
     def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float) -> None:
         """Puts a robot down elsewhere; that there is no room is told."""
         self._wish(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg))
+
+    def room(self, robot: int, x_mm: float, y_mm: float) -> None:
+        """Tells the page why a robot that is held has no room at a place; an empty reason if it has."""
+        self._wish(
+            lambda twin: self.tell(
+                {
+                    "kind": "room",
+                    "robot": robot,
+                    "reason": no_room(as_it_stands(twin.world), robot, x_mm, y_mm),
+                }
+            )
+        )
 
     def switch(self, lamp: int, on: bool) -> None:
         """Switches a lamp."""

@@ -66,6 +66,50 @@ def test_a_playpen_is_built_by_keys_alone(visit: Visit, tmp_path: Path) -> None:
     assert made.robots[0].y_mm == 200
 
 
+def test_a_tool_is_kept_for_several_objects(visit: Visit) -> None:
+    page = visit.page
+    page.dblclick('[data-tool="cylinder"]')
+    for place in ((100, 100), (200, 100), (300, 100)):
+        visit.click(*place)
+    assert visit.count(".kind-cylinder.drawn") == 3
+    visit.picture("14-kept")
+    page.click('[data-tool="lamp"]')
+    visit.click(100, 300)
+    visit.click(200, 300)  # this tool was left after the first
+    assert visit.count(".kind-lamp.drawn") == 1
+    for key in ("p", "p"):
+        page.keyboard.press(key)
+    visit.click(300, 300)
+    page.keyboard.press("Enter")
+    page.keyboard.press("Escape")
+    visit.click(400, 400)
+    assert visit.count(".kind-patch.drawn") == 2
+    page.keyboard.press("w")
+    page.keyboard.press("w")
+    for x_mm in (50, 550):
+        visit.click(x_mm, 200)
+        visit.click(x_mm, 400)
+        page.keyboard.press("Enter")
+    assert visit.count(".kind-wall.drawn") == 2
+    assert "· 2 patches, 2 walls, 3 cylinders, 1 lamp, " in page.inner_text("#legend")
+
+
+def test_the_handles_for_turning_and_sizing_differ(visit: Visit) -> None:
+    page = visit.page
+    visit.add("block", (300, 250))
+    assert (visit.count(".handle.turn circle"), visit.count(".handle.size rect")) == (1, 1)
+    visit.picture("15-handles")
+    box = page.locator(".handle.size").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    page.mouse.move(*visit.at(350, 280), steps=4)
+    page.mouse.up()
+    assert (page.input_value("#field-block-length_mm"), page.input_value("#field-block-width_mm")) == (
+        "100",
+        "60",
+    )
+
+
 def test_what_was_not_saved_is_offered_again(visit: Visit, tmp_path: Path) -> None:
     visit.add("block", (200, 200))
     # As when the tab is closed: at once, before the page has kept its draft by itself.

@@ -252,6 +252,29 @@ def test_run_and_stop_are_in_the_top_bar_whatever_the_panel_shows(tablet: Visit)
     page.click("#end")
 
 
+def test_a_held_robot_gets_a_red_outline_where_it_has_no_room(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    visit.add("block", (300, 400))
+    page.click('[data-tab="run"]')
+    page.click("#start")
+    page.wait_for_selector(".live")
+    page.mouse.move(*visit.at(300, 200))
+    page.mouse.down()
+    for place, bad in (((310, 390), True), ((400, 300), False), ((-20, 300), True), ((310, 380), True)):
+        page.mouse.move(*visit.at(*place), steps=5)
+        page.wait_for_selector(".live.held.bad" if bad else ".live.held:not(.bad)")
+    assert "overlaps block 1" in page.text_content(".why")
+    body = "getComputedStyle(document.querySelector('.live .body')).stroke"
+    assert page.evaluate(body) == "rgb(213, 94, 0)"
+    visit.picture("13-held")
+    page.mouse.up()
+    page.wait_for_selector("text=overlaps block 1")
+    visit.wait("!document.querySelector('.bad') && !document.querySelector('.why')")
+    assert visit.robot() == pytest.approx((300, 200), abs=1)
+    page.click("#end")
+
+
 def tab_to(visit: Visit, selector: str) -> None:
     for _ in range(60):
         if visit.page.evaluate(f"document.activeElement.matches({selector!r})"):

@@ -89,6 +89,16 @@ def test_there_is_no_room_for_a_robot_in_a_wall(actor: TwinActor, ear: Ear) -> N
     assert "lamp = 7" in ear.wait("refused")["text"]
 
 
+def test_a_held_robot_is_told_if_it_has_room(actor: TwinActor, ear: Ear) -> None:
+    ear.wait("twin")
+    actor.room(0, 5, 5)
+    assert "overlaps the left wall" in ear.wait("room")["reason"]
+    actor.room(0, 100, 120)
+    ear.wait("room", lambda told: told["reason"] == "")
+    actor.room(7, 100, 120)
+    ear.wait("refused")
+
+
 def test_a_paused_twin_steps_by_a_tenth_of_a_second(actor: TwinActor, ear: Ear) -> None:
     ear.wait("picture")
     actor.set_pace(1.0, True)

@@ -125,13 +125,21 @@ export class Drawing {
 
   // Why the selected things, or the only wrong one, cannot be where they are.
   why() {
-    const size = 13 * this.pixel;
     const shown = [...(this.bad ?? [])].filter(([id]) => this.model.selected.has(id) || this.bad.size === 1).slice(0, 3);
-    this.labels.replaceChildren(
-      ...shown.map(([id, text]) => {
+    this.reasons(
+      shown.map(([id, text]) => {
         const thing = this.model.at(id);
-        const [x, y] = (thing.points_mm ? thing.points_mm[0] : [thing.x_mm, thing.y_mm]).map((each) => drawable(each));
-        const words = text.split("\n")[0].replace(/^[^:]*? (overlaps|is outside)/, "$1").split("; right is ");
+        return [(thing.points_mm ? thing.points_mm[0] : [thing.x_mm, thing.y_mm]).map((each) => drawable(each)), text];
+      }),
+    );
+  }
+
+  // Reasons beside the places that they are about.
+  reasons(shown) {
+    const size = 13 * this.pixel;
+    this.labels.replaceChildren(
+      ...shown.map(([[x, y], text]) => {
+        const words = text.split("\n")[0].replace(/^[^:]*? (overlaps|is outside)/, "$1").split(/; (?:right is|expected) /);
         const { width_mm } = this.model.draft.arena;
         const end = x > width_mm / 2;
         const label = make("text", { class: "why", "text-anchor": end ? "end" : "start" });

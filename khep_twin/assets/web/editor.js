@@ -3,10 +3,18 @@
 import { make } from "./drawing.js";
 import { angle, drawable, shift, tidy, turn } from "./model.js";
 
+// Told apart by their shapes: an arrow around for turning, a square for the size, a disc for a corner.
+const HANDLES = {
+  turn: { title: "Drag to turn", draw: () => [make("circle", { r: 10 }), make("path", { d: "M4.5 -2.6A5.2 5.2 0 1 0 5 1.5M5.6 -6.4V-2H1.2", class: "arrow" })] },
+  size: { title: "Drag to change the size", draw: () => [make("rect", { x: -6, y: -6, width: 12, height: 12 })] },
+  point: { title: "Drag to move this corner", draw: () => [make("circle", { r: 7 })] },
+};
+
 const degrees = (x, y) => (Math.atan2(y, x) * 180) / Math.PI;
 
 export class Editor {
   tool = "select";
+  kept = false;
   #act = null;
   #wall = null;
   #fingers = new Map();
@@ -37,11 +45,16 @@ export class Editor {
     });
   }
 
-  use(tool) {
+  // A tool that is kept stays for several objects; else it is left after the first one.
+  use(tool, kept = false) {
     this.endWall();
-    this.tool = tool;
+    Object.assign(this, { tool, kept });
     this.drawing.svg.classList.toggle("draw", tool !== "select");
     this.told(tool);
+  }
+
+  #placed() {
+    if (!this.kept) this.use("select");
   }
 
   grid(value, free = false) {
@@ -235,7 +248,7 @@ export class Editor {
     this.pending = 0;
     if (act && !["pan", "marquee", "running", "twist", "pinch"].includes(act.kind)) this.model.commit();
     else this.handles();
-    if (act && this.tool !== "select" && act.kind === "move" && !event.shiftKey) this.use("select");
+    if (act && this.tool !== "select" && act.kind === "move" && !event.shiftKey) this.#placed();
   }
 
   #wheel(event) {
@@ -262,7 +275,7 @@ export class Editor {
     if (!points) return;
     this.drawing.over.replaceChildren();
     if (points.length > 1) this.model.add("wall", { points_mm: points });
-    this.use("select");
+    this.#placed();
   }
 
   // Where a single selected thing can be turned and sized.
@@ -276,7 +289,12 @@ export class Editor {
     const thing = model.at(id);
     if (!thing) return;
     const pixel = drawing.pixel;
-    const handle = (kind, x, y) => make("circle", { cx: x, cy: y, r: 7 * pixel, class: "handle", "data-handle": kind });
+    const handle = (kind, x, y) => {
+      const parts = HANDLES[kind] ?? HANDLES.point;
+      const told = make("title");
+      told.textContent = parts.title;
+      return make("g", { class: `handle ${kind}`, "data-handle": kind, transform: `translate(${x} ${y}) scale(${pixel} ${-pixel})` }, told, ...parts.draw());
+    };
     if (thing.points_mm) {
       over.append(...thing.points_mm.map(([x, y], index) => handle(`point${index}`, x, y)));
       return;
@@ -316,7 +334,10 @@ export class Editor {
     }
     if (this.running.active) return false;
     const tools = { v: "select", b: "block", c: "cylinder", w: "wall", l: "lamp", r: "robot", p: "patch", s: "spot" };
-    if (tools[key]) return this.use(tools[key]), true;
+    if (tools[key]) {
+      if (!event.repeat) this.use(tools[key], tools[key] === this.tool && !this.kept);
+      return true;
+    }
     if (key === "Escape") {
       this.#wall = null;
       this.use("select");
@@ -330,7 +351,7 @@ export class Editor {
       const [x_mm, y_mm] = this.#inside([x + width / 2, -(y + height / 2)]);
       const place = this.tool === "wall" ? { points_mm: [this.#inside([x_mm - 50, y_mm]), this.#inside([x_mm + 50, y_mm])] } : { x_mm, y_mm };
       model.add(this.tool, place);
-      this.use("select");
+      this.#placed();
       return true;
     }
     if (!model.selected.size) return false;

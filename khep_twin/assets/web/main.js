@@ -4,7 +4,7 @@ import { listen, post, tab, upload } from "./api.js";
 import { Drawing } from "./drawing.js";
 import { Editor } from "./editor.js";
 import { Fields } from "./fields.js";
-import { Model } from "./model.js";
+import { KINDS, Model } from "./model.js";
 import { Running } from "./run.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -21,7 +21,10 @@ const editor = new Editor(drawing, model, {
   snap,
   running,
   told(tool, at) {
-    for (const button of document.querySelectorAll("#tools button")) button.setAttribute("aria-pressed", button.dataset.tool === tool);
+    for (const button of document.querySelectorAll("#tools button")) {
+      button.setAttribute("aria-pressed", button.dataset.tool === tool);
+      button.classList.toggle("kept", button.dataset.tool === tool && editor.kept);
+    }
     if (at) $("#place").textContent = `${at[0].toFixed(0)}, ${at[1].toFixed(0)} mm`;
   },
 });
@@ -275,6 +278,8 @@ function keepNow(more = {}) {
   return attempt(() => post("keep", { file, version, base, draft: changed ? draft : null }, more));
 }
 
+const PLURALS = { patch: "patches" };
+
 function legend() {
   const used = new Set([model.draft.arena.surface ?? "white", ...["block", "cylinder", "wall", "patch"].flatMap((kind) => model.list(kind).map((thing) => thing.surface ?? "white"))]);
   const entries = [...used].map((name) => {
@@ -282,10 +287,10 @@ function legend() {
     box.style.background = drawing.colour(name);
     return [box, name];
   });
-  const counts = ["block", "cylinder", "wall", "lamp", "robot"].map((kind) => [kind, model.list(kind).length]).filter(([, count]) => count);
+  const counts = KINDS.map((kind) => [kind, model.list(kind).length]).filter(([, count]) => count);
   const live = Object.assign(document.createElement("div"), { className: "live-only" });
   live.append(...[["seen", "what a sensor sees"], ["way", "the way so far"]].flatMap(([name, text]) => [Object.assign(document.createElement("i"), { className: name }), text]));
-  $("#legend").replaceChildren(...entries.flat(), ` · ${counts.map(([kind, count]) => `${count} ${kind}${count > 1 ? "s" : ""}, `).join("")}dotted: movable, dashed with !: wrong`, live);
+  $("#legend").replaceChildren(...entries.flat(), ` · ${counts.map(([kind, count]) => `${count} ${count === 1 ? kind : PLURALS[kind] ?? `${kind}s`}, `).join("")}dotted: movable, dashed with !: wrong`, live);
 }
 
 model.addEventListener("change", ({ detail }) => {
@@ -303,7 +308,7 @@ model.addEventListener("moved", () => check());
 // Keys, buttons, drops -----------------------------------------------------------------------------------
 
 const KEYS = [
-  ["V B C W L R P S", "select, block, cylinder, wall, lamp, robot, patch, spot"],
+  ["V B C W L R P S", "select, block, cylinder, wall, lamp, robot, patch, spot; twice, or a double click on the tool: kept for several objects"],
   ["Enter", "puts the tool's object into the middle; ends a wall"],
   ["Tab, Shift+Tab", "from object to object"],
   ["arrows", "move by the grid, with Shift ten times, with Alt 1 mm; with nothing selected, the view"],
@@ -352,7 +357,13 @@ $("#figure").addEventListener("click", () => {
   const picture = Object.assign(document.createElement("img"), { src: $("#figure").src, alt: $("#figure").alt });
   attempt(() => ask("Sensor test", picture, "Close"));
 });
-for (const button of document.querySelectorAll("#tools button")) button.addEventListener("click", () => editor.use(button.dataset.tool));
+for (const button of document.querySelectorAll("#tools button")) {
+  const { tool } = button.dataset;
+  button.addEventListener("click", () => editor.use(tool));
+  if (tool === "select") continue;
+  button.title += "; double click, or its key twice, keeps it for several objects";
+  button.addEventListener("dblclick", () => editor.use(tool, true));
+}
 for (const button of document.querySelectorAll("[role=tab]"))
   button.addEventListener("click", () => {
     for (const each of document.querySelectorAll("[role=tab]")) {

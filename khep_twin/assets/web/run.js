@@ -140,6 +140,7 @@ export class Running {
       error: () => this.banner(message.text, "error"),
       refused: () => this.banner(message.text, "error"),
       note: () => this.banner(message.text),
+      room: () => this.#room(message),
       ended: () => this.#ended(),
     };
     hears[message.kind]?.();
@@ -286,6 +287,24 @@ export class Running {
     held.x_mm = held.from[0] + at[0] - held.at[0];
     held.y_mm = held.from[1] + at[1] - held.at[1];
     place(held.node, held);
+    this.#ask(held);
+  }
+
+  // Asks if a held robot has room where it is by now: one question at a time.
+  #ask(held) {
+    held.moved = true;
+    if (held.asked) return;
+    Object.assign(held, { asked: true, moved: false });
+    this.#try(() => post("room", { robot: held.index, x_mm: held.x_mm, y_mm: held.y_mm }));
+  }
+
+  #room({ robot, reason }) {
+    const held = this.#held;
+    if (held?.index !== robot || !held.asked) return;
+    held.asked = false;
+    held.node.classList.toggle("bad", reason !== "");
+    this.drawing.reasons(reason ? [[[held.x_mm, held.y_mm], reason]] : []);
+    if (held.moved && !held.down) this.#ask(held);
   }
 
   turn(degrees) {
@@ -307,6 +326,8 @@ export class Running {
         if (Math.hypot(x_mm - held.from[0], y_mm - held.from[1]) > 1 || heading_deg !== this.last.robots[index].heading_deg)
           await post("put", { robot: index, x_mm, y_mm, heading_deg });
       } finally {
+        held.node.classList.remove("bad");
+        this.drawing.reasons([]);
         this.#held = null;
       }
     });
