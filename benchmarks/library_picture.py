@@ -4,27 +4,28 @@ import sys
 from io import BytesIO
 from pathlib import Path
 
-import matplotlib.style
 from PIL import Image
 
 from khep_twin import drawing, playpen
 
-_COLUMNS, _CELL = 5, 300
+COLUMNS, DPI = 3, 130
+_LONGER_SIDE = 3.3
+"""Longer side of a playpen [inch]: small on paper, so that letters are large beside it."""
 
 
 def draw(target: Path) -> None:
-    """Draws them as `khep-twin playpen draw` does, smaller."""
-    names = playpen.names()
-    rows = -(-len(names) // _COLUMNS)
-    sheet = Image.new("RGB", (_COLUMNS * _CELL, rows * _CELL), "white")
-    for index, name in enumerate(names):
-        file = BytesIO()
-        with matplotlib.style.context(drawing.STYLE):
-            drawing.draw(playpen.load(name)).savefig(file, format="png", dpi=110)
-        picture = Image.open(file).convert("RGB")
-        picture.thumbnail((_CELL - 8, _CELL - 8), Image.Resampling.LANCZOS)
-        row, column = divmod(index, _COLUMNS)
-        sheet.paste(picture, (column * _CELL + 4, row * _CELL + 4))
+    """Draw them as `khep-twin playpen draw` does, smaller."""
+    pictures: list[Image.Image] = []
+    for name in playpen.names():
+        figure = drawing.draw(playpen.load(name), longer_side=_LONGER_SIDE)
+        pictures.append(Image.open(BytesIO(drawing.picture(figure, "png", DPI))).convert("RGB"))
+    rows = [pictures[start : start + COLUMNS] for start in range(0, len(pictures), COLUMNS)]
+    width = max(picture.width for picture in pictures)
+    heights = [max(picture.height for picture in row) for row in rows]
+    sheet = Image.new("RGB", (COLUMNS * width, sum(heights)), "white")
+    for index, row in enumerate(rows):
+        for column, picture in enumerate(row):
+            sheet.paste(picture, (column * width, sum(heights[:index])))
     sheet.save(target, optimize=True)
 
 

@@ -29,18 +29,19 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
+from khep_twin.labels import Labels
 from khep_twin.playpen import Playpen
 from khep_twin.symbols import (
+    FILAMENT,
     INK,
     draw_arena,
-    draw_lamp,
+    draw_lamps,
     draw_object,
     draw_patch,
     draw_robot,
     draw_spot,
     draw_wall,
     surface_look,
-    write_below,
 )
 from khep_twin.units import BODY_RADIUS
 
@@ -74,8 +75,11 @@ METADATA: dict[str, dict[str, None]] = {
 }
 """What matplotlib would write of its version and the hour into each kind of file, left away."""
 
-_LONGER_SIDE = 6.2
-"""Of the playpen on paper [inch]."""
+LONGER_SIDE = 6.2
+"""Longer side of the playpen on paper [inch]."""
+
+_ENTRY = 1.0
+"""Width that an entry of the legend needs [inch]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,18 +108,26 @@ class Track:
             raise ValueError(f"the track of {self.robot} holds a number that is not finite")
 
 
-def draw(playpen: Playpen, tracks: Sequence[Track] = (), *, title: str | None = None) -> Figure:
+def draw(
+    playpen: Playpen,
+    tracks: Sequence[Track] = (),
+    *,
+    title: str | None = None,
+    longer_side: float = LONGER_SIDE,
+) -> Figure:
     """Draws a playpen as it is at the start, and the ways that robots took from there.
 
     Args:
         playpen: what is drawn.
         tracks: of any of its robots; one scale of time colours all.
         title: above the drawing; without, the playpen's name.
+        longer_side: of the playpen on paper [inch]; letters keep their size.
     """
     ways = [track for track in tracks if len(track.time_s)]
     with matplotlib.style.context(STYLE):
         legend = list(_legend_entries(playpen, bool(ways)))
-        figure, axes = _sheet(playpen, scale=bool(ways), legend=len(legend) > 1)
+        figure, axes, columns = _sheet(playpen, longer_side, scale=bool(ways), entries=len(legend))
+        labels = Labels(axes, INK)
         axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
         limits = axes.axis()
         draw_arena(axes, playpen)
@@ -126,19 +138,18 @@ def draw(playpen: Playpen, tracks: Sequence[Track] = (), *, title: str | None = 
         for item in (*playpen.blocks, *playpen.cylinders):
             draw_object(axes, playpen, item)
         for spot in playpen.spots:
-            draw_spot(axes, spot)
-        if ways:
-            radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
-            _draw_ways(figure, axes, ways, radii)
+            draw_spot(axes, labels, spot)
         for index, robot in enumerate(playpen.robots):
             if robot.spots:
                 continue  # it may stand at any of them
-            draw_robot(axes, robot, f"khepera{index}")
-        for lamp in playpen.lamps:
-            draw_lamp(axes, lamp)
+            draw_robot(axes, labels, robot, f"khepera{index}")
+        draw_lamps(axes, labels, playpen)
+        if ways:
+            radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
+            _draw_ways(figure, axes, labels, ways, radii)
         axes.axis(limits)
+        labels.write()
         if len(legend) > 1:
-            columns = min(len(legend), 7)
             figure.legend(handles=legend, loc="lower center", ncols=columns, frameon=False, fontsize=8)
     return figure
 
@@ -163,14 +174,16 @@ def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:
     return data.getvalue()
 
 
-def _sheet(playpen: Playpen, *, scale: bool, legend: bool) -> tuple[Figure, Axes]:
-    """A figure with axes in mm, and room for what stands around them."""
+def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -> tuple[Figure, Axes, int]:
+    """Return a figure, its axes in mm with room around them, and how many columns its legend has."""
     arena = playpen.arena
     rim_mm = arena.wall_thickness_mm + 2
     width_mm, height_mm = arena.width_mm + 2 * rim_mm, arena.height_mm + 2 * rim_mm
-    inch_per_mm = _LONGER_SIDE / max(width_mm, height_mm)
+    inch_per_mm = longer_side / max(width_mm, height_mm)
     width, height = max(width_mm * inch_per_mm, 2.5), max(height_mm * inch_per_mm, 1.0)
-    left, bottom, right, top = 0.65, 0.85 if legend else 0.55, 0.95 if scale else 0.2, 0.42
+    left, right, top = 0.65, 0.95 if scale else 0.2, 0.42
+    columns = max(min(entries, int((left + width + right) / _ENTRY)), 1)
+    bottom = 0.65 + 0.2 * -(-entries // columns) if entries > 1 else 0.55
     size = left + width + right, bottom + height + top
     figure = Figure(figsize=size, facecolor="white")
     FigureCanvasAgg(figure)
@@ -182,10 +195,12 @@ def _sheet(playpen: Playpen, *, scale: bool, legend: bool) -> tuple[Figure, Axes
         axis.set_major_locator(MaxNLocator(nbins=max(round(1.5 * inches), 3), steps=[1, 2, 5, 10]))
     axes.grid(color=INK, alpha=0.10, lw=0.5)
     axes.set_axisbelow(False)
-    return figure, axes
+    return figure, axes, columns
 
 
-def _draw_ways(figure: Figure, axes: Axes, tracks: Sequence[Track], radii: Mapping[str, float]) -> None:
+def _draw_ways(
+    figure: Figure, axes: Axes, labels: Labels, tracks: Sequence[Track], radii: Mapping[str, float]
+) -> None:
     first = min(float(track.time_s[0]) for track in tracks)
     last = max(float(track.time_s[-1]) for track in tracks)
     norm = Normalize(first, last if last > first else first + 1)
@@ -208,7 +223,7 @@ def _draw_ways(figure: Figure, axes: Axes, tracks: Sequence[Track], radii: Mappi
         axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START))
         axes.add_line(Line2D([end_x], [end_y], zorder=7, **_END))
         if len(tracks) > 1:
-            write_below(axes, end_x, end_y - radius_mm - 4, track.robot)
+            labels.add(end_x, end_y, radius_mm + 4, track.robot)
     box, width = axes.get_position(), figure.get_figwidth()
     beside = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
     scale = figure.colorbar(ScalarMappable(norm, colours), cax=beside)
@@ -223,6 +238,10 @@ def _legend_entries(playpen: Playpen, ways: bool) -> Iterator[Line2D | Patch]:
         yield Patch(label=surface, **surface_look(playpen, surface, movable=False))
     if any(item.movable for item in objects):
         yield Patch(label="movable", **surface_look(playpen, "white", movable=True))
+    if len(playpen.lamps) > 1 and playpen.lighting.mode != "all":
+        order = "in sequence" if playpen.lighting.mode == "sequenced" else "at random"
+        look: dict[str, Any] = {"marker": "o", "ms": 6, "mfc": "white", "mec": FILAMENT, "mew": 0.9, "ls": ""}
+        yield Line2D([], [], label=f"one lamp on, {order}", **look)
     if ways:
         yield Line2D([], [], label="start", ls="", **_START)
         yield Line2D([], [], label="end", ls="", **_END)

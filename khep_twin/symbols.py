@@ -7,16 +7,18 @@ glows where light of the lamps comes to (`illumination`). The white wedge on a r
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
 
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Polygon, Rectangle
-from matplotlib.patheffects import withStroke
+from matplotlib.patches import Circle, FancyArrowPatch, Patch, Polygon, Rectangle
+from numpy.typing import NDArray
 
 from khep_twin import footprint, playpen_parts
 from khep_twin.illumination import illumination
+from khep_twin.labels import Labels
 from khep_twin.outline import walls_around
 from khep_twin.playpen import BULB_RADIUS_MM, Block, Cylinder, Lamp, Playpen, Robot, Spot, Wall
 from khep_twin.units import BODY_RADIUS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
@@ -26,7 +28,9 @@ INK = "#2b2f36"
 
 _FLOOR = "#faf8f2"
 _BOARD = "#2f7d5b"
-_FILAMENT = "#9a6b00"
+FILAMENT = "#9a6b00"
+"""Of the lines of a lamp."""
+
 _GLOW = (1.0, 0.72, 0.12)
 
 _HALF_GLOW = 3e-4
@@ -58,13 +62,21 @@ def draw_arena(axes: Axes, playpen: Playpen) -> None:
         x, y = np.meshgrid(
             (np.arange(columns) + 0.5) * width / columns, (np.arange(rows) + 0.5) * height / rows
         )
-        light = illumination(playpen, x, y)
+        light = _light_at_start(playpen, x, y)
         glow = np.empty((rows, columns, 4))
         glow[..., :3] = _GLOW
         glow[..., 3] = 0.75 * light / (light + _HALF_GLOW)
         extent = (0.0, width, 0.0, height)
         image = axes.imshow(glow, extent=extent, origin="lower", interpolation="bilinear", zorder=1.5)
         image.set_clip_path(floor)
+
+
+def _light_at_start(playpen: Playpen, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Any:
+    """Return the light of the lamps that are on at the start [W/mm^2]; with one drawn at random, the mean."""
+    if playpen.lighting.mode == "sequenced":
+        playpen = playpen.model_copy(update={"lamps": playpen.lamps[:1]})
+    light = illumination(playpen, x_mm, y_mm)
+    return light / len(playpen.lamps) if playpen.lighting.mode == "random" else light
 
 
 def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> None:
@@ -89,7 +101,7 @@ def draw_patch(axes: Axes, playpen: Playpen, patch: playpen_parts.Patch) -> None
     _draw_shape(axes, patch.footprint, zorder=1.2, **look).set_clip_path(floor)
 
 
-def draw_spot(axes: Axes, spot: Spot) -> None:
+def draw_spot(axes: Axes, labels: Labels, spot: Spot) -> None:
     """A place where a robot may start: its outline, its heading and its name."""
     radius, heading = 1000 * BODY_RADIUS, np.radians(spot.heading_deg)
     axes.add_patch(
@@ -103,7 +115,7 @@ def draw_spot(axes: Axes, spot: Spot) -> None:
             [spot.x_mm, spot.x_mm + tip[0]], [spot.y_mm, spot.y_mm + tip[1]], color=_BOARD, lw=1.2, zorder=4.5
         )
     )
-    write_below(axes, spot.x_mm, spot.y_mm - radius - 4, spot.name)
+    labels.add(spot.x_mm, spot.y_mm, radius + 4, spot.name)
 
 
 def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> Patch:
@@ -124,19 +136,44 @@ def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> Patch:
     return patch
 
 
-def draw_lamp(axes: Axes, lamp: Lamp) -> None:
-    """A bulb with rays, and its power."""
+def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
+    """Draw bulbs with their power; of lamps that are on one at a time, only one that is on first has rays.
+
+    Sequenced lamps have their number before the power, and arrows from each to the next.
+    """
+    lamps, mode = playpen.lamps, playpen.lighting.mode
+    texts: defaultdict[tuple[float, float], list[str]] = defaultdict(list)  # of lamps at one place
+    for index, lamp in enumerate(lamps):
+        power = f"{lamp.power_w * lamp.dim:g} W"
+        _draw_lamp(axes, lamp, on=mode == "all" or (mode == "sequenced" and index == 0))
+        texts[lamp.x_mm, lamp.y_mm].append(f"{index + 1}: {power}" if mode == "sequenced" else power)
+        if mode == "sequenced" and len(lamps) > 1:
+            after = lamps[(index + 1) % len(lamps)]
+            ends = (lamp.x_mm, lamp.y_mm), (after.x_mm, after.y_mm)
+            # Bent, so that there and back of two lamps are two arrows.
+            look: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 9, "shrinkB": 9}
+            look["connectionstyle"] = "arc3,rad=0.08"
+            arrow = FancyArrowPatch(*ends, ls=(0, (4, 3)), lw=0.9, color=FILAMENT, **look)
+            axes.add_patch(arrow).set_zorder(3.5)
+    for (x_mm, y_mm), found in texts.items():
+        counts = {text: found.count(text) for text in found}
+        told = ", ".join(text if count == 1 else f"{count} x {text}" for text, count in counts.items())
+        labels.add(x_mm, y_mm, 2.2 * BULB_RADIUS_MM, told)
+
+
+def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
+    """Draw a bulb: full and with rays where it is on, else empty and dashed."""
     x, y, radius = lamp.x_mm, lamp.y_mm, BULB_RADIUS_MM
-    colour = tuple(part / 255 for part in lamp.rgb)
-    axes.add_patch(Circle((x, y), radius, facecolor=colour, edgecolor=_FILAMENT, lw=0.9, zorder=6))
-    for angle in np.radians(np.arange(0, 360, 45)):
+    colour = tuple(part / 255 for part in lamp.rgb) if on else "white"
+    bulb = Circle((x, y), radius, facecolor=colour, edgecolor=FILAMENT, lw=0.9, ls="-" if on else ":")
+    axes.add_patch(bulb).set_zorder(6)
+    for angle in np.radians(np.arange(0, 360, 45)) if on else ():
         along = np.array((1.35, 1.8)) * radius
-        ray = Line2D(x + along * np.cos(angle), y + along * np.sin(angle), color=_FILAMENT, lw=0.9, zorder=6)
+        ray = Line2D(x + along * np.cos(angle), y + along * np.sin(angle), color=FILAMENT, lw=0.9, zorder=6)
         axes.add_line(ray)
-    write_below(axes, x, y - 2.2 * radius, f"{lamp.power_w * lamp.dim:g} W")
 
 
-def draw_robot(axes: Axes, robot: Robot, name: str) -> None:
+def draw_robot(axes: Axes, labels: Labels, robot: Robot, name: str) -> None:
     """A robot with its wheels, its front and its name."""
     radius = 1000 * robot.body.radius
     heading = np.radians(robot.heading_deg)
@@ -154,13 +191,7 @@ def draw_robot(axes: Axes, robot: Robot, name: str) -> None:
         axes.add_patch(Polygon(offset + tyre @ np.array((ahead, left)), facecolor=INK, zorder=5))
     wedge = radius * np.array(((0.88, 0.0), (0.42, 0.34), (0.42, -0.34)))
     axes.add_patch(Polygon(centre + wedge @ np.array((ahead, left)), facecolor="white", zorder=6))
-    write_below(axes, robot.x_mm, robot.y_mm - radius - 4, name)
-
-
-def write_below(axes: Axes, x_mm: float, y_mm: float, text: str) -> None:
-    """Text below a point, held apart from what it lies on by a pale rim."""
-    rim = withStroke(linewidth=2.2, foreground=(1, 1, 1, 0.8))
-    axes.text(x_mm, y_mm, text, ha="center", va="top", fontsize=7.5, color=INK, zorder=8, path_effects=[rim])
+    labels.add(robot.x_mm, robot.y_mm, radius + 4, name)
 
 
 def surface_look(playpen: Playpen, surface: str, movable: bool) -> dict[str, Any]:

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon, Rectangle
+from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
 from khep_twin.drawing import POINT_LIMIT, Track, draw, save
@@ -66,6 +68,74 @@ def track(n: int = 50, start_s: float = 0) -> Track:
 
 def texts(figure: Figure) -> set[str]:
     return {text.get_text() for text in figure.findobj(Text) if isinstance(text, Text)}
+
+
+def scene_with(mode: str, lamps: int = 3) -> playpens.Playpen:
+    lamp = "[[lamp]]\nx_mm = {}\ny_mm = 100\npower_w = 4\n"
+    text = "".join(lamp.format(100 + 150 * index) for index in range(lamps))
+    return playpens.parse(
+        f'version = 1\nname = "lit"\n[arena]\nwidth_mm = 600\nheight_mm = 300\n'
+        f'[lighting]\nmode = "{mode}"\n{text}',
+        "lit.toml",
+    )
+
+
+def glow(figure: Figure) -> NDArray[np.float64]:
+    """Strength of the light along the lamps."""
+    (image,) = figure.axes[0].images
+    alpha = np.asarray(image.get_array())[..., 3]
+    return alpha[alpha.shape[0] // 3]
+
+
+def test_sequenced_lamps_are_numbered_with_arrows_between_and_one_is_on() -> None:
+    figure = draw(scene_with("sequenced"))
+    assert {"1: 4 W", "2: 4 W", "3: 4 W", "one lamp on, in sequence"} <= texts(figure)
+    assert sum(isinstance(patch, FancyArrowPatch) for patch in figure.axes[0].patches) == 3
+    light = glow(figure)
+    assert light.argmax() == pytest.approx(len(light) * 100 / 600, abs=10)  # as wide as the bulb
+    assert light[len(light) * 250 // 600] < light.max() / 2
+
+
+def test_lamps_at_random_share_the_light_and_none_is_drawn_as_on() -> None:
+    figure, all_on = draw(scene_with("random")), draw(scene_with("all"))
+    assert "one lamp on, at random" in texts(figure)
+    assert "one lamp on, at random" not in texts(all_on)
+    assert glow(figure).max() < glow(all_on).max()
+    rays = [len(each.axes[0].lines) for each in (figure, all_on)]
+    assert rays == [0, 24]
+
+
+def boxes(figure: Figure) -> list[Bbox]:
+    figure.draw_without_rendering()
+    return [text.get_window_extent() for text in figure.axes[0].texts]
+
+
+def test_labels_do_not_overlap_where_ways_end_together() -> None:
+    time_s = np.linspace(0, 1, 5)
+    ways = [
+        Track(f"starts-{k:03d}", time_s, np.stack((200 + 3 * k * time_s, 100 + time_s), axis=1))
+        for k in range(6)
+    ]
+    found = boxes(draw(SCENE, ways))
+    assert len(found) == 9  # two robots, a lamp and six ends
+    for index, box in enumerate(found):
+        assert not any(box.overlaps(other) for other in found[:index])
+
+
+def test_a_label_at_the_wall_stays_within_the_axes() -> None:
+    text = "version = 1\nname = 'x'\n[arena]\nwidth_mm = 600\nheight_mm = 300\n"
+    figure = draw(playpens.parse(text + "[[lamp]]\nx_mm = 5\ny_mm = 5\npower_w = 1\n", "x.toml"))
+    (box,) = boxes(figure)
+    whole = figure.axes[0].get_window_extent()
+    assert whole.x0 <= box.x0
+    assert whole.y0 <= box.y0
+
+
+def test_a_small_drawing_keeps_the_size_of_its_letters() -> None:
+    small, large = draw(SCENE, longer_side=3), draw(SCENE)
+    assert small.get_figwidth() < large.get_figwidth() - 2
+    sizes = [{text.get_fontsize() for text in figure.findobj(Text)} for figure in (small, large)]
+    assert sizes[0] == sizes[1]
 
 
 def test_a_drawing_names_robots_axes_lamps_surfaces_and_playpen() -> None:

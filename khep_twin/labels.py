@@ -1,0 +1,119 @@
+"""Labels of a drawing: each beside what it names, clear of the others and within the axes."""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
+
+SEARCH_LIMIT = 200
+"""Most labels for which free room is searched; with more, each stands below what it names."""
+
+_LINES = 4
+"""Distances that are tried, in lines of text."""
+
+_Place = tuple[float, float, Literal["left", "center", "right"], Literal["top", "center", "bottom"]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Label:
+    x_mm: float
+    y_mm: float
+    reach_mm: float
+    text: str
+
+
+class Labels:
+    """Collects labels while things are drawn, and writes them when the axes' limits are final.
+
+    Args:
+        axes: Axes in mm.
+        ink: Colour of the text.
+    """
+
+    def __init__(self, axes: Axes, ink: str) -> None:
+        self._axes, self._ink = axes, ink
+        self._wanted: list[_Label] = []
+
+    def add(self, x_mm: float, y_mm: float, reach_mm: float, text: str) -> None:
+        """Ask for a label beside a point, outside of a circle of `reach_mm` around it."""
+        self._wanted.append(_Label(x_mm, y_mm, reach_mm, text))
+
+    def write(self) -> None:
+        """Write all labels; earlier ones keep the place that later ones have to avoid."""
+        figure = self._axes.get_figure(root=True)
+        if figure is None or not isinstance(figure.canvas, FigureCanvasAgg):
+            raise TypeError("labels expected a figure with an Agg canvas")
+        renderer = figure.canvas.get_renderer()
+        within = np.array(self._axes.get_window_extent(renderer).extents)
+        search = len(self._wanted) <= SEARCH_LIMIT
+        taken = np.empty((0, 4))
+        for label in self._wanted:
+            text = self._text(label)
+            if not search:
+                continue
+            best, least = None, np.inf
+            for place in _places(label, self._height_mm(text.get_window_extent(renderer))):
+                _put(text, place)
+                covered = _covered(np.array(text.get_window_extent(renderer).extents), taken, within)
+                if covered < least:
+                    best, least = place, covered
+                if covered == 0:
+                    break
+            if best is not None:
+                _put(text, best)
+            taken = np.vstack((taken, text.get_window_extent(renderer).extents))
+
+    def _text(self, label: _Label) -> Text:
+        # Held apart from what it lies on by a pale rim.
+        rim = withStroke(linewidth=2.2, foreground=(1, 1, 1, 0.8))
+        at = label.x_mm, label.y_mm - label.reach_mm
+        return self._axes.text(
+            *at,
+            label.text,
+            ha="center",
+            va="top",
+            fontsize=7.5,
+            color=self._ink,
+            zorder=8,
+            path_effects=[rim],
+        )
+
+    def _height_mm(self, box: Bbox) -> float:
+        (_, low), (_, high) = self._axes.transData.inverted().transform([(0, box.y0), (0, box.y1)])
+        return float(high - low)
+
+
+def _places(label: _Label, line_mm: float) -> Iterator[_Place]:
+    """Yield positions and alignments of a label, best first: below, above, right and left, then farther."""
+    x, y, reach = label.x_mm, label.y_mm, label.reach_mm
+    for line in range(_LINES):
+        away = 1.1 * line * line_mm
+        yield x, y - reach - away, "center", "top"
+        yield x, y + reach + away, "center", "bottom"
+        for shift in {away: None, -away: None}:
+            yield x + reach, y + shift, "left", "center"
+            yield x - reach, y + shift, "right", "center"
+
+
+def _put(text: Text, place: _Place) -> None:
+    text.set_position(place[:2])
+    text.set_horizontalalignment(place[2])
+    text.set_verticalalignment(place[3])
+
+
+def _covered(box: NDArray[np.float64], taken: NDArray[np.float64], within: NDArray[np.float64]) -> float:
+    """Return the area of a box (x0, y0, x1, y1) on boxes (n, 4) that are taken and outside of `within`."""
+    shared = np.minimum(box[2:], taken[:, 2:]) - np.maximum(box[:2], taken[:, :2])
+    inside = np.minimum(box[2:], within[2:]) - np.maximum(box[:2], within[:2])
+    outside = np.prod(box[2:] - box[:2]) - np.prod(np.maximum(inside, 0))
+    return float(np.prod(np.maximum(shared, 0), axis=1).sum() + outside)
