@@ -270,9 +270,8 @@ def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: i
 def _advance_profile(registers: Registers, wheel: int) -> None:
     """Moves the trapezoid on by one tick, towards the target.
 
-    The speed grows and falls by no more than the acceleration, but for rounding in the last steps. It falls
-    as soon as the way left is no more than it takes to stop; where that is too late already, the profile runs
-    beyond the target and comes back.
+    The speed grows and falls by no more than the acceleration. It falls as soon as the way left is no more
+    than it takes to stop; where that is too late already, the profile runs beyond the target and comes back.
     """
     position = registers[wheel + _PROFILE_POSITION]
     speed = registers[wheel + _PROFILE_SPEED]
@@ -282,11 +281,11 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
     way *= direction
     speed *= direction
     wanted = min(speed + acceleration, registers[wheel + _MAX_SPEED] * FRACTION)
-    if wanted > 0 and wanted * (wanted + acceleration) > 2 * acceleration * way:
-        wanted = min(wanted, _stopping_speed(way, acceleration))
+    if wanted > 0:
+        whole, rest = wanted // acceleration, wanted % acceleration
+        if (whole + 1) * (whole * acceleration + 2 * rest) > 2 * way:
+            wanted = _stopping_speed(way, acceleration)
     wanted = max(wanted, speed - acceleration)
-    if 0 < way <= wanted <= acceleration:
-        wanted = way
     registers[wheel + _PROFILE_POSITION] = position + direction * wanted
     registers[wheel + _PROFILE_SPEED] = direction * wanted
     if wanted == 0 and speed != 0:
@@ -295,16 +294,18 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
 
 
 def _stopping_speed(way: int, acceleration: int) -> int:
-    """Fastest speed that can be brought to rest on a way: v + (v - a) + (v - 2 a) + ... = way.
+    """Return the fastest speed that can be brought to rest on a way: v + (v - a) + (v - 2 a) + ... <= way.
 
-    That is v (v + a) = 2 a way; at least 1 while there is a way left.
+    With v = n a + r and r < a the way is (n + 1) (n a / 2 + r). The rest of the way, below n + 1, is made up
+    for by the speeds that follow.
     """
-    square = acceleration * acceleration + 8 * acceleration * way
+    square = 8 * (way // acceleration) + 1
     root, last = square, square + 1
     while root < last:  # Newton's method on whole numbers, from above
         last = root
         root = (root + square // root) // 2
-    return max((last - acceleration) // 2, min(way, 1))
+    steps = (last - 1) // 2
+    return steps * acceleration + (way - acceleration * steps * (steps + 1) // 2) // (steps + 1)
 
 
 def _unwind(registers: Registers, wheel: int) -> None:
