@@ -48,9 +48,14 @@ class Receivers:
         lamps: Lamps,
         lighting: Lighting,
     ) -> None:
-        self.lamps = lamps
+        self._model, self._prefix = model, prefix
         self.optics = ambient_optics(calibration)
-        self.bulbs = bulbs(SightLines(model, prefix, lamps.positions), lighting)
+        self.relight(lamps, lighting)
+
+    def relight(self, lamps: Lamps, lighting: Lighting) -> None:
+        """Take other lamps, or another law, in place of those before."""
+        self.lamps = lamps
+        self.bulbs = bulbs(SightLines(self._model, self._prefix, lamps.positions), lighting)
 
 
 def ambient_optics(calibration: AmbientCalibration) -> Ambient:

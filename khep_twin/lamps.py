@@ -23,6 +23,7 @@ class Lamps:
     Args:
         playpen: says where they are and what switches them.
         chance: draws the next one in mode "random".
+        time_ns: now [ns].
 
     Attributes:
         names: as in the scene, or as the playpen calls them.
@@ -31,7 +32,7 @@ class Lamps:
         steady: whether nothing ever changes them.
     """
 
-    def __init__(self, playpen: Playpen, chance: np.random.Generator) -> None:
+    def __init__(self, playpen: Playpen, chance: np.random.Generator, time_ns: int = 0) -> None:
         self._lamps, self._lighting = playpen.lamps, playpen.lighting
         self._corners = [(metres(x_mm), metres(y_mm)) for x_mm, y_mm in playpen.arena.corners]
         self._chance = chance
@@ -46,7 +47,7 @@ class Lamps:
         if one_by_one:
             random = self._lighting.mode == "random"
             self._lit = int(chance.integers(len(self._lamps))) if random else 0
-        self._time_ns = 0
+        self._time_ns = time_ns
         self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
 
     @property

@@ -1,7 +1,8 @@
 """Putting a robot down somewhere in a world that runs, as a hand does.
 
 It is put upright and at rest. Its board knows nothing of it: counters, registers and motors go on as they
-are. It is an act like those of its host, so that a log repeats it.
+are, unless it is put down afresh, as after a reset. It is an act like those of its host, so that a log
+repeats it.
 """
 
 import math
@@ -22,9 +23,12 @@ from khep_twin.units import BODY_HEIGHT
 from khep_twin.world import World
 
 _PLACE = struct.Struct("<3d")
+_AFRESH = b"\1"
 
 
-def put(world: World, index: int, x_mm: float, y_mm: float, heading_deg: float) -> None:
+def put(
+    world: World, index: int, x_mm: float, y_mm: float, heading_deg: float, *, afresh: bool = False
+) -> None:
     """Puts a robot down.
 
     Args:
@@ -33,6 +37,7 @@ def put(world: World, index: int, x_mm: float, y_mm: float, heading_deg: float) 
         x_mm: of its centre, from the arena's lower left inner corner [mm].
         y_mm: likewise.
         heading_deg: where it looks, counter-clockwise from x [degrees].
+        afresh: reset its board as well: counters, setpoints, controllers and LEDs.
 
     Raises:
         PlaypenError: there is no room for it; it stays where it was.
@@ -43,7 +48,8 @@ def put(world: World, index: int, x_mm: float, y_mm: float, heading_deg: float) 
         )
     if reason := no_room(as_it_stands(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
-    world.act(index, HostAct(Act.PUT, world.time_ns, None, _PLACE.pack(x_mm, y_mm, heading_deg)))
+    place = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
+    world.act(index, HostAct(Act.PUT, world.time_ns, None, place))
     model, data = world.model, world.data
     joint = model.joint(f"{world.robots[index].name}/pose")
     at, half = int(joint.qposadr[0]), math.radians(heading_deg) / 2
@@ -53,12 +59,21 @@ def put(world: World, index: int, x_mm: float, y_mm: float, heading_deg: float) 
     data.qvel[model.body_rootid[model.dof_bodyid] == base] = 0
     # What the robots' places are read from is as of now again.
     mujoco.mj_kinematics(model, data)
+    if afresh:
+        world.robots[index].reset_motion()
     world.tell(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
 
 
 def put_again(world: World, index: int, act: HostAct) -> None:
     """Puts a robot down as a log has it."""
-    put(world, index, *_PLACE.unpack(act.data))
+    place, rest = act.data[: _PLACE.size], act.data[_PLACE.size :]
+    put(world, index, *_PLACE.unpack(place), afresh=rest == _AFRESH)
+
+
+def scan(world: World) -> None:
+    """Convert all sensors as of now, so that the boards hold what is around after something was moved."""
+    world.act(0, HostAct(Act.SCAN, world.time_ns))
+    world.scan()
 
 
 def no_room(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:

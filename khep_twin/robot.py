@@ -16,7 +16,7 @@ from khep_twin.faults import Fault, Injector
 from khep_twin.firmware import Firmware
 from khep_twin.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
 from khep_twin.lamps import Lamps
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Lighting, Playpen
 from khep_twin.protocol import LINE_ENDS
 from khep_twin.randomness import stream
 from khep_twin.rom import ROMS
@@ -121,9 +121,9 @@ class Robot:
         if spread:
             measured = calibration.spread(measured, chance("spread"))
         prefix, lighting = f"{self.name}/", stage.playpen.lighting
-        receivers = Receivers(model, prefix, measured.ambient, stage.lamps, lighting)
+        self._receivers = Receivers(model, prefix, measured.ambient, stage.lamps, lighting)
         scene = scene_of(model, data, prefix)
-        self._scan = InfraredScan(scene, prefix, measured, receivers, chance if noise else None)
+        self._scan = InfraredScan(scene, prefix, measured, self._receivers, chance if noise else None)
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -273,6 +273,16 @@ class Robot:
         """Brings the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
         for led, light in zip(_LEDS, self._lights, strict=True):
             light.show(bool(self._cells[led]))
+
+    def reset_motion(self) -> None:
+        """Reset counters, setpoints, controllers and LEDs, and cut the motors' voltage."""
+        kernel.reset(self._cells)
+        self.zero_encoders()
+        self._ctrl[[self._left_motor, self._right_motor]] = 0.0
+
+    def relight(self, lamps: Lamps, lighting: Lighting) -> None:
+        """Let other lamps shine on the sensors."""
+        self._receivers.relight(lamps, lighting)
 
     def zero_encoders(self) -> None:
         """Makes the encoders start from where the wheels stand."""

@@ -1,8 +1,12 @@
-"""Switching a lamp in a world that runs, as a hand does; an act like a host's, so that a log repeats it."""
+"""Switching lamps in a world that runs, as a hand does, and setting up others; acts that a log repeats."""
 
+import json
 import struct
+from collections.abc import Sequence
 
 from khep_twin.errors import PlaypenError, choices
+from khep_twin.playpen import Lamp, Lighting, Playpen
+from khep_twin.toml_files import check, frozen
 from khep_twin.uart import Act, HostAct
 from khep_twin.world import World
 
@@ -31,3 +35,34 @@ def switch(world: World, lamp: int, on: bool) -> None:
 def switch_again(world: World, act: HostAct) -> None:
     """Switches a lamp as a log has it."""
     switch(world, *_SWITCH.unpack(act.data))
+
+
+def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
+    """Set up other lamps, or let them shine in another order.
+
+    Args:
+        world: in which they are.
+        lamps: all that there are from now on.
+        lighting: which of them are on, from now on.
+
+    Raises:
+        PlaypenError: a lamp cannot be like that, or lies outside the arena.
+    """
+    wanted = {
+        "lamp": [lamp.model_dump(mode="json") for lamp in lamps],
+        "lighting": lighting.model_dump(mode="json"),
+    }
+    before = world.playpen
+    bare = {"version": before.version, "name": before.name, "arena": before.arena.model_dump()}
+    checked = check(Playpen, frozen(bare | wanted), before.name, PlaypenError)
+    world.act(0, HostAct(Act.RELIGHT, world.time_ns, None, json.dumps(wanted).encode("utf-8")))
+    world.relight(before.model_copy(update={"lamps": checked.lamps, "lighting": checked.lighting}))
+    places = ", ".join(f"{lamp.power_w:g} W at ({lamp.x_mm:g}, {lamp.y_mm:g})" for lamp in checked.lamps)
+    world.tell(None, f"the lamps are {places or 'gone'}; on: {lighting.mode}")
+
+
+def relight_again(world: World, act: HostAct) -> None:
+    """Sets up lamps as a log has it."""
+    wanted = frozen(json.loads(act.data))
+    lamps = [Lamp.model_validate(lamp) for lamp in wanted["lamp"]]
+    relight(world, lamps, Lighting.model_validate(wanted["lighting"]))

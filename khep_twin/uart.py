@@ -39,6 +39,8 @@ class Act(IntEnum):
     SET = 3
     PUT = 4
     SWITCH = 5
+    SCAN = 6
+    RELIGHT = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ class HostAct:
         at_ns: from when on it holds, now or later [ns].
         host: how the host had set its end of the line, None for as the robot has it.
         data: what was sent, as it left the host; where the robot was put, as `khep_twin.placing` has it;
-            which lamp was switched, as `khep_twin.switching` has it.
+            which lamp was switched, or which lamps there are, as `khep_twin.switching` has it.
     """
 
     kind: Act

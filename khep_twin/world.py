@@ -95,7 +95,8 @@ class World:
         self.spec = to_spec(playpen)
         self.model = self.spec.compile()
         self.data = mujoco.MjData(self.model)
-        self.lamps = Lamps(playpen, stream(seed, "lamps"))
+        self._lamp_chance = stream(seed, "lamps")
+        self.lamps = Lamps(playpen, self._lamp_chance)
         self.robots = tuple(
             Robot(
                 self,
@@ -151,6 +152,26 @@ class World:
             self._step()
         self._exchange(time_ns)
         self.time_ns = time_ns
+
+    def scan(self) -> None:
+        """Convert all sensors of all robots as of now; no time passes."""
+        model, data = self.model, self.data
+        # The rangefinders take turns; for once all look at the same time, and keep their turns afterwards.
+        turns, history = model.sensor_interval.copy(), data.history.copy()
+        model.sensor_interval[:] = 0
+        for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight, mujoco.mj_sensorPos):
+            look(model, data)
+        model.sensor_interval[:], data.history[:] = turns, history
+        for turn in range(units.N_SENSORS):
+            for robot in self.robots:
+                robot.convert((self._steps + turn) % units.N_SENSORS)
+
+    def relight(self, playpen: Playpen) -> None:
+        """Take the lamps and the lighting of another playpen."""
+        self.playpen = playpen
+        self.lamps = Lamps(playpen, self._lamp_chance, self.time_ns)
+        for robot in self.robots:
+            robot.relight(self.lamps, playpen.lighting)
 
     def tell(self, robot: int | None, text: str) -> None:
         """Passes a note on to the taps."""

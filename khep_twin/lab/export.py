@@ -120,7 +120,7 @@ def chosen_channels(recording: Recording, robot: str, names: Sequence[str] | Non
     found: dict[str, Channel] = {}
     for topic, series in recording.series.items():
         owner, _, name = topic.removeprefix("/").rpartition("/")
-        if owner == robot or topic == "/lamps":
+        if owner == robot or (not owner and name.startswith("lamps")):
             found[name] = Channel(name, _columns(name, series.values.shape[1]), series)
     order = [*(name for name in _KNOWN if name not in _LAST), *sorted({*found} - {*_KNOWN, *_LAST}), *_LAST]
     there = [name for name in order if name in found]

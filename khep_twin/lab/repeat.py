@@ -23,10 +23,10 @@ from khep_twin.log.reader import Label, read_raw
 from khep_twin.log.recorder import versions
 from khep_twin.log.transcript import Transcript
 from khep_twin.log.wire import Answered, boards, hashes, read_acts, read_states
-from khep_twin.placing import put_again
+from khep_twin.placing import put_again, scan
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.switching import switch_again
+from khep_twin.switching import relight_again, switch_again
 from khep_twin.uart import Act, HostAct
 from khep_twin.world import SAMPLE_NS, World
 
@@ -214,6 +214,10 @@ def _act(twin: Twin, index: int, act: HostAct) -> None:
             put_again(twin.world, index, act)
         case Act.SWITCH:
             switch_again(twin.world, act)
+        case Act.SCAN:
+            scan(twin.world)
+        case Act.RELIGHT:
+            relight_again(twin.world, act)
 
 
 class _Watch:

@@ -8,7 +8,7 @@ from typing import cast, get_args
 
 from khep_twin.errors import PlaypenError, choices
 from khep_twin.placing import no_room
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen_parts import LightingMode
 from khep_twin.randomness import stream
 
@@ -106,10 +106,19 @@ def without_nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Playpen:
     Raises:
         PlaypenError: it has no lamp.
     """
-    if not playpen.lamps:
-        raise PlaypenError(f"{playpen.name}: no lamp is left that could be taken away")
-    nearest = min(playpen.lamps, key=lambda lamp: math.hypot(lamp.x_mm - x_mm, lamp.y_mm - y_mm))
+    nearest = nearest_lamp(playpen, x_mm, y_mm)
     return playpen.model_copy(update={"lamps": tuple(lamp for lamp in playpen.lamps if lamp is not nearest)})
+
+
+def nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Lamp:
+    """Return the lamp that is nearest to a place, the first of equally near ones.
+
+    Raises:
+        PlaypenError: the playpen has no lamp.
+    """
+    if not playpen.lamps:
+        raise PlaypenError(f"{playpen.name}: no lamp is left; expected one to take away or move")
+    return min(playpen.lamps, key=lambda lamp: math.hypot(lamp.x_mm - x_mm, lamp.y_mm - y_mm))
 
 
 def numbers(text: str, count: int) -> list[float] | None:

@@ -38,7 +38,12 @@ from khep_twin.lab.toolbox_figures import ddr as ddr
 from khep_twin.lab.toolbox_figures import ddrg as ddrg
 from khep_twin.lab.toolbox_figures import disonel as disonel
 from khep_twin.lab.toolbox_khepbase import khepbase as khepbase
+from khep_twin.lab.toolbox_lamps import lamp_control as lamp_control
+from khep_twin.lab.toolbox_lamps import move_lamp as move_lamp
+from khep_twin.lab.toolbox_lamps import place_lamp as place_lamp
+from khep_twin.lab.toolbox_lamps import remove_lamp as remove_lamp
 from khep_twin.lab.toolbox_places import checkobj as checkobj
+from khep_twin.lab.toolbox_places import cvrtang as cvrtang
 from khep_twin.lab.toolbox_places import movekhep as movekhep
 from khep_twin.lab.toolbox_places import putkhep as putkhep
 from khep_twin.lab.toolbox_places import rotkhep as rotkhep
@@ -56,4 +61,6 @@ from khep_twin.lab.toolbox_simulator import sim_rps as sim_rps
 from khep_twin.lab.toolbox_simulator import sim_skp as sim_skp
 from khep_twin.lab.toolbox_simulator import sim_sms as sim_sms
 from khep_twin.lab.toolbox_simulator import sim_spc as sim_spc
+from khep_twin.lab.toolbox_simulator import ulsv as ulsv
+from khep_twin.lab.toolbox_simulator import upsv as upsv
 from khep_twin.lab.toolbox_simulator import userdata as userdata

@@ -13,7 +13,7 @@ from khep_twin.host import toolbox
 from khep_twin.lab.sensor_test import PULSES_PER_DEGREE
 from khep_twin.lab.toolbox_simulator import OpenPlaypen, opened
 from khep_twin.placement import Thing, placement_problems
-from khep_twin.placing import as_it_stands, near, put
+from khep_twin.placing import as_it_stands, near, put, scan
 from khep_twin.units import BODY_HEIGHT, PULSE_LENGTH
 
 STEP_MM = 5.0
@@ -61,7 +61,7 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
 def putkhep(
     xabs: SupportsFloat, yabs: SupportsFloat, heading_deg: SupportsFloat | None = None, port_id: int = 1
 ) -> None:
-    """Puts the robot down at a place, at rest, with speeds and counters at 0.
+    """Put the robot down at a place, at rest, its board as after a reset, its sensors converted there.
 
     Args:
         xabs: of its centre, from the arena's lower left inner corner [mm].
@@ -77,11 +77,10 @@ def putkhep(
     world, robot = scene.twin.world, scene.twin.robots[index]
     heading = math.degrees(robot.pose[2]) if heading_deg is None else float(heading_deg)
     try:
-        put(world, index, float(xabs), float(yabs), heading)
+        put(world, index, float(xabs), float(yabs), heading, afresh=True)
     except PlaypenError as error:
         raise PlaypenError(f"putkhep: {error}") from None
-    toolbox.sms(scene.robots[index], 0, 0)
-    toolbox.spc(scene.robots[index], 0, 0)
+    scan(world)
 
 
 def movekhep(dirn: int, btmap1: OpenPlaypen, port_id: int = 1) -> None:
@@ -105,6 +104,11 @@ def rotkhep(alpha: SupportsFloat, port_id: int = 1) -> None:
     """
     pulses = float(alpha) * PULSES_PER_DEGREE
     _go(opened(), port_id, -pulses, pulses)
+
+
+def cvrtang(angle: SupportsFloat) -> float:
+    """Convert an angle to its equal from -180 to 180 [degrees]."""
+    return math.remainder(float(angle), 360)
 
 
 def _go(scene: OpenPlaypen, port_id: int, left: float, right: float) -> None:

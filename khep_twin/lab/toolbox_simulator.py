@@ -27,6 +27,8 @@ from khep_twin.errors import BitmapError, PlaypenError, PortError, choices
 from khep_twin.host import Khepera, toolbox
 from khep_twin.host.toolbox import Row
 from khep_twin.kernel import LEFT, RIGHT, Wheel
+from khep_twin.lab.setting import lit
+from khep_twin.placing import scan
 from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
@@ -69,14 +71,24 @@ class OpenPlaypen:
         self.twin.advance_to(self.twin.world.time_ns + to_ns(duration))
 
 
-def open_default(*, seed: int = 0, noise: bool = True) -> OpenPlaypen:
+def open_default(
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    rom: str | None = None,
+    lighting: str | None = None,
+    log: str | Path | None = None,
+) -> OpenPlaypen:
     """Opens four walls with a robot in their middle, RoboRunner's Open Default; closes what was open.
 
     Args:
         seed: of every chance.
         noise: whether sensors are noisy.
+        rom: of the robot, as for `open_custom`.
+        lighting: Lamp Control, as for `open_custom`; lamps come by `place_lamp`.
+        log: file to record the run in.
     """
-    return open_custom("default", seed=seed, noise=noise)
+    return open_custom("default", seed=seed, noise=noise, rom=rom, lighting=lighting, log=log)
 
 
 def open_custom(
@@ -85,7 +97,8 @@ def open_custom(
     seed: int = 0,
     noise: bool = True,
     rom: str | None = None,
-    log: str | None = None,
+    lighting: str | None = None,
+    log: str | Path | None = None,
 ) -> OpenPlaypen:
     """Opens a playpen, RoboRunner's Open Custom; closes what was open.
 
@@ -95,6 +108,8 @@ def open_custom(
         seed: of every chance.
         noise: whether sensors are noisy.
         rom: of the robots, if not what the playpen says; with "4.06" `sim_rmc` counts modes as the toolbox.
+        lighting: Lamp Control, "all", "random" or "sequenced", or "off" for no lamps at all; without, as the
+            playpen says.
         log: file to record the run in.
 
     Raises:
@@ -104,8 +119,8 @@ def open_custom(
         LogError: the log cannot be written.
     """
     global _current
-    options = TwinOptions(seed=seed, robot=None, noise=noise, rom=rom, unpaced=True, log=log)
-    chosen = _playpen(playpen)
+    options = TwinOptions(seed=seed, robot=None, noise=noise, rom=rom, unpaced=True, log=log and str(log))
+    chosen = lit(_playpen(playpen), lighting)
     if not chosen.robots:
         raise PlaypenError(f"{chosen.name}: no robot stands in it; right is a [[robot]] in its file")
     close_playpen()
@@ -144,6 +159,24 @@ def kheprom(btmap1: OpenPlaypen, cycle: float = CYCLE) -> None:
         PlaypenError: `btmap1` is not what `open_default` or `open_custom` has returned last.
     """
     opened(btmap1).pass_time(cycle)
+
+
+def upsv(btmap1: OpenPlaypen) -> None:
+    """Convert all sensors of the simulated robots as of now; `kheprom` does so by itself as time passes.
+
+    Raises:
+        PlaypenError: `btmap1` is not what `open_default` or `open_custom` has returned last.
+    """
+    scan(opened(btmap1).twin.world)
+
+
+def ulsv() -> None:
+    """Convert all sensors as `upsv` does; the lamps are those of the playpen that is open.
+
+    Raises:
+        PlaypenError: none is open.
+    """
+    scan(opened().twin.world)
 
 
 def sim_skp(port_id: int, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:

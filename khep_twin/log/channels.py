@@ -14,7 +14,8 @@
     /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
     /khepera0/wire              std_msgs/Int64MultiArray    what its host did, to repeat it (`wire`)
     /state                      std_msgs/Int64MultiArray    hashes of the whole state (`wire`)
-    /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change
+    /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change; of
+                                                other lamps set up meanwhile /lamps_2 and so on
     /events                     rcl_interfaces/Log          notes
 
 CDR here is little-endian: a header of four bytes, then each value at a multiple of its size, counted from the

@@ -101,7 +101,8 @@ class Recorder:
         self._moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
         self._transforms = TransformFrame([body_name(model, body) for body in self._moving])
         self._streams = [_RobotStream(robot) for robot in world.robots]
-        self._lamps = None if world.lamps.steady else ArrayFrame(len(world.lamps.names), "f8", "power [W]")
+        self._known_lamps, self._lamps_topic, self._lamps_sets = world.lamps, "/lamps", 1
+        self._lamps = None if world.lamps.steady else _lamps_frame(world)
         self._powers = np.zeros((_BATCH, len(world.lamps.names)))
         self._answers = Answered(len(world.robots))
         self._acts: list[list[tuple[int, HostAct]]] = [[] for _ in world.robots]
@@ -134,6 +135,13 @@ class Recorder:
         """Notes where everything is and what the boards hold; it is written in batches."""
         if not self._log.open:
             return
+        if world.lamps is not self._known_lamps:
+            # Rows of a channel have one length, and lamps set up later are none of those before.
+            self.flush()
+            self._lamps_sets += 1
+            self._lamps_topic = f"/lamps_{self._lamps_sets}"
+            self._known_lamps, self._lamps = world.lamps, _lamps_frame(world)
+            self._powers = np.zeros((_BATCH, len(world.lamps.names)))
         row = self._rows
         self._xpos.take(self._moving, 0, self._positions[row], "clip")
         self._xquat.take(self._moving, 0, self._quaternions[row], "clip")
@@ -197,7 +205,7 @@ class Recorder:
         )
         self._log.add_rows("/tf", "tf2_msgs/msg/TFMessage", times_ns, poses)
         if self._lamps is not None:
-            self._log.add_rows("/lamps", FLOATS, times_ns, self._lamps.messages(self._powers[:rows]))
+            self._log.add_rows(self._lamps_topic, FLOATS, times_ns, self._lamps.messages(self._powers[:rows]))
         for stream in self._streams:
             for topic, schema, messages in stream.messages(rows):
                 self._log.add_rows(topic, schema, times_ns, messages)
@@ -242,6 +250,10 @@ class Recorder:
         scene = foxglove_scene.scene_update(world.model)
         self._log.add_protobuf("/scene", foxglove_scene.SCHEMA, foxglove_scene.descriptors(), 0, scene)
         self._log.flush()
+
+
+def _lamps_frame(world: World) -> ArrayFrame:
+    return ArrayFrame(len(world.lamps.names), "f8", "power [W]")
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,9 +3,9 @@
     /khepera0/wire   std_msgs/Int64MultiArray   acts of the host, one after the other: when the world came to
                                                 know of it [ns], what (0 sends, 1 hangs up, 2 takes back,
                                                 3 sets its line, 4 puts the robot elsewhere, 5 switches
-                                                a lamp), from when on it holds [ns], baud and stop bits of
-                                                the host's end (-1 for as the robot has it), how many bytes,
-                                                then each byte
+                                                a lamp, 6 converts all sensors, 7 changes the lamps), from
+                                                when on it holds [ns], baud and stop bits of the host's end
+                                                (-1 for as the robot has it), how many bytes, then each byte
     /state           std_msgs/Int64MultiArray   hashes of the whole world's state, every 20 ms from the
                                                 message's own time on
 

@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.lab import toolbox
+from khep_twin.lab.repeat import read_recorded, repeat
 from khep_twin.lab.toolbox_simulator import OpenPlaypen
+from khep_twin.log.reader import read_series
 
 ARENA = 'version = 1\nname = "p"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
 ROBOT = "[[robot]]\nx_mm = {}\ny_mm = {}\nheading_deg = {}\n"
@@ -46,6 +49,57 @@ def test_a_robot_is_put_where_there_is_room_and_senses_what_is_there() -> None:
     # A controller that was driving needs a moment to stand.
     assert pose(btmap1)[:2] == pytest.approx([380, 250], abs=1)
     assert abs(toolbox.sim_rpc(1)).max() <= 12
+
+
+def test_a_robot_that_drove_is_put_down_at_rest_with_its_board_as_after_a_reset() -> None:
+    btmap1 = toolbox.open_default(noise=False)
+    fresh = toolbox.userdata(btmap1)
+    toolbox.sim_skp(1, 3000, 3000)
+    toolbox.sim_sms(1, 100, 100)
+    toolbox.kheprom(btmap1, 0.3)
+    toolbox.putkhep(100, 250, 0)
+    at_once = toolbox.userdata(btmap1)
+    assert at_once[:3].tolist() == [100, 250, 0]
+    # Speeds, [T, M, E] twice, counters and targets.
+    assert at_once[19:].tolist() == fresh[19:].tolist()
+    assert toolbox.sim_rms(1).tolist() == [0, 0]
+    toolbox.kheprom(btmap1, 1)
+    later = toolbox.userdata(btmap1)
+    assert later[:2] == pytest.approx([100, 250], abs=0.05)
+    assert toolbox.cvrtang(later[2]) == pytest.approx(0, abs=0.05)
+    assert later[19:].tolist() == fresh[19:].tolist()
+
+
+def test_the_sensors_of_a_robot_are_right_as_soon_as_it_is_put_down() -> None:
+    btmap1 = toolbox.open_default(noise=False)
+    toolbox.kheprom(btmap1, 0.0325)  # within a scan, of which every sensor has its turn
+    toolbox.putkhep(40, 250, 180)
+    at_once = toolbox.sim_rps(1)
+    assert at_once[2:4].min() > 700
+    toolbox.kheprom(btmap1, 0.1)
+    assert toolbox.sim_rps(1) == pytest.approx(at_once, abs=2)
+    toolbox.putkhep(300, 250, 180)
+    assert toolbox.sim_rps(1).max() < 30
+
+
+def test_a_log_repeats_what_the_toolbox_did_to_robot_and_lamps(tmp_path: Path) -> None:
+    btmap1 = toolbox.open_custom("two-lamps", seed=3, log=tmp_path / "run.mcap", lighting="sequenced")
+    for x_mm in (100, 300):
+        toolbox.putkhep(x_mm, 100, 90)
+        toolbox.sim_sms(1, 10, 9)
+        toolbox.kheprom(btmap1, 0.5)
+        toolbox.place_lamp(x_mm, 300, 5)
+        toolbox.kheprom(btmap1, 0.3)
+        toolbox.upsv(btmap1)
+    toolbox.close_playpen()
+    assert repeat(read_recorded(tmp_path / "run.mcap")) is None
+    lamps = {topic: each.values.shape[1] for topic, each in read_series(tmp_path / "run.mcap").series.items()}
+    assert [lamps[topic] for topic in ("/lamps", "/lamps_2", "/lamps_3")] == [2, 3, 4]
+
+
+@pytest.mark.parametrize(("angle", "equal"), [(190, -170), (-190, 170), (90, 90), (720, 0), (-180, -180)])
+def test_an_angle_is_converted_to_under_180_degrees(angle: float, equal: float) -> None:
+    assert toolbox.cvrtang(angle) == pytest.approx(equal)
 
 
 def test_without_a_heading_it_looks_where_it_looked() -> None:

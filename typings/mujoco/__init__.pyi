@@ -79,6 +79,7 @@ class MjModel:
     geom_size: NDArray[np.float64]
     geom_type: NDArray[np.int32]
     geom_user: NDArray[np.float64]
+    sensor_interval: NDArray[np.float64]
     site_bodyid: NDArray[np.int32]
     site_pos: NDArray[np.float64]
     site_quat: NDArray[np.float64]
@@ -114,6 +115,7 @@ class MjData:
     cvel: NDArray[np.float64]
     geom_xmat: NDArray[np.float64]
     geom_xpos: NDArray[np.float64]
+    history: NDArray[np.float64]
     model: MjModel
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]
@@ -224,6 +226,8 @@ def mju_quat2Mat(res: NDArray[np.float64], quat: NDArray[np.float64]) -> None: .
 def mj_kinematics(model: MjModel, data: MjData) -> None: ...
 def mj_resetData(model: MjModel, data: MjData) -> None: ...
 def mj_camlight(model: MjModel, data: MjData) -> None: ...
+def mj_comPos(model: MjModel, data: MjData) -> None: ...
+def mj_sensorPos(model: MjModel, data: MjData) -> None: ...
 def mju_mulPose(
     posres: NDArray[np.float64],
     quatres: NDArray[np.float64],
