@@ -29,10 +29,12 @@ from khep_twin.lab.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import SensorRun
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensor_bars import BARS
+from khep_twin.turrets import installed
 from khep_twin.web import drafts, jobs
 from khep_twin.web.audience import Audience
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.stage import Actor, RobotActor, TwinActor, shape
+from khep_twin.web.turret_outlines import at_start
 
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
 
@@ -124,6 +126,10 @@ class Page:
             "library": playpens.names(),
             "controllers": list(BUILT_IN),
             "bars": {name: asdict(bar) for name, bar in BARS.items()},
+            "turrets": {
+                name: {"description": kind.description, "parts": at_start(name)}
+                for name, kind in installed().items()
+            },
             "shapes": {model: shape(model, model) for model in ("khepera1", "khepera2")},
             "runs": runs,
         }

@@ -26,6 +26,7 @@ from khep_twin.units import BODIES
 from khep_twin.web.jobs import Job, Tell
 from khep_twin.web.outside_host import OutsideHost
 from khep_twin.web.paced_twin import PacedSerial, PacedTwin
+from khep_twin.web.turret_outlines import TurretParts
 
 _PATIENCE = 5.0
 """How long an actor may take to end [s]."""
@@ -142,6 +143,7 @@ class TwinActor(Actor):
         super().__init__(tell)
         self.playpen, self._options, self._log = playpen, options, log
         self._paced: PacedTwin | None = None
+        self._turrets: list[TurretParts] = []
         self._ready = threading.Event()
         self.speed, self.paused = 1.0, False
 
@@ -223,6 +225,7 @@ class TwinActor(Actor):
             paced = PacedTwin(twin, hosts, lambda: self.tell(self._picture(paced, hosts)))
             stack.callback(paced.end)
             paced.speed, paced.paused = self.speed, self.paused
+            self._turrets = [TurretParts(twin.world, index) for index in range(len(twin.robots))]
             self._paced = paced
             self.tell(self._cast(paced, cables))
             while not (paced.ended or self._ended.is_set()):
@@ -249,6 +252,7 @@ class TwinActor(Actor):
                     "port": cable.path,
                     "baud": robot.firmware.baud,
                     **shape(entry.model, entry.calibration),
+                    "turrets": entry.turrets,
                 }
                 for robot, cable, entry in zip(twin.robots, cables, twin.world.playpen.robots, strict=True)
             ],
@@ -260,7 +264,7 @@ class TwinActor(Actor):
         world = twin.world
         robots: list[dict[str, Any]] = []
         now = as_it_stands(world)
-        for robot, host, entry in zip(twin.robots, hosts, now.robots, strict=True):
+        for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, now.robots, strict=True)):
             registers = robot.registers
             robots.append(
                 {
@@ -270,6 +274,7 @@ class TwinActor(Actor):
                     "proximity": registers[PROXIMITY].tolist(),
                     "ambient": registers[AMBIENT].tolist(),
                     "speed": registers[SPEEDS].tolist(),
+                    "turrets": self._turrets[index].corners(),
                     "leds": registers[[Board.LED_0, Board.LED_1]].tolist(),
                     "host": host.cable.occupied,
                     "host_commands": host.commands,

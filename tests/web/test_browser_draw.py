@@ -110,6 +110,29 @@ def test_the_handles_for_turning_and_sizing_differ(visit: Visit) -> None:
     )
 
 
+def test_turrets_are_boxes_and_the_gripper_is_drawn(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    visit.add("robot", (150, 120), (300, 220))
+    box = "#field-robot-turrets input[value=gripper]"
+    page.check(box)
+    assert visit.count(".kind-robot .turret") > 5
+    page.wait_for_selector("#problems.none")
+    page.click("#view")
+    page.keyboard.press("Control+a")
+    assert page.evaluate(f"document.querySelector('{box}').indeterminate")
+    page.check(box)
+    parts = visit.count(".kind-robot .turret")
+    page.uncheck(box)
+    assert visit.count(".kind-robot .turret") == 0
+    page.click("#undo")
+    assert visit.count(".kind-robot .turret") == parts
+    assert page.is_checked(box)
+    visit.picture("16-turrets")
+    visit.save_as("grippers.toml")
+    saved = playpens.load(tmp_path / "grippers.toml")
+    assert [robot.turrets for robot in saved.robots] == [("gripper",), ("gripper",)]
+
+
 def test_what_was_not_saved_is_offered_again(visit: Visit, tmp_path: Path) -> None:
     visit.add("block", (200, 200))
     # As when the tab is closed: at once, before the page has kept its draft by itself.

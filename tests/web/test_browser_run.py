@@ -275,6 +275,30 @@ def test_a_held_robot_gets_a_red_outline_where_it_has_no_room(visit: Visit) -> N
     page.click("#end")
 
 
+def test_the_gripper_is_drawn_as_it_stands(visit: Visit, tmp_path: Path) -> None:
+    (tmp_path / "lower.py").write_text(
+        "from khep_twin.host import Gripper\n\n\ndef controller(robot):\n    Gripper(robot).lower()\n"
+    )
+    page = visit.page
+    visit.add("robot", (300, 200))
+    page.check("#field-robot-turrets input[value=gripper]")
+    page.click('[data-tab="run"]')
+    visit.wait("[...document.querySelector('#controller').options].some((each) => each.value === 'lower.py')")
+    page.select_option("#controller", "lower.py")
+    page.fill("#cycles", "100000")
+    page.click("#start")
+    page.wait_for_selector(".live .turret")
+    # How far the parts reach ahead of the robot's centre, once it is lowered.
+    boxes = "[...document.querySelectorAll('.live .turret')].map((each) => each.getBBox())"
+    ahead = f"Math.max(...{boxes}.map((box) => box.x + box.width))"
+    assert page.evaluate(ahead) < 30
+    page.click("#run")
+    visit.wait(f"{ahead} > 65")
+    visit.picture("17-gripper")
+    page.click("#stop")
+    page.click("#end")
+
+
 def tab_to(visit: Visit, selector: str) -> None:
     for _ in range(60):
         if visit.page.evaluate(f"document.activeElement.matches({selector!r})"):

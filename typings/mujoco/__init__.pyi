@@ -14,6 +14,8 @@ mjMAXVAL: float
 class mjtGeom(IntEnum):
     mjGEOM_PLANE = ...
     mjGEOM_SPHERE = ...
+    mjGEOM_CAPSULE = ...
+    mjGEOM_ELLIPSOID = ...
     mjGEOM_CYLINDER = ...
     mjGEOM_BOX = ...
 
@@ -52,6 +54,7 @@ class _Named:
 
 class MjModel:
     nbody: int
+    ngeom: int
     nv: int
     nuser_site: int
     names: bytes
@@ -77,6 +80,7 @@ class MjModel:
     actuator_gainprm: NDArray[np.float64]
     geom_rgba: NDArray[np.float32]
     geom_size: NDArray[np.float64]
+    geom_aabb: NDArray[np.float64]
     geom_type: NDArray[np.int32]
     geom_user: NDArray[np.float64]
     sensor_interval: NDArray[np.float64]

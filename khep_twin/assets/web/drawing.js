@@ -26,6 +26,7 @@ export class Drawing {
     this.nodes = new Map();
     this.surfaces = {};
     this.shapes = {};
+    this.turrets = {};
     this.view = { x: 0, y: 0, width: 600, height: 500 };
   }
 
@@ -185,14 +186,21 @@ export class Drawing {
       return make("g", {}, make("circle", { r: glow, class: "glow", fill: colour, "pointer-events": "none" }), rays, make("circle", { r: 5, class: "shape bulb", fill: colour }), make("circle", { r: 12, fill: "transparent" }));
     }
     if (kind === "spot") return make("g", {}, make("circle", { r: 12, class: "shape spot" }), make("path", { class: "nose", d: "M0 0L20 0M14 -4L20 0L14 4" }), make("circle", { r: 12, fill: "transparent" }));
-    return this.robot(thing.model);
+    return this.robot(thing.model, thing.turrets);
   }
 
-  robot(kind = "khepera1", told = null) {
+  robot(kind = "khepera1", turrets = [], told = null) {
     const { radius_mm: radius, sensors } = told ?? this.shapes[kind] ?? { radius_mm: 27.5, sensors: [] };
     const wheels = [-26, 26].map((y) => make("rect", { x: -7.5, y: y - 1.5, width: 15, height: 3, fill: "#333" }));
     const eyes = sensors.map(([x, y]) => make("circle", { cx: x, cy: y, r: 1.8, fill: "#0072b2" }));
-    return make("g", {}, make("circle", { r: radius, class: "shape body" }), ...wheels, make("path", { class: "nose", d: `M${radius - 12} -7L${radius - 3} 0L${radius - 12} 7` }), ...eyes);
+    const nose = make("path", { class: "nose", d: `M${radius - 12} -7L${radius - 3} 0L${radius - 12} 7` });
+    return make("g", {}, make("circle", { r: radius, class: "shape body" }), ...wheels, ...this.#turrets(turrets), nose, ...eyes);
+  }
+
+  // What turrets have, by part, as at start; those that are not installed here have no parts.
+  #turrets(names) {
+    const parts = names.flatMap((name) => this.turrets[name]?.parts ?? []);
+    return parts.map(({ points_mm, rgb }) => make("path", { class: "turret", d: closed(points_mm), fill: `rgb(${rgb})` }));
   }
 
   #floor() {
@@ -200,7 +208,7 @@ export class Drawing {
     const { width_mm: width, height_mm: height, wall_thickness_mm: thick } = this.#arena();
     const { outline_mm: outline = [] } = arena;
     const corners = outline.length ? outline : [[0, 0], [width, 0], [width, height], [0, height]];
-    const path = `M${corners.map((point) => point.join(" ")).join("L")}Z`;
+    const path = closed(corners);
     const step = Math.max(width, height) > 2500 ? 500 : 100;
     let lines = "";
     const texts = [];
@@ -227,6 +235,8 @@ export function place(node, thing) {
   const turned = drawable(thing.heading_deg ?? thing.angle_deg);
   node.setAttribute("transform", `translate(${drawable(thing.x_mm)} ${drawable(thing.y_mm)}) rotate(${turned})`);
 }
+
+export const closed = (points) => `M${points.map((point) => point.join(" ")).join("L")}Z`;
 
 function rectangle(length_mm, width_mm, fill) {
   const [width, height] = [length_mm, width_mm].map((each) => Math.max(drawable(each), 0));

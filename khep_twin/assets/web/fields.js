@@ -20,13 +20,13 @@ const PARTS = [
   ["lighting", ["mode", "switch_distance_mm", "law", "min_angle_deg", "max_angle_deg"]],
 ];
 const TEXTS = new Set(["name", "surface", "model", "calibration", "rom", "mode"]);
-const LISTS = new Set(["points_mm", "outline_mm", "rgb", "on_s", "turrets", "spots"]);
+const LISTS = new Set(["points_mm", "outline_mm", "rgb", "on_s", "spots"]);
 const PLACES = new Set(["points_mm", "outline_mm"]);
 const WORDS = { mm: "mm", deg: "°", w: "W", g: "g", s: "s", min: "min" };
 
 export class Fields {
-  constructor(model, surfaces) {
-    Object.assign(this, { model, surfaces });
+  constructor(model, surfaces, turrets) {
+    Object.assign(this, { model, surfaces, turrets });
     this.object = document.querySelector("#tab-object");
     this.playpen = document.querySelector("#tab-playpen");
     this.empty = this.object.innerHTML;
@@ -64,6 +64,10 @@ export class Fields {
   // Numbers only, while something is dragged.
   fresh(all = false) {
     for (const { input, key, things } of this.bound ?? []) {
+      if (input.fill) {
+        if (all) input.fill();
+        continue;
+      }
       const value = common(things, key);
       if (input.type === "number" ? all || input !== document.activeElement : all && TEXTS.has(key)) input.value = value ?? "";
       else if (all && LISTS.has(key)) input.value = listed(value);
@@ -94,6 +98,7 @@ export class Fields {
   }
 
   #input(key, things, kind) {
+    if (key === "turrets") return this.#turrets(things);
     const value = common(things, key);
     const choices = key === "surface" ? [...Object.keys(this.surfaces), ...Object.keys(this.model.draft.surfaces ?? {})] : CHOICES[`${kind}.${key}`] ?? CHOICES[key];
     const isBool = key === "movable" || key === "closed";
@@ -107,7 +112,7 @@ export class Fields {
       input.checked = value === true;
     } else if (LISTS.has(key) || TEXTS.has(key) && !(kind === "robot" && key === "mode")) {
       input.value = LISTS.has(key) ? listed(value) : value ?? "";
-      if (LISTS.has(key)) input.title = key === "turrets" || key === "spots" ? 'names, such as "gripper"' : "numbers, such as [0, 0], [600, 0]";
+      if (LISTS.has(key)) input.title = key === "spots" ? 'names, such as "spot1"' : "numbers, such as [0, 0], [600, 0]";
     } else {
       input.type = "number";
       input.step = "any";
@@ -142,6 +147,33 @@ export class Fields {
       }
     }
     this.#commit();
+  }
+
+  // A box for each turret that is installed, and for those that are only named here.
+  #turrets(things) {
+    const group = Object.assign(document.createElement("div"), { className: "row" });
+    group.setAttribute("role", "group");
+    const named = things.flatMap((thing) => thing.turrets ?? []);
+    const boxes = [...new Set([...Object.keys(this.turrets), ...named])].map((name) => {
+      const box = Object.assign(document.createElement("input"), { type: "checkbox", value: name });
+      box.addEventListener("change", () => {
+        for (const thing of things) thing.turrets = [...(thing.turrets ?? []).filter((each) => each !== name), ...(box.checked ? [name] : [])];
+        this.#commit();
+      });
+      const label = Object.assign(document.createElement("label"), { title: this.turrets[name]?.description ?? "not installed" });
+      label.append(box, ` ${name}`);
+      group.append(label);
+      return box;
+    });
+    group.fill = () => {
+      for (const box of boxes) {
+        const count = things.filter((thing) => thing.turrets?.includes(box.value)).length;
+        box.checked = count === things.length;
+        box.indeterminate = count > 0 && count < things.length;
+      }
+    };
+    group.fill();
+    return group;
   }
 
   #surfaces() {

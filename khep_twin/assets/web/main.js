@@ -444,8 +444,9 @@ async function begin() {
   }
   drawing.surfaces = hello.surfaces;
   drawing.shapes = hello.shapes;
+drawing.turrets = hello.turrets;
   running.panel.limits(hello.bars, $("#bars"));
-  new Fields(model, hello.surfaces);
+  new Fields(model, hello.surfaces, hello.turrets);
   show(hello, hello.version ? { file: hello.file } : {});
   if (hello.trouble) banner(hello.trouble, "error");
   if (hello.runs && hello.runs.file === hello.file) {

@@ -1,7 +1,7 @@
 // What runs: a twin in the drawing or a robot at a port, live, with a hand that can lift it.
 
 import { post } from "./api.js";
-import { make, place } from "./drawing.js";
+import { closed, make, place } from "./drawing.js";
 import { angle, tidy } from "./model.js";
 import { Panel, SENSORS, write } from "./panel.js";
 
@@ -162,7 +162,7 @@ export class Running {
   #live() {
     const { drawing } = this;
     this.nodes = this.robots.map((robot, index) => {
-      const node = drawing.robot(null, robot);
+      const node = drawing.robot(null, robot.turrets, robot);
       const rays = robot.sensors.map(([x, y, heading]) => {
         const fan = make("path", { class: "ray", d: "M0 0L40 -14A42 42 0 0 1 40 14Z", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.06 });
         node.prepend(fan);
@@ -170,7 +170,7 @@ export class Running {
       });
       node.classList.add("live", "thing");
       node.dataset.live = index;
-      return { node, rays };
+      return { node, rays, turrets: node.querySelectorAll(".turret") };
     });
     drawing.live.replaceChildren(...this.#trails.map(({ node }) => node), ...this.nodes.map(({ node }) => node));
     $("#switches").replaceChildren(
@@ -209,9 +209,10 @@ export class Running {
     const between = shown?.host_commands ? `; ${shown.host_commands} commands between those of the program here` : "";
     write($("#host"), shown?.host ? `A host has it open${between}.` : "No host has it open.");
     message.robots.forEach((robot, index) => {
-      const { node, rays } = this.nodes[index] ?? {};
+      const { node, rays, turrets } = this.nodes[index] ?? {};
       if (!node) return;
       if (this.#held?.index !== index) place(node, robot);
+      robot.turrets.forEach((points, part) => turrets[part]?.setAttribute("d", closed(points)));
       robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
       this.#trails[index].add(robot.x_mm, robot.y_mm);
     });

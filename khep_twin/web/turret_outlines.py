@@ -1,0 +1,102 @@
+"""Turrets from above: outlines of their geoms, in the coordinates of the robot that carries them."""
+
+# SciPy's types are partly unknown.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+
+import math
+from collections.abc import Iterable
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import TurretError
+from khep_twin.turrets import installed
+from khep_twin.world import World
+
+Floats = NDArray[np.float64]
+
+_TURNS = np.linspace(0, 2 * math.pi, 24, endpoint=False)
+_CIRCLE = np.column_stack([np.cos(_TURNS), np.sin(_TURNS), np.zeros(len(_TURNS))])
+_BALL = np.vstack([_CIRCLE * math.cos(up) + (0, 0, math.sin(up)) for up in np.linspace(-1.5, 1.5, 9)])
+_CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+
+
+@cache
+def at_start(name: str) -> list[dict[str, Any]]:
+    """Return the parts of a turret as it stands at start, each with its corners [mm] and its colour.
+
+    Raises:
+        TurretError: the turret's scene cannot be compiled.
+    """
+    kind = installed()[name]
+    if kind.scene is None:
+        return []
+    try:
+        model = mujoco.MjModel.from_xml_path(str(kind.scene))
+    except ValueError as error:
+        raise TurretError(f"turret {name}: {kind.scene.name} cannot be compiled: {error}") from error
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    rgb = (255 * model.geom_rgba[:, :3]).round().astype(int).tolist()
+    outlines = _outlines(model, data, range(model.ngeom), np.zeros(3), np.eye(3))
+    return [{"points_mm": points, "rgb": colour} for points, colour in zip(outlines, rgb, strict=True)]
+
+
+class TurretParts:
+    """The parts of a robot's turrets in a world, in the order of `at_start`, turret by turret.
+
+    Args:
+        world: in which the robot is.
+        index: its number.
+    """
+
+    def __init__(self, world: World, index: int) -> None:
+        model, name = world.model, world.robots[index].name
+        self._model, self._data = model, world.data
+        self._base = model.body(f"{name}/base").id
+        self._geoms = [
+            geom
+            for turret in world.playpen.robots[index].turrets
+            for geom in range(model.ngeom)
+            if _owned(model, geom, f"{name}/{turret}/")
+        ]
+
+    def corners(self) -> list[list[list[float]]]:
+        """Return the corners of the parts as they stand [mm]."""
+        place, turned = self._data.xpos[self._base], self._data.xmat[self._base].reshape(3, 3)
+        return _outlines(self._model, self._data, self._geoms, place, turned)
+
+
+def _owned(model: mujoco.MjModel, geom: int, prefix: str) -> bool:
+    owner = model.body(int(model.geom_bodyid[geom]))
+    return model.geom(geom).name.startswith(prefix) or owner.name.startswith(prefix)
+
+
+def _outlines(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int], place: Floats, turned: Floats
+) -> list[list[list[float]]]:
+    """Return the convex outlines of geoms, seen along z of a frame [mm]."""
+    from scipy.spatial import ConvexHull
+
+    found: list[list[list[float]]] = []
+    for geom in geoms:
+        points = _points(model, geom) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        flat = ((points - place) @ turned)[:, :2] * 1e3
+        # Joggled, so that what has no width from above is no error.
+        found.append(flat[ConvexHull(flat, qhull_options="QJ").vertices].round(2).tolist())
+    return found
+
+
+def _points(model: mujoco.MjModel, geom: int) -> Floats:
+    """Return points of a geom, in its own frame, whose convex hull is about the geom."""
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return np.vstack([_CIRCLE * size[0] + (0, 0, side * size[1]) for side in (-1, 1)])
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return np.vstack([_BALL * size[0] + (0, 0, side * size[1]) for side in (-1, 1)])
+    centre, half = np.split(model.geom_aabb[geom], 2)
+    is_ball = kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+    return centre + (_BALL if is_ball else _CUBE) * half
