@@ -1,14 +1,18 @@
-# Two commands do everything: `make run` and `make test`. They need Python 3.11 or 3.12 and nothing else.
+# Two commands do everything: `make run` and `make test`. They need Python 3.11, 3.12, 3.13 or 3.14 and nothing else.
 
 SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
 TWIN := $(BIN)/khep-twin
+# An interpreter to make the environment with; without one, the first fitting one of these.
+PYTHON :=
+PYTHONS := python3.12 python3.11 python3.13 python3.14 python3 python
 PLAYPEN := obstacles
+TESTS :=
 BENCH :=
 BROWSER :=
 
-.PHONY: help run test check format fuzz fuzz-files soak determinism kills worker-kills pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test wheels check format fuzz fuzz-files soak determinism kills worker-kills pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -18,7 +22,11 @@ run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated s
 	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --picture out/run.png
 
 test: $(VENV)/dev.stamp ## the whole test suite
-	@$(BIN)/python -m pytest -n auto
+	@echo "khep_twin: $(or $(TESTS),the whole test suite: about MINUTES minutes on two cores)"
+	@$(BIN)/python -m pytest -n auto $(TESTS)
+
+wheels: $(VENV)/dev.stamp ## which locked packages have a wheel for Python 3.11 to 3.14, as pip says; a few minutes
+	@$(BIN)/python tests/wheels.py
 
 check: $(VENV)/dev.stamp ## style and types
 	@$(BIN)/ruff check .
@@ -54,7 +62,7 @@ pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back
 	@$(BIN)/python tests/pyserial_suite.py
 
 browser: $(VENV)/dev.stamp ## the designer's page in Chromium, which has to be installed; leaves pictures in out/browser
-	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements-browser.lock
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements-browser.lock
 	@$(BIN)/python -m pytest -n 0 $(BROWSER) tests/web/test_browser_*.py
 
 schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
@@ -72,8 +80,8 @@ bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run;
 
 lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv
-	@$(BIN)/uv pip compile pyproject.toml --group build --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
-	@$(BIN)/uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
+	@$(BIN)/uv pip compile pyproject.toml --extra batch --extra rl --group build --group dm-control --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
+	@$(BIN)/uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
 	@$(BIN)/uv pip compile --group browser --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements-dev.lock -o requirements-browser.lock
 
 build: $(VENV)/dev.stamp ## wheel and source archive, in dist/
@@ -82,18 +90,19 @@ build: $(VENV)/dev.stamp ## wheel and source archive, in dist/
 clean: ## remove the environment and everything made
 	@rm -rf $(VENV) out docs/reference build dist .pytest_cache .ruff_cache
 
-# The environment: exactly the locked versions, checked by hash. Finding Python comes first, so that a
-# missing tool gives one line and not a trace.
+# The environment: exactly the locked versions, checked by hash. The locks are complete, so pip resolves
+# nothing (--no-deps): it would ask for labmaze, which dm-control requires and which has no wheel from Python
+# 3.13 on. Finding Python comes first, so that a missing tool gives one line and not a trace.
 define MAKE_VENV
-for python in python3.12 python3.11 python3 python; do \
-  if $$python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null; then \
+for python in $(or $(PYTHON),$(PYTHONS)); do \
+  if $$python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' 2>/dev/null; then \
     $$python -c 'import venv, ensurepip' 2>/dev/null || { \
       echo "khep_twin: $$python has no venv module; on Debian or Ubuntu: apt install $$($$python -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')" >&2; exit 1; }; \
     echo "khep_twin: making the environment in $(VENV) with $$($$python --version)"; \
     $$python -m venv --clear $(VENV) && exit 0 || exit 1; \
   fi; \
 done; \
-echo "khep_twin: needs Python 3.11 or 3.12, found $$(python3 --version 2>/dev/null || echo none)" >&2; exit 1
+echo "khep_twin: needs Python 3.11 to 3.14, found $$($(or $(PYTHON),python3) --version 2>/dev/null || echo none)" >&2; exit 1
 endef
 
 $(VENV)/made.stamp:
@@ -102,11 +111,11 @@ $(VENV)/made.stamp:
 
 $(VENV)/run.stamp: $(VENV)/made.stamp requirements.lock pyproject.toml
 	@echo "khep_twin: installing what it needs (about a minute, once)"
-	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements.lock
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp requirements-dev.lock
 	@echo "khep_twin: installing the tools of the test suite (once)"
-	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements-dev.lock
 	@touch $@
