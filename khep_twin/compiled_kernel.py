@@ -1,6 +1,6 @@
 """Arithmetic compiled by numba, from the source that runs without it, and many times as fast.
 
-numba is an extra, `pip install 'khep-twin[batch]'`; everything else works without it.
+numba is the extra `batch`; everything else works without it.
 """
 
 # numba is not typed.

@@ -22,8 +22,11 @@ Each message names the place, the value found there and what would be right. Mis
 program (a wrong type, a negative time) stay `TypeError` and `ValueError`.
 """
 
+import shlex
+import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
+from importlib import metadata
 
 
 class KhepTwinError(Exception):
@@ -94,11 +97,23 @@ class MissingExtraError(KhepTwinError):
     """A part of khep_twin that needs a package which is not installed."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed; right is: pip install 'khep-twin[{extra}]'")
+        super().__init__(f"{package} is not installed; to install it: {pip_install_extra(extra)}")
 
 
 class DivergedError(KhepTwinError):
     """A simulation that left the bounds of physics."""
+
+
+def pip_install(*words: str) -> str:
+    """Return the command that installs packages for the Python that runs, quoted for a shell."""
+    return shlex.join([sys.executable, "-m", "pip", "install", *words])
+
+
+def pip_install_extra(extra: str) -> str:
+    """Return the command that installs the packages of an extra, wherever khep_twin came from."""
+    lines = metadata.requires("khep-twin") or []
+    needed = [line.partition(";")[0].strip() for line in lines if f"extra == '{extra}'" in line]
+    return pip_install(*needed)
 
 
 def choices(given: object, valid: Iterable[object]) -> str:

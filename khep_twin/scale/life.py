@@ -31,7 +31,7 @@ from khep_twin import calibration, kernel, units
 from khep_twin.ambient import ambient_optics, bulbs
 from khep_twin.calibration import Calibration
 from khep_twin.clock import n_steps, to_ns
-from khep_twin.errors import DivergedError, PlaypenError
+from khep_twin.errors import DivergedError, PlaypenError, pip_install_extra
 from khep_twin.lamps import Lamps
 from khep_twin.optics import Bulbs
 from khep_twin.playpen import Lamp, Playpen, placed
@@ -73,7 +73,7 @@ def is_compiled(wish: bool | None) -> bool:
         return True
     warnings.warn(
         "numba is not installed: lives go the plain way, many times slower, with the same results; "
-        "right is: pip install 'khep-twin[batch]'",
+        f"to install it: {pip_install_extra('batch')}",
         SlowerWarning,
         stacklevel=3,
     )

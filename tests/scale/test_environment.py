@@ -110,6 +110,23 @@ def test_another_pair_of_versions_is_refused_at_import(monkeypatch: pytest.Monke
         importlib.import_module("khep_twin.scale.environment")
 
 
+def test_without_dm_control_the_import_is_one_line_that_tells_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    installed = pair.metadata.version
+
+    def version(name: str) -> str:
+        if name == "dm-control":
+            raise pair.metadata.PackageNotFoundError(name)
+        return installed(name)
+
+    dm("Homing")  # so that only our own module is imported anew
+    monkeypatch.delitem(sys.modules, "khep_twin.scale.environment")
+    monkeypatch.setattr(pair.metadata, "version", version)
+    with pytest.raises(KhepTwinError, match=r"^dm-control is not installed; .* --no-deps .*==1\.0\.50$"):
+        importlib.import_module("khep_twin.scale.environment")
+
+
 # Gymnasium ----------------------------------------------------------------------------------------------
 
 
@@ -335,7 +352,9 @@ def test_without_its_package_a_form_names_the_extra_in_one_line(
 
     monkeypatch.delitem(sys.modules, f"khep_twin.scale.{module}", raising=False)
     monkeypatch.setattr(builtins, "__import__", hidden)
-    with pytest.raises(MissingExtraError, match=rf"^{package} is not installed; .*khep-twin\[rl\]'$"):
+    with pytest.raises(
+        MissingExtraError, match=rf"^{package} is not installed; .* pip install .*'{package}<2"
+    ):
         importlib.import_module(f"khep_twin.scale.{module}")
 
 

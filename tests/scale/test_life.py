@@ -253,17 +253,21 @@ def test_what_lives_cannot_have_is_refused_in_one_line(change: dict[str, Any], m
 
 def test_without_numba_lives_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.warns(lives.SlowerWarning, match=r"slower, with the same results; .*khep-twin\[batch\]"):
+    with pytest.warns(
+        lives.SlowerWarning, match=r"with the same results; .* -m pip install 'numba<1,>=0.61'$"
+    ):
         life = Life(Ground(arena()), Wander())
     life.begin()
     life.live(0.02)
     assert life.steps == 8
 
 
-def test_compiled_without_numba_is_one_line_that_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_without_numba_is_one_line_that_tells_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delattr(scale, "compiled", raising=False)
     monkeypatch.setitem(sys.modules, "khep_twin.scale.compiled", None)
-    with pytest.raises(MissingExtraError, match=r"^numba is not installed; .*khep-twin\[batch\]"):
+    with pytest.raises(MissingExtraError, match=r"^numba is not installed; .* pip install 'numba<1,>=0.61'$"):
         Life(Ground(arena()), compiled=True)
 
 
