@@ -22,7 +22,7 @@ run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated s
 	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --picture out/run.png
 
 test: $(VENV)/dev.stamp ## the whole test suite
-	@echo "khep_twin: $(or $(TESTS),the whole test suite: about MINUTES minutes on two cores)"
+	@echo "khep_twin: $(or $(TESTS),the whole test suite: about 15 minutes on two cores)"
 	@$(BIN)/python -m pytest -n auto $(TESTS)
 
 wheels: $(VENV)/dev.stamp ## which locked packages have a wheel for Python 3.11 to 3.14, as pip says; a few minutes
@@ -88,7 +88,7 @@ build: $(VENV)/dev.stamp ## wheel and source archive, in dist/
 	@$(BIN)/python -m hatchling build
 
 clean: ## remove the environment and everything made
-	@rm -rf $(VENV) out docs/reference build dist .pytest_cache .ruff_cache
+	@rm -rf $(VENV) .venv-* out docs/reference build dist .pytest_cache .ruff_cache
 
 # The environment: exactly the locked versions, checked by hash. The locks are complete, so pip resolves
 # nothing (--no-deps): it would ask for labmaze, which dm-control requires and which has no wheel from Python

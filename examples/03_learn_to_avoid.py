@@ -1,7 +1,7 @@
 """A robot learns to avoid obstacles: proximal policy optimisation, in minutes on two cores.
 
-pip install 'khep-twin[batch,rl]' stable-baselines3
-python examples/03_learn_to_avoid.py out/ppo.png        learns, and draws how; `--steps` for how long
+    .venv/bin/pip install stable-baselines3                             with PyTorch, a large download
+    .venv/bin/python examples/03_learn_to_avoid.py out/ppo.png          learns, and draws how; `--steps`
 
 The reward of a control period is Floreano and Mondada's, forwards: fast, straight and clear of things, 0 to
 1. Each trial starts elsewhere, with the sensors of another robot of the same make. What was learnt is tried
@@ -10,23 +10,31 @@ The way of one trial is drawn into out/ppo_way.png, and out/ppo.zip keeps what w
 """
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
-import gymnasium
 import numpy as np
-import torch
-from gymnasium.wrappers import RescaleAction
 from matplotlib.figure import Figure
-from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.env_util import make_vec_env
 
-import khep_twin.scale.gymnasium_environment  # noqa: F401  (teaches Gymnasium the names)
 from khep_twin.drawing import Track, save
 from khep_twin.drawing import draw as drawing
+from khep_twin.errors import pip_install
 from khep_twin.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
 from khep_twin.scale.trial import Course
+
+try:
+    import gymnasium
+    import torch
+    from gymnasium.wrappers import RescaleAction
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.env_util import make_vec_env
+except ImportError as error:
+    needed = pip_install("gymnasium", "stable-baselines3")
+    sys.exit(f"{error.name} is not installed; to install what this example needs: {needed}")
+
+import khep_twin.scale.gymnasium_environment  # noqa: F401  (teaches Gymnasium the names)
 
 NAME = "khep_twin/ObstacleAvoidance-v0"
 TRIALS = 20

@@ -1,7 +1,7 @@
 """Evolves obstacle avoidance after Floreano and Mondada (1994), in their looping maze; minutes on two cores.
 
-    pip install 'khep-twin[batch]' cmaes
-    python examples/04_evolve.py --picture evolution.png --genome best.npy
+    .venv/bin/pip install cmaes
+    .venv/bin/python examples/04_evolve.py --picture evolution.png --genome best.npy
 
 As theirs, the network leads from eight sensors straight to two motors, which hear their own last values, and
 its fitness is the mean of V (1 - sqrt(dV)) (1 - i). Two things are not as theirs. V has no sign, so that what
@@ -12,20 +12,26 @@ lives, from each of the maze's spots both ways round, and each generation meets 
 """
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
-from cmaes import CMA
 
 from khep_twin import playpen
 from khep_twin.drawing import Track, draw, save
+from khep_twin.errors import pip_install
 from khep_twin.files import unusable
 from khep_twin.lab import run_statistics
 from khep_twin.scale.batch import rollout
 from khep_twin.scale.life import Ground, Life
 from khep_twin.scale.minds import Network
 from khep_twin.units import BODY_RADIUS
+
+try:
+    from cmaes import CMA
+except ImportError:
+    sys.exit(f"cmaes is not installed; to install it: {pip_install('cmaes')}")
 
 wish = argparse.ArgumentParser(description="Evolves obstacle avoidance in the looping maze.")
 wish.add_argument("--generations", type=int, default=40)

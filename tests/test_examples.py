@@ -1,6 +1,7 @@
 """The examples run as they stand."""
 
 import importlib.util
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +21,17 @@ SHORTER = {"04_evolve": "--generations 2 --population 4 --seconds 0.4 --check-se
 def test_an_example_runs_on_a_twin_in_its_own_process(example: Path, tmp_path: Path) -> None:
     package = NEEDS.get(example.stem)
     if package is not None and importlib.util.find_spec(package) is None:
-        pytest.skip(f"{package} is not installed; right is: pip install {package}")
+        pytest.skip(f"{package} is not installed")
     options = SHORTER.get(example.stem, [])
     subprocess.run([sys.executable, str(example), *options], check=True, timeout=120, cwd=tmp_path)
+
+
+@pytest.mark.parametrize("name", NEEDS)
+def test_an_example_without_its_package_is_one_line_with_the_command_that_installs_it(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    [example] = [path for path in EXAMPLES if path.stem == name]
+    monkeypatch.setitem(sys.modules, NEEDS[name], None)
+    package = NEEDS[name].replace("_", "-")
+    with pytest.raises(SystemExit, match=rf"is not installed; .* -m pip install .*{package}$"):
+        runpy.run_path(str(example))

@@ -1,4 +1,4 @@
-"""Tasks as environments of Gymnasium (extra `[rl]`), one robot at a time or many side by side.
+"""Tasks as environments of Gymnasium (extra `rl`), one robot at a time or many side by side.
 
     import gymnasium
     import khep_twin.scale.gymnasium_environment  # makes the names known

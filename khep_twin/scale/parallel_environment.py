@@ -1,4 +1,4 @@
-"""Tasks for several robots in one playpen, in PettingZoo's parallel form (extra `[rl]`).
+"""Tasks for several robots in one playpen, in PettingZoo's parallel form (extra `rl`).
 
     environment = ParallelEnvironment("ObstacleAvoidance", robots=3)
     observations, infos = environment.reset(seed=1)
