@@ -1,6 +1,6 @@
 """The gripper turret's electronics: orders of the T bus and the registers that they set and read.
 
-    B        versions                              b,1.00,1.00
+    B        versions                              b,1,0
     D,state  opens (0) or closes (1) the fingers   d
     E,place  sends the arm to 152 (up) … 255       e
     F        resistivity of what is gripped        f,255 for an insulator … 0 for a short circuit
@@ -22,8 +22,8 @@ from khep_twin.kernel import clip
 from khep_twin.protocol import PROTOCOL_ERROR, Malformed, parse_turret_order, turret_reply
 from khep_twin.units import ARM_DOWN, ARM_UP, FINGERS_OPEN, GRIPPER_NUMBER
 
-REVISION = "1.00"
-"""As B tells it (assumed)."""
+VERSION, REVISION = 1, 0
+"""Version and revision in the reply to B (assumed), integers because hosts parse them as integers."""
 
 FRACTION = 256
 """Parts of a place in which setpoints move."""
@@ -72,7 +72,7 @@ class Gripper:
         cells = self._cells
         match order.letter, order.arguments:
             case "B", ():
-                return self._reply("B", REVISION, REVISION)
+                return self._reply("B", VERSION, REVISION)
             case "D", (0 | 1 as closed,):
                 cells[Register.FINGER_TARGET] = 0 if closed else FINGERS_OPEN
                 return self._reply("D")
@@ -107,5 +107,5 @@ class Gripper:
         cells = self._cells
         cells[setpoint] += clip(cells[target] * FRACTION - cells[setpoint], speed)
 
-    def _reply(self, letter: str, *values: int | str) -> bytes:
+    def _reply(self, letter: str, *values: int) -> bytes:
         return turret_reply(GRIPPER_NUMBER, letter, *values)

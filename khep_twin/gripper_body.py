@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.gripper import FRACTION, REVISION, Gripper, Register
+from khep_twin.gripper import FRACTION, REVISION, VERSION, Gripper, Register
 from khep_twin.turrets import TurretKind
 from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
@@ -102,7 +102,7 @@ GRIPPER = TurretKind(
     name="gripper",
     number=GRIPPER_NUMBER,
     description="arm with two fingers",
-    revision=REVISION,
+    revision=f"{VERSION}.{REVISION}",
     make=Gripper,
     scene=Path(str(files("khep_twin"))) / "assets" / "gripper.xml",
     fit=GripperBody,

@@ -159,7 +159,7 @@ class BoardModel:
             return NO_ORDER
         if len(values) != counts[letter] or (letter in "DH" and values[0] not in (0, 1)):
             return ERROR
-        told = {"B": ",1.00,1.00", "F": ",255", "G": ",0", "J": ",0"}
+        told = {"B": ",1,0", "F": ",255", "G": ",0", "J": ",0"}
         if letter == "H":
             return f"t,1,h,{152 if values[0] else 200}"
         if letter == "E":

@@ -130,4 +130,4 @@ def test_a_running_mode_sets_the_speed_of_the_line(mode: int, baud: int) -> None
 def test_net_lists_the_turrets() -> None:
     turrets = {kind: kind.make() for kind in find(["gripper"])}
     told = lines(Firmware(ROMS["5.02"], 1, turrets).receive(b"net\n"))
-    assert told == ["1  gripper  arm with two fingers  revision 1.00"]
+    assert told == ["1  gripper  arm with two fingers  revision 1.0"]

@@ -47,7 +47,7 @@ TOOLS = {
     "serial  38400": ["serial 38400"],
     "run demo": ["run demo"],
     "restart": BANNER,
-    "net": ["1  gripper  arm with two fingers  revision 1.00"],
+    "net": ["1  gripper  arm with two fingers  revision 1.0"],
     "sfill": ["z,No S-record loader, the twin runs no machine code"],
     "help D": ["D  set the speed"],
     "nonsense": [UNKNOWN],

@@ -13,7 +13,7 @@ def gripper() -> Gripper:
 @pytest.mark.parametrize(
     ("order", "reply"),
     [
-        ("B", "t,1,b,1.00,1.00"),
+        ("B", "t,1,b,1,0"),
         ("D,0", "t,1,d"),
         ("D,1", "t,1,d"),
         ("E,255", "t,1,e"),
