@@ -4,14 +4,14 @@ from typing import Annotated
 
 import typer
 
-from khep_twin.errors import PortError
+from khep_twin.errors import PortError, PortInUse
 
 
 def ports(
     ask: Annotated[
         bool,
         typer.Option(
-            "--ask", help="Open each port and ask who is there, at every speed; no program may use it."
+            "--ask", help="Ask at each port who is there, at every speed; ports in use are left alone."
         ),
     ] = False,
 ) -> None:
@@ -31,6 +31,8 @@ def _answer(url: str) -> str:
 
     try:
         answer = who_answers(url)
+    except PortInUse as error:
+        return f": {str(error).removeprefix(f'{url}: ')}"
     except PortError as error:
         return f": {error}"
     if answer is None:

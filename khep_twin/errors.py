@@ -7,7 +7,8 @@
     ├── CalibrationError  a calibration file that cannot be used
     ├── ProtocolError     an answer on the serial line that is not what the command asks for
     ├── PortError         a port that cannot be opened, or that went away
-    │   └── PortTimeout   a port that stayed silent
+    │   ├── PortTimeout   a port that stayed silent
+    │   └── PortInUse     a port that another program has open
     ├── MoveError         a move that did not come to its end
     ├── ControllerError   a control program that cannot be found or started
     ├── LogError          a log that cannot be written or read
@@ -59,6 +60,10 @@ class PortError(KhepTwinError):
 
 class PortTimeout(PortError):
     """A port that stayed silent for longer than its timeout."""
+
+
+class PortInUse(PortError):
+    """A port that another program has open."""
 
 
 class MoveError(KhepTwinError):

@@ -8,10 +8,11 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def served(*arguments: str) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """`khep-twin serve`, and what a host opens."""
+def served(*arguments: str, notices: bool = False) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """`khep-twin serve`, and what a host opens; with its notices in `stderr`, if they are wanted."""
     command = [sys.executable, "-m", "khep_twin", "serve", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    errors = subprocess.PIPE if notices else subprocess.DEVNULL
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process:
         try:
             assert process.stdout is not None
             assert select.select([process.stdout], [], [], 30)[0], "nothing was served"

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import serial
 from serial.tools import list_ports
 
-from khep_twin.errors import PortError, PortTimeout
+from khep_twin.errors import PortError, PortInUse, PortTimeout
 from khep_twin.host import commands
 from khep_twin.host.opening import find_speed, open_port
+from khep_twin.ports.holders import holder
 from khep_twin.ports.register import served
 
 _WAIT = 0.3
@@ -46,17 +47,20 @@ def found_ports() -> list[FoundPort]:
 
 
 def who_answers(url: str) -> tuple[int, commands.Versions] | None:
-    """Asks a port for its robot's versions, at every speed of the line; the motors go on as they are.
+    """Ask a port for its robot's versions, at every speed of the line; the motors go on as they are.
 
-    No other program may have it open meanwhile: each would take half of the other's bytes.
+    A port that another program has open is not touched: each would take half of the other's bytes.
 
     Returns:
         The speed [baud] and the versions; None if nobody answers.
 
     Raises:
+        PortInUse: another program has the port open.
         PortError: the port cannot be opened or fails.
     """
-    port = open_port(url, 9600, _WAIT)
+    if who := holder(url):
+        raise PortInUse(f"{url}: in use by {who}")
+    port = open_port(url, 9600, _WAIT, exclusive=True)
     try:
         speed = find_speed(port, url, time.monotonic)
         port.write(b"B\n")

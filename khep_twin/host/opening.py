@@ -1,5 +1,6 @@
 """Opening the port of a robot, and finding out at which speed it speaks."""
 
+import errno
 import re
 import warnings
 from collections.abc import Callable
@@ -7,7 +8,7 @@ from typing import Any
 
 import serial
 
-from khep_twin.errors import PortError, PortTimeout
+from khep_twin.errors import PortError, PortInUse, PortTimeout
 
 SPEEDS = (9600, 19200, 38400, 57600, 115200)
 """Of the line in the robots' running modes, tried in this order [baud] (manual, appendix E; manual II)."""
@@ -18,19 +19,35 @@ _LISTEN = 0.3
 _VERSIONS = re.compile(rb"b,[0-9][0-9.]*,[0-9][0-9.]*\r?\n$")
 
 
-def open_port(url: str, baudrate: int, timeout: float | None) -> Any:
+def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool = False) -> Any:
     """Opens a port of pyserial as the robot's line has it: eight bits, two stop bits.
 
+    Args:
+        url: of the port.
+        baudrate: speed of the line [baud].
+        timeout: of reads and writes [s].
+        exclusive: whether to leave a port alone that another program has locked.
+
     Raises:
+        PortInUse: it is locked.
         PortError: it cannot be opened.
     """
     # Not every kind of port can bound its writes: pyserial's RFC 2217 leaves them to the network.
     bound: dict[str, Any] = {} if url.startswith("rfc2217:") else {"write_timeout": timeout or None}
     try:
         return serial.serial_for_url(
-            url, baudrate=baudrate, stopbits=serial.STOPBITS_TWO, timeout=timeout, **bound
+            url,
+            baudrate=baudrate,
+            stopbits=serial.STOPBITS_TWO,
+            timeout=timeout,
+            exclusive=exclusive or None,
+            **bound,
         )
-    except (serial.SerialException, OSError, ValueError) as error:
+    except serial.SerialException as error:
+        if error.errno in (errno.EBUSY, errno.EAGAIN):
+            raise PortInUse(f"{url}: in use by a program that has locked it") from error
+        raise PortError(_why_not_opened(url, error)) from error
+    except (OSError, ValueError) as error:
         raise PortError(_why_not_opened(url, error)) from error
 
 

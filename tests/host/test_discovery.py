@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 from served_twin import served
 
-from khep_twin.host.discovery import found_ports
+from khep_twin.errors import PortInUse
+from khep_twin.host import Khepera
+from khep_twin.host.discovery import found_ports, who_answers
 
 
 @pytest.fixture(autouse=True)
@@ -43,3 +45,36 @@ def test_the_command_lists_and_asks() -> None:
     with served("default", "--mode", "2", "--strict-line") as (_, path):
         assert f"{path}  twin in default\n" in said().stdout
         assert f"{path}  twin in default: BIOS 5.02, protocol 5.01 at 19200 baud\n" in said("--ask").stdout
+
+
+@pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
+@pytest.mark.parametrize("kind", [(), ("--tcp", ":0"), ("--rfc2217", ":0")])
+def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> None:
+    command = [sys.executable, "-m", "khep_twin", "ports", "--ask"]
+    with served("default", *kind, notices=True) as (process, url):
+        with Khepera(url) as robot:
+            asking = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            n_asked = 0
+            while asking.poll() is None:
+                robot.set_position(n_asked, -n_asked)
+                assert robot.position() == (n_asked, -n_asked)
+                n_asked += 1
+            said, errors = asking.communicate()
+        assert n_asked > 0
+        assert f"{url}  twin in default: in use by " in said
+        assert errors == ""
+        # With the host gone it is asked.
+        free = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert f"{url}  twin in default: BIOS 5.02, protocol 5.01 at 9600 baud\n" in free.stdout
+        process.terminate()
+        assert process.stderr is not None
+        notices = [line for line in process.stderr.read().splitlines() if line.startswith("khep-twin: ")]
+    assert notices == []
+
+
+def test_asking_leaves_a_robots_port_alone_that_is_relayed() -> None:
+    with served("default") as (_, device):
+        with served("--through", device) as (_, path), Khepera(path) as robot:
+            with pytest.raises(PortInUse, match=f"{device}: in use by process "):
+                who_answers(device)
+            assert robot.versions().bios == "5.02"

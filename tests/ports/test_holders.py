@@ -1,0 +1,113 @@
+"""Who has a port open, without a touch of it."""
+
+import os
+import socket
+import subprocess
+import sys
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from khep_twin.errors import PortInUse
+from khep_twin.host.discovery import who_answers
+from khep_twin.ports import holders
+from khep_twin.ports.holders import holder
+
+if not Path("/proc/self/fd").exists():
+    pytest.skip("there is no /proc here", allow_module_level=True)
+
+HOLDS = "import os, sys; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print(); sys.stdin.read()"
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, int, str]]:
+    """A pseudo-terminal whose far end is here, one descriptor of the host's side kept."""
+    master, kept = os.openpty()
+    tty.setraw(kept)
+    yield master, kept, os.ttyname(kept)
+    os.close(master)
+    os.close(kept)
+
+
+def test_who_keeps_the_far_end_is_no_host_and_another_process_is(
+    terminal: tuple[int, int, str], tmp_path: Path
+) -> None:
+    _, _, path = terminal
+    link = tmp_path / "robot"
+    link.symlink_to(path)
+    assert holder(path) == ""
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDS, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as host:
+        assert host.stdout is not None
+        host.stdout.readline()
+        for name in (path, str(link)):
+            assert holder(name).startswith(f"process {host.pid} (")
+        with pytest.raises(PortInUse, match=f"{path}: in use by process {host.pid}"):
+            who_answers(path)
+        host.communicate()
+    assert holder(path) == ""
+
+
+def test_a_host_in_the_process_of_the_far_end_is_one(terminal: tuple[int, int, str]) -> None:
+    _, _, path = terminal
+    second = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    assert holder(path).startswith(f"process {os.getpid()} ")
+    os.close(second)
+
+
+def test_the_lock_file_of_a_living_process_counts(
+    terminal: tuple[int, int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, _, path = terminal
+    monkeypatch.setattr(holders, "_LOCKS", tmp_path)
+    lock = tmp_path / f"LCK..{os.path.basename(path)}"
+    lock.write_text(f"{os.getpid():10}\n")
+    assert holder(path).startswith(f"process {os.getpid()} ")
+    lock.write_text(f"{2**22 + 1:10}\n")
+    assert holder(path) == ""
+    lock.write_text("")
+    assert holder(path) == ""
+
+
+def test_a_lock_of_a_holder_that_cannot_be_seen_counts(
+    terminal: tuple[int, int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fcntl
+
+    _, kept, path = terminal
+    fcntl.flock(kept, fcntl.LOCK_EX)
+    assert holder(path) == ""
+    with pytest.raises(PortInUse, match="in use by a program that has locked it"):
+        who_answers(path)
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "0.0.0.0", "::1", "::"])
+def test_an_established_connection_holds_a_port_of_the_network(address: str) -> None:
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    try:
+        server = socket.create_server((address, 0), family=family)
+    except OSError:
+        pytest.skip(f"nothing can listen at {address} here")
+    near = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(address, address)
+    with server:
+        number = server.getsockname()[1]
+        shown = f"[{address}]" if ":" in address else address
+        url = f"socket://{shown}:{number}"
+        assert holder(url) == ""
+        with socket.create_connection((near, number), timeout=5):
+            assert holder(url) == "a connection"
+            with pytest.raises(PortInUse, match="in use by a connection"):
+                who_answers(url)
+
+
+@pytest.mark.parametrize("url", ["/nowhere", "khep://default", "socket://", "socket://127.0.0.1:x", "\0"])
+def test_what_is_no_port_here_has_no_holder(url: str) -> None:
+    assert holder(url) == ""
+
+
+def test_a_file_that_is_no_device_has_no_holder(tmp_path: Path) -> None:
+    with (tmp_path / "file").open("w") as file:
+        assert holder(file.name) == ""
