@@ -2,6 +2,11 @@
 
 One host at a time, as on a cable: a second one is refused and told of. RFC 2217's negotiation is pyserial's
 own, over a port object that only remembers what the host has set.
+
+Hosts of the network call `recv` once and take what they get for a whole reply. So bytes are held back until
+their line is complete and leave in one piece, at the time at which its last byte has arrived. Replies of
+several lines, such as the banner, leave line by line. A line whose end never comes leaves after a moment's
+silence.
 """
 
 # pyserial's server half of RFC 2217 is not typed.
@@ -9,6 +14,7 @@ own, over a port object that only remembers what the host has set.
 
 import ipaddress
 import socket
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
@@ -21,6 +27,12 @@ from khep_twin.uart import LineSettings
 
 QUEUE_LIMIT = 4096
 """Most bytes that wait for a host that does not read; the rest is dropped and counted."""
+
+LONGEST_LINE = 512
+"""Bytes that are held back at most; the camera's 64 values are shorter."""
+
+SILENCE = 0.1
+"""Wall time after the last byte at which a line that has not ended leaves all the same [s]."""
 
 _BACKLOG = 8
 
@@ -47,6 +59,8 @@ class TcpPort:
         self._baud = baud
         self._rfc2217 = rfc2217
         self._client: socket.socket | None = None
+        self._line = bytearray()
+        self._heard = 0.0
         self._waiting = bytearray()
         self._negotiator: _Negotiator | None = None
         try:
@@ -77,6 +91,8 @@ class TcpPort:
     def look(self) -> tuple[bool, Sequence[str]]:
         """Whether the host has left since the last look, and who was refused."""
         told: list[str] = []
+        if self._line and time.monotonic() - self._heard > SILENCE:
+            self._release(len(self._line))
         left = self._client is not None and self._has_left(self._client)
         if left:
             self._hang_up()
@@ -104,14 +120,13 @@ class TcpPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """Sends to the host; what it leaves no room for is dropped and counted."""
+        """Send whole lines to the host; what it leaves no room for is dropped and counted."""
         if self._client is None:
             return
-        room = max(QUEUE_LIMIT - len(self._waiting), 0)
-        self.dropped += max(len(data) - room, 0)
-        taken = data[:room]
-        self._waiting += taken if self._negotiator is None else self._negotiator.escaped(taken)
-        self._flush()
+        self._line += data
+        self._heard = time.monotonic()
+        is_long = len(self._line) >= LONGEST_LINE
+        self._release(len(self._line) if is_long else self._line.rfind(b"\n") + 1)
 
     def clear(self) -> bool:
         """Nothing is left behind: what was sent went with the connection."""
@@ -122,11 +137,19 @@ class TcpPort:
         self._hang_up()
         self._server.close()
 
+    def _release(self, count: int) -> None:
+        """Send so many of the bytes that are held back, in one piece."""
+        room = max(QUEUE_LIMIT - len(self._waiting), 0)
+        self.dropped += max(count - room, 0)
+        taken = bytes(self._line[: min(count, room)])
+        del self._line[:count]
+        self._waiting += taken if self._negotiator is None else self._negotiator.escaped(taken)
+        self._flush()
+
     def _take(self, client: socket.socket) -> None:
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._client = client
-        self._waiting.clear()
         if self._rfc2217:
             self._negotiator = _Negotiator(self._baud, self._waiting.extend)
             self._flush()
@@ -135,6 +158,7 @@ class TcpPort:
         if self._client is not None:
             self._client.close()
         self._client = self._negotiator = None
+        self._line.clear()
         self._waiting.clear()
 
     def _flush(self) -> None:

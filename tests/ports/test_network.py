@@ -5,13 +5,14 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 import serial
 
 from khep_twin.errors import PortError
-from khep_twin.ports.network import TcpPort, is_loopback, parse_address
+from khep_twin.ports.network import LONGEST_LINE, SILENCE, TcpPort, is_loopback, parse_address
 
 from test_serve import served, stop  # isort: skip
 
@@ -55,8 +56,80 @@ def test_rfc2217_tells_of_a_wrong_speed_and_of_modem_lines() -> None:
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
         _, errors = stop(process)
-    assert "19200 baud with 1 stop bits, the robot's has 9600 with 2" in errors
-    assert errors.count("baud with") == 1
+    assert "19200 baud, the robot's has 9600" in errors
+    assert errors.count("for 19200 baud: serve --mode 2") == 1
+
+
+@pytest.mark.parametrize("kind", ["--tcp", "--rfc2217"])
+def test_a_reply_leaves_in_one_piece_when_its_last_byte_has_come(kind: str) -> None:
+    with served("default", kind, "127.0.0.1:0") as (_, url):
+        host, _, number = url.partition("://")[2].rpartition(":")
+        with socket.create_connection((host, int(number)), timeout=5) as port:
+            if kind == "--rfc2217":
+                port.recv(1000)  # what the server begins the negotiation with
+            for asked, length in ((b"N\n", 10), (b"B\r", 13), (b"T,1,B\r\n", 30), (b"hello\n", 19)):
+                start = time.monotonic()
+                port.sendall(asked)
+                reply = port.recv(1000)
+                took = time.monotonic() - start
+                assert reply.endswith(b"\r\n")
+                assert reply.count(b"\r\n") == 1
+                assert len(reply) >= length
+                assert took >= (len(asked.rstrip()) + 1 + len(reply)) * 11 / 9600 * 0.98
+
+
+def test_replies_of_several_lines_leave_line_by_line() -> None:
+    with served("default", "--tcp", ":0") as (_, url):
+        host, _, number = url.partition("://")[2].rpartition(":")
+        with socket.create_connection((host, int(number)), timeout=5) as port:
+            port.sendall(b"restart\nB\nH\n")
+            pieces = [port.recv(1000)]
+            while not pieces[-1].startswith(b"h,"):
+                pieces.append(port.recv(1000))
+    assert b"".join(pieces).startswith(b"ROM of minirobot KHEPERA, Edoardo Franzi\r\nK-Team")
+    assert all(piece.endswith(b"\r\n") for piece in pieces)
+    assert b"".join(pieces).endswith(b"Serial Communication Protocol\r\nb,5.02,5.01\r\nh,0,0\r\n")
+
+
+def test_an_unpaced_reply_leaves_in_one_piece() -> None:
+    with served("default", "--tcp", ":0", "--unpaced") as (_, url):
+        host, _, number = url.partition("://")[2].rpartition(":")
+        with socket.create_connection((host, int(number)), timeout=5) as port:
+            for _ in range(50):
+                port.sendall(b"N\n")
+                assert port.recv(1000).endswith(b"\r\n")
+
+
+def test_a_robots_reply_leaves_in_one_piece_through_a_relay() -> None:
+    with served("default") as (_, device), served("--through", device, "--tcp", ":0") as (_, url):
+        host, _, number = url.partition("://")[2].rpartition(":")
+        with socket.create_connection((host, int(number)), timeout=5) as port:
+            for _ in range(5):
+                port.sendall(b"N\n")
+                reply = port.recv(1000)
+                assert reply.startswith(b"n,")
+                assert reply.endswith(b"\r\n")
+
+
+def test_a_line_that_never_ends_leaves_after_a_moment_and_a_long_one_at_once() -> None:
+    with (
+        closing(TcpPort("127.0.0.1", 0)) as server,
+        socket.create_connection(("127.0.0.1", int(server.path.rpartition(":")[2])), timeout=5) as host,
+    ):
+        while not server.occupied:
+            server.look()
+        server.write(b"b,5.02\r\nh,1")
+        assert host.recv(1000) == b"b,5.02\r\n"
+        server.look()
+        host.settimeout(0.01)
+        with pytest.raises(TimeoutError):
+            host.recv(1000)
+        host.settimeout(5)
+        time.sleep(SILENCE * 1.1)
+        server.look()
+        assert host.recv(1000) == b"h,1"
+        server.write(b"x" * LONGEST_LINE)
+        assert host.recv(1000) == b"x" * LONGEST_LINE
 
 
 def test_a_second_host_is_refused_and_told_of() -> None:
