@@ -44,6 +44,7 @@ class ProximityCalibration(Table):
         lobe_exponent: of the cosine off the sensor's axis.
         incidence_exponent: of the cosine between ray and surface normal.
         limit_counts: highest reading.
+        floor_counts: lowest reading, also in light that leaves proximity nothing.
         quantum_counts: step between readings.
         noise_counts: standard deviation of one reading.
         idle_counts: mean of the rest that is left with nothing in reach.
@@ -55,6 +56,7 @@ class ProximityCalibration(Table):
     lobe_exponent: Annotated[tuple[_Exponent, ...], _Eight]
     incidence_exponent: Annotated[tuple[_Exponent, ...], _Eight]
     limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
+    floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1
     noise_counts: _Counts
     idle_counts: _Counts
@@ -139,6 +141,7 @@ class Calibration(Table):
             ("ambient", "floor_counts", light.floor_counts, "dark_counts", light.dark_counts),
             ("ambient", "dark_counts", light.dark_counts, "ceiling_counts", light.ceiling_counts),
             ("proximity", "idle_counts", near.idle_counts, "limit_counts", near.limit_counts),
+            ("proximity", "floor_counts", near.floor_counts, "limit_counts", near.limit_counts),
             ("proximity", "quantum_counts", near.quantum_counts, "limit_counts", near.limit_counts),
         )
         problems = [

@@ -34,6 +34,7 @@ class Proximity(NamedTuple):
         offset: of the chip behind the sensor's face (8,) [m].
         incidence_exponent: of the cosine between ray and normal (8,).
         limit: highest reading [counts].
+        floor: lowest reading [counts].
         quantum: step between readings [counts].
         noise: standard deviation of one reading [counts].
         idle: mean of the rest that is left with nothing in reach [counts].
@@ -52,6 +53,7 @@ class Proximity(NamedTuple):
     offset: Sequence[float]
     incidence_exponent: Sequence[float]
     limit: int
+    floor: int
     quantum: int
     noise: float
     idle: float
@@ -174,7 +176,7 @@ def proximity(
             level += gain * _reflected(found, near, channel)
     limit = int(near.limit * range_left)
     counts = min(round(min(level, float(limit)) / near.quantum) * near.quantum, limit)
-    return max(counts, min(int(near.idle * idle), limit), 0)
+    return max(counts, min(int(near.idle * idle), limit), near.floor)
 
 
 def light(scene: casting.Scene, eyes: Ambient, bulbs: Bulbs, powers: Sequence[float], channel: int) -> float:

@@ -6,8 +6,9 @@ the numbers are in assets/calibration):
     counts = clip(gain sum_i w_i rho_i cos(phi_i)^m / (d_i + offset)^2 - threshold + noise, idle, limit)
 
 over the rays i of a sensor's cone: length d_i, incidence phi_i, reflectance rho_i of what it hits and weight
-w_i = cos(theta_i)^n / sum, theta_i off the axis; idle is the noise left with nothing in reach. Ambient light
-is dark at high counts, and saturates:
+w_i = cos(theta_i)^n / sum, theta_i off the axis; idle is the noise left with nothing in reach, and no reading
+is below the calibration's floor, which is 0 but for a Khepera II. Ambient light is dark at high counts, and
+saturates:
 
     counts = clip(max(dark - light, floor) + noise, 0, ceiling)
 
@@ -89,6 +90,7 @@ def proximity_optics(model: mujoco.MjModel, prefix: str, calibration: Calibratio
         offset=[offset * 1e-3 for offset in numbers.offset_mm],
         incidence_exponent=list(numbers.incidence_exponent),
         limit=numbers.limit_counts,
+        floor=numbers.floor_counts,
         quantum=numbers.quantum_counts,
         noise=numbers.noise_counts,
         idle=numbers.idle_counts,

@@ -118,6 +118,17 @@ def test_bright_light_takes_from_proximity_what_is_left_of_the_converters_range(
     assert counts(scene(**near), PROXIMITY)[2] == 1023
 
 
+@pytest.mark.parametrize("lamp", ["", "[[lamp]]\nx_mm = 560\ny_mm = 500\nz_mm = 100\npower_w = 100\n"])
+def test_a_khepera_2_never_reads_0_with_noise_in_the_dark_and_in_bright_light(lamp: str) -> None:
+    text = scene(lamp, x_mm=500, y_mm=500).replace("[[robot]]", '[[robot]]\nmodel = "khepera2"')
+    world = World(playpen.parse(text, "scene"), seed=1)
+    seen: list[int] = []
+    for scan in range(200):
+        world.advance_to((scan + 1) * 20_000_000)
+        seen += world.robots[0].registers[PROXIMITY].tolist()
+    assert min(seen) == 4
+
+
 def test_a_reading_is_as_old_as_the_sensors_turn_in_the_scan() -> None:
     # Each 2.5 ms one sensor is converted; a robot that drives towards a wall reads what was up to 20 ms ago.
     text = scene(x_mm=1000 - BODY_RADIUS * 1000 - 50, y_mm=500)

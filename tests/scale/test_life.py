@@ -77,6 +77,22 @@ def test_a_life_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, Any
 
 
 @with_numba
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_khepera_2_never_reads_0_without_a_line_plain_and_compiled(planar: bool) -> None:
+    ground = Ground(arena(model="khepera2", calibration="khepera2"), planar=planar)
+    lowest: list[list[int]] = []
+    for compiled in (False, True):
+        life = Life(ground, Wander(), compiled=compiled)
+        life.begin(3)
+        lowest.append([])
+        for _ in range(100):
+            life.live(0.02)
+            lowest[-1].append(min(life.registers[PROXIMITY].tolist()))
+    assert lowest[0] == lowest[1]
+    assert min(lowest[0]) == 4
+
+
+@with_numba
 def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
     from khep_twin.casting import scene_of
     from khep_twin.scale import compiled_casting
