@@ -50,8 +50,12 @@ def serve(
     context: typer.Context,
     playpen: PlaypenName = "default",
     link: Annotated[
-        Path | None,
-        typer.Option(help="Make this link to the pseudo-terminal; a bare name lies in a private directory."),
+        str | None,
+        typer.Option(
+            metavar="PATH",
+            help="Make this link to the pseudo-terminal. NAME alone lies in a private directory, "
+            "$XDG_RUNTIME_DIR/khep_twin, ./NAME in this one. The path to open is printed.",
+        ),
     ] = None,
     tcp: Annotated[
         str | None, typer.Option(help="Serve on TCP at HOST:PORT instead, for socket://HOST:PORT.")

@@ -2,7 +2,6 @@
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from pathlib import Path
 
 from khep_twin.errors import PortError
 from khep_twin.ports.cable import Cable
@@ -12,13 +11,13 @@ from khep_twin.ports.pty import PtyPort
 
 @contextmanager
 def far_ends(
-    bauds: Mapping[int, int], *, link: Path | None, tcp: str | None, rfc2217: str | None, expose: bool
+    bauds: Mapping[int, int], *, link: str | None, tcp: str | None, rfc2217: str | None, expose: bool
 ) -> Generator[Sequence[Cable], None, None]:
     """One cable for each robot: pseudo-terminals, or TCP servers at ports one after the other.
 
     Args:
         bauds: speed of each robot's line, by the robot's number.
-        link: path of the link to the pseudo-terminal.
+        link: path of the link to the pseudo-terminal, as typed.
         tcp: HOST:PORT to serve plain bytes at instead.
         rfc2217: HOST:PORT to serve RFC 2217 at instead.
         expose: whether other machines may reach these.
@@ -36,7 +35,7 @@ def far_ends(
         cables: list[Cable] = []
         for count, (robot, baud) in enumerate(bauds.items()):
             if address is None:
-                name = link if link is None or len(bauds) == 1 else Path(f"{link}{robot}")
+                name = link if link is None or len(bauds) == 1 else f"{link}{robot}"
                 cable: Cable = PtyPort(name, baud)
             else:
                 host, port = parse_address(address)

@@ -18,7 +18,7 @@ class Link:
     """A link to a terminal, for as long as this process wants it.
 
     Args:
-        wish: its path; a bare name lies in a private directory of this user's.
+        wish: its path as typed; a bare name lies in a private directory of this user's, ./NAME where it says.
         target: the terminal.
 
     Attributes:
@@ -28,8 +28,11 @@ class Link:
         PortError: there is something else under this name, or the link cannot be made.
     """
 
-    def __init__(self, wish: Path, target: str) -> None:
-        self.path = wish if len(wish.parts) > 1 else private_folder() / wish
+    def __init__(self, wish: str | Path, target: str) -> None:
+        # A Path has lost the ./ of its text, by which a link is wanted in the current directory.
+        is_bare = not os.path.dirname(wish)
+        folder = private_folder() if is_bare else Path.cwd()
+        self.path = Path(wish) if len(Path(wish).parts) > 1 else folder / wish
         self._target = target
         self._lock_path = self.path.with_name(f".{self.path.name}.lock")
         if os.path.lexists(self.path) and not self.path.is_symlink():
@@ -53,7 +56,7 @@ class Link:
         self._lock_path.unlink(missing_ok=True)
         os.close(self._lock)
 
-    def _take(self, wish: Path) -> None:
+    def _take(self, wish: str | Path) -> None:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -51,7 +51,7 @@ class PtyPort:
         PortError: the link cannot be made.
     """
 
-    def __init__(self, link: Path | None = None, baud: int = 9600) -> None:
+    def __init__(self, link: str | Path | None = None, baud: int = 9600) -> None:
         self.descriptor, kept = os.openpty()
         self._kept: int | None = kept
         self._baud = baud
