@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from khep_twin.cli_options import complain, usage
+from khep_twin.cli_options import check_body, complain, usage
 from khep_twin.cli_progress import progress as progress_bar
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ KNOWN = {
     "noise",
     "spread",
     "mode",
+    "model",
     "rom",
     "battery_used_min",
     "lighting",
@@ -84,7 +85,8 @@ def run_fast(
     function = None
     if controller != "braitenberg":
         function = find_function(controller, "proximity and ambient light", 2)
-    scene, _ = equipped(placed(playpen, stream(options.seed, "spots")), options)
+    scene, on_the_line = equipped(placed(playpen, stream(options.seed, "spots")), options)
+    check_body(options.rom, (scene.robots[index] for index in on_the_line))
     try:
         step_ns = None if step is None else round(step * 1e6)
         ground = Ground(scene, step_ns=step_ns, period_ns=round(period * 1e6), planar=planar)

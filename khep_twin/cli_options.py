@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,7 @@ from khep_twin.errors import choices
 if TYPE_CHECKING:
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.log.recorder import Recorder
+    from khep_twin.playpen_parts import Robot
 
 
 class Switch(StrEnum):
@@ -45,6 +47,12 @@ Mode = Annotated[
     ),
 ]
 RomVersion = Annotated[str | None, typer.Option(help="Version of the firmware: 5.02, 4.06 or khepera2.")]
+Model = Annotated[
+    str | None,
+    typer.Option(
+        help="Model of the robot, khepera1 or khepera2: body, sensors and, without --rom, firmware."
+    ),
+]
 Battery = Annotated[
     float | None,
     typer.Option(
@@ -75,6 +83,7 @@ OF_A_TWIN = {
     "spread",
     "robot",
     "mode",
+    "model",
     "rom",
     "battery_used_min",
     "fault",
@@ -110,6 +119,15 @@ def running_mode(digit: str | None) -> int | None:
     if digit is not None and (len(digit) != 1 or digit.upper() not in "0123456789ABCDEF"):
         raise usage(f"--mode {digit}: right is one digit, 0 to F")
     return None if digit is None else int(digit, 16)
+
+
+def check_body(rom: str | None, robots: Iterable["Robot"]) -> None:
+    """Says that the firmware of a Khepera II does not make one of a Khepera 1."""
+    if rom == "khepera2" and any(robot.model == "khepera1" for robot in robots):
+        complain(
+            "--rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
+            "--model khepera2 changes all three"
+        )
 
 
 def tell_kept(recorder: "Recorder | LineRecorder | None") -> None:

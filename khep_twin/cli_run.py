@@ -21,12 +21,14 @@ from khep_twin.cli_options import (
     Faults,
     Log,
     Mode,
+    Model,
     Noise,
     RobotIndex,
     RomVersion,
     Seed,
     Spread,
     Switch,
+    check_body,
     check_carry_on,
     given,
     program,
@@ -90,6 +92,7 @@ def run(
     robot: RobotIndex = 0,
     mode: Mode = None,
     rom: RomVersion = None,
+    model: Model = None,
     battery_used_min: Battery = None,
     fault: Faults = None,
     log: Log = None,
@@ -148,6 +151,7 @@ def run(
         running_mode(mode),
         battery_used_min,
         faults=tuple(fault or ()),
+        model=model,
     )
     if fast:
         scene = _scene(playpen, lighting, without_lamp or [])
@@ -225,8 +229,10 @@ def _twins(
     from khep_twin.log.recorder import versions
     from khep_twin.playpen import dump
     from khep_twin.ports.protocol_khep import Serial
-    from khep_twin.ports.twin import open_twin
+    from khep_twin.ports.twin import equipped, open_twin
 
+    scene, on_the_line = equipped(scene, options)
+    check_body(options.rom, (scene.robots[index] for index in on_the_line))
     of_each = {key: value for key, value in asdict(options).items() if key != "log"}
     settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wishes, **versions()}
     if wishes:

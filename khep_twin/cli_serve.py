@@ -17,11 +17,13 @@ from khep_twin.cli_options import (
     Faults,
     Log,
     Mode,
+    Model,
     Noise,
     RomVersion,
     Seed,
     Spread,
     Switch,
+    check_body,
     check_carry_on,
     check_log,
     complain,
@@ -89,6 +91,7 @@ def serve(
     ] = None,
     mode: Mode = None,
     rom: RomVersion = None,
+    model: Model = None,
     battery_used_min: Battery = None,
     fault: Faults = None,
     log: Log = None,
@@ -123,12 +126,14 @@ def serve(
         unpaced,
         strict_line,
         tuple(fault or ()),
+        model=model,
     )
     with (
         stopping() as stop,
         open_twin(playpen, options) as twin,
         where({robot.index: robot.firmware.baud for robot in twin.robots}) as cables,
     ):
+        check_body(rom, (twin.world.playpen.robots[robot.index] for robot in twin.robots))
         if log is not None:
             twin.record(log, carry_on=complain if carry_on else None)
             tell_kept(twin.recorder)

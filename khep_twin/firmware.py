@@ -33,7 +33,7 @@ from khep_twin.protocol import (
     parse,
     reply,
 )
-from khep_twin.rom import DEMO, SELF_TEST, Rom
+from khep_twin.rom import DEMO, ROMS, SELF_TEST, Rom
 from khep_twin.turrets import Turret, TurretKind
 from khep_twin.units import DUTY_LIMIT, N_SENSORS
 
@@ -102,6 +102,17 @@ class Firmware:
             kernel.wander(self.cells)
         for turret in self.turrets.values():
             turret.tick()
+
+    def remedy(self, baud: int) -> str:
+        """Tell a user how the robot's line gets the speed that a host has [baud]."""
+        if self._mode.baud == baud:
+            return f"'restart' brings the robot back to {baud} baud"
+        if (mode := self._rom.mode_at(baud)) is not None:
+            return f"for {baud} baud: serve --mode {mode}, or khep://...?mode={mode}"
+        if (mode := ROMS["khepera2"].mode_at(baud)) is not None:
+            wish = f"serve --model khepera2 --mode {mode}, or khep://...?model=khepera2&mode={mode}"
+            return f"for {baud} baud, of a Khepera II: {wish}"
+        return f"no running mode has {baud} baud: expected {self.baud} at the host"
 
     def brown_out(self) -> None:
         """The supply falls too low for the processor: it is reset and stands still, its motors do not."""

@@ -8,7 +8,7 @@ from khep_twin.errors import TurretError, choices
 from khep_twin.footprint import Circle, overlap
 from khep_twin.outline import edges
 from khep_twin.placement import Thing, label, placement_problems
-from khep_twin.playpen_parts import BULB_RADIUS_MM, SHORTEST_BLINK_S, Robot, Spot
+from khep_twin.playpen_parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, Robot, Spot
 from khep_twin.rom import ROMS
 from khep_twin.surfaces import BUILT_IN_SURFACES
 from khep_twin.toml_files import Location, Problem
@@ -83,8 +83,7 @@ def completed(data: dict[str, Any]) -> dict[str, Any]:
         place = {key: known[0][key] for key in ("x_mm", "y_mm", "heading_deg") if known and key in known[0]}
         if not known and _items(robot, "spots"):
             place = {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}  # that the names are wrong is told later
-        second = {"calibration": "khepera2", "rom": "khepera2"} if robot.get("model") == "khepera2" else {}
-        robots.append({**second, **place, **robot})
+        robots.append({**MODELS.get(str(robot.get("model")), {}), **place, **robot})
     return {**data, "robot": tuple(robots)} if robots else data
 
 

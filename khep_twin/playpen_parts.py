@@ -1,6 +1,6 @@
 """The parts of a playpen file: one class per table, its attributes the table's keys."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -254,6 +254,13 @@ class Lighting(Table):
     law: Literal["optics", "toolbox"] = "optics"
     min_angle_deg: Annotated[float, Field(ge=0, le=180)] = MIN_ANGLE_DEG
     max_angle_deg: Annotated[float, Field(ge=1, le=180)] = MAX_ANGLE_DEG
+
+
+MODELS: Mapping[str, Mapping[str, str]] = {
+    "khepera1": {"calibration": "khepera1", "rom": "5.02"},
+    "khepera2": {"calibration": "khepera2", "rom": "khepera2"},
+}
+"""Sensors and firmware that a model of the robot has unless they are given."""
 
 
 class Robot(Table):

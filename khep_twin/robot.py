@@ -90,7 +90,7 @@ class Robot:
         self._unpaced = unpaced
         self._baud = self.firmware.baud
         self._host: LineSettings | None = None
-        self._warned: set[tuple[LineSettings, int]] = set()
+        self._warned: set[tuple[int, int]] = set()
         self._stage = stage
         self.index = index
         self._radius = entry.body.radius
@@ -144,18 +144,19 @@ class Robot:
         on a strict line, garbled, and so do the robot's at the host.
 
         Returns:
-            What is to be said about it; empty if all is well, or if it was said before.
+            What is to be said about another speed; empty if the speed is the robot's, or if it was said
+            before. The robot takes one stop bit as well as two.
         """
         if host != self._host:
             self._stage.act(self.index, HostAct(Act.SET, self._stage.time_ns, host))
         self._host, baud = host, self._baud
-        if host is None or (host, baud) in self._warned or host == LineSettings(baud, 2):
+        if host is None or host.baud == baud or (host.baud, baud) in self._warned:
             return ""
-        self._warned.add((host, baud))
-        outcome = "garbled" if self._line_noise is not None and self._mismatched else "taken all the same"
+        self._warned.add((host.baud, baud))
+        outcome = "taken all the same" if self._line_noise is None else "garbled"
         return (
-            f"the host has its line at {host.baud} baud with {host.stop_bits} stop bits, the robot's "
-            f"has {baud} with 2; the bytes are {outcome}"
+            f"the host has its line at {host.baud} baud, the robot's has {baud}; the bytes are {outcome}; "
+            f"{self.firmware.remedy(host.baud)}"
         )
 
     def send(self, data: bytes, time_ns: int = 0) -> None:

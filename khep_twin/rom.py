@@ -98,6 +98,11 @@ class Rom:
         refusal = self.modes[mode].refusal
         return f"mode {mode:X} {refusal}; right is {wish}" if refusal else ""
 
+    def mode_at(self, baud: int) -> int | None:
+        """Find the running mode that speaks the protocol at this speed [baud]; None if there is none."""
+        plain = RunningMode(baud)
+        return next((number for number, mode in self.modes.items() if mode == plain), None)
+
 
 _AUTHOR = "ROM of minirobot KHEPERA, Edoardo Franzi"
 _PROTOCOL = "Serial Communication Protocol"

@@ -417,3 +417,32 @@ def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
     assert int(rows(tmp_path / "s")[0]["turns"]) >= 1
     assert complaint("new", "controller", "mine.py", folder=tmp_path).startswith("mine.py: is there already")
     assert complaint("new", "controller", "mine.txt", folder=tmp_path).startswith("mine.txt: right is a name")
+
+
+@pytest.mark.parametrize("kind", [(), ("--fast", "--planar", "--period", "20")])
+def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Sequence[str]) -> None:
+    second = run("run", "--model", "khepera2", "--seconds", "0.2", *kind, folder=tmp_path)
+    assert (second.returncode, second.stderr) == (0, "")
+    refused = run("run", "--model", "khepera3", *kind, folder=tmp_path)
+    assert refused.stderr == (
+        "khep-twin: model = 'khepera3': unknown; did you mean 'khepera2'? (choices: khepera1, khepera2)\n"
+    )
+
+
+@pytest.mark.parametrize("kind", [(), ("--fast", "--planar", "--period", "20")])
+def test_the_firmware_of_a_khepera_2_alone_is_told_of_in_one_line(
+    tmp_path: Path, kind: Sequence[str]
+) -> None:
+    done = run("run", "--rom", "khepera2", "--seconds", "0.2", *kind, folder=tmp_path)
+    assert done.returncode == 0
+    assert done.stderr == (
+        "khep-twin: --rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
+        "--model khepera2 changes all three\n"
+    )
+    assert run("run", "--rom", "4.06", "--seconds", "0.2", *kind, folder=tmp_path).stderr == ""
+
+
+def test_starts_have_room_for_the_body_that_is_run(tmp_path: Path) -> None:
+    words = ("run", "--start", "29,250,0", "--seconds", "0.1")
+    assert run(*words, folder=tmp_path).returncode == 0
+    assert "start 29,250,0" in run(*words, "--model", "khepera2", folder=tmp_path).stderr

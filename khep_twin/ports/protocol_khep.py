@@ -206,8 +206,7 @@ class Serial(SerialBase):
         """Lets the host's speed be felt, and warns once where it is not the robot's."""
         robot = self.twin.robot
         notice = robot.compare_line(LineSettings(self._baudrate, 2 if self._stopbits > 1 else 1))
-        # pyserial's default of one stop bit is understood by the robot, too, and no reason to warn.
-        if notice and self._baudrate != robot.firmware.baud:
+        if notice:
             self.twin.world.tell(robot.index, notice)
             warnings.warn(f"{self._port}: {notice}", stacklevel=3)
 
@@ -306,6 +305,7 @@ _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
     "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
     "spread": ({"on": True, "off": False}.__getitem__, "on or off"),
     "rom": (str, "a version of the firmware, such as 5.02"),
+    "model": (str, "a model of the robot, khepera1 or khepera2"),
     "mode": (_digit, "a running mode, one digit from 0 to F"),
     "battery_used_min": (_minutes, "a number of minutes from 0 to 1000"),
     "unpaced": ({"on": True, "off": False}.__getitem__, "on or off"),

@@ -15,6 +15,8 @@ from khep_twin.errors import PortError, choices
 from khep_twin.faults import parse
 from khep_twin.log.recorder import Recorder
 from khep_twin.playpen import Playpen
+from khep_twin.playpen_checks import playpen_problems
+from khep_twin.playpen_parts import MODELS
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.robot import Robot
 from khep_twin.rom import ROMS
@@ -37,6 +39,7 @@ class TwinOptions:
         strict_line: garbles the bytes of a host whose line is set to another speed than the robot's.
         faults: that happen to the robots, in the words of `khep_twin.faults`.
         log: file to record the run in.
+        model: the robot's body, with its sensors and, unless `rom` is given, its firmware.
     """
 
     seed: int = 0
@@ -50,6 +53,7 @@ class TwinOptions:
     strict_line: bool = False
     faults: tuple[str, ...] = ()
     log: str | None = None
+    model: str | None = None
 
     def __post_init__(self) -> None:
         """Refuses values that no playpen allows."""
@@ -57,6 +61,8 @@ class TwinOptions:
             raise PortError(f"seed = {self.seed}: right is a whole number from 0 to 2**63-1")
         if self.rom is not None and self.rom not in ROMS:
             raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
+        if self.model is not None and self.model not in MODELS:
+            raise PortError(f"model = {self.model!r}: unknown; {choices(self.model, MODELS)}")
 
 
 class Twin:
@@ -166,7 +172,13 @@ def equipped(playpen: str | Path | Playpen, options: TwinOptions) -> tuple[Playp
     changes = {key: value for key in keys if (value := getattr(options, key)) is not None}
     robots = list(chosen.robots)
     for index in on_the_line:
-        robots[index] = changed = robots[index].model_copy(update=changes)
+        before = robots[index]
+        model = before.model if options.model is None else options.model
+        follows = {} if model == before.model else {"model": model, **MODELS[model]}
+        robots[index] = changed = before.model_copy(update={**follows, **changes})
         if reason := ROMS[changed.rom].refused(changed.mode):
             raise PortError(f"mode = {changed.mode:X} with rom = {changed.rom!r}: {reason}")
-    return chosen.model_copy(update={"robots": tuple(robots)}), on_the_line
+    chosen = chosen.model_copy(update={"robots": tuple(robots)})
+    if options.model is not None and (problem := next(playpen_problems(chosen), None)):
+        raise PortError(f"{chosen.name} with model = {options.model!r}: {problem.text}")
+    return chosen, on_the_line

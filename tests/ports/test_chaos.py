@@ -173,4 +173,4 @@ def test_strict_lines_garble_what_comes_at_another_speed() -> None:
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
         _, errors = stop(process)
-    assert "19200 baud with 2 stop bits, the robot's has 9600 with 2; the bytes are garbled" in errors
+    assert "at 19200 baud, the robot's has 9600; the bytes are garbled; for 19200 baud" in errors

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 import serial
 
+from khep_twin import playpen
 from khep_twin.host import Khepera
 from khep_twin.log.reader import read
 
@@ -280,6 +281,26 @@ def test_a_link_in_use_is_not_taken(tmp_path: Path) -> None:
         assert link.is_symlink()
 
 
+@pytest.mark.parametrize("several", [False, True])
+def test_a_link_in_the_current_directory_lies_where_it_says(
+    several: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = "default"
+    if several:
+        second = "[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 0\n"
+        name = "two.toml"
+        Path(name).write_text(playpen.dump(playpen.load("default")) + second)
+    with served(name, "--link", "./khepera") as (_, path):
+        found = tmp_path / ("khepera0" if several else "khepera")
+        assert path == str(found)
+        assert found.is_symlink()
+        with serial.Serial(f"./{found.name}", timeout=1) as port:
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+    assert not found.is_symlink()
+
+
 def test_a_bare_link_lies_in_a_private_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with served("default", "--link", "khepera") as (_, path):
@@ -339,3 +360,29 @@ def test_miniterm_gets_a_reply(path: str) -> None:
         assert b"b,5.02,5.01" in os.read(own, 4096)
         process.kill()
     os.close(own)
+
+
+def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_told_of() -> None:
+    with served("default", "--model", "khepera2", "--mode", "9") as (process, path):
+        with serial.Serial(path, 115200, stopbits=2, timeout=1) as port:
+            port.write(b"B\n")
+            assert port.readline() == b"b,6.01,5.01\r\n"
+        _, errors = stop(process)
+    assert "baud" not in errors
+    with served("default", "--rom", "khepera2") as (process, _):
+        _, errors = stop(process)
+    assert "--rom khepera2 changes the firmware only" in errors
+
+
+def test_the_notice_of_another_speed_names_the_mode_and_one_stop_bit_is_no_reason_for_one() -> None:
+    with served("default") as (process, path):
+        for speed in (9600, 38400, 57600, 38400):
+            with serial.Serial(path, speed, stopbits=1, timeout=1) as port:
+                port.write(b"B\n")
+                assert port.readline() == b"b,5.02,5.01\r\n"
+        _, errors = stop(process)
+    told = [line for line in errors.splitlines() if "baud" in line]
+    assert len(told) == 2
+    assert "the host has its line at 38400 baud, the robot's has 9600" in told[0]
+    assert "serve --mode 3" in told[0]
+    assert "serve --model khepera2 --mode 8" in told[1]

@@ -1,0 +1,62 @@
+"""Twins out of options: what a model brings with it, and what is refused."""
+
+import pytest
+
+from khep_twin.errors import PortError
+from khep_twin.playpen import load, parse
+from khep_twin.ports.twin import TwinOptions, equipped, open_twin
+
+OWN_SENSORS = """version = 1
+name = "own"
+[arena]
+width_mm = 600
+height_mm = 500
+[[robot]]
+x_mm = 300
+y_mm = 250
+heading_deg = 0
+model = "khepera2"
+calibration = "khepera1-manual"
+"""
+SECOND = "[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 0\n"
+
+
+def test_a_model_brings_its_sensors_and_its_firmware() -> None:
+    with open_twin("default", TwinOptions(model="khepera2", mode=9)) as twin:
+        robot = twin.world.playpen.robots[0]
+        assert (robot.model, robot.calibration, robot.rom) == ("khepera2", "khepera2", "khepera2")
+        assert twin.robot.firmware.baud == 115200
+        assert twin.robot.disc[2] == 0.035
+
+
+def test_a_version_of_the_firmware_that_is_given_stays() -> None:
+    scene, _ = equipped("default", TwinOptions(model="khepera2", rom="5.02"))
+    assert (scene.robots[0].calibration, scene.robots[0].rom) == ("khepera2", "5.02")
+
+
+def test_a_robot_that_is_of_the_model_keeps_its_own_sensors() -> None:
+    scene, _ = equipped(parse(OWN_SENSORS, "own"), TwinOptions(model="khepera2"))
+    assert scene.robots[0].calibration == "khepera1-manual"
+    scene, _ = equipped(parse(OWN_SENSORS, "own"), TwinOptions(model="khepera1"))
+    assert (scene.robots[0].calibration, scene.robots[0].rom) == ("khepera1", "5.02")
+
+
+def test_only_the_robot_on_the_line_changes() -> None:
+    scene, on_the_line = equipped(
+        parse(OWN_SENSORS.replace("khepera2", "khepera1") + SECOND, "two"),
+        TwinOptions(robot=1, model="khepera2"),
+    )
+    assert list(on_the_line) == [1]
+    assert [robot.model for robot in scene.robots] == ["khepera1", "khepera2"]
+
+
+def test_a_larger_body_that_has_no_room_is_refused_with_what_is_in_its_way() -> None:
+    near = load("default")
+    robots = (near.robots[0].model_copy(update={"x_mm": 30.0}),)
+    with pytest.raises(PortError, match=r"with model = 'khepera2': robot 1 .* overlaps the left"):
+        equipped(near.model_copy(update={"robots": robots}), TwinOptions(model="khepera2"))
+
+
+def test_an_unknown_model_is_told_with_the_choices() -> None:
+    with pytest.raises(PortError, match=r"model = 'khepera3': unknown; .*\(choices: khepera1, khepera2\)"):
+        TwinOptions(model="khepera3")
