@@ -24,10 +24,6 @@ FEW, MANY = 0, 1
 LENGTH_AND_NORMAL = 4
 """Numbers per ray that the rangefinders of assets/khepera.xml give."""
 
-WITHOUT_WHEELS = np.array([1, 0, 1, 1, 1, 1], np.uint8)
-"""Groups of geoms that stop light: a robot's own wheels belong to how its receivers were measured, those of
-others are within their bodies."""
-
 
 class Scene(NamedTuple):
     """A compiled scene as one robot's sensors see it.
@@ -207,7 +203,7 @@ def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: flo
     """Whether light along a vector from a sensor [m] is stopped before a part of it, 0 to 1."""
     way = np.array((x, y, z))
     position = scene.positions[channel]
-    hit = mujoco.mj_ray(scene.model, scene.data, position, way, WITHOUT_WHEELS, True, scene.body, None)
+    hit = mujoco.mj_ray(scene.model, scene.data, position, way, None, True, scene.body, None)
     return 0 <= hit < glass
 
 
@@ -242,7 +238,7 @@ def blocked(
         scene.data,
         scene.positions[channel],
         ways.ravel(),
-        WITHOUT_WHEELS,
+        None,
         True,
         scene.body,
         points.geoms,

@@ -331,10 +331,12 @@ def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> N
     """Gives the robot's wheels their size and place."""
     radius, half_base = units.metres(wheels.radius_mm), units.metres(wheels.base_mm) / 2
     for side, y in (("left", half_base), ("right", -half_base)):
-        robot.body(f"{side}_wheel").pos = [0, y, radius]
-        tyre, rim = robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
+        wheel, tyre, rim = robot.body(f"{side}_wheel"), robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
+        across = wheel.mass * (3 * radius**2 + units.WHEEL_WIDTH**2) / 12
+        wheel.inertia = [across, across, wheel.mass * radius**2 / 2]
         tyre.size = [radius, *tyre.size[1:]]
         rim.size = [radius, *rim.size[1:]]
+        wheel.pos = rim.pos = [0, y, radius]
 
 
 def _fit_motors(robot: mujoco.MjSpec, motors: calibration.MotorCalibration) -> None:

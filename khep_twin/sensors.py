@@ -133,9 +133,8 @@ def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]
 def _visible_geoms(model: mujoco.MjModel, prefix: str) -> NDArray[np.bool_]:
     """Which geoms the rays of a robot may meet (n_geoms,).
 
-    Those that are shown, but for the floor and the robot's own parts; its turrets may be met.
+    Those that are shown, but for the floor and the robot's own body; its turrets may be met.
     """
     shown = model.geom_rgba[:, 3] > 0
     upright = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
-    own = [model.body(prefix + name).id for name in ("base", "left_wheel", "right_wheel")]
-    return shown & upright & ~np.isin(model.geom_bodyid, own)
+    return shown & upright & (model.geom_bodyid != model.body(prefix + "base").id)

@@ -36,6 +36,10 @@ def test_wheels_and_supports_arrive_in_the_model(robot: mujoco.MjModel) -> None:
         assert robot.geom(f"{side}_tyre").size[0] == pytest.approx(units.WHEEL_RADIUS)
         rim = robot.geom(f"{side}_rim").size
         assert (rim[0], 2 * rim[1]) == pytest.approx((units.WHEEL_RADIUS, units.WHEEL_WIDTH))
+        assert robot.geom(f"{side}_rim").pos == pytest.approx(wheel.pos)
+        around = units.WHEEL_MASS * units.WHEEL_RADIUS**2 / 2
+        across = around / 2 + units.WHEEL_MASS * units.WHEEL_WIDTH**2 / 12
+        assert wheel.inertia == pytest.approx((across, across, around), rel=1e-5)
         assert robot.dof_armature[robot.joint(f"{side}_axle").dofadr[0]] == pytest.approx(units.ROTOR_INERTIA)
     assert robot.geom("front_support").pos[0] == pytest.approx(units.SUPPORT_POSITION)
     assert robot.geom("back_support").pos[0] == pytest.approx(-units.SUPPORT_POSITION)

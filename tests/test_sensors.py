@@ -1,5 +1,7 @@
 """The infrared sensors: against closed form, and against the sampled robot's derived figures."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from khep_twin import calibration, playpen, sensors
 from khep_twin.kernel import AMBIENT, DEMO_SPEED_PULSES, DEMO_WEIGHTS, PROXIMITY
 from khep_twin.optics import reflected
 from khep_twin.sensors import lobe_weights
+from khep_twin.toml_files import dump
 from khep_twin.units import BODY_RADIUS
 from khep_twin.world import World
 
@@ -28,6 +31,20 @@ def facing_wall(distance_mm: float, bearing_deg: float = 0, surface: str = "whit
     """Proximity with a wall so far off the robot's edge, at a bearing counter-clockwise from ahead."""
     text = scene(x_mm=1000 - BODY_RADIUS * 1000 - distance_mm, y_mm=500, heading_deg=-bearing_deg)
     return counts(text.replace("[arena]", f'[arena]\nsurface = "{surface}"'), PROXIMITY)
+
+
+@pytest.mark.parametrize(("radius_mm", "base_mm"), [(7.64, 52), (8.2, 54), (9, 60), (9, 40)])
+def test_a_robot_never_sees_its_own_wheels(tmp_path: Path, radius_mm: float, base_mm: float) -> None:
+    lamps = [f"[[lamp]]\nx_mm = 500\ny_mm = {y_mm}\npower_w = 2" for y_mm in (300, 700)]
+    sides = KHEPERA1.model_copy(update={"heading_deg": (92, 45, 8, -8, -45, -92, 180, 180)})
+    wheels = calibration.WheelCalibration(radius_mm=radius_mm, base_mm=base_mm)
+    path = tmp_path / "wide.toml"
+    path.write_text(dump(sides.model_copy(update={"wheels": wheels})))
+    text = scene(*lamps, x_mm=500, y_mm=500).replace("[[robot]]", f'[[robot]]\ncalibration = "{path}"')
+    found = counts(text, [*PROXIMITY, *AMBIENT])
+    assert found[:8].tolist() == [0] * 8
+    # Nor do they stand in the light.
+    assert found[8:].tolist() == counts(scene(*lamps, x_mm=500, y_mm=500), AMBIENT).tolist()
 
 
 def test_one_ray_follows_the_inverse_square() -> None:

@@ -16,7 +16,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from khep_twin import casting
-from khep_twin.casting import FEW, LENGTH_AND_NORMAL, MANY, WITHOUT_WHEELS, Floats
+from khep_twin.casting import FEW, LENGTH_AND_NORMAL, MANY, Floats
 from khep_twin.scale.addresses import data_address, function_address, model_address
 from khep_twin.units import Sensor
 
@@ -38,7 +38,6 @@ class Scene(NamedTuple):
         frames: of all cameras, live (n_cameras, 9).
         solid: geoms that rays can hit, in MuJoCo's order (n_solid,).
         kinds: their types (n_solid,).
-        stops: which of them stop light (n_solid,).
         extents: what each takes of the floor (n_solid, 8): centre x, y, cosine and sine of its angle, half
             length and width, or radius and -1 [m], bottom and top [m]; the length is below 0 for one that is
             not upright or may move.
@@ -62,7 +61,6 @@ class Scene(NamedTuple):
     frames: Floats
     solid: NDArray[np.int64]
     kinds: NDArray[np.int64]
-    stops: NDArray[np.bool_]
     extents: Floats
     bounds: Floats
     places: Floats
@@ -82,7 +80,8 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
     cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
     slices = casting.ray_slices(model, prefix)
     addresses = [function_address("mj_step"), model_address(model), data_address(data)]
-    solid = _solid(model, prefix, body, cameras)
+    # What is shown, but for the robot's own body.
+    solid = np.flatnonzero((model.geom_rgba[:, 3] > 0) & (model.geom_bodyid != body))
     return Scene(
         np.array([*addresses, function_address("mju_rayGeom")], np.int64),
         body,
@@ -90,10 +89,9 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
         np.array(cameras, np.int64),
         data.cam_xpos,
         data.cam_xmat,
-        np.array(solid, np.int64),
+        solid.astype(np.int64),
         model.geom_type[solid].astype(np.int64),
-        WITHOUT_WHEELS[model.geom_group[solid]] > 0,
-        np.array([_extent(model, geom) for geom in solid]).reshape(-1, 8),
+        np.array([_extent(model, geom) for geom in solid.tolist()]).reshape(-1, 8),
         model.geom_rbound[solid].copy(),
         data.geom_xpos,
         data.geom_xmat,
@@ -105,32 +103,6 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
         casting.points_of_a_bulb(FEW),
         casting.points_of_a_bulb(MANY),
     )
-
-
-def _solid(model: mujoco.MjModel, prefix: str, body: int, cameras: list[int]) -> list[int]:
-    """Geoms that rays of the robot can hit: what is shown, but for its body and what they never meet."""
-    shown = np.flatnonzero((model.geom_rgba[:, 3] > 0) & (model.geom_bodyid != body)).tolist()
-    wheels = {model.body(f"{prefix}{side}_wheel").id for side in ("left", "right")}
-    return [
-        geom for geom in shown if int(model.geom_bodyid[geom]) not in wheels or _meets(model, geom, cameras)
-    ]
-
-
-def _meets(model: mujoco.MjModel, geom: int, cameras: list[int]) -> bool:
-    """Whether rays of the robot's sensors meet one of its own wheels, which are round and stay in place."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_camlight(model, data)
-    place, turn, size = data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom] + 1e-4
-    for camera in cameras:
-        width, height = model.cam_resolution[camera].tolist()
-        half = np.tan(np.radians(model.cam_fovy[camera]) / 2) * width / height
-        for aside in np.linspace(-half, half, 181).tolist():
-            way = np.array(casting.through(data.cam_xmat[camera].tolist(), aside))
-            at = data.cam_xpos[camera]
-            if mujoco.mju_rayGeom(place, turn, size, at, way, int(model.geom_type[geom]), None) >= 0:
-                return True
-    return False
 
 
 def _extent(model: mujoco.MjModel, geom: int) -> list[float]:
@@ -313,8 +285,6 @@ def _stops(scene, place, x, y, glass):
     flat = x * x + y * y
     length = np.sqrt(flat)
     for i in range(len(scene.solid)):
-        if not scene.stops[i]:
-            continue
         here = scene.solid[i]
         if scene.kinds[i] != _PLANE:
             dx, dy = scene.places[here, 0] - place[0], scene.places[here, 1] - place[1]
