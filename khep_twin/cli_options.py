@@ -76,6 +76,10 @@ CarryOn = Annotated[
     ),
 ]
 
+Viewer = Annotated[
+    bool, typer.Option("--viewer", help="Show the run in MuJoCo's own viewer, in a window on this screen.")
+]
+
 OF_A_TWIN = {
     "playpen",
     "seed",
@@ -89,6 +93,7 @@ OF_A_TWIN = {
     "fault",
     "log",
     "carry_on",
+    "viewer",
 }
 """Options of a twin, by the names of their parameters."""
 

@@ -28,6 +28,7 @@ from khep_twin.cli_options import (
     Seed,
     Spread,
     Switch,
+    Viewer,
     check_body,
     check_carry_on,
     given,
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from khep_twin.lab.controller_source import Source
     from khep_twin.lab.series import Bench, Run
     from khep_twin.playpen import Playpen
-    from khep_twin.ports.twin import TwinOptions
+    from khep_twin.ports.twin import Twin, TwinOptions
 
 _OF_A_TWIN = OF_A_TWIN | {"picture", "start", "lighting", "without_lamp"}
 
@@ -97,6 +98,7 @@ def run(
     fault: Faults = None,
     log: Log = None,
     carry_on: CarryOn = False,
+    viewer: Viewer = False,
     fast: Annotated[
         bool,
         typer.Option(
@@ -180,7 +182,8 @@ def run(
             settings: dict[str, Any] = {"port": port}
         else:
             scene = _scene(playpen, lighting, without_lamp or [])
-            bench, settings = _twins(stack, scene, options, start or [], runs, logs)
+            begin = _beginning(stack, logs, viewer)
+            bench, settings = _twins(stack, scene, options, start or [], runs, begin)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": pause, **_identity(source)}
         folder = None if save is None else SeriesFolder(save, settings, resume=resume)
         asked = stack.enter_context(stopping())
@@ -220,7 +223,7 @@ def _twins(
     options: "TwinOptions",
     wishes: Sequence[str],
     runs: int,
-    logs: RunLogs,
+    begin: "Callable[[Twin, int | None], None]",
 ) -> "tuple[Bench, dict[str, Any]]":
     """Twins in this process, and what makes them what they are: one for all runs, or with starts new ones."""
     from khep_twin.host import Khepera
@@ -237,9 +240,24 @@ def _twins(
     settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wishes, **versions()}
     if wishes:
         places = starts(wishes, scene, options.robot or 0, runs, options.seed)
-        return NewTwins(scene, options, places, logs.record), settings
+        return NewTwins(scene, options, places, begin), settings
     khepera = Khepera(Serial.of(open_twin(scene, options), timeout=1.0))
-    return OneRobot(stack.enter_context(khepera), logs.record), settings
+    return OneRobot(stack.enter_context(khepera), lambda twin: begin(twin, None)), settings
+
+
+def _beginning(stack: ExitStack, logs: RunLogs, viewer: bool) -> "Callable[[Twin, int | None], None]":
+    """Return what is done with each twin before it runs: log it, and show it where that is wanted."""
+    if not viewer:
+        return logs.record
+    from khep_twin.mujoco_viewer import MujocoViewer
+
+    window = stack.enter_context(closing(MujocoViewer(real_time=True)))
+
+    def begin(twin: "Twin", number: int | None) -> None:
+        logs.record(twin, number)
+        window.watch(twin.world)
+
+    return begin
 
 
 def _scene(playpen: str, lighting: str | None, without_lamp: Sequence[str]) -> "Playpen":

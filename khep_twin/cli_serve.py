@@ -23,6 +23,7 @@ from khep_twin.cli_options import (
     Seed,
     Spread,
     Switch,
+    Viewer,
     check_body,
     check_carry_on,
     check_log,
@@ -96,6 +97,7 @@ def serve(
     fault: Faults = None,
     log: Log = None,
     carry_on: CarryOn = False,
+    viewer: Viewer = False,
 ) -> None:
     """Serves a twin, or with --through a robot, behind pseudo-terminals or on the network until stopped.
 
@@ -132,11 +134,17 @@ def serve(
         stopping() as stop,
         open_twin(playpen, options) as twin,
         where({robot.index: robot.firmware.baud for robot in twin.robots}) as cables,
+        ExitStack() as stack,
     ):
         check_body(rom, (twin.world.playpen.robots[robot.index] for robot in twin.robots))
         if log is not None:
             twin.record(log, carry_on=complain if carry_on else None)
             tell_kept(twin.recorder)
+        if viewer:
+            from khep_twin.mujoco_viewer import MujocoViewer
+
+            window = stack.enter_context(closing(MujocoViewer(real_time=False)))
+            window.watch(twin.world)
         with _listed(cables, f"twin in {playpen}"):
             _announce(cables, ready_fd)
             pacer = serve_twin(twin, cables, factor, stop=stop, tell=complain)

@@ -139,6 +139,9 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     # What a viewer needs to show a scene of half a metre.
     spec.visual.map.znear = 0.005
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.1] * 3
+    # Viewers draw every ray of every rangefinder; without a colour they hide nothing.
+    spec.visual.rgba.rangefinder = [1, 1, 0.1, 0]
     spec.visual.global_.offwidth = 1280
     spec.visual.global_.offheight = 960
 
