@@ -70,6 +70,10 @@ def test_the_lock_file_of_a_living_process_counts(
     assert holder(path) == ""
     lock.write_text("")
     assert holder(path) == ""
+    link = tmp_path / "robot"
+    link.symlink_to(path)
+    (tmp_path / "LCK..robot").write_text(f"{os.getpid():10}\n")
+    assert holder(str(link)).startswith(f"process {os.getpid()} ")
 
 
 def test_a_lock_of_a_holder_that_cannot_be_seen_counts(

@@ -12,6 +12,8 @@ import pytest
 import serial
 
 from khep_twin.errors import PortError
+from khep_twin.host import Khepera
+from khep_twin.lab.conformance import Line, checks, run_check
 from khep_twin.ports.network import LONGEST_LINE, SILENCE, TcpPort, is_loopback, parse_address
 
 from test_serve import served, stop  # isort: skip
@@ -76,6 +78,13 @@ def test_a_reply_leaves_in_one_piece_when_its_last_byte_has_come(kind: str) -> N
                 assert reply.count(b"\r\n") == 1
                 assert len(reply) >= length
                 assert took >= (len(asked.rstrip()) + 1 + len(reply)) * 11 / 9600 * 0.98
+
+
+def test_the_pace_of_a_network_port_conforms() -> None:
+    pace = next(each for each in checks(False) if each.name.startswith("every reply begins within 10 ms"))
+    with served("default", "--tcp", ":0") as (_, url), Khepera(url) as robot:
+        # What a busy machine delays is no deviation of the port's.
+        assert "" in (run_check(pace, Line(robot.port)).deviation for _ in range(5))
 
 
 def test_replies_of_several_lines_leave_line_by_line() -> None:
