@@ -19,7 +19,7 @@ help: ## show this list
 
 run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated seconds
 	@mkdir -p out
-	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --picture out/run.png
+	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --force --picture out/run.png
 
 test: $(VENV)/dev.stamp ## the whole test suite
 	@echo "khep_twin: $(or $(TESTS),the whole test suite: about 15 minutes on two cores)"

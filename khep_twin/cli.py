@@ -15,7 +15,7 @@ from khep_twin.cli_design import design
 from khep_twin.cli_drive import drive
 from khep_twin.cli_fit import fit
 from khep_twin.cli_log import recover, repeat
-from khep_twin.cli_options import Commands, usage
+from khep_twin.cli_options import Commands, Force, check_new, usage
 from khep_twin.cli_playpen import playpen_app
 from khep_twin.cli_ports import ports
 from khep_twin.cli_report import export, report
@@ -95,12 +95,14 @@ def conform(
     move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
     baudrate: Annotated[int, typer.Option(help="Speed of the line.")] = 9600,
     report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
+    force: Force = False,
 ) -> None:
     """Checks whether what is at a port speaks the robot's protocol; ends with 1 if it does not."""
     from khep_twin.lab import conformance
 
     if report is not None and (reason := unusable(report)):
         raise usage(f"--report {report}: cannot be written: {reason}")
+    check_new(force, report)
     if move:
         ways = dict.fromkeys(check.moves for check in conformance.checks(True) if check.moves)
         typer.echo(f"the robot {', '.join(ways)}", err=True)

@@ -19,6 +19,7 @@ from khep_twin.cli_options import (
     Battery,
     CarryOn,
     Faults,
+    Force,
     Log,
     Mode,
     Model,
@@ -32,13 +33,13 @@ from khep_twin.cli_options import (
     check_body,
     check_carry_on,
     given,
-    program,
     running_mode,
     usage,
 )
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_run_logs import RunLogs, check_picture
 from khep_twin.errors import ControllerError
+from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.lab.controller_source import Source
@@ -99,6 +100,7 @@ def run(
     log: Log = None,
     carry_on: CarryOn = False,
     viewer: Viewer = False,
+    force: Force = False,
     fast: Annotated[
         bool,
         typer.Option(
@@ -175,6 +177,8 @@ def run(
     plan = Plan(runs, cycles, 60.0 if seconds is None and cycles is None else seconds, pause)
     source = source_of(found)
     logs = RunLogs(log, picture, carry_on, source)
+    # A run that was interrupted has left its log whole, and is run again.
+    logs.check_new(runs if start else None, force or resume)
     done: list[Run] = []
     with ExitStack() as stack:
         if port is not None:
@@ -210,7 +214,7 @@ def run(
         stopped = asked() and (not done or done[-1].number < runs)
     logs.finish()
     if folder is not None:
-        typer.echo(f"series   {folder.path}      look at it: {program()} series {folder.path}")
+        typer.echo(f"series   {folder.path}      look at it: {command('series', folder.path)}")
     if stopped:
         rest = f"; {len(folder.rows)} of {runs} runs are kept, go on with --resume" if folder else ""
         typer.echo(f"khep-twin: stopped before its end{rest}", err=True)
@@ -301,6 +305,8 @@ def _confirm(number: int, stop: Callable[[], bool]) -> None:
             entered = os.read(sys.stdin.fileno(), 1)
             if not entered:
                 raise ControllerError(f"--confirm: the input ended before run {number}; right is a terminal")
+    # A terminal has shown the Enter itself.
+    typer.echo("\r" if sys.stdin.isatty() else "\n", nl=False, err=True)
 
 
 def _line(run: "Run", runs: int, is_new: bool) -> str:

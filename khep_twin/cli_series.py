@@ -6,9 +6,10 @@ from typing import Annotated
 
 import typer
 
-from khep_twin.cli_options import program, usage
+from khep_twin.cli_options import Force, check_new, usage
 from khep_twin.errors import ControllerError
 from khep_twin.files import write_whole
+from khep_twin.invocation import command
 
 
 class Kind(StrEnum):
@@ -54,13 +55,14 @@ def series(
 def new(
     kind: Annotated[Kind, typer.Argument(help="Of what.")],
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="Where to write it.")],
+    force: Force = False,
 ) -> None:
     """Writes a commented template to begin with."""
     from importlib.resources import files
 
     if file.suffix != ".py":
         raise usage(f"{file}: right is a name that ends in .py")
-    if file.exists():
-        raise ControllerError(f"{file}: is there already; right is another name")
+    check_new(force, file)
     write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes())
-    typer.echo(f"{kind}  {file}      run it: {program()} run {file} --playpen obstacles --seconds 20")
+    run = command("run", file, "--playpen", "obstacles", "--seconds", 20)
+    typer.echo(f"{kind}  {file}      run it: {run}")

@@ -15,6 +15,7 @@ from khep_twin.cli_options import (
     Battery,
     CarryOn,
     Faults,
+    Force,
     Log,
     Mode,
     Model,
@@ -27,6 +28,7 @@ from khep_twin.cli_options import (
     check_body,
     check_carry_on,
     check_log,
+    check_new,
     complain,
     given,
     running_mode,
@@ -98,6 +100,7 @@ def serve(
     log: Log = None,
     carry_on: CarryOn = False,
     viewer: Viewer = False,
+    force: Force = False,
 ) -> None:
     """Serves a twin, or with --through a robot, behind pseudo-terminals or on the network until stopped.
 
@@ -109,6 +112,7 @@ def serve(
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     check_carry_on(carry_on, log)
+    check_new(force, log)
     where = partial(far_ends, link=link, tcp=tcp, rfc2217=rfc2217, expose=expose)
     if through is not None:
         if ignored := given(context) & (OF_A_TWIN | _OF_A_SERVED_TWIN) - {"mode", "log", "carry_on"}:

@@ -9,6 +9,7 @@ from typing import Any
 import serial
 
 from khep_twin.errors import PortError, PortInUse, PortTimeout
+from khep_twin.invocation import command
 
 SPEEDS = (9600, 19200, 38400, 57600, 115200)
 """Of the line in the robots' running modes, tried in this order [baud] (manual, appendix E; manual II)."""
@@ -43,12 +44,13 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
             exclusive=exclusive or None,
             **bound,
         )
+    # One error tells all; its causes repeat it.
     except serial.SerialException as error:
         if error.errno in (errno.EBUSY, errno.EAGAIN):
-            raise PortInUse(f"{url}: in use by a program that has locked it") from error
-        raise PortError(_why_not_opened(url, error)) from error
+            raise PortInUse(f"{url}: in use by a program that has locked it") from None
+        raise PortError(_why_not_opened(url, error)) from None
     except (OSError, ValueError) as error:
-        raise PortError(_why_not_opened(url, error)) from error
+        raise PortError(_why_not_opened(url, error)) from None
 
 
 def find_speed(port: Any, name: str, now: Callable[[], float]) -> int:
@@ -97,5 +99,6 @@ def _answers_at(port: Any, speed: int, now: Callable[[], float]) -> bool:
 def _why_not_opened(url: str, error: Exception) -> str:
     text = str(error)
     if "://" not in url and isinstance(error, serial.SerialException):
-        return f"{url}: cannot open this port: {text}; `khep-twin serve` makes one, khep://default needs none"
+        serve = command("serve")
+        return f"{url}: cannot open this port: {text}; `{serve}` makes one, khep://default needs none"
     return text if text.startswith(url) else f"{url}: {text}"

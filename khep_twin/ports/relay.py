@@ -54,7 +54,7 @@ class Device:
         except (serial.SerialException, OSError, ValueError) as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else error
-            raise PortError(f"{url}: cannot open this port: {reason}") from error
+            raise PortError(f"{url}: cannot open this port: {reason}") from None
         try:
             self.descriptor: int | None = self._port.fileno()
             self._port.write_timeout = 0

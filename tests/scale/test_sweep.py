@@ -20,6 +20,7 @@ from test_study import STUDY, loaded
 from worker_kills import trial
 
 from khep_twin.errors import KhepTwinError, MissingExtraError, StudyError
+from khep_twin.invocation import command
 from khep_twin.scale import ray_workers
 from khep_twin.scale.study import COLUMNS
 from khep_twin.scale.sweep import here, run_sweep
@@ -116,8 +117,8 @@ def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
     text = text.replace("rollouts_per_task = 4", "rollouts_per_task = 4")
     file = loaded(tmp_path, text)
     parts = tmp_path / "out" / "parts"
-    command = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml")]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sweep:
+    words = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml")]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL) as sweep:
         start = time.monotonic()
         while len(list(parts.glob("task-*.parquet"))) < 4 and time.monotonic() - start < 100:
             time.sleep(0.01)
@@ -159,17 +160,16 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done
     )
     file = loaded(tmp_path, text.replace("seconds = 0.2", "seconds = 0.02"))
     output = tmp_path / "another one"
-    command = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml"), "-o", str(output)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as sweep:
+    words = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml"), "-o", str(output)]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as sweep:
         start = time.monotonic()
         while len(list(output.glob("parts/task-*.parquet"))) < 2 and time.monotonic() - start < 100:
             time.sleep(0.01)
         sweep.send_signal(signal.SIGINT)
         told = sweep.communicate()[1]
     assert sweep.returncode == 130, told
-    assert told.endswith(
-        f"stopped; go on: khep-twin sweep {tmp_path}/study.toml --resume --output '{output}'\n"
-    )
+    again = command("sweep", tmp_path / "study.toml", "--resume", "--output", output)
+    assert told.endswith(f"stopped; go on: {again}\n")
     there = len(list(output.glob("parts/task-*.parquet")))
     assert 2 <= there < 20
     following = Counted()
