@@ -3,6 +3,7 @@
 What a command needs is imported inside it, so that `khep-twin --help` comes at once.
 """
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,8 @@ import typer
 from typer.exceptions import TyperException
 
 from khep_twin import __version__
+from khep_twin.cli_completion import complete_in_bash, missing
+from khep_twin.cli_completion import ports as known_ports
 from khep_twin.cli_design import design
 from khep_twin.cli_drive import drive
 from khep_twin.cli_fit import fit
@@ -59,12 +62,16 @@ for command in (
 
 def main() -> None:
     """Runs the command line; a user's mistake ends in one line, not in a trace."""
+    if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
+        complete_in_bash(lambda: app(prog_name="khep-twin"))
     try:
-        sys.exit(app(standalone_mode=False) or 0)
+        sys.exit(app(prog_name="khep-twin", standalone_mode=False) or 0)
     except KhepTwinError as error:
         text, code = str(error), 1
     except TyperException as error:
         text, code = error.format_message(), error.exit_code
+        if text.startswith("Missing "):
+            text = missing(error)
         if "\n" in text:  # the help, where nothing was typed
             print(text, file=sys.stderr)
             sys.exit(code)
@@ -91,7 +98,10 @@ def common(
 
 @app.command()
 def conform(
-    port: Annotated[str, typer.Argument(help="Port of a robot or a twin, such as khep://default.")],
+    port: Annotated[
+        str,
+        typer.Argument(help="Port of a robot or a twin, such as khep://default.", autocompletion=known_ports),
+    ],
     move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
     baudrate: Annotated[int, typer.Option(help="Speed of the line.")] = 9600,
     report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,

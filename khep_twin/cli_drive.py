@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.cli_completion import ports
 from khep_twin.cli_options import Force, check_new
 from khep_twin.errors import KhepTwinError
 
@@ -27,7 +28,9 @@ _CTRL_C, _ESCAPE = 3, 27
 
 
 def drive(
-    port: Annotated[str, typer.Argument(help="Port of a robot or a twin, such as khep://obstacles.")],
+    port: Annotated[
+        str, typer.Argument(help="Port of a robot or a twin, such as khep://obstacles.", autocompletion=ports)
+    ],
     speed: Annotated[
         int, typer.Option(min=1, max=40, help="Speed to begin with [pulses/10 ms = 8 mm/s].")
     ] = 5,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli_completion import calibrations
 from khep_twin.cli_options import Force, check_new
 from khep_twin.errors import FitError
 from khep_twin.files import unusable, write_whole
@@ -25,7 +26,9 @@ def fit(
         list[str] | None,
         typer.Option(help="A test like these that is not used, but told how well it is met."),
     ] = None,
-    start: Annotated[str, typer.Option(help="Calibration that the rest is taken from.")] = "khepera1",
+    start: Annotated[
+        str, typer.Option(help="Calibration that the rest is taken from.", autocompletion=calibrations)
+    ] = "khepera1",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Calibration file to write.")] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the fit over the data in this PNG, SVG or PDF file.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import cli_completion
 from khep_twin.cli_options import Commands, Force, check_new
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
@@ -21,15 +22,30 @@ if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
 
 playpen_app = typer.Typer(
-    help="Check, compile, draw and import playpens.",
+    help="List, check, compile, draw and import playpens.",
     cls=Commands,
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 
 SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put to their spots.")]
-PlaypenName = Annotated[str, typer.Argument(help="Name of a shipped playpen, or path of a playpen file.")]
+PlaypenName = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a shipped playpen, or path of a playpen file.", autocompletion=cli_completion.playpens
+    ),
+]
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")]
+
+
+@playpen_app.command("list")
+def list_playpens() -> None:
+    """Lists the shipped playpens, a line each."""
+    from khep_twin import playpen as playpens
+
+    names = playpens.names()
+    for name in names:
+        typer.echo(f"{name:{max(map(len, names))}}  {cli_completion.summary(name)}")
 
 
 @playpen_app.command()

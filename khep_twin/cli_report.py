@@ -5,11 +5,12 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli_completion import logs
 from khep_twin.cli_options import Force, check_new
 from khep_twin.errors import LogError
 from khep_twin.files import unusable, write_whole
 
-LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.")]
+LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
 
 
 def export(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from khep_twin.cli_completion import controllers, playpens, ports
 from khep_twin.cli_fast import check_fast, run_fast
 from khep_twin.cli_options import (
     OF_A_TWIN,
@@ -53,11 +54,19 @@ _OF_A_TWIN = OF_A_TWIN | {"picture", "start", "lighting", "without_lamp"}
 def run(
     context: typer.Context,
     controller: Annotated[
-        str, typer.Argument(help="A built-in controller (braitenberg), or FILE.py[:NAME].")
+        str,
+        typer.Argument(
+            help="A built-in controller (braitenberg), or FILE.py[:NAME].", autocompletion=controllers
+        ),
     ] = "braitenberg",
-    playpen: Annotated[str, typer.Option(help="Playpen of the twin: a shipped name, or a path.")] = "default",
+    playpen: Annotated[
+        str, typer.Option(help="Playpen of the twin: a shipped name, or a path.", autocompletion=playpens)
+    ] = "default",
     port: Annotated[
-        str | None, typer.Option(help="Port of a robot or a served twin; without, a twin in this process.")
+        str | None,
+        typer.Option(
+            help="Port of a robot or a served twin; without, a twin in this process.", autocompletion=ports
+        ),
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="End after this time [s]; 60 by default.")] = None,
     cycles: Annotated[int | None, typer.Option(help="End after so many cycles.")] = None,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.cli_completion import ports
 from khep_twin.cli_options import Force, check_new
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
@@ -30,7 +31,8 @@ def sense(
         str | None,
         typer.Argument(
             help="Port of a robot or a twin, such as /dev/ttyUSB0 or khep://default; without, earlier runs "
-            "are drawn."
+            "are drawn.",
+            autocompletion=ports,
         ),
     ] = None,
     what: Annotated[

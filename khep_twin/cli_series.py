@@ -53,7 +53,7 @@ def series(
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(help="Of what.")],
+    kind: Annotated[Kind, typer.Argument(help="Kind of template.")],
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="Where to write it.")],
     force: Force = False,
 ) -> None:

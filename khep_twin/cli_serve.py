@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.cli_completion import ports
 from khep_twin.cli_options import (
     OF_A_TWIN,
     Battery,
@@ -78,7 +79,10 @@ def serve(
     unpaced: Annotated[bool, typer.Option("--unpaced", help="Let bytes cross the line in no time.")] = False,
     through: Annotated[
         str | None,
-        typer.Option(help="Serve the robot at this port instead of a twin: all is passed on, and logged."),
+        typer.Option(
+            help="Serve the robot at this port instead of a twin: all is passed on, and logged.",
+            autocompletion=ports,
+        ),
     ] = None,
     strict_line: Annotated[
         bool, typer.Option("--strict-line", help="Garble the bytes of a host at another speed.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.cli_completion import studies
 from khep_twin.cli_options import complain, usage
 from khep_twin.cli_progress import clock, progress
 from khep_twin.invocation import command
@@ -21,7 +22,9 @@ SECONDS_BETWEEN_LINES = 60.0
 
 
 def sweep(
-    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="What to go through.")],
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY.toml", help="What to go through.", autocompletion=studies)
+    ],
     ray: Annotated[
         bool, typer.Option("--ray", help="On Ray, in processes that may die; without, in threads.")
     ] = False,

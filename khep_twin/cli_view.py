@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli_completion import logs as known_logs
 from khep_twin.cli_options import usage
 from khep_twin.errors import LogError
 from khep_twin.files import unusable
@@ -13,7 +14,10 @@ from khep_twin.invocation import command
 
 def view(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG", help="A log, FILE.mcap, or several to compare.")
+        list[Path],
+        typer.Argument(
+            metavar="LOG", help="A log, FILE.mcap, or several to compare.", autocompletion=known_logs
+        ),
     ],
     save: Annotated[
         Path | None, typer.Option(help="Write a rerun recording, FILE.rrd, instead of opening it.")

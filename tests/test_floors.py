@@ -58,7 +58,7 @@ FLOORS = [
     ["ports", "host", "log"],
     ["lab", "scale"],
     ["web"],
-    ["cli_options", "cli_progress"],
+    ["cli_completion", "cli_options", "cli_progress"],
     [
         "cli",
         "cli_design",
