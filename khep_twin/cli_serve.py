@@ -38,6 +38,7 @@ from khep_twin.cli_options import (
 )
 from khep_twin.cli_playpen import PlaypenName
 from khep_twin.errors import PortError
+from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.ports.cable import Cable
@@ -153,14 +154,16 @@ def serve(
 
             window = stack.enter_context(closing(MujocoViewer(real_time=False)))
             window.watch(twin.world)
-        with _listed(cables, f"twin in {playpen}"):
-            _announce(cables, ready_fd)
+        what = f"twin in {playpen}"
+        with _listed(cables, what):
+            _announce(cables, ready_fd, what)
             pacer = serve_twin(twin, cables, factor, stop=stop, tell=complain)
         dropped = sum(cable.dropped for cable in cables)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
     _tell_served(twin.world.time_ns, dropped)
     check_log(twin.recorder, carry_on)
+    _tell_log(log)
 
 
 def _relay(
@@ -194,12 +197,14 @@ def _relay(
             recorder = LineRecorder(log, {"through": through, "baud": baud}, now, carry_on=told)
             stack.enter_context(closing(recorder))
         tell_kept(recorder)
-        stack.enter_context(_listed(cables, f"robot at {through}"))
-        _announce(cables, ready_fd)
+        what = f"robot at {through}"
+        stack.enter_context(_listed(cables, what))
+        _announce(cables, ready_fd, what)
         relay(device, cables[0], recorder, stop=stop, tell=complain)
         duration_ns, dropped = now(), cables[0].dropped
     _tell_served(duration_ns, dropped)
     check_log(recorder, carry_on)
+    _tell_log(log)
 
 
 @contextmanager
@@ -222,8 +227,15 @@ def _tell_served(duration_ns: int, dropped: int) -> None:
         typer.echo(f"{dropped} bytes dropped that no host took", err=True)
 
 
-def _announce(cables: Sequence["Cable"], descriptor: int | None) -> None:
-    """Says what hosts open, on standard output and to whoever waits at a descriptor."""
+def _tell_log(log: Path | None) -> None:
+    """Says where the log is, if there is one."""
+    if log is not None:
+        typer.echo(f"log      {log}      look at it: {command('view', log)}", err=True)
+
+
+def _announce(cables: Sequence["Cable"], descriptor: int | None, what: str) -> None:
+    """Says what is served, and what hosts open: on standard output and to whoever waits at a descriptor."""
+    complain(f"serving a {what}; hosts open what the next lines name; Ctrl-C ends it")
     paths = "".join(f"{cable.path}\n" for cable in cables)
     typer.echo(paths, nl=False)
     if descriptor is None:

@@ -50,6 +50,7 @@ def sweep(
     """Leads all the lives of a study and keeps each one's results once, in a Parquet table."""
     from khep_twin.scale import study as studies
     from khep_twin.scale.life import SlowerWarning, is_compiled
+    from khep_twin.scale.results import summary
     from khep_twin.scale.sweep import here, run_sweep
     from khep_twin.scale.sweep_tasks import work_of
 
@@ -102,7 +103,9 @@ def sweep(
     except KeyboardInterrupt:
         complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
         raise typer.Exit(130) from None
-    typer.echo(f"results  {table}")
+    for line in summary(table):
+        typer.echo(line)
+    typer.echo(f"results  {table}      read it: pyarrow.parquet.read_table({str(table)!r})")
 
 
 def _again(

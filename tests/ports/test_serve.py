@@ -17,6 +17,7 @@ import serial
 
 from khep_twin import playpen
 from khep_twin.host import Khepera
+from khep_twin.invocation import command
 from khep_twin.log.reader import read
 
 
@@ -212,7 +213,12 @@ def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp
             port.readline()
         code, errors = stop(process, how)
     assert code == 0
-    assert "s served" in errors
+    begun, *_, ended, where = errors.splitlines()
+    assert (
+        begun == "khep-twin: serving a twin in default; hosts open what the next lines name; Ctrl-C ends it"
+    )
+    assert "s served" in ended
+    assert where == f"log      {log}      look at it: {command('view', log)}"
     assert not os.path.lexists(link)
     transcript = [line.text for line in read(log).robots["khepera0"].serial]
     assert transcript == ["B", "b,5.02,5.01"]

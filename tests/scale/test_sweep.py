@@ -17,8 +17,10 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 from test_study import STUDY, loaded
+from typer.testing import CliRunner
 from worker_kills import trial
 
+from khep_twin.cli import app
 from khep_twin.errors import KhepTwinError, MissingExtraError, StudyError
 from khep_twin.invocation import command
 from khep_twin.scale import ray_workers
@@ -88,6 +90,23 @@ def test_every_life_is_in_the_table_once_with_what_it_was(tmp_path: Path) -> Non
     ]
     assert all(row["distance_m"] > 0 and row["failure"] is None for row in rows)
     assert not (tmp_path / "out" / "parts").exists()
+
+
+def test_a_sweep_ends_with_its_means_and_where_they_are_from(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(STEER)
+    (tmp_path / "study.toml").write_text(STUDY + MORE)
+    ended = CliRunner().invoke(app, ["sweep", str(tmp_path / "study.toml")])
+    assert ended.exit_code == 0, ended.output
+    _, lives, *means, results = ended.stdout.splitlines()
+    assert lives == "24 lives, 0 failed; means:"
+    assert [line.split()[:2] for line in means] == [
+        ["default", name] for name in ("braitenberg", "drawn", "mine")
+    ]
+    table = tmp_path / "out" / "results.parquet"
+    assert results.startswith(f"results  {table}      read it: ")
+    rows = [row for row in pq.read_table(table).to_pylist() if row["controller"] == "mine"]
+    mean = sum(row["distance_m"] for row in rows) / len(rows)
+    assert means[2].endswith(f"distance_m {mean:.4g}")
 
 
 def test_tasks_of_any_size_and_any_number_of_threads_give_the_same_lives(tmp_path: Path) -> None:
