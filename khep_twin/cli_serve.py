@@ -60,8 +60,8 @@ def serve(
         str | None,
         typer.Option(
             metavar="PATH",
-            help="Make this link to the pseudo-terminal. NAME alone lies in a private directory, "
-            "$XDG_RUNTIME_DIR/khep_twin, ./NAME in this one. The path to open is printed.",
+            help="Make this link to the pseudo-terminal; the path to open is printed. NAME alone lies in a "
+            "private directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME lies in the current directory.",
         ),
     ] = None,
     tcp: Annotated[

@@ -100,6 +100,21 @@ def test_replies_of_several_lines_leave_line_by_line() -> None:
     assert b"".join(pieces).endswith(b"Serial Communication Protocol\r\nb,5.02,5.01\r\nh,0,0\r\n")
 
 
+def test_queued_replies_leave_one_by_one() -> None:
+    with served("default", "--tcp", ":0") as (_, url):
+        host, _, number = url.partition("://")[2].rpartition(":")
+        with socket.create_connection((host, int(number)), timeout=5) as port:
+            for _ in range(5):  # until the machine is idle enough not to be late by a whole reply
+                port.sendall(b"N\nO\nH\nK\n")
+                pieces = [port.recv(1000)]
+                while not pieces[-1].endswith(b"k,1,0,0,1,0,0\r\n"):
+                    pieces.append(port.recv(1000))
+                assert all(piece.endswith(b"\r\n") for piece in pieces)
+                if [piece[:1] for piece in pieces] == [b"n", b"o", b"h", b"k"]:
+                    return
+    pytest.skip("the machine was late by a whole reply five times")
+
+
 def test_an_unpaced_reply_leaves_in_one_piece() -> None:
     with served("default", "--tcp", ":0", "--unpaced") as (_, url):
         host, _, number = url.partition("://")[2].rpartition(":")
