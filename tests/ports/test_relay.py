@@ -106,8 +106,9 @@ def test_a_robot_that_goes_is_told_of_and_the_log_is_whole(tmp_path: Path) -> No
             process.wait(5)
         _, errors = process.communicate()
     assert process.returncode == 1
-    assert f"khep-twin: {robot}: the robot's port failed" in errors
-    assert len(errors.splitlines()) == 1
+    begun, failed = errors.splitlines()
+    assert begun.startswith(f"khep-twin: serving a robot at {robot}; ")
+    assert failed.startswith(f"khep-twin: {robot}: the robot's port failed")
     assert [line.text for line in read(log).robots["khepera0"].serial] == ["B", "b,5.02,5.01"]
 
 
