@@ -141,16 +141,16 @@ def test_a_line_that_never_ends_leaves_after_a_moment_and_a_long_one_at_once() -
         socket.create_connection(("127.0.0.1", int(server.path.rpartition(":")[2])), timeout=5) as host,
     ):
         while not server.occupied:
-            server.look()
+            server.receive(0)
         server.write(b"b,5.02\r\nh,1")
         assert host.recv(1000) == b"b,5.02\r\n"
-        server.look()
+        server.receive(0)
         host.settimeout(0.01)
         with pytest.raises(TimeoutError):
             host.recv(1000)
         host.settimeout(5)
         time.sleep(SILENCE * 1.1)
-        server.look()
+        server.receive(0)
         assert host.recv(1000) == b"h,1"
         server.write(b"x" * LONGEST_LINE)
         assert host.recv(1000) == b"x" * LONGEST_LINE
@@ -239,7 +239,7 @@ def test_bytes_that_no_host_takes_are_counted() -> None:
     host, _, number = port.path.removeprefix("socket://").rpartition(":")
     with socket.create_connection((host, int(number))):
         time.sleep(0.05)
-        port.look()
+        port.receive(0)
         for _ in range(10_000):
             port.write(bytes(1000))
         assert port.dropped > 1_000_000
