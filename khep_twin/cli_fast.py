@@ -22,7 +22,6 @@ KNOWN = {
     "seconds",
     "cycles",
     "fast",
-    "force",
     "period",
     "step",
     "planar",

@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from khep_twin.cli_completion import logs, ports
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.clock import NS_PER_S
 
@@ -25,12 +24,11 @@ def recover(
 
 
 def repeat(
-    log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.", autocompletion=logs)],
+    log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.")],
     port: Annotated[
         str | None,
         typer.Option(
-            help="Send the log's host bytes to this robot or twin instead, and compare its replies.",
-            autocompletion=ports,
+            help="Send the log's host bytes to this robot or twin instead, and compare its replies."
         ),
     ] = None,
 ) -> None:

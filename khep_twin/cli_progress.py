@@ -1,39 +1,24 @@
 """The command line's progress bar."""
 
-import time
+import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
-from khep_twin.status_line import status_line
-
-_WIDTH = 36
+import typer
 
 
 @contextmanager
 def progress() -> Generator[Callable[[float], None] | None, None, None]:
-    """Show a bar at the bottom of the terminal; nothing where standard error is not a terminal.
+    """A bar on the terminal, for runs of more than a second; nothing where nobody looks.
 
-    Yields a function that takes the share of the work that is done, 0 to 1. The bar is erased at the end.
+    Yields what is told the part that is done, 0 to 1.
     """
-    with status_line() as line:
-        if line is None:
-            yield None
-            return
-        begin = time.monotonic()
+    if not sys.stderr.isatty():
+        yield None
+        return
+    with typer.progressbar(length=1000, label="running", file=sys.stderr) as bar:
 
         def show(part: float) -> None:
-            elapsed = time.monotonic() - begin
-            bar = "#" * int(part * _WIDTH)
-            left = f"  {clock(elapsed * (1 - part) / part)} left" if part and elapsed > 1 else ""
-            text = f"running  [{bar:-<{_WIDTH}}]  {part:4.0%}{left}"
-            if text != line.text:
-                line.show(text)
+            bar.update(int(part * 1000) - bar.pos)
 
-        show(0.0)
         yield show
-
-
-def clock(seconds: float) -> str:
-    """Return a duration as hours:minutes:seconds."""
-    whole = round(seconds)
-    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"

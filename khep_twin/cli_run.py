@@ -6,21 +6,18 @@ import select
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import asdict
-from hashlib import sha256
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from khep_twin.cli_completion import controllers, playpens, ports
 from khep_twin.cli_fast import check_fast, run_fast
 from khep_twin.cli_options import (
     OF_A_TWIN,
     Battery,
     CarryOn,
     Faults,
-    Force,
     Log,
     Mode,
     Model,
@@ -30,23 +27,21 @@ from khep_twin.cli_options import (
     Seed,
     Spread,
     Switch,
-    Viewer,
     check_body,
     check_carry_on,
     given,
+    program,
     running_mode,
     usage,
 )
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_run_logs import RunLogs, check_picture
 from khep_twin.errors import ControllerError
-from khep_twin.invocation import command
 
 if TYPE_CHECKING:
-    from khep_twin.lab.controller_source import Source
     from khep_twin.lab.series import Bench, Run
     from khep_twin.playpen import Playpen
-    from khep_twin.ports.twin import Twin, TwinOptions
+    from khep_twin.ports.twin import TwinOptions
 
 _OF_A_TWIN = OF_A_TWIN | {"picture", "start", "lighting", "without_lamp"}
 
@@ -54,19 +49,11 @@ _OF_A_TWIN = OF_A_TWIN | {"picture", "start", "lighting", "without_lamp"}
 def run(
     context: typer.Context,
     controller: Annotated[
-        str,
-        typer.Argument(
-            help="A built-in controller (braitenberg), or FILE.py[:NAME].", autocompletion=controllers
-        ),
+        str, typer.Argument(help="A built-in controller (braitenberg), or FILE.py[:NAME].")
     ] = "braitenberg",
-    playpen: Annotated[
-        str, typer.Option(help="Playpen of the twin: a shipped name, or a path.", autocompletion=playpens)
-    ] = "default",
+    playpen: Annotated[str, typer.Option(help="Playpen of the twin: a shipped name, or a path.")] = "default",
     port: Annotated[
-        str | None,
-        typer.Option(
-            help="Port of a robot or a served twin; without, a twin in this process.", autocompletion=ports
-        ),
+        str | None, typer.Option(help="Port of a robot or a served twin; without, a twin in this process.")
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="End after this time [s]; 60 by default.")] = None,
     cycles: Annotated[int | None, typer.Option(help="End after so many cycles.")] = None,
@@ -108,8 +95,6 @@ def run(
     fault: Faults = None,
     log: Log = None,
     carry_on: CarryOn = False,
-    viewer: Viewer = False,
-    force: Force = False,
     fast: Annotated[
         bool,
         typer.Option(
@@ -140,7 +125,8 @@ def run(
     """Runs a controller on a twin or a robot, once or in a series."""
     from khep_twin.host import Khepera
     from khep_twin.lab.controller_source import source_of
-    from khep_twin.lab.experiment import call, find_after, find_controller
+    from khep_twin.lab.controllers import LoopingController
+    from khep_twin.lab.experiment import call_after, find_after, find_controller
     from khep_twin.lab.series import OneRobot, Plan, run_series
     from khep_twin.lab.series_files import SeriesFolder
     from khep_twin.ports.stopping import stopping
@@ -183,21 +169,24 @@ def run(
         return
     found = find_controller(controller)
     user_function = None if after is None else find_after(after, found)
+    if isinstance(found, LoopingController):
+        # Its own loops count cycles; the toolbox's windows begin at 500.
+        cycles = 500 if cycles is None and seconds is None else cycles
+        options = replace(options, unpaced=found.unpaced)
     plan = Plan(runs, cycles, 60.0 if seconds is None and cycles is None else seconds, pause)
     source = source_of(found)
     logs = RunLogs(log, picture, carry_on, source)
-    # A run that was interrupted has left its log whole, and is run again.
-    logs.check_new(runs if start else None, force or resume)
     done: list[Run] = []
     with ExitStack() as stack:
         if port is not None:
             bench: Bench = OneRobot(stack.enter_context(Khepera(port)))
             settings: dict[str, Any] = {"port": port}
         else:
-            scene = _scene(playpen, lighting, without_lamp or [])
-            begin = _beginning(stack, logs, viewer)
-            bench, settings = _twins(stack, scene, options, start or [], runs, begin)
-        settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": pause, **_identity(source)}
+            own = found.playpen if isinstance(found, LoopingController) else None
+            chosen = playpen if own is None or "playpen" in given(context) else own
+            scene = _scene(chosen, lighting, without_lamp or [])
+            bench, settings = _twins(stack, scene, options, start or [], runs, logs)
+        settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": pause, **source.identity}
         folder = None if save is None else SeriesFolder(save, settings, resume=resume)
         asked = stack.enter_context(stopping())
 
@@ -217,13 +206,13 @@ def run(
         for each in stack.enter_context(closing(series)):
             done.append(each)
             is_new = folder is None or folder.keep(each)
-            typer.echo(_line(each, runs, is_new))
+            typer.echo(each.line(runs) + ("" if is_new else "  as before"))
             if user_function is not None and is_new:
-                call(user_function, each)
+                call_after(user_function, each)
         stopped = asked() and (not done or done[-1].number < runs)
     logs.finish()
     if folder is not None:
-        typer.echo(f"series   {folder.path}      look at it: {command('series', folder.path)}")
+        typer.echo(f"series   {folder.path}      look at it: {program()} series {folder.path}")
     if stopped:
         rest = f"; {len(folder.rows)} of {runs} runs are kept, go on with --resume" if folder else ""
         typer.echo(f"khep-twin: stopped before its end{rest}", err=True)
@@ -236,7 +225,7 @@ def _twins(
     options: "TwinOptions",
     wishes: Sequence[str],
     runs: int,
-    begin: "Callable[[Twin, int | None], None]",
+    logs: RunLogs,
 ) -> "tuple[Bench, dict[str, Any]]":
     """Twins in this process, and what makes them what they are: one for all runs, or with starts new ones."""
     from khep_twin.host import Khepera
@@ -253,44 +242,23 @@ def _twins(
     settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wishes, **versions()}
     if wishes:
         places = starts(wishes, scene, options.robot or 0, runs, options.seed)
-        return NewTwins(scene, options, places, begin), settings
+        return NewTwins(scene, options, places, logs.record), settings
     khepera = Khepera(Serial.of(open_twin(scene, options), timeout=1.0))
-    return OneRobot(stack.enter_context(khepera), lambda twin: begin(twin, None)), settings
+    return OneRobot(stack.enter_context(khepera), logs.record), settings
 
 
-def _beginning(stack: ExitStack, logs: RunLogs, viewer: bool) -> "Callable[[Twin, int | None], None]":
-    """Return what is done with each twin before it runs: log it, and show it where that is wanted."""
-    if not viewer:
-        return logs.record
-    from khep_twin.mujoco_viewer import MujocoViewer
-
-    window = stack.enter_context(closing(MujocoViewer(real_time=True)))
-
-    def begin(twin: "Twin", number: int | None) -> None:
-        logs.record(twin, number)
-        window.watch(twin.world)
-
-    return begin
-
-
-def _scene(playpen: str, lighting: str | None, without_lamp: Sequence[str]) -> "Playpen":
+def _scene(playpen: "str | Playpen", lighting: str | None, without_lamp: Sequence[str]) -> "Playpen":
     """The playpen with the lamps that are wanted."""
     from khep_twin.lab.setting import lit, numbers, without_nearest_lamp
     from khep_twin.playpen import load
 
-    scene = lit(load(playpen), lighting)
+    scene = lit(load(playpen) if isinstance(playpen, str) else playpen, lighting)
     for wish in without_lamp:
         place = numbers(wish, 2)
         if place is None:
             raise usage(f"--without-lamp {wish}: right is X,Y in mm, such as 50,450")
         scene = without_nearest_lamp(scene, *place)
     return scene
-
-
-def _identity(source: "Source") -> dict[str, str]:
-    """What tells a controller from another one: its name and its source."""
-    text = "".join(f"{name}\0{text}" for name, text in sorted(source.attachments.items()))
-    return {**source.facts, "controller_source": f"sha256 {sha256(text.encode('utf-8')).hexdigest()}"}
 
 
 def _check_save(save: Path | None, resume: bool, log: Path | None) -> None:
@@ -314,15 +282,3 @@ def _confirm(number: int, stop: Callable[[], bool]) -> None:
             entered = os.read(sys.stdin.fileno(), 1)
             if not entered:
                 raise ControllerError(f"--confirm: the input ended before run {number}; right is a terminal")
-    # A terminal has shown the Enter itself.
-    typer.echo("\r" if sys.stdin.isatty() else "\n", nl=False, err=True)
-
-
-def _line(run: "Run", runs: int, is_new: bool) -> str:
-    """A run in a line."""
-    told = f"{run.cycles} cycles in {run.duration:.1f} s"
-    if runs == 1:
-        return told
-    shown = [f"{name} {run.numbers[name]:.3g}" for name in ("fitness", "distance_m") if name in run.numbers]
-    again = [] if is_new else ["as before"]
-    return "  ".join([f"run {run.number:3d}", told, *shown, *again])

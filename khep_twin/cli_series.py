@@ -6,16 +6,15 @@ from typing import Annotated
 
 import typer
 
-from khep_twin.cli_options import Force, check_new, usage
+from khep_twin.cli_options import program, usage
 from khep_twin.errors import ControllerError
-from khep_twin.files import write_whole
-from khep_twin.invocation import command
 
 
 class Kind(StrEnum):
     """What a template can be of."""
 
     CONTROLLER = "controller"
+    TOOLBOX = "toolbox"
 
 
 def series(
@@ -53,16 +52,16 @@ def series(
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(help="Kind of template.")],
+    kind: Annotated[
+        Kind, typer.Argument(help="Of what: a controller, or one in the Khepera Toolbox's form.")
+    ],
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="Where to write it.")],
-    force: Force = False,
 ) -> None:
     """Writes a commented template to begin with."""
-    from importlib.resources import files
+    from khep_twin.lab.controllers import write_template
 
     if file.suffix != ".py":
         raise usage(f"{file}: right is a name that ends in .py")
-    check_new(force, file)
-    write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes())
-    run = command("run", file, "--playpen", "obstacles", "--seconds", 20)
-    typer.echo(f"{kind}  {file}      run it: {run}")
+    write_template(kind.value, file)
+    length = "--seconds 20" if kind is Kind.CONTROLLER else "--cycles 500"
+    typer.echo(f"{kind}  {file}      run it: {program()} run {file} --playpen obstacles {length}")

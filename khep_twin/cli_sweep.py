@@ -1,5 +1,6 @@
 """`khep-twin sweep`: a study's lives, here or on Ray, each result once in one Parquet table."""
 
+import shlex
 import sys
 import time
 import warnings
@@ -9,10 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli_completion import studies
-from khep_twin.cli_options import complain, usage
-from khep_twin.cli_progress import clock, progress
-from khep_twin.invocation import command
+from khep_twin.cli_options import complain, program, usage
+from khep_twin.cli_progress import progress
 
 if TYPE_CHECKING:
     from khep_twin.scale.sweep_tasks import Task, Work
@@ -22,9 +21,7 @@ SECONDS_BETWEEN_LINES = 60.0
 
 
 def sweep(
-    study: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="What to go through.", autocompletion=studies)
-    ],
+    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="What to go through.")],
     ray: Annotated[
         bool, typer.Option("--ray", help="On Ray, in processes that may die; without, in threads.")
     ] = False,
@@ -50,7 +47,6 @@ def sweep(
     """Leads all the lives of a study and keeps each one's results once, in a Parquet table."""
     from khep_twin.scale import study as studies
     from khep_twin.scale.life import SlowerWarning, is_compiled
-    from khep_twin.scale.results import summary
     from khep_twin.scale.sweep import here, run_sweep
     from khep_twin.scale.sweep_tasks import work_of
 
@@ -101,11 +97,10 @@ def sweep(
 
             table = run_sweep(file, output=output, resume=resume, doers=doers, begin=begin, progress=tell)
     except KeyboardInterrupt:
-        complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
+        again = shlex.join(_again(study, ray, address, workers, output))
+        typer.echo(f"khep-twin: stopped; go on: {program()} {again}", err=True)
         raise typer.Exit(130) from None
-    for line in summary(table):
-        typer.echo(line)
-    typer.echo(f"results  {table}      read it: pyarrow.parquet.read_table({str(table)!r})")
+    typer.echo(f"results  {table}")
 
 
 def _again(
@@ -129,5 +124,8 @@ class _Lines:
         if now - self._last < SECONDS_BETWEEN_LINES:
             return
         self._last = now
-        left = clock((now - self._start) * (total - done) / done)
-        print(f"{done} of {total} lives, {left} left", file=sys.stderr)
+        left = round((now - self._start) * (total - done) / done)
+        print(
+            f"{done} of {total} lives, {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left",
+            file=sys.stderr,
+        )

@@ -176,7 +176,7 @@ def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
     assert process.returncode == 130, errors
     kept = len(rows(tmp_path / "series"))
     assert errors == f"khep-twin: stopped before its end; {kept} of 40 runs are kept, go on with --resume\n"
-    assert "khep-twin series series" in output
+    assert "look at it: khep-twin series series" in output
     log = read(sorted(tmp_path.glob("run*.mcap"))[-1])
     # The last setpoints of the log are those of motors that stand.
     assert [line.text for line in log.robots["khepera0"].serial if line.text.startswith("D")][-1] == "D,0,0"
@@ -397,7 +397,7 @@ def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
         (("--start", "playpen", "--robot", "3"), "robot = 3: not in playpen 'default'; (choices: 0)"),
         (("--lighting", "dark"), "lighting 'dark': unknown; (choices: all, random, sequenced, off)"),
         (("--without-lamp", "1"), "--without-lamp 1: right is X,Y in mm, such as 50,450"),
-        (("--without-lamp", "1,1"), "default: no lamp is left that could be taken away"),
+        (("--without-lamp", "1,1"), "default: no lamp is left; expected one to take away or move"),
         (
             ("--port", "khep://default", "--start", "random"),
             "--start is for a twin in this process, not for one",
@@ -412,7 +412,7 @@ def test_a_mistake_is_one_line(words: Sequence[str], line: str, tmp_path: Path) 
 
 
 def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
-    assert "khep-twin run mine.py" in good("new", "controller", "mine.py", folder=tmp_path)
+    assert "run it: khep-twin run mine.py" in good("new", "controller", "mine.py", folder=tmp_path)
     good("run", "mine.py", "--playpen", "obstacles", "--seconds", "20", "--save", "s", folder=tmp_path)
     assert int(rows(tmp_path / "s")[0]["turns"]) >= 1
     assert complaint("new", "controller", "mine.py", folder=tmp_path).startswith("mine.py: is there already")
@@ -446,3 +446,80 @@ def test_starts_have_room_for_the_body_that_is_run(tmp_path: Path) -> None:
     words = ("run", "--start", "29,250,0", "--seconds", "0.1")
     assert run(*words, folder=tmp_path).returncode == 0
     assert "start 29,250,0" in run(*words, "--model", "khepera2", folder=tmp_path).stderr
+
+
+TOOLBOX = """
+from khep_twin.lab.toolbox import *
+btmap1 = open_custom("two-lamps", noise=False)
+total = 0
+def brait(port_id, cycles_per_run, runs, pause_stat):
+    global total
+    run_count = 0
+    while run_count < runs:
+        cycle_count = 0
+        while cycle_count < cycles_per_run:
+            near = max(rps(2))
+            sms(port_id, 5, -5 if near > 300 else 5)
+            cycle_count = cycle_count + 1
+            total = total + 1
+        run_count = run_count + 1
+    return near, port_id
+def samp(port_id, cycles_per_run, runs, pause_stat):
+    for run in range(runs):
+        for cycle in range(cycles_per_run):
+            sim_sms(2, 5, 5)
+            light = sim_rls(2)
+            step()
+def step():
+    kheprom(btmap1)
+def user1():
+    print("user1")
+def user2(near, total):
+    print("user2", near, total)
+"""
+
+
+def test_a_function_in_the_toolboxs_form_is_run_in_a_series(tmp_path: Path) -> None:
+    (tmp_path / "tb.py").write_text(TOOLBOX)
+    words = (*ACROSS, "--pause", "1", "--save", "kept", "--after", "tb.py:user2", "--log", "run.mcap")
+    told = good("run", "tb.py:brait", *words, folder=tmp_path)
+    kept = rows(tmp_path / "kept")
+    assert [row["total"] for row in kept] == ["60", "120", "180", "240"]
+    assert [row["cycle_count"] for row in kept] == ["60"] * 4
+    assert all(float(row["fitness"]) > 0 for row in kept)
+    assert [f"user2 {row['near']} {row['total']}" in told for row in kept] == [True] * 4
+    variables = loadmat(tmp_path / "kept" / "run-002.mat")
+    assert variables["near"].item() == variables["var1"].item()
+    texts = [line.text for line in read(tmp_path / "run.mcap").events]
+    assert [text for text in texts if text.startswith("run 2")] == ["run 2 begins", "run 2 ends"]
+    assert good("run", "tb.py:brait", *words, "--resume", folder=tmp_path).count("as before") == 4
+
+
+def test_a_function_for_the_toolboxs_simulator_is_run_in_its_own_playpen_or_another(tmp_path: Path) -> None:
+    (tmp_path / "tb.py").write_text(TOOLBOX)
+    told = good(
+        "run", "tb.py:samp", "--cycles", 40, "--save", "own", "--after", "tb.py:user1", folder=tmp_path
+    )
+    assert "40 cycles in 2.0 s" in told
+    assert "user1" in told
+    # The lamps of two-lamps are seen; in the dark default there are none.
+    good("run", "tb.py:samp", "--cycles", 40, "--save", "dark", "--playpen", "default", folder=tmp_path)
+    own, dark = (loadmat(tmp_path / name / "run-001.mat")["light"].min() for name in ("own", "dark"))
+    assert own < dark - 20
+    told = complaint("run", "tb.py:samp", "--seconds", 5, folder=tmp_path)
+    assert "samp: counts its cycles; expected cycles, no seconds" in told
+
+
+def test_a_function_in_the_toolboxs_form_is_stopped_in_the_middle_of_its_run(tmp_path: Path) -> None:
+    (tmp_path / "tb.py").write_text(TOOLBOX)
+    words = ("tb.py:brait", "--cycles", 800, "--runs", 500, "--save", "series")
+    with begun(tmp_path, *words) as process:
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "runs are kept" in errors
+
+
+def test_a_template_in_the_toolboxs_form_runs_as_it_stands(tmp_path: Path) -> None:
+    assert "--cycles 500" in good("new", "toolbox", "mine.py", folder=tmp_path)
+    assert "30 cycles" in good("run", "mine.py:name", "--cycles", 30, folder=tmp_path)

@@ -1,9 +1,11 @@
 """Bars of sensors and motors, the same wherever they are drawn."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from khep_twin.log import khepbase
+from khep_twin.log.khepbase import Samples, panel_chunks
 from khep_twin.sensor_bars import BARS
 
 
@@ -25,5 +27,12 @@ def test_a_bar_is_filled_by_its_value(name: str, value: float, part: float) -> N
 
 
 def test_a_recorded_bar_of_light_is_full_in_the_dark_and_short_where_it_is_bright() -> None:
-    parts = khepbase._filled("light", np.array([[500.0, 50.0], [0.0, 250.0]]))
-    assert parts == pytest.approx(np.array([[1, 0.1], [0, 0.5]]))
+    counts = np.full((1, 8), 500.0)
+    counts[0, 3] = 50
+    track = Samples(np.array([0]), np.zeros((1, 8)), counts, np.zeros((1, 2)))
+    chunks = panel_chunks("khepera0", track, "time")
+    (light,) = (chunk for chunk in chunks if chunk.entity_path.endswith("/light"))
+    halves: Any = light.to_record_batch()["Boxes2D:half_sizes"][0].as_py()
+    heights = [half[1] for half in halves]
+    assert heights[3] == pytest.approx(0.1 * heights[0], rel=1e-5)
+    assert heights[0] == pytest.approx(max(heights))

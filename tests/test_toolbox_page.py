@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from khep_twin import playpen as playpens
 from khep_twin.cli import app
 from khep_twin.host import toolbox as host
-from khep_twin.lab import toolbox, toolbox_figures, toolbox_khepbase
+from khep_twin.lab import toolbox, toolbox_figures, toolbox_khepbase, toolbox_roborunner
 
 TESTS = Path(__file__).parent
 PAGE = (TESTS.parent / "docs" / "toolbox.md").read_text()
@@ -59,29 +59,29 @@ def test_every_command_that_the_page_names_is_there() -> None:
 
 
 def test_the_names_of_the_toolbox_are_all_importable() -> None:
-    windows = {"play_pen", "roborun2", "template"}
-    by_themselves = {"user1", "getstat", "plotrun"}
-    names = set(FUNCTIONS) - windows - by_themselves
-    assert not [name for name in names if not callable(getattr(toolbox, name, None))]
+    assert not [name for name in FUNCTIONS if not callable(getattr(toolbox, name, None))]
     assert not [name for name in FUNCTIONS[:13] if getattr(host, name) is not getattr(toolbox, name)]
 
 
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", range(6))
 def test_the_programs_on_the_page_run(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(toolbox_khepbase, "show", lambda figure, title: False)
     monkeypatch.setattr(toolbox_figures, "show", lambda figure, title: False)
+    monkeypatch.setattr(toolbox_roborunner, "show", lambda figure, title: False)
     program = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[number]
     try:
-        exec(compile(program, "docs/toolbox.md", "exec"), {})
+        exec(compile(program, "docs/toolbox.md", "exec"), {"__name__": "__main__"})
     finally:
         host.ports({})
         toolbox.close_playpen()
         toolbox_khepbase._views.clear()
         toolbox_figures._graphs.clear()
-    assert capsys.readouterr().out.startswith("[") == (number in (1, 2))
+    told = capsys.readouterr().out
+    assert told.startswith("[") == (number in (1, 2))
+    assert told.count("last speeds") == 3 * (number == 3)
 
 
 def test_the_playpens_of_the_page_ship() -> None:

@@ -10,7 +10,6 @@ served twin.
 import ast
 import contextlib
 import io
-import os
 import re
 import runpy
 import shlex
@@ -159,16 +158,13 @@ class Reader:
 
 @contextlib.contextmanager
 def reader(folder: Path) -> Iterator[Reader]:
-    """A reader in a fresh folder, who has activated the environment."""
-    path = os.environ["PATH"]
-    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
+    """A reader in a fresh folder."""
     with contextlib.chdir(folder):
         person = Reader(folder)
         try:
             yield person
         finally:
             person.close()
-            os.environ["PATH"] = path
 
 
 def draw_pictures() -> None:

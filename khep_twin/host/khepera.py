@@ -99,9 +99,14 @@ class Khepera:
         """The port, of pyserial."""
         return self._line.port
 
-    def listen(self, listener: Callable[[str, str], None] | None) -> None:
-        """Lets `listener` hear each request and its reply from now on; None for nobody."""
-        self._line.listener = listener
+    def listen(self, listener: Callable[[str, str], None] | None) -> Callable[[str, str], None] | None:
+        """Let `listener` hear each request and its reply from now on; None for nobody.
+
+        Returns:
+            Who has listened before.
+        """
+        before, self._line.listener = self._line.listener, listener
+        return before
 
     # Time ----------------------------------------------------------------------------------------------
 

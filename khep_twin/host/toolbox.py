@@ -17,7 +17,8 @@ rounded, halves away from zero, as Matlab does.
 import atexit
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from typing import SupportsFloat
 
 import numpy as np
@@ -93,6 +94,28 @@ def robot_at(port_id: Port) -> Khepera:
     if port not in _open:
         _open[port] = Khepera(port)
     return _open[port]
+
+
+@contextmanager
+def lent(robot: Khepera, port_id: int | None = None) -> Generator[int]:
+    """Let the numbers of ports that mean nothing yet mean a robot that is open already, for a while.
+
+    Args:
+        robot: to be meant.
+        port_id: the number that means it in any case.
+
+    Returns:
+        A number that means it: `port_id`, or without it the first one that is free.
+    """
+    before = dict(_chosen)
+    free = [number for number in PORT_IDS if _meaning(number) is None]
+    number = port_id or (free or PORT_IDS)[0]
+    _chosen.update(dict.fromkeys({*free, number}, robot))
+    try:
+        yield number
+    finally:
+        _chosen.clear()
+        _chosen.update(before)
 
 
 # Motors --------------------------------------------------------------------------------------------------
@@ -205,13 +228,17 @@ def _port(port_id: int) -> str | Khepera:
     """What a number stands for."""
     if port_id not in PORT_IDS:
         raise PortError(f"port_id = {port_id!r}: right is 1 to 4, or a port such as '/dev/ttyUSB0'")
-    port = _chosen.get(port_id) or os.environ.get(f"{VARIABLE}{int(port_id)}")
+    port = _meaning(port_id)
     if port is None:
         raise PortError(
             f"port_id = {port_id}: no port is chosen; right is ports({{{port_id}: '/dev/ttyUSB0'}}), or "
             f"{VARIABLE}{port_id}=/dev/ttyUSB0 in the environment"
         )
     return port
+
+
+def _meaning(port_id: int) -> str | Khepera | None:
+    return _chosen.get(port_id) or os.environ.get(f"{VARIABLE}{int(port_id)}")
 
 
 def _whole(command: str, **values: SupportsFloat) -> list[int]:

@@ -5,6 +5,7 @@ import io
 import tokenize
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from hashlib import sha256
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType
@@ -45,6 +46,12 @@ class Source:
 
     facts: Mapping[str, str]
     attachments: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """What tells a controller from another one: its name and a hash of its source."""
+        text = "".join(f"{name}\0{text}" for name, text in sorted(self.attachments.items()))
+        return {**self.facts, "controller_source": f"sha256 {sha256(text.encode('utf-8')).hexdigest()}"}
 
 
 def source_of(controller: AnyController) -> Source:

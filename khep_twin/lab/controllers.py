@@ -6,13 +6,18 @@ done before, between and after.
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.errors import ControllerError
+from khep_twin.files import write_whole
 from khep_twin.host import Khepera
 from khep_twin.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
+from khep_twin.playpen import Playpen
 
 
 class Controller:
@@ -27,7 +32,12 @@ class Controller:
 
     One object is there for a whole series, so what it learns in a run it knows in the next one. What its
     attributes hold at a run's end is kept with the run, but for those whose name begins with "_".
+
+    Attributes:
+        passes_time: what a cycle is expected to do to let time pass, for messages.
     """
+
+    passes_time: ClassVar[str] = "to ask the robot something, or robot.sleep"
 
     def start(self, robot: Khepera) -> None:
         """Called before the first cycle of each run."""
@@ -67,6 +77,34 @@ class FunctionController(Controller):
     def told(self) -> dict[str, Any]:
         """What the function has returned last."""
         return {str(name): value for name, value in self._told.items()}
+
+
+class LoopingController(FunctionController):
+    """A function that goes through the cycles of a run by itself.
+
+    Attributes:
+        unpaced: whether its commands to a twin take no time on the line.
+        playpen: that its file has open, None for no playpen of its own.
+    """
+
+    unpaced = False
+    playpen: Playpen | None = None
+
+    def loop(
+        self, robot: Khepera, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]
+    ) -> int | None:
+        """Go through the cycles of one run.
+
+        Args:
+            robot: what is driven.
+            cycles: how many.
+            end_cycle: is called after each cycle; tells whether to go on.
+            stop: tells whether to end early.
+
+        Returns:
+            The number of cycles, None for a run that was broken off.
+        """
+        raise NotImplementedError
 
 
 AnyController = Controller | Callable[[Khepera], Any]
@@ -110,6 +148,18 @@ def variables(controller: Controller) -> dict[str, Any]:
             if array is not None:
                 found[name] = array.item() if array.ndim == 0 else array
     return found
+
+
+def write_template(kind: Literal["controller", "toolbox"], file: Path) -> None:
+    """Write a commented controller to begin with, as a class or in the Khepera Toolbox's form.
+
+    Raises:
+        ControllerError: the file is there already.
+        KhepTwinError: it cannot be written.
+    """
+    if file.exists():
+        raise ControllerError(f"{file}: is there already; expected another name")
+    write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes())
 
 
 def _plain(value: bool | int | float) -> bool | int | float:

@@ -17,6 +17,7 @@ from khep_twin.lab.controllers import (
     BUILT_IN,
     AnyController,
     Controller,
+    LoopingController,
     as_controller,
     defining,
     name_of,
@@ -68,27 +69,44 @@ def run(
     if (cycles is not None and cycles < 1) or (seconds is not None and not seconds > 0):
         raise ValueError(f"cycles {cycles} and seconds {seconds} must be above 0")
     algorithm = as_controller(controller)
-    start = robot.time
+    asked = stop or (lambda: False)
+    start = before = robot.time
     done = 0
     part = 0.0
+
+    def end_cycle() -> bool:
+        """Count a cycle and tell whether another one is to follow."""
+        nonlocal before, done, part
+        if robot.time == before:
+            raise ControllerError(
+                f"{_source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is "
+                f"{algorithm.passes_time}"
+            )
+        before = robot.time
+        done += 1
+        if after_cycle is not None:
+            after_cycle()
+        by_cycles = done / cycles if cycles else 0.0
+        by_time = (robot.time - start) / seconds if seconds else 0.0
+        part = max(by_cycles, by_time)
+        if progress is not None:
+            progress(min(part, 1.0))
+        return part < 1 and not asked()
+
     try:
         call(algorithm.start, robot)
-        while part < 1 and not (stop is not None and stop()):
-            before = robot.time
-            call(algorithm.cycle, robot)
-            if robot.time == before:
+        if isinstance(algorithm, LoopingController):
+            if cycles is None or seconds is not None:
                 raise ControllerError(
-                    f"{_source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is "
-                    "to ask the robot something, or robot.sleep"
+                    f"{name_of(controller)}: counts its cycles; expected cycles, no seconds"
                 )
-            done += 1
-            if after_cycle is not None:
-                after_cycle()
-            by_cycles = done / cycles if cycles else 0.0
-            by_time = (robot.time - start) / seconds if seconds else 0.0
-            part = max(by_cycles, by_time)
-            if progress is not None:
-                progress(min(part, 1.0))
+            counted = call(algorithm.loop, robot, cycles, end_cycle, asked)
+            done, part = (done, part) if counted is None else (counted, 1.0)
+        else:
+            going = not asked()
+            while going:
+                call(algorithm.cycle, robot)
+                going = end_cycle()
         duration = robot.time - start
         robot.set_speed(0, 0)
         call(algorithm.end, robot)
@@ -150,7 +168,20 @@ def find_controller(name: str) -> AnyController:
         offers = classes  # beside a single class, functions are its tools
     taking = "a robot, and no such subclass of Controller"
     wanted, found = _chosen(path, wanted, offers, "controller", taking)
-    return _made(path, wanted, found) if isinstance(found, type) else _plain(path, wanted, found, "robot")
+    if isinstance(found, type):
+        return _made(path, wanted, found)
+    looping = as_toolbox_form(found)
+    return looping if looping is not found else _plain(path, wanted, found, "robot")
+
+
+def as_toolbox_form(controller: AnyController) -> AnyController:
+    """Make a controller of a function of `port_id, cycles_per_run, runs, pause_stat`; others stay."""
+    if not inspect.isfunction(controller) or len(inspect.signature(controller).parameters) != 4:
+        return controller
+    # Here, as the toolbox's simulator takes its time to load.
+    from khep_twin.lab.toolbox_controller import ToolboxController
+
+    return ToolboxController(controller)
 
 
 def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., Any]:
@@ -176,7 +207,7 @@ def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., An
     return found
 
 
-def find_after(name: str, controller: AnyController) -> Callable[[Any], Any]:
+def find_after(name: str, controller: AnyController) -> Callable[..., Any]:
     """A function that is called with each run, as FILE.py or FILE.py:NAME.
 
     Without NAME, the file's `after` is taken, or its only public function.
@@ -195,7 +226,33 @@ def find_after(name: str, controller: AnyController) -> Callable[[Any], Any]:
     same = module is not None and Path(module.__file__ or "") == path.absolute()
     functions = _functions_of(_offers_of(module if module is not None and same else _module_of(path)))
     wanted, found = _chosen(path, wanted, functions, "after", "a run")
+    if isinstance(controller, LoopingController):
+        return _returning(path, wanted, found, "after each run")
     return _plain(path, wanted, found, "run")
+
+
+def call_after(function: Callable[..., Any], run: Any) -> Any:
+    """Call a user's function after a run: with the run, or with those of its variables that it names.
+
+    Args:
+        function: of one parameter for the run, or of parameters that have the names of the run's variables.
+        run: of a series.
+
+    Raises:
+        ControllerError: it failed, or takes something else.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    wanted = [each.name for each in parameters if each.kind is not each.KEYWORD_ONLY]
+    missing = [name for name in wanted if name not in run.variables]
+    if len(wanted) == 1 and missing:
+        return call(function, run)
+    if missing:
+        known = ", ".join(run.variables) or "none"
+        raise ControllerError(
+            f"{_source_file(function)}: {name_of(function)!r} takes {missing[0]}; expected a run, or its "
+            f"variables by name: {known}"
+        )
+    return call(function, *(run.variables[name] for name in wanted))
 
 
 def _file_and_name(typed: str) -> tuple[Path | None, str]:
@@ -221,12 +278,16 @@ def _functions_of(offers: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
 
 def _plain(path: Path, name: str, function: Callable[[Any], Any], taking: str) -> Callable[[Any], Any]:
     """A user's function, if it is called with one thing and returns."""
-    if inspect.isgeneratorfunction(function) or inspect.iscoroutinefunction(function):
-        when = "each cycle" if taking == "robot" else "after each run"
-        raise ControllerError(f"{path}: {name!r} is no plain function; right is one that returns {when}")
     if len(inspect.signature(function).parameters) != 1:
         takes = inspect.signature(function)
         raise ControllerError(f"{path}: {name!r} takes {takes}; right is one {taking}")
+    return _returning(path, name, function, "each cycle" if taking == "robot" else "after each run")
+
+
+def _returning(path: Path, name: str, function: Callable[..., Any], when: str) -> Callable[..., Any]:
+    """Return a user's function, if it is one that returns."""
+    if inspect.isgeneratorfunction(function) or inspect.iscoroutinefunction(function):
+        raise ControllerError(f"{path}: {name!r} is no plain function; right is one that returns {when}")
     return function
 
 

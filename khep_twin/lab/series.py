@@ -83,6 +83,15 @@ class Run:
     numbers: Mapping[str, float]
     variables: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
+    def line(self, runs: int) -> str:
+        """Tell the run in a line, as one of so many."""
+        told = f"{self.cycles} cycles in {self.duration:.1f} s"
+        if runs == 1:
+            return told
+        names = ("fitness", "distance_m")
+        shown = [f"{name} {self.numbers[name]:.3g}" for name in names if name in self.numbers]
+        return "  ".join([f"run {self.number:3d}", told, *shown])
+
 
 def numbered(path: Path, number: int) -> Path:
     """The name of a run's own file: NAME-001.SUFFIX."""

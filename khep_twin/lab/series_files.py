@@ -122,14 +122,8 @@ class SeriesFolder:
         """Writes all but the runs' own files; first what a series goes on from."""
         text = json.dumps({"settings": self._settings, "runs": self.rows}, indent=1)
         write_whole(self.path / _INDEX, text.encode("utf-8") + b"\n")
-        if not self.rows:
-            return
-        names = columns(self.rows)
-        write_whole(self.path / "runs.csv", _csv(self.rows, names))
-        write_whole(self.path / "runs.parquet", _parquet(self.rows, names))
-        whole = {name: np.array([[row.get(name, np.nan)] for row in self.rows]) for name in names}
-        numeric = {name: values for name, values in whole.items() if values.dtype.kind in "biuf"}
-        write_whole(self.path / "runs.mat", _mat(numeric, "series"))
+        for suffix, data in tables(self.rows).items() if self.rows else ():
+            write_whole(self.path / f"runs{suffix}", data)
 
 
 def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
@@ -152,6 +146,14 @@ def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
     except (ValueError, TypeError, LookupError, RecursionError) as error:
         raise ControllerError(f"{file}: no series of khep_twin: {error}") from error
     return settings, rows
+
+
+def tables(rows: Sequence[Row]) -> dict[str, bytes]:
+    """Return the table of runs as the bytes of files, by their suffix."""
+    names = columns(rows)
+    whole = {name: np.array([[row.get(name, np.nan)] for row in rows]) for name in names}
+    numeric = {name: values for name, values in whole.items() if values.dtype.kind in "biuf"}
+    return {".csv": _csv(rows, names), ".parquet": _parquet(rows, names), ".mat": _mat(numeric, "series")}
 
 
 def row_of(run: Run) -> Row:

@@ -47,6 +47,12 @@ from khep_twin.lab.toolbox_places import cvrtang as cvrtang
 from khep_twin.lab.toolbox_places import movekhep as movekhep
 from khep_twin.lab.toolbox_places import putkhep as putkhep
 from khep_twin.lab.toolbox_places import rotkhep as rotkhep
+from khep_twin.lab.toolbox_roborunner import getstat as getstat
+from khep_twin.lab.toolbox_roborunner import play_pen as play_pen
+from khep_twin.lab.toolbox_roborunner import plotrun as plotrun
+from khep_twin.lab.toolbox_roborunner import roborun2 as roborun2
+from khep_twin.lab.toolbox_roborunner import template as template
+from khep_twin.lab.toolbox_roborunner import user1 as user1
 from khep_twin.lab.toolbox_sense import simsense as simsense
 from khep_twin.lab.toolbox_sense import tstsense as tstsense
 from khep_twin.lab.toolbox_simulator import close_playpen as close_playpen

@@ -39,8 +39,7 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
     objects where they are by now, and other robots.
     """
     scene = opened(btmap1)
-    index = scene.index(port_id)
-    robot = scene.twin.robots[index]
+    robot = scene.twin.robots[scene.index(port_id)]
     x, y, reach = (length * 1e3 for length in robot.disc)
     heading_deg = math.degrees(robot.pose[2])
     angles = [*range(-SWEEP_DEG, SWEEP_DEG + 1, SWEEP_STEP_DEG)]
@@ -50,7 +49,7 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
         way = reach + CLEARANCE_MM
         point = Circle(x + way * math.cos(angle), y + way * math.sin(angle), 1e-3)
         probes.append(Thing("probe", number, None, point, 0, BODY_HEIGHT * 1e3, True))
-    others = near(as_it_stands(scene.twin.world), index, Circle(x, y, reach + CLEARANCE_MM))
+    others = near(as_it_stands(scene.twin.world), robot.index, Circle(x, y, reach + CLEARANCE_MM))
     found = placement_problems([*others, *probes], scene.twin.world.playpen.arena)
     met = {problem.location[1] for problem in found if problem.location[0] == "probe"}
     front = any(number in met for number in range(len(angles)))
@@ -73,11 +72,10 @@ def putkhep(
         PlaypenError: there is no room for it; it stays where it was.
     """
     scene = opened()
-    index = scene.index(port_id)
-    world, robot = scene.twin.world, scene.twin.robots[index]
+    world, robot = scene.twin.world, scene.twin.robots[scene.index(port_id)]
     heading = math.degrees(robot.pose[2]) if heading_deg is None else float(heading_deg)
     try:
-        put(world, index, float(xabs), float(yabs), heading, afresh=True)
+        put(world, robot.index, float(xabs), float(yabs), heading, afresh=True)
     except PlaypenError as error:
         raise PlaypenError(f"putkhep: {error}") from None
     scan(world)

@@ -14,6 +14,8 @@ there are several it is the robot's number, from 1.
 """
 
 import atexit
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, SupportsFloat
 
@@ -45,10 +47,10 @@ class OpenPlaypen:
         robots: one to talk to for each that stands in it; their lines take no time.
     """
 
-    def __init__(self, twin: Twin) -> None:
+    def __init__(self, twin: Twin, robots: tuple[Khepera, ...] = ()) -> None:
         self.twin = twin
         views = [Twin(twin.world, (robot,), twin.options) for robot in twin.robots]
-        self.robots = tuple(Khepera(Serial.of(view, timeout=1.0)) for view in views)
+        self.robots = robots or tuple(Khepera(Serial.of(view, timeout=1.0)) for view in views)
 
     @property
     def time(self) -> float:
@@ -150,6 +152,23 @@ def opened(btmap1: object = None) -> OpenPlaypen:
     if btmap1 is not None and btmap1 is not _current:
         raise PlaypenError("btmap1 is not the playpen that is open; right is what open_custom has returned")
     return _current
+
+
+@contextmanager
+def lent(robot: Khepera) -> Generator[OpenPlaypen | None]:
+    """Let the twin in this process behind a robot be the playpen that is open, for a while.
+
+    Returns:
+        The playpen; None for a robot that is no twin in this process.
+    """
+    global _current
+    before, twin = _current, getattr(robot.port, "twin", None)
+    if isinstance(twin, Twin) and (before is None or robot not in before.robots):
+        _current = OpenPlaypen(twin, (robot,))
+    try:
+        yield _current if isinstance(twin, Twin) else None
+    finally:
+        _current = before
 
 
 def kheprom(btmap1: OpenPlaypen, cycle: float = CYCLE) -> None:

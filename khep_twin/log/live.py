@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.invocation import command
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.growing import GrowingLog, Message
 from khep_twin.log.khepbase import Gatherer, panel_chunks
@@ -89,7 +88,7 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
             try:
                 follow(log, recording, lambda: stop() or viewer.closed(), first)
                 if log.finished:
-                    tell(f"the run has ended; look at the whole of it: {command('view', log.path)}")
+                    tell(f"the run has ended; look at the whole of it: khep-twin view {log.path}")
             except LogError as error:
                 tell(str(error))  # what there is can still be looked at
             try:

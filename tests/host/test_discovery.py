@@ -1,11 +1,11 @@
 """Which ports are found."""
 
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from serial.tools import list_ports
-from served_twin import LISTS_PORTS, served
+from served_twin import served
 
 from khep_twin.errors import PortInUse
 from khep_twin.host import Khepera
@@ -14,8 +14,7 @@ from khep_twin.host.discovery import found_ports, who_answers
 
 @pytest.fixture(autouse=True)
 def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A private directory of this test's own, on a machine without serial ports."""
-    monkeypatch.setattr(list_ports, "comports", list[object])
+    """A private directory of this test's own."""
     (tmp_path / "runtime").mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
     return tmp_path
@@ -40,7 +39,7 @@ def test_a_served_twin_is_found_until_it_is_killed(private: Path) -> None:
 
 def test_the_command_lists_and_asks() -> None:
     def said(*options: str) -> subprocess.CompletedProcess[str]:
-        command = [*LISTS_PORTS, *options]
+        command = [sys.executable, "-m", "khep_twin", "ports", *options]
         return subprocess.run(command, capture_output=True, text=True, check=True)
 
     with served("default", "--mode", "2", "--strict-line") as (_, path):
@@ -51,7 +50,7 @@ def test_the_command_lists_and_asks() -> None:
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 @pytest.mark.parametrize("kind", [(), ("--tcp", ":0"), ("--rfc2217", ":0")])
 def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> None:
-    command = [*LISTS_PORTS, "--ask"]
+    command = [sys.executable, "-m", "khep_twin", "ports", "--ask"]
     with served("default", *kind, notices=True) as (process, url):
         with Khepera(url) as robot:
             asking = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -69,10 +68,7 @@ def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> N
         assert f"{url}  twin in default: BIOS 5.02, protocol 5.01 at 9600 baud\n" in free.stdout
         process.terminate()
         assert process.stderr is not None
-        begun, *notices = [
-            line for line in process.stderr.read().splitlines() if line.startswith("khep-twin: ")
-        ]
-    assert begun.endswith("; Ctrl-C ends it")
+        notices = [line for line in process.stderr.read().splitlines() if line.startswith("khep-twin: ")]
     assert notices == []
 
 

@@ -174,10 +174,7 @@ class MjsSensor:
     name: str
     interval: Sequence[float]
 
-class MjsKey:
-    name: str
-    ctrl: Sequence[float]
-
+class MjsKey: ...
 class MjsFrame: ...
 
 class MjsOrientation:
@@ -211,14 +208,12 @@ class MjSpec:
     worldbody: MjsBody
     geoms: Sequence[MjsGeom]
     keys: Sequence[MjsKey]
-    actuators: Sequence[MjsActuator]
     pairs: Sequence[MjsPair]
     sensors: Sequence[MjsSensor]
 
     @staticmethod
     def from_file(filename: str) -> MjSpec: ...
     def add_pair(self, **attributes: Any) -> None: ...
-    def add_key(self, **attributes: Any) -> None: ...
     def body(self, name: str) -> MjsBody: ...
     def geom(self, name: str) -> MjsGeom: ...
     def actuator(self, name: str) -> MjsActuator: ...
