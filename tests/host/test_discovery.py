@@ -68,7 +68,9 @@ def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> N
         assert f"{url}  twin in default: BIOS 5.02, protocol 5.01 at 9600 baud\n" in free.stdout
         process.terminate()
         assert process.stderr is not None
-        notices = [line for line in process.stderr.read().splitlines() if line.startswith("khep-twin: ")]
+        notices = [
+            line for line in process.stderr.read().splitlines() if line.startswith(f"khep-twin: {url}: ")
+        ]
     assert notices == []
 
 
