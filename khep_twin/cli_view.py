@@ -18,7 +18,9 @@ def view(
     png: Annotated[
         Path | None, typer.Option(help="Write a still as this PNG file instead, without a screen.")
     ] = None,
-    at: Annotated[float, typer.Option(min=0, help="Of the still: simulated time [s].")] = 0.0,
+    at: Annotated[
+        float | None, typer.Option(min=0, help="Simulated time of the still [s]; without, the run's end.")
+    ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Follow the log of a run or serve that goes on, as it is written.")
     ] = False,

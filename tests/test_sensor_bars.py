@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from khep_twin.log.khepbase import Samples, panel_chunks
+from khep_twin.log import khepbase
+from khep_twin.log.gathered import Samples
+from khep_twin.log.khepbase import panel_chunks
 from khep_twin.sensor_bars import BARS
 
 
@@ -32,7 +34,8 @@ def test_a_recorded_bar_of_light_is_full_in_the_dark_and_short_where_it_is_brigh
     track = Samples(np.array([0]), np.zeros((1, 8)), counts, np.zeros((1, 2)))
     chunks = panel_chunks("khepera0", track, "time")
     (light,) = (chunk for chunk in chunks if chunk.entity_path.endswith("/light"))
-    halves: Any = light.to_record_batch()["Boxes2D:half_sizes"][0].as_py()
-    heights = [half[1] for half in halves]
-    assert heights[3] == pytest.approx(0.1 * heights[0], rel=1e-5)
-    assert heights[0] == pytest.approx(max(heights))
+    strips: Any = light.to_record_batch()["LineStrips2D:strips"][0].as_py()
+    heights = [strip[0][1] - strip[1][1] for strip in strips]
+    lengths = [height + 2 * khepbase._LINE for height in heights]  # a line ends round
+    assert lengths[3] == pytest.approx(0.1 * lengths[0], rel=1e-3)
+    assert lengths[0] == pytest.approx(khepbase._BAR, rel=1e-4)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from khep_twin.log.arena import EVENTS, trail
 from khep_twin.log.khepbase import panel
 from khep_twin.log.reader import Label
 from khep_twin.units import Sensor
@@ -30,12 +31,17 @@ _SENSORS = {
 }
 """Curves of the sensors: left ones warm, right ones cold, those at the back violet."""
 
+_SETPOINT: Colour = (235, 235, 235)
 _WHEELS: dict[str, Colour] = {
     "left": _WARM[0],
     "right": _COLD[1],
-    "left setpoint": (255, 201, 184),
-    "right setpoint": (208, 235, 255),
+    "setpoint left": _SETPOINT,
+    "setpoint right": _SETPOINT,
 }
+_EVENT: Colour = (255, 80, 160)
+
+_LEGEND_SHARE, _END_SHARE = 0.16, 0.02
+"""Parts of the time axis before the start, where the legend covers no curve, and after the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +53,7 @@ class Shown:
         name: to be read above it; empty where it is the only one.
         place: the path below which its entities are, such as "/run"; empty where it is the only one.
         frame: of the arena's coordinates; empty for rerun's own choice, where it is the only one.
-        end_ns: where its curves end [ns], beside others; 0 for rerun's own choice.
+        end_ns: where its curves end [ns]; beside others, where the longest ends.
         last_s: of a run that goes on, so much is in the curves [s]; None for all of it.
     """
 
@@ -98,6 +104,12 @@ def _arena(log: Shown) -> "list[rrb.Spatial3DView]":
 
     if "playpen.toml" not in log.label.attachments:
         return []
+    until_now = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rr.TimeRangeBoundary.infinite(),
+        end=rr.TimeRangeBoundary.cursor_relative(),
+    )
+    growing = [f"{log.place}{each}" for each in (EVENTS, *map(trail, log.label.robots))]
     frame = rrb.archetypes.SpatialInformation(target_frame=log.frame) if log.frame else None
     return [
         rrb.Spatial3DView(
@@ -107,6 +119,7 @@ def _arena(log: Shown) -> "list[rrb.Spatial3DView]":
                 f"{log.place}/**",
                 *(f"- {log.place}{panel(robot)}/**" for robot in log.label.robots),
             ],
+            overrides={place: until_now for place in growing},
             eye_controls=_eye(log.label),
             line_grid=False,
             spatial_information=frame,
@@ -123,7 +136,7 @@ def _bases(log: Shown) -> "list[rrb.Spatial2DView]":
 
     if "playpen.toml" not in log.label.attachments:
         return []
-    bounds = rrb.VisualBounds2D(x_range=(-0.045, 0.045), y_range=(-0.055, 0.045))
+    bounds = rrb.VisualBounds2D(x_range=(-0.045, 0.045), y_range=(-0.052, 0.068))
     return [
         rrb.Spatial2DView(
             origin=f"{log.place}{panel(robot)}", name=f"{robot} from above", visual_bounds=bounds
@@ -151,31 +164,54 @@ def _curves(log: Shown) -> "list[rrb.Vertical]":
 
     return [
         rrb.Vertical(
-            _plot(log, f"/{robot}/proximity", "proximity [counts]", _SENSORS),
-            _plot(log, f"/{robot}/ambient", "ambient light [counts, low is bright]", _SENSORS),
-            _plot(log, f"/{robot}/speed", "wheel speed [pulses/10 ms]", _WHEELS),
+            _plot(log, robot, "proximity", "proximity [counts]", _SENSORS),
+            _plot(log, robot, "ambient", "ambient light [counts, low is bright]", _SENSORS),
+            *(
+                _plot(log, robot, "speed", f"{side} wheel [pulses/10 ms]", _WHEELS, side)
+                for side in ("left", "right")
+            ),
             name=robot,
+            row_shares=[3, 3, 2, 2],
         )
         for robot in log.label.robots
     ]
 
 
-def _plot(log: Shown, topic: str, name: str, curves: dict[str, Colour]) -> "rrb.TimeSeriesView":
+def _plot(
+    log: Shown, robot: str, topic: str, name: str, curves: dict[str, Colour], only: str = ""
+) -> "rrb.TimeSeriesView":
+    """Return a plot of a channel, or of those of its curves that have `only` in their name."""
     import rerun as rr
     import rerun.blueprint as rrb
 
-    origin = f"{log.place}{topic}"
-    lines = rr.SeriesLines.from_fields(names=list(curves), colors=list(curves.values()))
-    axis = None
-    if log.end_ns:  # beside other logs the same time is at the same place
-        start, end = (rr.TimeRangeBoundary.absolute(nanos=ns) for ns in (0, log.end_ns))
-        axis = rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
-    newest = None
-    if log.last_s is not None:
+    origin, events = (f"{log.place}/{robot}/{each}" for each in (topic, "events"))
+    lines = rr.SeriesLines.from_fields(
+        names=list(curves),
+        colors=list(curves.values()),
+        # What a wheel does is a band, what it shall do a thin white line on it.
+        widths=[4.0 if curve in ("left", "right") else 1.0 for curve in curves],
+        visible_series=[only in curve for curve in curves],
+    )
+    marks = rr.SeriesPoints.from_fields(
+        names=["event"], colors=[_EVENT], markers=["diamond"], marker_sizes=[5.0]
+    )
+    if log.last_s is None:
+        whole = int(-_LEGEND_SHARE * log.end_ns), int((1 + _END_SHARE) * log.end_ns)
+        start, end = (rr.TimeRangeBoundary.absolute(nanos=ns) for ns in whole)
+        newest = None
+    else:
+        start = rr.TimeRangeBoundary.cursor_relative(seconds=-log.last_s * (1 + _LEGEND_SHARE))
+        end = rr.TimeRangeBoundary.cursor_relative()
         ago = rr.TimeRangeBoundary.cursor_relative(seconds=-log.last_s)
-        newest = rrb.VisibleTimeRange(TIMELINE, start=ago, end=rr.TimeRangeBoundary.cursor_relative())
+        newest = rrb.VisibleTimeRange(TIMELINE, start=ago, end=end)
     return rrb.TimeSeriesView(
-        origin=origin, name=name, axis_x=axis, time_ranges=newest, overrides={origin: lines}
+        origin=origin,
+        contents=[origin, events],
+        name=name,
+        axis_x=rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        time_ranges=newest,
+        overrides={origin: lines, events: marks},
     )
 
 

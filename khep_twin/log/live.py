@@ -13,7 +13,7 @@ import re
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
+from khep_twin.log.arena import Light, Rays, event_chunks, trail_chunks
 from khep_twin.log.batch_writer import BatchWriter
+from khep_twin.log.gathered import Gatherer
 from khep_twin.log.growing import GrowingLog, Message
-from khep_twin.log.khepbase import Gatherer, panel_chunks
+from khep_twin.log.khepbase import panel_chunks
 from khep_twin.log.layout import TIMELINE, Shown, layout
 from khep_twin.log.reader import Label
 from khep_twin.log.replay import UNSEEN, standing_chunks
@@ -166,6 +168,9 @@ class _Translator:
         self._piece = folder / "piece.mcap"
         self._slots: dict[str, int] = {}
         self._described: set[str] = set()
+        self._rays: Rays | None = None
+        self._light: Light | None = None
+        self._last: dict[str, NDArray[np.float64]] = {}
 
     def translate(self, messages: Sequence[Message], label: Label) -> "tuple[list[Chunk], list[Chunk]]":
         """What stands for good, and what has times."""
@@ -189,10 +194,27 @@ class _Translator:
         # Each piece describes its channels; once is enough.
         standing = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]
         self._described |= {chunk.entity_path for chunk in standing}
+        added = list(self._added(gatherer, label))
+        standing += [chunk for chunk in added if chunk.is_static]
+        passing += [chunk for chunk in added if not chunk.is_static]
+        return standing, passing
+
+    def _added(self, gatherer: Gatherer, label: Label) -> "Iterator[Chunk]":
+        """Yield what is shown of a piece besides what it holds itself."""
+        poses = gatherer.poses()
+        if poses is not None and self._rays is None:
+            self._rays, self._light = Rays(label), Light(label)
         for robot in label.robots:
             if (samples := gatherer.samples(robot)) is not None:
-                passing += panel_chunks(robot, samples, TIMELINE, every=1)
-        return standing, passing
+                yield from panel_chunks(robot, samples, TIMELINE)
+                if poses is not None and self._rays is not None:
+                    yield from self._rays.chunks(robot, samples, poses, TIMELINE)
+            if poses is not None and f"{robot}/base" in poses.bodies:
+                yield from trail_chunks(robot, poses, TIMELINE, self._last.get(robot))
+                self._last[robot] = poses.bodies[f"{robot}/base"][-1]
+        if self._light is not None:
+            yield from self._light.chunks(gatherer, TIMELINE)
+        yield from event_chunks(label, gatherer, TIMELINE)
 
     def _thinned(self, messages: Sequence[Message]) -> dict[str, list[Message]]:
         """What is shown, by topic: of samples the first in each SAMPLE_NS."""

@@ -9,16 +9,18 @@ run instead of dates in 1970; both go into a rerun recording, which is kept or s
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import tempfile
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files import put_whole
-from khep_twin.log.khepbase import Gatherer, fan_chunks, outline_chunks, panel_chunks
+from khep_twin.log.arena import Light, Rays, event_chunks, trail_chunks
+from khep_twin.log.gathered import Gatherer
+from khep_twin.log.khepbase import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
 from khep_twin.log.layout import TIMELINE, Shown, layout
 from khep_twin.log.reader import Label, read_end_ns, read_label
 from khep_twin.log.still import still
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
 
 UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$"]
 """Topics, as patterns, that no view shows: they are for programs."""
+
+PICTURES = 10_000
+"""Most pictures of bars and rays of a run; a longer one has fewer than ten a second."""
 
 _FRAMES = ("Transform3D:child_frame", "Transform3D:parent_frame", "CoordinateFrame:frame")
 
@@ -58,28 +63,26 @@ def view(
         viewer.wait(stop)
 
 
-def view_still(paths: Sequence[Path], target: Path, at_s: float) -> None:
+def view_still(paths: Sequence[Path], target: Path, at_s: float | None = None) -> None:
     """Writes what the viewer shows of logs at a time, as PNG, without a screen.
 
     Args:
         paths: of finished logs, from left to right.
         target: the PNG file.
-        at_s: simulated time [s].
+        at_s: simulated time [s]; None for the end, where the whole run is seen.
 
     Raises:
         LogError: a log cannot be read, or the viewer cannot be had.
     """
     with _saved(paths, [read_label(path) for path in paths]) as recording:
-        still(recording, TIMELINE, at_s, target)
+        end_s = max(map(read_end_ns, paths)) / NS_PER_S
+        still(recording, TIMELINE, end_s if at_s is None else at_s, target)
 
 
 def standing_chunks(label: Label) -> "list[Chunk]":
     """What is added to a log's own chunks and is there at all times."""
     chunks: list[Chunk] = []
     for robot in label.robots:
-        text = label.attachments.get(f"calibration/{robot}.toml")
-        if text is not None:
-            chunks += fan_chunks(robot, tuple(tomllib.loads(text)["heading_deg"]))
         if "playpen.toml" in label.attachments:
             chunks += outline_chunks(robot)
     return chunks
@@ -132,7 +135,7 @@ def _recording(paths: Sequence[Path], labels: Sequence[Label]) -> bytes:
     with rr.RecordingStream("khep_twin", recording_id=title) as recording:
         stream = recording.binary_stream()
         if len(paths) == 1:
-            recording.send_blueprint(layout([Shown(labels[0])]))
+            recording.send_blueprint(layout([Shown(labels[0], end_ns=read_end_ns(paths[0]))]))
             rr.send_chunks(_chunks(paths[0], labels[0]), recording=recording)
         else:
             end_ns = max(map(read_end_ns, paths))
@@ -155,10 +158,21 @@ def _chunks(path: Path, label: Label) -> "Generator[Chunk, None, None]":
     gatherer = Gatherer()
     chunks = McapReader(path, timeline_type="duration_ns", exclude_topic_regex=UNSEEN).stream()
     yield from gatherer.passing(chunks, TIMELINE)
-    for robot in label.robots:
-        if (samples := gatherer.samples(robot)) is not None:
-            yield from panel_chunks(robot, samples, TIMELINE)
     yield from standing_chunks(label)
+    yield from event_chunks(label, gatherer, TIMELINE)
+    poses = gatherer.poses()
+    rays = None if poses is None else Rays(label)
+    for robot in label.robots:
+        samples = gatherer.samples(robot)
+        if samples is not None:
+            few = samples.thinned(max(SAMPLES_PER_PICTURE, len(samples.times_ns) // PICTURES))
+            yield from panel_chunks(robot, few, TIMELINE)
+            if rays is not None and poses is not None:
+                yield from rays.chunks(robot, few, poses, TIMELINE)
+        if poses is not None:
+            yield from trail_chunks(robot, poses, TIMELINE)
+    if poses is not None:
+        yield from Light(label).chunks(gatherer, TIMELINE)
 
 
 def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":

@@ -5,12 +5,18 @@
 
 import os
 import sys
+import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from khep_twin.errors import LogError
 from khep_twin.files import write_whole
 from khep_twin.log.viewer import free_ports
+
+if TYPE_CHECKING:
+    import rerun.experimental as rx
 
 _PATIENCE = 30.0
 """Longest wait for the viewer to have opened a recording [s]."""
@@ -38,6 +44,7 @@ def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
 
     # Unless somebody wants to know more, the viewer keeps what it does to itself.
     os.environ.setdefault("RUST_LOG", "error")
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # it complains where there is none
     program = Path(sys.executable).with_name("rerun")
     try:
         viewer = rx.ViewerClient.spawn(
@@ -49,20 +56,34 @@ def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
     except Exception as error:  # rerun's own errors are of many kinds
         raise LogError(f"{target}: rerun's viewer does not start: {_first_line(error)}") from error
     try:
-        viewer.open(str(recording.resolve()))
-        deadline = time.monotonic() + _PATIENCE
-        while True:
-            try:
-                viewer.set_time(timeline, duration=at_s, play_state="paused")
-                break
-            except Exception as error:
-                if time.monotonic() > deadline:
-                    raise LogError(f"{target}: rerun's viewer shows nothing: {_first_line(error)}") from error
-                time.sleep(0.2)
-        time.sleep(_PAINTING)
-        write_whole(target, viewer.take_screenshot(max_size=_WIDTH))
+        _show(viewer, recording, timeline, at_s)
+        picture = viewer.take_screenshot(max_size=_WIDTH)
+    except Exception as error:
+        raise LogError(
+            f"{target}: rerun's viewer cannot draw here: {_first_line(error)}; expected Vulkan, of a "
+            "graphics driver or of the package mesa-vulkan-drivers"
+        ) from error
     finally:
-        viewer.quit()
+        with suppress(Exception):  # it may have ended by itself
+            viewer.quit()
+    write_whole(target, picture)
+
+
+def _show(viewer: "rx.ViewerClient", recording: Path, timeline: str, at_s: float) -> None:
+    """Open a recording and wait until a time of it is shown."""
+    viewer.open(str(recording.resolve()))
+    deadline = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            viewer.set_time(timeline, duration=at_s, play_state="paused")
+            break
+        except ConnectionError:
+            raise
+        except Exception:  # it has not read the recording so far
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+    time.sleep(_PAINTING)
 
 
 def _first_line(error: Exception) -> str:

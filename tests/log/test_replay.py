@@ -6,17 +6,22 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import rerun as rr
 from PIL import Image
 from rerun.chunk import Chunk, McapReader, RrdReader
+from typer.testing import CliRunner
 
+from khep_twin.cli import app
 from khep_twin.errors import LogError
-from khep_twin.log import khepbase
+from khep_twin.log import khepbase, replay
+from khep_twin.log.arena import REACH
 from khep_twin.log.reader import read_end_ns
 from khep_twin.log.replay import distinct_names, view, view_still
+from khep_twin.ports.twin import TwinOptions, open_twin
 
 
 def components(chunks: list[Chunk]) -> set[tuple[str, str]]:
@@ -65,7 +70,7 @@ def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path)
     (recording,), (layout,) = reader.recordings(), reader.blueprints()
     assert components(list(reader.stream(store=recording))) >= EXPECTED
     views = components(list(reader.stream(store=layout)))
-    assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 6
+    assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 7
     assert os.listdir(tmp_path) == ["run.rrd"]
 
 
@@ -162,23 +167,159 @@ def test_a_recording_has_khepbase_and_what_the_sensors_look_at(log: Path, tmp_pa
     found = components(list(reader.stream(store=recording)))
     assert {
         ("/khepera0/khepbase/outline", "LineStrips2D:strips"),
-        ("/khepera0/khepbase/proximity", "Boxes2D:half_sizes"),
-        ("/khepera0/khepbase/light", "Boxes2D:centers"),
-        ("/khepera0/khepbase/speed", "Boxes2D:centers"),
+        ("/khepera0/khepbase/full", "LineStrips2D:strips"),
+        ("/khepera0/khepbase/legend", "Points2D:labels"),
+        ("/khepera0/khepbase/proximity", "LineStrips2D:strips"),
+        ("/khepera0/khepbase/light", "LineStrips2D:strips"),
+        ("/khepera0/khepbase/speed", "LineStrips2D:strips"),
         ("/obstacles/khepera0_sensors", "LineStrips3D:strips"),
         ("/obstacles/khepera0_sensors", "CoordinateFrame:frame"),
     } <= found
 
 
-def test_bars_are_as_long_as_what_they_tell() -> None:
+def test_bars_are_filled_and_as_long_as_what_they_tell() -> None:
     values = np.array([[0.0, 0.5], [1.0, -1.0]])
     columns = {
-        str(each.component_descriptor()): each
+        str(each.component_descriptor()): each.as_arrow_array()
         for each in khepbase._bars(rr, values, np.zeros((2, 2)), (1, 2, 3))
     }
-    (halves,) = (each for name, each in columns.items() if "half_sizes" in name)
-    heights = np.array(halves.as_arrow_array().flatten().to_pylist()).reshape(-1, 2)[:, 1]
-    np.testing.assert_allclose(heights, [2e-4, 0.003, 0.006, 0.006], rtol=1e-6)
+    (strips,) = (column for name, column in columns.items() if "strips" in name)
+    points = np.array(strips.flatten().to_pylist())  # of each bar eight corners
+    radius = khepbase._LINE
+    tall = points[..., 1].max(axis=1) - points[..., 1].min(axis=1) + 2 * radius
+    np.testing.assert_allclose(tall, [2 * radius, 0.006, 0.012, 0.012], rtol=1e-5)
+    wide = points[..., 0].max(axis=1) - points[..., 0].min(axis=1) + 2 * radius
+    np.testing.assert_allclose(wide, 2 * khepbase._HALF_WIDTH, rtol=1e-5)
+    lines = np.unique(np.round(points[1, :, 0] / radius))
+    assert np.diff(lines).tolist() == [2, 2, 2]  # no gap between them
+    (colours,) = (column for name, column in columns.items() if "colors" in name)
+    assert [colour & 0xFF for colour in colours.flatten().to_pylist()] == [0, 255, 255, 255]
+
+
+def rows(recording: Path, entity: str, component: str) -> list[tuple[int, list[Any]]]:
+    """Time [ns] and values of each row of an entity's component, in order of time."""
+    reader = RrdReader(recording)
+    (store,) = reader.recordings()
+    found: list[tuple[int, list[Any]]] = []
+    for chunk in reader.stream(store=store):
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == entity and component in batch.schema.names:
+            at = (
+                batch["message_log_time"]
+                if "message_log_time" in batch.schema.names
+                else [None] * batch.num_rows
+            )
+            times = [0 if time is None else time.value for time in at]
+            found += zip(times, batch[component].to_pylist(), strict=True)
+    return sorted(found, key=lambda row: row[0])
+
+
+@pytest.fixture
+def at_a_wall(tmp_path: Path) -> Path:
+    """A recording of a robot that looks at a wall 20 mm away, with nothing else near, and drives at it."""
+    scene = """
+version = 1
+name = "wall"
+[arena]
+width_mm = 600
+height_mm = 500
+[[lamp]]
+x_mm = 100
+y_mm = 100
+power_w = 4
+[[lamp]]
+x_mm = 100
+y_mm = 400
+power_w = 4
+on_s = [[0, 0.5]]
+[[robot]]
+x_mm = 552.5
+y_mm = 250
+heading_deg = 0
+"""
+    (tmp_path / "wall.toml").write_text(scene)
+    options = TwinOptions(noise=False, log=str(tmp_path / "wall.mcap"))
+    with open_twin(tmp_path / "wall.toml", options) as twin:
+        twin.robot.send(b"D,5,5\n")
+        twin.advance_to(300_000_000)
+        twin.world.tell(0, "a note")
+        twin.advance_to(1_000_000_000)
+    view([tmp_path / "wall.mcap"], tmp_path / "wall.rrd")
+    return tmp_path / "wall.rrd"
+
+
+def test_curves_show_the_whole_run_and_the_legend_stands_before_it(at_a_wall: Path) -> None:
+    reader = RrdReader(at_a_wall)
+    ranges: list[tuple[int, int]] = []
+    for chunk in reader.stream(store=reader.blueprints()[0]):
+        batch = chunk.to_record_batch()
+        if "TimeAxis:view_range" in batch.schema.names:
+            ((found,),) = batch["TimeAxis:view_range"].to_pylist()
+            ranges.append((found["start"], found["end"]))
+    assert ranges == [(-160_000_000, 1_020_000_000)] * 4
+
+
+def test_rays_are_as_long_as_what_they_see_and_coloured_by_the_reading(at_a_wall: Path) -> None:
+    found = rows(at_a_wall, "/obstacles/khepera0_sensors", "LineStrips3D:strips")
+    colours = rows(at_a_wall, "/obstacles/khepera0_sensors", "LineStrips3D:colors")
+    assert len(found) == 11  # ten a second
+    first = np.array(found[0][1]).reshape(8, -1, 2, 3)
+    lengths = np.linalg.norm(first[:, :, 1] - first[:, :, 0], axis=-1)
+    # Left 10 and right 10 have their middle ray to the wall, 22.5 mm ahead; the back ones see nothing.
+    np.testing.assert_allclose(lengths[2:4, 2], 0.0225 / np.cos(np.radians(8)), rtol=0.03)
+    np.testing.assert_allclose(lengths[6:], REACH, rtol=1e-5)
+    red, green = (
+        (np.array(row[1]).reshape(8, -1) >> shift) & 0xFF for row in colours[:1] for shift in (24, 16)
+    )
+    assert (red[2] > green[2]).any()
+    assert (red[6] == green[6]).all()
+
+
+def test_the_trail_grows_from_pose_to_pose_without_a_gap(at_a_wall: Path) -> None:
+    found = rows(at_a_wall, "/trails/khepera0", "LineStrips3D:strips")
+    strips = np.array([row[0] for _, row in found])
+    np.testing.assert_array_equal(strips[1:, 0], strips[:-1, 1])
+    assert strips[0, 0, :2] == pytest.approx((0.5525, 0.25), abs=1e-4)
+    assert strips[-1, 1, 0] > 0.56
+
+
+def test_events_are_marked_where_the_robot_was_and_in_the_curves(at_a_wall: Path) -> None:
+    labels = rows(at_a_wall, "/event_marks", "Points3D:labels")
+    assert [(time_ns, row[0]) for time_ns, row in labels if "note" in row[0]] == [
+        (300_000_000, "[khepera0] a note")
+    ]
+    marks = rows(at_a_wall, "/khepera0/events", "Scalars:scalars")
+    assert (300_000_000, [0.0]) in marks
+
+
+def test_the_floor_is_lit_by_the_lamps_that_are_on(at_a_wall: Path) -> None:
+    one, other = (rows(at_a_wall, f"/light/{number}", "InstancePoses3D:scales") for number in range(2))
+    assert [scale[0][0] for _, scale in one] == [1, 0]
+    assert [scale[0][0] for _, scale in other] == [0, 1]
+    assert one[1][0] == pytest.approx(500_000_000, abs=20_000_000)
+
+
+def test_a_still_shows_the_end_of_the_run_unless_told_a_time(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+    monkeypatch.setattr(replay, "still", lambda recording, timeline, at_s, target: asked.append(at_s))
+    assert CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png")]).exit_code == 0
+    assert (
+        CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png"), "--at", "0"]).exit_code
+        == 0
+    )
+    assert asked == [2.0, 0.0]
+
+
+def test_a_still_that_cannot_be_drawn_is_one_line(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"):
+        monkeypatch.setenv(name, str(tmp_path / "nothing.json"))
+    with pytest.raises(LogError, match=r"still\.png: rerun's viewer cannot draw here: .*mesa-vulkan-drivers"):
+        view_still([log], tmp_path / "still.png")
+    assert not (tmp_path / "still.png").exists()
 
 
 def test_a_still_is_a_picture_of_the_viewer(log: Path, tmp_path: Path) -> None:
@@ -206,7 +347,7 @@ def test_logs_side_by_side_keep_apart(twins: list[Path], tmp_path: Path) -> None
     found = components(list(reader.stream(store=recording)))
     for place in (r"/first\/run", r"/second\/run"):
         assert {(place + entity, name) for entity, name in EXPECTED} <= found
-        assert (f"{place}/khepera0/khepbase/proximity", "Boxes2D:half_sizes") in found
+        assert (f"{place}/khepera0/khepbase/proximity", "LineStrips2D:strips") in found
     frames = {
         (chunk.entity_path.split("/run")[0][1:-1], frame.split("/")[0])
         for chunk in reader.stream(store=recording)
@@ -218,7 +359,7 @@ def test_logs_side_by_side_keep_apart(twins: list[Path], tmp_path: Path) -> None
     }
     assert frames == {("first", "first"), ("second", "second")}
     views = components(list(reader.stream(store=blueprint)))
-    assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 12
+    assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 14
 
 
 def test_logs_are_called_by_what_tells_them_apart() -> None:

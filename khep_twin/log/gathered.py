@@ -1,0 +1,136 @@
+"""What views are made of, picked out of a log while rerun reads it."""
+
+# rerun's types are partly unknown.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from rerun.chunk import Chunk
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """What the panel shows of one robot.
+
+    Attributes:
+        times_ns: of the samples (n,) [ns].
+        proximity: counts (n, 8).
+        ambient: counts (n, 8).
+        speed: left, right and more (n, 2 and more) [pulses/10 ms].
+    """
+
+    times_ns: NDArray[np.int64]
+    proximity: Floats
+    ambient: Floats
+    speed: Floats
+
+    def thinned(self, every: int) -> "Samples":
+        """Return one sample of so many."""
+        some = slice(None, None, every)
+        return Samples(self.times_ns[some], self.proximity[some], self.ambient[some], self.speed[some])
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Where bodies were.
+
+    Attributes:
+        times_ns: of the poses, rising (n,) [ns].
+        bodies: x, y, z [m] and quaternion x, y, z, w by name, each (n, 7).
+    """
+
+    times_ns: NDArray[np.int64]
+    bodies: Mapping[str, Floats]
+
+    def rows_at(self, times_ns: NDArray[np.int64]) -> NDArray[np.intp] | None:
+        """Return the rows at these times; None if there is none for one of them."""
+        rows = np.searchsorted(self.times_ns, times_ns)
+        if len(rows) and (rows[-1] >= len(self.times_ns) or (self.times_ns[rows] != times_ns).any()):
+            return None
+        return rows
+
+
+_POSE = ("Transform3D:child_frame", "Transform3D:translation", "Transform3D:quaternion")
+
+
+class Gatherer:
+    """Samples, poses and events, picked out of a log while rerun reads it; reading twice takes longer."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
+        self._poses: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
+        self._events: list[tuple[int, str]] = []
+
+    def passing(self, chunks: "Iterable[Chunk]", timeline: str) -> "Iterator[Chunk]":
+        """Let the chunks of a log pass on, and note what is in them."""
+        for chunk in chunks:
+            if not chunk.is_static:
+                self._note(chunk, timeline)
+            yield chunk
+
+    def samples(self, robot: str) -> Samples | None:
+        """Return those of a robot; None if there are none, or not for each time."""
+        parts = [self._rows.get(f"/{robot}/{topic}", []) for topic in ("proximity", "ambient", "speed")]
+        if not all(parts):
+            return None
+        series = [_joined(part) for part in parts]
+        if not all(np.array_equal(series[0][0], times_ns) for times_ns, _ in series[1:]):
+            return None  # a real robot's, which answers one by one
+        return Samples(series[0][0], *(values for _, values in series))
+
+    def poses(self) -> Poses | None:
+        """Return where all bodies were; None if nothing is known of it."""
+        found = {name: _joined(parts) for name, parts in self._poses.items()}
+        if not found:
+            return None
+        times_ns = max((times_ns for times_ns, _ in found.values()), key=len)
+        whole = {name: rows for name, (_, rows) in found.items() if len(rows) == len(times_ns)}
+        return Poses(times_ns, whole)
+
+    def lamps(self) -> tuple[NDArray[np.int64], Floats | None]:
+        """Return times (n,) [ns] and powers (n, lamps) [W]; None where they are always the same."""
+        parts = self._rows.get("/lamps")
+        return _joined(parts) if parts else (np.zeros(0, np.int64), None)
+
+    def events(self) -> tuple[NDArray[np.int64], list[str]]:
+        """Return times [ns] and texts of the notes."""
+        found = sorted(self._events, key=lambda event: event[0])
+        return np.array([time_ns for time_ns, _ in found], np.int64), [text for _, text in found]
+
+    def _note(self, chunk: "Chunk", timeline: str) -> None:
+        path = chunk.entity_path
+        if not (path in ("/tf", "/lamps", "/events") or path.endswith(("/proximity", "/ambient", "/speed"))):
+            return
+        batch: Any = chunk.to_record_batch()
+        names = batch.schema.names
+
+        def column(name: str) -> Any:
+            return batch.column(batch.schema.get_field_index(name))
+
+        at: NDArray[np.int64] = column(timeline).to_numpy(zero_copy_only=False).astype(np.int64)
+        if "Scalars:scalars" in names:
+            scalars: Floats = column("Scalars:scalars").flatten().to_numpy(zero_copy_only=False)
+            self._rows.setdefault(path, []).append((at, scalars.reshape(len(at), -1)))
+        elif path == "/events" and "TextLog:text" in names:
+            self._events += zip(at.tolist(), column("TextLog:text").flatten().to_pylist(), strict=True)
+        elif path == "/tf" and set(_POSE) <= set(names):
+            frames = np.array(column(_POSE[0]).flatten().to_pylist())
+            values = (column(name).flatten().flatten() for name in _POSE[1:])
+            place, turn = (each.to_numpy(zero_copy_only=False) for each in values)
+            rows = np.column_stack((place.reshape(-1, 3), turn.reshape(-1, 4))).astype(np.float64)
+            for name in dict.fromkeys(frames.tolist()):
+                own = frames == name
+                self._poses.setdefault(name, []).append((at[own], rows[own]))
+
+
+def _joined(parts: "list[tuple[NDArray[np.int64], Floats]]") -> tuple[NDArray[np.int64], Floats]:
+    times_ns, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return times_ns, values
