@@ -19,7 +19,7 @@ help: ## show this list
 
 run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated seconds
 	@mkdir -p out
-	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --picture out/run.png
+	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --force --picture out/run.png
 
 test: $(VENV)/dev.stamp ## the whole test suite
 	@echo "khep_twin: $(or $(TESTS),the whole test suite: about 15 minutes on two cores)"
@@ -45,8 +45,8 @@ fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 milli
 	@$(BIN)/python tests/fuzz_files.py png 200000 --jobs 2
 	@$(BIN)/python tests/fuzz_files.py toml 1000000 --jobs 2
 
-soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each
-	@KHEP_RUBBISH_SECONDS=60 $(BIN)/python -m pytest tests/ports/test_chaos.py
+soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each, and 2,000 that come and go at random
+	@KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000 $(BIN)/python -m pytest tests/ports/test_chaos.py tests/ports/test_random_hosts.py
 
 determinism: $(VENV)/dev.stamp ## 100,000 steps of an environment, the same bit for bit; a few minutes
 	@$(BIN)/python tests/scale/long_determinism.py

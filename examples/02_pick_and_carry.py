@@ -48,6 +48,11 @@ with Khepera(url) as robot:
     robot.set_speed(-5, -5)
     robot.sleep(1)
     robot.set_speed(0, 0)
-    print(f"put down; the barrier reads {gripper.barrier()}")
+    free = gripper.barrier() < 200
     gripper.lift()
     gripper.wait()
+
+print("carried 96 mm back and put down" if free else "carried back, but it is still between the fingers")
+if url.startswith("khep:"):
+    print("to watch it: python examples/02_pick_and_carry.py 'khep://gripper?log=carry.mcap'")
+    print("             khep-twin view carry.mcap")

@@ -3,6 +3,7 @@
 What a command needs is imported inside it, so that `khep-twin --help` comes at once.
 """
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -11,11 +12,13 @@ import typer
 from typer.exceptions import TyperException
 
 from khep_twin import __version__
+from khep_twin.cli_completion import complete_in_bash, missing
+from khep_twin.cli_completion import ports as known_ports
 from khep_twin.cli_design import design
 from khep_twin.cli_drive import drive
 from khep_twin.cli_fit import fit
 from khep_twin.cli_log import recover, repeat
-from khep_twin.cli_options import Commands, usage
+from khep_twin.cli_options import Commands, Force, check_new, usage
 from khep_twin.cli_playpen import playpen_app
 from khep_twin.cli_ports import ports
 from khep_twin.cli_report import export, report
@@ -59,12 +62,16 @@ for command in (
 
 def main() -> None:
     """Runs the command line; a user's mistake ends in one line, not in a trace."""
+    if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
+        complete_in_bash(lambda: app(prog_name="khep-twin"))
     try:
-        sys.exit(app(standalone_mode=False) or 0)
+        sys.exit(app(prog_name="khep-twin", standalone_mode=False) or 0)
     except KhepTwinError as error:
         text, code = str(error), 1
     except TyperException as error:
         text, code = error.format_message(), error.exit_code
+        if text.startswith("Missing "):
+            text = missing(error)
         if "\n" in text:  # the help, where nothing was typed
             print(text, file=sys.stderr)
             sys.exit(code)
@@ -91,16 +98,21 @@ def common(
 
 @app.command()
 def conform(
-    port: Annotated[str, typer.Argument(help="Port of a robot or a twin, such as khep://default.")],
+    port: Annotated[
+        str,
+        typer.Argument(help="Port of a robot or a twin, such as khep://default.", autocompletion=known_ports),
+    ],
     move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
     baudrate: Annotated[int, typer.Option(help="Speed of the line.")] = 9600,
     report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
+    force: Force = False,
 ) -> None:
     """Checks whether what is at a port speaks the robot's protocol; ends with 1 if it does not."""
     from khep_twin.lab import conformance
 
     if report is not None and (reason := unusable(report)):
         raise usage(f"--report {report}: cannot be written: {reason}")
+    check_new(force, report)
     if move:
         ways = dict.fromkeys(check.moves for check in conformance.checks(True) if check.moves)
         typer.echo(f"the robot {', '.join(ways)}", err=True)

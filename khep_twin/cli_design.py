@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from khep_twin.cli_options import usage
+from khep_twin.cli_options import complain, usage
 
 
 def design(
@@ -39,9 +39,9 @@ def design(
     with stopping() as stop:
         server = Server(folder, name, listen, expose=expose)
         if expose:
-            typer.echo(
-                "khep-twin: whoever has this address may do all that you may; it is not encrypted", err=True
-            )
+            complain("whoever has this address may do all that you may; it is not encrypted")
+        how = "open this page in a browser" if no_browser else "the browser opens this page"
+        complain(f"the designer runs for the playpens in {folder}; {how}; Ctrl-C ends it")
         typer.echo(server.url)
         if not no_browser:
             webbrowser.open(server.url)

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.cli_completion import ports
+from khep_twin.cli_options import Force, check_new
 from khep_twin.errors import KhepTwinError
 
 if TYPE_CHECKING:
@@ -26,7 +28,9 @@ _CTRL_C, _ESCAPE = 3, 27
 
 
 def drive(
-    port: Annotated[str, typer.Argument(help="Port of a robot or a twin, such as khep://obstacles.")],
+    port: Annotated[
+        str, typer.Argument(help="Port of a robot or a twin, such as khep://obstacles.", autocompletion=ports)
+    ],
     speed: Annotated[
         int, typer.Option(min=1, max=40, help="Speed to begin with [pulses/10 ms = 8 mm/s].")
     ] = 5,
@@ -36,6 +40,7 @@ def drive(
     log: Annotated[
         Path | None, typer.Option(help="Record the drive in this MCAP file; for a twin at khep:// only.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Drives a robot by the terminal's keys, and shows its sensors.
 
@@ -46,6 +51,7 @@ def drive(
     from khep_twin.lab.teleoperation import TIMEOUT, Teleoperation
     from khep_twin.ports.stopping import stopping
 
+    check_new(force, log)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise KhepTwinError("drive: there is no terminal to drive from; right is to start it in one")
     with (

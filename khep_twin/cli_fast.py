@@ -22,6 +22,7 @@ KNOWN = {
     "seconds",
     "cycles",
     "fast",
+    "force",
     "period",
     "step",
     "planar",

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli_completion import calibrations
+from khep_twin.cli_options import Force, check_new
 from khep_twin.errors import FitError
 from khep_twin.files import unusable, write_whole
 
@@ -24,11 +26,14 @@ def fit(
         list[str] | None,
         typer.Option(help="A test like these that is not used, but told how well it is met."),
     ] = None,
-    start: Annotated[str, typer.Option(help="Calibration that the rest is taken from.")] = "khepera1",
+    start: Annotated[
+        str, typer.Option(help="Calibration that the rest is taken from.", autocompletion=calibrations)
+    ] = "khepera1",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Calibration file to write.")] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the fit over the data in this PNG, SVG or PDF file.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Finds one robot's wheels, motors and sensors from recorded tests and a ruler."""
     from khep_twin import calibration, drawing
@@ -48,6 +53,7 @@ def fit(
             raise FitError(f"{path}: this is a recorded test; right is a file of its own")
     if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise FitError(f"{picture}: right is a name that ends in .png, .svg or .pdf")
+    check_new(force, output)
     data, unused = measured(tests), measured(check or [])
     if picture is not None and not (data.objects or data.lamps or data.motors):
         raise FitError(

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli_completion import logs, ports
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.clock import NS_PER_S
 
@@ -24,11 +25,12 @@ def recover(
 
 
 def repeat(
-    log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.")],
+    log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.", autocompletion=logs)],
     port: Annotated[
         str | None,
         typer.Option(
-            help="Send the log's host bytes to this robot or twin instead, and compare its replies."
+            help="Send the log's host bytes to this robot or twin instead, and compare its replies.",
+            autocompletion=ports,
         ),
     ] = None,
 ) -> None:

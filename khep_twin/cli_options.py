@@ -1,7 +1,5 @@
 """What several commands have in common: their options, and what they tell the user."""
 
-import shutil
-import sys
 from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from khep_twin.errors import choices
+from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.log.line_recorder import LineRecorder
@@ -75,6 +74,13 @@ CarryOn = Annotated[
         help="Go on without the log if it cannot be written any more, as on a full disk; ends with 3 then.",
     ),
 ]
+Force = Annotated[
+    bool, typer.Option("--force", help="Replace files that are there already; otherwise they are kept.")
+]
+
+Viewer = Annotated[
+    bool, typer.Option("--viewer", help="Show the run in MuJoCo's own viewer, in a window on this screen.")
+]
 
 OF_A_TWIN = {
     "playpen",
@@ -89,6 +95,7 @@ OF_A_TWIN = {
     "fault",
     "log",
     "carry_on",
+    "viewer",
 }
 """Options of a twin, by the names of their parameters."""
 
@@ -97,6 +104,16 @@ def given(context: typer.Context) -> set[str]:
     """The options that the user has typed."""
     sources = {name: context.get_parameter_source(name) for name in context.params}
     return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def check_new(force: bool, *paths: Path | None) -> None:
+    """Refuse to replace files, unless that is wanted or they are empty.
+
+    Pictures, pages and recordings for rerun are drawn again from data that stays, so commands leave them out.
+    """
+    for path in paths:
+        if path is not None and not force and path.is_file() and path.stat().st_size:
+            raise usage(f"{path}: is there already; expected another name, or --force to replace it")
 
 
 def check_carry_on(carry_on: bool, log: Path | None) -> None:
@@ -133,18 +150,8 @@ def check_body(rom: str | None, robots: Iterable["Robot"]) -> None:
 def tell_kept(recorder: "Recorder | LineRecorder | None") -> None:
     """Says that an unfinished log of an earlier run was found and where it is now."""
     if recorder is not None and recorder.kept is not None:
-        remedy = f"{program()} recover {recorder.kept}"
-        typer.echo(
-            f"khep-twin: an unfinished log of an earlier run is kept as {recorder.kept}; rescue it: {remedy}",
-            err=True,
-        )
-
-
-def program() -> str:
-    """How this command is called here: by its name where the shell finds it, else as it was typed."""
-    typed = sys.argv[0]
-    found = shutil.which("khep-twin")
-    return typed if Path(typed).name == "khep-twin" and found != typed else "khep-twin"
+        remedy = command("recover", recorder.kept)
+        complain(f"an unfinished log of an earlier run is kept as {recorder.kept}; rescue it: {remedy}")
 
 
 def complain(text: str) -> None:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli_options import Commands
+from khep_twin import cli_completion
+from khep_twin.cli_options import Commands, Force, check_new
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
 
@@ -21,15 +22,30 @@ if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
 
 playpen_app = typer.Typer(
-    help="Check, compile, draw and import playpens.",
+    help="List, check, compile, draw and import playpens.",
     cls=Commands,
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 
 SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put to their spots.")]
-PlaypenName = Annotated[str, typer.Argument(help="Name of a shipped playpen, or path of a playpen file.")]
+PlaypenName = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a shipped playpen, or path of a playpen file.", autocompletion=cli_completion.playpens
+    ),
+]
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")]
+
+
+@playpen_app.command("list")
+def list_playpens() -> None:
+    """Lists the shipped playpens, a line each."""
+    from khep_twin import playpen as playpens
+
+    names = playpens.names()
+    for name in names:
+        typer.echo(f"{name:{max(map(len, names))}}  {cli_completion.summary(name)}")
 
 
 @playpen_app.command()
@@ -60,12 +76,15 @@ def check(playpen: PlaypenName) -> None:
 
 
 @playpen_app.command("compile")
-def compile_playpen(playpen: PlaypenName, output: Output = None, seed: SpotSeed = 0) -> None:
+def compile_playpen(
+    playpen: PlaypenName, output: Output = None, seed: SpotSeed = 0, force: Force = False
+) -> None:
     """Writes a playpen as MJCF, which opens in MuJoCo without khep_twin; to standard output by default."""
     from khep_twin import playpen as playpens
     from khep_twin.playpen_to_mjcf import to_mjcf
 
     _check_not_input(output, playpen)
+    check_new(force, output)
     mjcf = to_mjcf(_placed(playpens.load(playpen), seed))
     if output is None:
         typer.echo(mjcf, nl=False)
@@ -102,12 +121,13 @@ def draw(
 
 
 @playpen_app.command()
-def schema(output: Output = None) -> None:
+def schema(output: Output = None, force: Force = False) -> None:
     """Writes the format as JSON schema, for editors; to standard output by default."""
     import json
 
     from khep_twin import playpen as playpens
 
+    check_new(force, output)
     text = json.dumps(playpens.schema(), indent=2) + "\n"
     if output is None:
         typer.echo(text, nl=False)
@@ -123,12 +143,14 @@ def scatter(
     width_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Of the arena.")] = 1000,
     height_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Of the arena.")] = 1000,
     output: Output = None,
+    force: Force = False,
 ) -> None:
     """Draws a field of obstacles by chance as a playpen file; to standard output by default."""
     from khep_twin import playpen as playpens
     from khep_twin.obstacle_field import obstacle_field
     from khep_twin.randomness import stream
 
+    check_new(force, output)
     try:
         chance = stream(seed, "obstacle field")
     except ValueError as error:
@@ -205,6 +227,7 @@ def import_bitmap(
             "middle.",
         ),
     ] = None,
+    force: Force = False,
 ) -> None:
     """Makes a playpen from a scanned or painted bitmap; writes NAME.toml by default."""
     from khep_twin import bitmap, bitmap_files, toml_files
@@ -212,10 +235,12 @@ def import_bitmap(
     from khep_twin.errors import BitmapError
 
     _check_not_input(output, file)
+    name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", file.stem)[:64].strip("-") or "imported"
+    target = output or Path(f"{name}.toml")
+    check_new(force, target)
     pose = None if robot in (None, "none") else _pose(robot)
     found = bitmap_files.read(file, variable, solid)
     upside_down = found.scanned if flip is None else flip
-    name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", file.stem)[:64].strip("-") or "imported"
     try:
         made = bitmap.to_playpen(
             found.solid[::-1] if upside_down else found.solid,
@@ -227,7 +252,6 @@ def import_bitmap(
         )
     except BitmapError as error:
         raise BitmapError(f"{file}: {error}") from None
-    target = output or Path(f"{name}.toml")
     head = f"# Imported from {toml_files.show(file.name)} by khep-twin playpen import.\n\n"
     write_whole(target, (head + playpens.dump(made.playpen)).encode("utf-8"))
     for line in _summary(found, made, upside_down, mm_per_pixel):

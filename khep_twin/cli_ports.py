@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.errors import PortError, PortInUse
+from khep_twin.invocation import command
 
 
 def ports(
@@ -20,7 +21,7 @@ def ports(
 
     found = found_ports()
     if not found:
-        typer.echo("no ports; khep-twin serve makes one, khep://default needs none", err=True)
+        typer.echo(f"no ports; {command('serve')} makes one, khep://default needs none", err=True)
     width = max((len(port.url) for port in found), default=0)
     for port in found:
         typer.echo(f"{port.url:{width}}  {port.what}{_answer(port.url) if ask else ''}")

@@ -1,24 +1,39 @@
 """The command line's progress bar."""
 
-import sys
+import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
-import typer
+from khep_twin.status_line import status_line
+
+_WIDTH = 36
 
 
 @contextmanager
 def progress() -> Generator[Callable[[float], None] | None, None, None]:
-    """A bar on the terminal, for runs of more than a second; nothing where nobody looks.
+    """Show a bar at the bottom of the terminal; nothing where standard error is not a terminal.
 
-    Yields what is told the part that is done, 0 to 1.
+    Yields a function that takes the share of the work that is done, 0 to 1. The bar is erased at the end.
     """
-    if not sys.stderr.isatty():
-        yield None
-        return
-    with typer.progressbar(length=1000, label="running", file=sys.stderr) as bar:
+    with status_line() as line:
+        if line is None:
+            yield None
+            return
+        begin = time.monotonic()
 
         def show(part: float) -> None:
-            bar.update(int(part * 1000) - bar.pos)
+            elapsed = time.monotonic() - begin
+            bar = "#" * int(part * _WIDTH)
+            left = f"  {clock(elapsed * (1 - part) / part)} left" if part and elapsed > 1 else ""
+            text = f"running  [{bar:-<{_WIDTH}}]  {part:4.0%}{left}"
+            if text != line.text:
+                line.show(text)
 
+        show(0.0)
         yield show
+
+
+def clock(seconds: float) -> str:
+    """Return a duration as hours:minutes:seconds."""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"

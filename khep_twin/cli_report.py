@@ -5,10 +5,12 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli_completion import logs
+from khep_twin.cli_options import Force, check_new
 from khep_twin.errors import LogError
 from khep_twin.files import unusable, write_whole
 
-LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.")]
+LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
 
 
 def export(
@@ -26,6 +28,7 @@ def export(
     transcript: Annotated[
         Path | None, typer.Option(help="Write what was said on the serial line as this CSV file.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Writes what a log holds of a robot as tables for other programs."""
     from khep_twin.lab import export as tables
@@ -37,6 +40,7 @@ def export(
     kind = "" if output is None else tables.checked_suffix(output)
     if transcript is not None and transcript.suffix.lower() != ".csv":
         raise LogError(f"--transcript {transcript}: right is a name that ends in .csv")
+    check_new(force, output, transcript)
     wanted = None if channels is None else [name.strip() for name in channels.split(",")]
     recording = read_series(log)
     name = tables.chosen_robot(recording, robot)

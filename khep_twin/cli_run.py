@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from khep_twin.cli_completion import controllers, playpens, ports
 from khep_twin.cli_fast import check_fast, run_fast
 from khep_twin.cli_options import (
     OF_A_TWIN,
     Battery,
     CarryOn,
     Faults,
+    Force,
     Log,
     Mode,
     Model,
@@ -27,21 +29,22 @@ from khep_twin.cli_options import (
     Seed,
     Spread,
     Switch,
+    Viewer,
     check_body,
     check_carry_on,
     given,
-    program,
     running_mode,
     usage,
 )
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_run_logs import RunLogs, check_picture
 from khep_twin.errors import ControllerError
+from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.lab.series import Bench, Run
     from khep_twin.playpen import Playpen
-    from khep_twin.ports.twin import TwinOptions
+    from khep_twin.ports.twin import Twin, TwinOptions
 
 _OF_A_TWIN = OF_A_TWIN | {"picture", "start", "lighting", "without_lamp"}
 
@@ -49,11 +52,19 @@ _OF_A_TWIN = OF_A_TWIN | {"picture", "start", "lighting", "without_lamp"}
 def run(
     context: typer.Context,
     controller: Annotated[
-        str, typer.Argument(help="A built-in controller (braitenberg), or FILE.py[:NAME].")
+        str,
+        typer.Argument(
+            help="A built-in controller (braitenberg), or FILE.py[:NAME].", autocompletion=controllers
+        ),
     ] = "braitenberg",
-    playpen: Annotated[str, typer.Option(help="Playpen of the twin: a shipped name, or a path.")] = "default",
+    playpen: Annotated[
+        str, typer.Option(help="Playpen of the twin: a shipped name, or a path.", autocompletion=playpens)
+    ] = "default",
     port: Annotated[
-        str | None, typer.Option(help="Port of a robot or a served twin; without, a twin in this process.")
+        str | None,
+        typer.Option(
+            help="Port of a robot or a served twin; without, a twin in this process.", autocompletion=ports
+        ),
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="End after this time [s]; 60 by default.")] = None,
     cycles: Annotated[int | None, typer.Option(help="End after so many cycles.")] = None,
@@ -95,6 +106,8 @@ def run(
     fault: Faults = None,
     log: Log = None,
     carry_on: CarryOn = False,
+    viewer: Viewer = False,
+    force: Force = False,
     fast: Annotated[
         bool,
         typer.Option(
@@ -176,6 +189,8 @@ def run(
     plan = Plan(runs, cycles, 60.0 if seconds is None and cycles is None else seconds, pause)
     source = source_of(found)
     logs = RunLogs(log, picture, carry_on, source)
+    # A run that was interrupted has left its log whole, and is run again.
+    logs.check_new(runs if start else None, force or resume)
     done: list[Run] = []
     with ExitStack() as stack:
         if port is not None:
@@ -185,7 +200,8 @@ def run(
             own = found.playpen if isinstance(found, LoopingController) else None
             chosen = playpen if own is None or "playpen" in given(context) else own
             scene = _scene(chosen, lighting, without_lamp or [])
-            bench, settings = _twins(stack, scene, options, start or [], runs, logs)
+            begin = _beginning(stack, logs, viewer)
+            bench, settings = _twins(stack, scene, options, start or [], runs, begin)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": pause, **source.identity}
         folder = None if save is None else SeriesFolder(save, settings, resume=resume)
         asked = stack.enter_context(stopping())
@@ -212,7 +228,7 @@ def run(
         stopped = asked() and (not done or done[-1].number < runs)
     logs.finish()
     if folder is not None:
-        typer.echo(f"series   {folder.path}      look at it: {program()} series {folder.path}")
+        typer.echo(f"series   {folder.path}      look at it: {command('series', folder.path)}")
     if stopped:
         rest = f"; {len(folder.rows)} of {runs} runs are kept, go on with --resume" if folder else ""
         typer.echo(f"khep-twin: stopped before its end{rest}", err=True)
@@ -225,7 +241,7 @@ def _twins(
     options: "TwinOptions",
     wishes: Sequence[str],
     runs: int,
-    logs: RunLogs,
+    begin: "Callable[[Twin, int | None], None]",
 ) -> "tuple[Bench, dict[str, Any]]":
     """Twins in this process, and what makes them what they are: one for all runs, or with starts new ones."""
     from khep_twin.host import Khepera
@@ -242,9 +258,24 @@ def _twins(
     settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wishes, **versions()}
     if wishes:
         places = starts(wishes, scene, options.robot or 0, runs, options.seed)
-        return NewTwins(scene, options, places, logs.record), settings
+        return NewTwins(scene, options, places, begin), settings
     khepera = Khepera(Serial.of(open_twin(scene, options), timeout=1.0))
-    return OneRobot(stack.enter_context(khepera), logs.record), settings
+    return OneRobot(stack.enter_context(khepera), lambda twin: begin(twin, None)), settings
+
+
+def _beginning(stack: ExitStack, logs: RunLogs, viewer: bool) -> "Callable[[Twin, int | None], None]":
+    """Return what is done with each twin before it runs: log it, and show it where that is wanted."""
+    if not viewer:
+        return logs.record
+    from khep_twin.mujoco_viewer import MujocoViewer
+
+    window = stack.enter_context(closing(MujocoViewer(real_time=True)))
+
+    def begin(twin: "Twin", number: int | None) -> None:
+        logs.record(twin, number)
+        window.watch(twin.world)
+
+    return begin
 
 
 def _scene(playpen: "str | Playpen", lighting: str | None, without_lamp: Sequence[str]) -> "Playpen":
@@ -282,3 +313,5 @@ def _confirm(number: int, stop: Callable[[], bool]) -> None:
             entered = os.read(sys.stdin.fileno(), 1)
             if not entered:
                 raise ControllerError(f"--confirm: the input ended before run {number}; right is a terminal")
+    # A terminal has shown the Enter itself.
+    typer.echo("\r" if sys.stdin.isatty() else "\n", nl=False, err=True)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from khep_twin.cli_options import check_log, complain, program, tell_kept, usage
+from khep_twin.cli_options import check_log, check_new, complain, tell_kept, usage
+from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.lab.controller_source import Source
@@ -41,6 +42,14 @@ class RunLogs:
         if twin.recorder is not None:
             self._recorders.append(twin.recorder)
 
+    def check_new(self, runs: int | None, force: bool) -> None:
+        """Refuse to replace finished logs: the only one, or with `runs` one for each."""
+        from khep_twin.lab.series import numbered
+
+        if self._path is not None:
+            paths = [self._path] if runs is None else [numbered(self._path, i + 1) for i in range(runs)]
+            check_new(force, *paths)
+
     def failed(self) -> bool:
         """Whether a log has failed that runs cannot go on without."""
         return not self._carry_on and any(each.failure is not None for each in self._recorders)
@@ -56,7 +65,7 @@ class RunLogs:
             draw_logs(paths, self._picture)
             typer.echo(f"picture  {self._picture}")
         more = f" to {paths[-1].name}" if len(paths) > 1 else ""
-        typer.echo(f"log      {paths[0]}{more}      look at it: {program()} view {paths[0]}")
+        typer.echo(f"log      {paths[0]}{more}      look at it: {command('view', paths[0])}")
 
 
 def draw_logs(logs: Sequence[Path], picture: Path) -> None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.cli_completion import ports
+from khep_twin.cli_options import Force, check_new
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.files import unusable
@@ -29,7 +31,8 @@ def sense(
         str | None,
         typer.Argument(
             help="Port of a robot or a twin, such as /dev/ttyUSB0 or khep://default; without, earlier runs "
-            "are drawn."
+            "are drawn.",
+            autocompletion=ports,
         ),
     ] = None,
     what: Annotated[
@@ -72,6 +75,7 @@ def sense(
     overlay: Annotated[
         list[Path] | None, typer.Option(help="An earlier run to draw with; as many as wanted.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Reads a robot's sensors while it drives straight or turns, into files and a picture."""
     from khep_twin.lab import sensor_figure, sensor_files
@@ -98,6 +102,7 @@ def sense(
     for path in chain.from_iterable(names):
         sensor_files.checked_suffix(path)
     _check_distinct([*chain.from_iterable(names), *filter(None, [picture]), *(overlay or [])])
+    check_new(force, *chain.from_iterable(names))
     earlier = [sensor_files.load(path, what.value if what else None) for path in overlay or []]
     if picture is not None:
         _check_picture(picture, earlier, tests, sensor, y_min or 0)

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from khep_twin.cli_options import program, usage
+from khep_twin.cli_options import Force, check_new, usage
 from khep_twin.errors import ControllerError
+from khep_twin.invocation import command
 
 
 class Kind(StrEnum):
@@ -56,12 +57,14 @@ def new(
         Kind, typer.Argument(help="Of what: a controller, or one in the Khepera Toolbox's form.")
     ],
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="Where to write it.")],
+    force: Force = False,
 ) -> None:
     """Writes a commented template to begin with."""
     from khep_twin.lab.controllers import write_template
 
     if file.suffix != ".py":
         raise usage(f"{file}: right is a name that ends in .py")
+    check_new(force, file)
     write_template(kind.value, file)
-    length = "--seconds 20" if kind is Kind.CONTROLLER else "--cycles 500"
-    typer.echo(f"{kind}  {file}      run it: {program()} run {file} --playpen obstacles {length}")
+    length = ("--seconds", 20) if kind is Kind.CONTROLLER else ("--cycles", 500)
+    typer.echo(f"{kind}  {file}      run it: {command('run', file, '--playpen', 'obstacles', *length)}")

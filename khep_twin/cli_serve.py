@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.cli_completion import ports
 from khep_twin.cli_options import (
     OF_A_TWIN,
     Battery,
     CarryOn,
     Faults,
+    Force,
     Log,
     Mode,
     Model,
@@ -23,9 +25,11 @@ from khep_twin.cli_options import (
     Seed,
     Spread,
     Switch,
+    Viewer,
     check_body,
     check_carry_on,
     check_log,
+    check_new,
     complain,
     given,
     running_mode,
@@ -34,6 +38,7 @@ from khep_twin.cli_options import (
 )
 from khep_twin.cli_playpen import PlaypenName
 from khep_twin.errors import PortError
+from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.ports.cable import Cable
@@ -55,8 +60,8 @@ def serve(
         str | None,
         typer.Option(
             metavar="PATH",
-            help="Make this link to the pseudo-terminal. NAME alone lies in a private directory, "
-            "$XDG_RUNTIME_DIR/khep_twin, ./NAME in this one. The path to open is printed.",
+            help="Make this link to the pseudo-terminal; the path to open is printed. NAME alone lies in a "
+            "private directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME lies in the current directory.",
         ),
     ] = None,
     tcp: Annotated[
@@ -75,7 +80,10 @@ def serve(
     unpaced: Annotated[bool, typer.Option("--unpaced", help="Let bytes cross the line in no time.")] = False,
     through: Annotated[
         str | None,
-        typer.Option(help="Serve the robot at this port instead of a twin: all is passed on, and logged."),
+        typer.Option(
+            help="Serve the robot at this port instead of a twin: all is passed on, and logged.",
+            autocompletion=ports,
+        ),
     ] = None,
     strict_line: Annotated[
         bool, typer.Option("--strict-line", help="Garble the bytes of a host at another speed.")
@@ -96,6 +104,8 @@ def serve(
     fault: Faults = None,
     log: Log = None,
     carry_on: CarryOn = False,
+    viewer: Viewer = False,
+    force: Force = False,
 ) -> None:
     """Serves a twin, or with --through a robot, behind pseudo-terminals or on the network until stopped.
 
@@ -107,6 +117,7 @@ def serve(
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     check_carry_on(carry_on, log)
+    check_new(force, log)
     where = partial(far_ends, link=link, tcp=tcp, rfc2217=rfc2217, expose=expose)
     if through is not None:
         if ignored := given(context) & (OF_A_TWIN | _OF_A_SERVED_TWIN) - {"mode", "log", "carry_on"}:
@@ -132,19 +143,27 @@ def serve(
         stopping() as stop,
         open_twin(playpen, options) as twin,
         where({robot.index: robot.firmware.baud for robot in twin.robots}) as cables,
+        ExitStack() as stack,
     ):
         check_body(rom, (twin.world.playpen.robots[robot.index] for robot in twin.robots))
         if log is not None:
             twin.record(log, carry_on=complain if carry_on else None)
             tell_kept(twin.recorder)
-        with _listed(cables, f"twin in {playpen}"):
-            _announce(cables, ready_fd)
+        if viewer:
+            from khep_twin.mujoco_viewer import MujocoViewer
+
+            window = stack.enter_context(closing(MujocoViewer(real_time=False)))
+            window.watch(twin.world)
+        what = f"twin in {playpen}"
+        with _listed(cables, what):
+            _announce(cables, ready_fd, what)
             pacer = serve_twin(twin, cables, factor, stop=stop, tell=complain)
         dropped = sum(cable.dropped for cable in cables)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
     _tell_served(twin.world.time_ns, dropped)
     check_log(twin.recorder, carry_on)
+    _tell_log(log)
 
 
 def _relay(
@@ -178,12 +197,14 @@ def _relay(
             recorder = LineRecorder(log, {"through": through, "baud": baud}, now, carry_on=told)
             stack.enter_context(closing(recorder))
         tell_kept(recorder)
-        stack.enter_context(_listed(cables, f"robot at {through}"))
-        _announce(cables, ready_fd)
+        what = f"robot at {through}"
+        stack.enter_context(_listed(cables, what))
+        _announce(cables, ready_fd, what)
         relay(device, cables[0], recorder, stop=stop, tell=complain)
         duration_ns, dropped = now(), cables[0].dropped
     _tell_served(duration_ns, dropped)
     check_log(recorder, carry_on)
+    _tell_log(log)
 
 
 @contextmanager
@@ -206,8 +227,15 @@ def _tell_served(duration_ns: int, dropped: int) -> None:
         typer.echo(f"{dropped} bytes dropped that no host took", err=True)
 
 
-def _announce(cables: Sequence["Cable"], descriptor: int | None) -> None:
-    """Says what hosts open, on standard output and to whoever waits at a descriptor."""
+def _tell_log(log: Path | None) -> None:
+    """Says where the log is, if there is one."""
+    if log is not None:
+        typer.echo(f"log      {log}      look at it: {command('view', log)}", err=True)
+
+
+def _announce(cables: Sequence["Cable"], descriptor: int | None, what: str) -> None:
+    """Says what is served, and what hosts open: on standard output and to whoever waits at a descriptor."""
+    complain(f"serving a {what}; hosts open what the next lines name; Ctrl-C ends it")
     paths = "".join(f"{cable.path}\n" for cable in cables)
     typer.echo(paths, nl=False)
     if descriptor is None:

@@ -1,6 +1,5 @@
 """`khep-twin sweep`: a study's lives, here or on Ray, each result once in one Parquet table."""
 
-import shlex
 import sys
 import time
 import warnings
@@ -10,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli_options import complain, program, usage
-from khep_twin.cli_progress import progress
+from khep_twin.cli_completion import studies
+from khep_twin.cli_options import complain, usage
+from khep_twin.cli_progress import clock, progress
+from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.scale.sweep_tasks import Task, Work
@@ -21,7 +22,9 @@ SECONDS_BETWEEN_LINES = 60.0
 
 
 def sweep(
-    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="What to go through.")],
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY.toml", help="What to go through.", autocompletion=studies)
+    ],
     ray: Annotated[
         bool, typer.Option("--ray", help="On Ray, in processes that may die; without, in threads.")
     ] = False,
@@ -47,6 +50,7 @@ def sweep(
     """Leads all the lives of a study and keeps each one's results once, in a Parquet table."""
     from khep_twin.scale import study as studies
     from khep_twin.scale.life import SlowerWarning, is_compiled
+    from khep_twin.scale.results import summary
     from khep_twin.scale.sweep import here, run_sweep
     from khep_twin.scale.sweep_tasks import work_of
 
@@ -97,10 +101,11 @@ def sweep(
 
             table = run_sweep(file, output=output, resume=resume, doers=doers, begin=begin, progress=tell)
     except KeyboardInterrupt:
-        again = shlex.join(_again(study, ray, address, workers, output))
-        typer.echo(f"khep-twin: stopped; go on: {program()} {again}", err=True)
+        complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
         raise typer.Exit(130) from None
-    typer.echo(f"results  {table}")
+    for line in summary(table):
+        typer.echo(line)
+    typer.echo(f"results  {table}      read it: pyarrow.parquet.read_table({str(table)!r})")
 
 
 def _again(
@@ -124,8 +129,5 @@ class _Lines:
         if now - self._last < SECONDS_BETWEEN_LINES:
             return
         self._last = now
-        left = round((now - self._start) * (total - done) / done)
-        print(
-            f"{done} of {total} lives, {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left",
-            file=sys.stderr,
-        )
+        left = clock((now - self._start) * (total - done) / done)
+        print(f"{done} of {total} lives, {left} left", file=sys.stderr)

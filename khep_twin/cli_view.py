@@ -5,16 +5,23 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli_completion import logs as known_logs
 from khep_twin.cli_options import usage
 from khep_twin.errors import LogError
 from khep_twin.files import unusable
+from khep_twin.invocation import command
 
 
 def view(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG", help="A log, FILE.mcap, or several to compare.")
+        list[Path],
+        typer.Argument(
+            metavar="LOG", help="A log, FILE.mcap, or several to compare.", autocompletion=known_logs
+        ),
     ],
-    save: Annotated[Path | None, typer.Option(help="Write a rerun recording instead of opening it.")] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="Write a rerun recording, FILE.rrd, instead of opening it.")
+    ] = None,
     png: Annotated[
         Path | None, typer.Option(help="Write a still as this PNG file instead, without a screen.")
     ] = None,
@@ -43,7 +50,7 @@ def view(
 
     if save is not None:
         view_logs(logs, save)
-        typer.echo(f"recording  {save}      look at it: rerun {save}")
+        typer.echo(f"recording  {save}      look at it: {command(save, program='rerun')}")
         return
     from khep_twin.log.viewer import Web
     from khep_twin.ports.serve import stopping
@@ -68,6 +75,8 @@ def _check(
         raise usage(f"{' and '.join(given)} do not go together; right is one of them, or --web and --live")
     if no_browser and not web:
         raise usage("--no-browser is for --web")
+    if save is not None and save.suffix.lower() != ".rrd":
+        raise usage(f"--save {save}: expected a name that ends in .rrd, a recording for rerun")
     if live and len(logs) > 1:
         raise usage(f"--live follows one log, not {len(logs)}")
     if png is not None:

@@ -25,6 +25,9 @@ from khep_twin.playpen_to_mjcf import to_spec
 WIDTH, HEIGHT = 1280, 960
 """Of a picture [pixels]."""
 
+_FLOOR, _LINES = [0.68, 0.76, 0.80], [0.48, 0.57, 0.63]
+"""Colours that no surface of the library has."""
+
 
 def render(playpen: Playpen, target: Path) -> bytes:
     """A picture of a playpen as it is at the start, as PNG.
@@ -39,27 +42,20 @@ def render(playpen: Playpen, target: Path) -> bytes:
     if target.suffix.lower() != ".png":
         raise KhepTwinError(f"{target}: right is a name that ends in .png, or no --perspective")
     spec = to_spec(playpen)
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.25] * 3
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.98, 0.98, 0.99],
-        rgb2=[0.86, 0.89, 0.93],
-        width=64,
-        height=384,
-    )
+    _decorate(spec)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     arena = playpen.arena
     camera = mujoco.MjvCamera()
     camera.lookat[:] = arena.width_mm / 2000, arena.height_mm / 2000, 0
-    camera.distance = 1.25 * max(arena.width_mm, 1.2 * arena.height_mm) / 1000
+    camera.distance = 1.4 * max(arena.width_mm, 1.2 * arena.height_mm) / 1000
     camera.azimuth, camera.elevation = 90, -52
     scene = mujoco.MjvScene(model, maxgeom=20_000)
     everything = int(mujoco.mjtCatBit.mjCAT_ALL)
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
+    option = mujoco.MjvOption()
+    option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = 0
+    mujoco.mjv_updateScene(model, data, option, None, camera, everything, scene)
     pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
     with _window(model, target) as window:
@@ -69,6 +65,50 @@ def render(playpen: Playpen, target: Path) -> bytes:
     picture = BytesIO()
     Image.fromarray(pixels[::-1]).save(picture, format="PNG")
     return picture.getvalue()
+
+
+def _decorate(spec: mujoco.MjSpec) -> None:
+    """Gives a scene a sky, a floor with lines every 100 mm, and light from the side, for shadows.
+
+    The lights together stay below full brightness, so that white things differ from the floor, and their tops
+    from their sides.
+    """
+    headlight = spec.visual.headlight
+    headlight.ambient, headlight.diffuse, headlight.specular = [0.32] * 3, [0.15] * 3, [0.0] * 3
+    spec.visual.quality.shadowsize = 4096
+    spec.visual.map.shadowclip = 2
+    floor = spec.geom("floor")
+    for light in spec.lights:
+        light.dir, light.diffuse, light.specular = [0.45, 0.55, -1], [0.5] * 3, [0.1] * 3
+        # From about as far as the arena is wide: from farther off, shadows would have stripes.
+        far = 2 * max(floor.size[:2])
+        light.pos = [at - far * part for at, part in zip(floor.pos, light.dir, strict=True)]
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.98, 0.98, 0.99],
+        rgb2=[0.86, 0.89, 0.93],
+        width=64,
+        height=384,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=_FLOOR,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        markrgb=_LINES,
+        width=120,
+        height=120,
+    )
+    lines = spec.add_material(name="floor", texrepeat=[20, 20], texuniform=True, specular=0.0)
+    lines.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    floor.material, floor.rgba = "floor", [1, 1, 1, 1]
+    # The lines go out from its edges: those through the arena's corner are among them.
+    place, size = np.array(floor.pos), np.array(floor.size)
+    low, high = np.floor(10 * (place - size)) / 10, np.ceil(10 * (place + size)) / 10
+    floor.pos, floor.size = [*(low + high)[:2] / 2, 0], [*(high - low)[:2] / 2, 0.01]
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@ Names in the scene: "floor"; "wall_left", "wall_right", "wall_bottom", "wall_top
 outline; "block0", "cylinder0", "patch0", "lamp0" … and pieces of walls "wall0_0" … in the file's order, but
 that nameless blocks that continue each other are one, with the first one's number; the robots as bodies
 "khepera0/base" … with everything of theirs behind the same prefix, their turrets as "khepera0/gripper/arm" ….
+The keyframe "home" is the start, with what the motors hold; MuJoCo alone begins with all controls at 0.
 What the sensors need travels inside the MJCF: a geom's `user` values are its infrared reflectance and its
 electrical conductance [S], a lamp is a site whose `user` value is its power [W].
 
@@ -89,9 +90,12 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
         )
     shells: list[str] = []
     hands: list[list[str]] = []
+    controls: list[float] = []
     for index, robot in enumerate(playpen.robots):
         prefix = f"khepera{index}/"
-        hands.append(_add_robot(spec, prefix, robot))
+        names, held = _add_robot(spec, prefix, robot)
+        hands.append(names)
+        controls += held
         shell = prefix + "shell"
         for obstacle in [*obstacles, *shells]:
             _add_contact(spec, shell, obstacle, SHELL_FRICTION)
@@ -100,6 +104,8 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
         for name in names:
             for shell in [*shells[:owner], *shells[owner + 1 :]]:
                 _add_contact(spec, name, shell, SHELL_FRICTION)
+    if controls:
+        spec.add_key(name="home", ctrl=controls)
     return spec
 
 
@@ -139,6 +145,9 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     # What a viewer needs to show a scene of half a metre.
     spec.visual.map.znear = 0.005
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.1] * 3
+    # Viewers draw every ray of every rangefinder; without a colour they hide nothing.
+    spec.visual.rgba.rangefinder = [1, 1, 0.1, 0]
     spec.visual.global_.offwidth = 1280
     spec.visual.global_.offheight = 960
 
@@ -276,11 +285,14 @@ def _paint(geom: mujoco.MjsGeom, playpen: Playpen, surface_name: str, movable: b
     geom.solimp = _SOLIMP
 
 
-def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
-    """Puts a robot with its turrets into the scene; returns the parts of turrets that touch things."""
+def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str], list[float]]:
+    """Put a robot with its turrets into the scene.
+
+    Returns:
+        The parts of turrets that touch things, and the controls of all its motors at the start.
+    """
     child = mujoco.MjSpec.from_file(str(ROBOT_FILE))
-    for key in list(child.keys):
-        child.delete(key)  # the scene's own start pose stands for it
+    controls = _take_home(child)
     measured = calibration.read(robot.calibration)[0]
     _fit_body(child, units.BODIES[robot.model])
     _fit_wheels(child, measured.wheels)
@@ -294,6 +306,7 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
         if kind.scene is not None:
             turret = mujoco.MjSpec.from_file(str(kind.scene))
             hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
+            controls += _take_home(turret)
             child.attach(turret, prefix=f"{kind.name}/", frame=child.body("base").add_frame())
     heading = units.radians(robot.heading_deg)
     frame = spec.worldbody.add_frame(
@@ -306,7 +319,17 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> list[str]:
     for support in ("front_support", "back_support"):
         # Polished balls: without friction, which also keeps odometry clean.
         _add_contact(spec, prefix + support, "floor", 0.0)
-    return hands
+    return hands, controls
+
+
+def _take_home(part: mujoco.MjSpec) -> list[float]:
+    """Remove a part's keyframes, for which the scene's own stands; return the controls of its "home"."""
+    controls = [0.0] * len(part.actuators)
+    for key in list(part.keys):
+        if key.name == "home" and len(key.ctrl):
+            controls = list(key.ctrl)
+        part.delete(key)
+    return controls
 
 
 def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:

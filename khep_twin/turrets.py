@@ -72,6 +72,7 @@ class TurretKind:
         revision: of its own ROM.
         make: builds its electronics.
         scene: its MJCF, placed with its origin on the floor under the robot's centre; None without a body.
+            Its keyframe "home" has what its motors hold at the start.
         fit: joins the electronics and the compiled scene; given the model, its data, the prefix of the
             turret's names in it and the registers.
         reach: radius of the floor around the robot's centre that it covers with the robot at start [m].

@@ -6,6 +6,14 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+LISTS_PORTS = (
+    *(sys.executable, "-c"),
+    "from serial.tools import list_ports; list_ports.comports = lambda: []\n"
+    "from khep_twin.cli import main; main()",
+    "ports",
+)
+"""`khep-twin ports` on a machine without serial ports, whatever is plugged into this one."""
+
 
 @contextmanager
 def served(*arguments: str, notices: bool = False) -> Iterator[tuple["subprocess.Popen[str]", str]]:

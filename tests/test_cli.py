@@ -2,18 +2,23 @@
 
 import json
 import os
+import re
 import resource
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import chdir
 from pathlib import Path
 
 import mujoco
 import pytest
+from typer.testing import CliRunner
 
-from khep_twin import __version__, playpen
+from khep_twin import __version__, invocation, playpen
+from khep_twin.cli import app
 from khep_twin.log.reader import read
 
 GOOD = (playpen.toml_files.folder("playpens") / "obstacles.toml").read_text()
@@ -87,7 +92,7 @@ def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path
             text=True,
         )
         assert result.returncode == 0, result.stderr
-        assert f"look at it: khep-twin view {log}" in result.stdout
+        assert f"look at it: {invocation.command('view', log)}" in result.stdout
     first, second, third = (log.read_bytes() for log in logs)
     assert first == second
     assert first != third
@@ -173,6 +178,7 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
         (["view", "no/a.mcap", "--live"], "no/a.mcap: no run writes this log"),
         (["view", "a.mcap", "--live", "--save", "a.rrd"], "--save and --live do not go together"),
         (["view", "a.mcap", "--no-browser"], "--no-browser is for --web"),
+        (["view", "a.mcap", "--save", "b.mcap"], "--save b.mcap: expected a name that ends in .rrd"),
         (
             ["playpen", "compile", "default", "-o", "/nowhere/x.xml"],
             "/nowhere/x.xml: cannot be written: there is no directory /nowhere",
@@ -185,6 +191,64 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
 )
 def test_a_mistake_is_one_line_that_says_what_is_right(arguments: list[str], line: str) -> None:
     assert complaint(*arguments).startswith(line)
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "run --log mine",
+        "run --runs 2 --start playpen --log series.mcap",
+        "serve --log mine",
+        "drive khep://default --log mine",
+        "sense khep://default --linear 5 -o mine.csv",
+        "fit a.mcap=998mm -o mine",
+        "export a.mcap -o mine.csv",
+        "export a.mcap --transcript mine.csv",
+        "conform khep://default --report mine",
+        "new controller mine.py",
+        "playpen compile default -o mine",
+        "playpen schema -o mine",
+        "playpen scatter -o mine",
+        "playpen import mine.png",
+    ],
+)
+def test_a_file_that_is_there_is_kept(typed: str, tmp_path: Path) -> None:
+    names = ("mine", "mine.csv", "mine.py", "mine.toml", "series-002.mcap")
+    for name in names:
+        (tmp_path / name).write_text("a year's work")
+    with chdir(tmp_path):
+        result = CliRunner().invoke(app, typed.split())
+    assert result.exit_code == 2, result.output
+    expected = (
+        r"khep-twin: (mine|series-002)\S*: is there already; expected another name, or --force to replace it"
+    )
+    assert re.fullmatch(expected, result.stderr.strip())
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
+        names, "a year's work"
+    )
+
+
+def test_a_file_is_replaced_by_force_or_where_it_is_empty(tmp_path: Path) -> None:
+    file = tmp_path / "scene.xml"
+    words = ["playpen", "compile", "default", "-o", str(file)]
+    file.touch()
+    assert CliRunner().invoke(app, words).exit_code == 0
+    whole = file.read_text()
+    assert CliRunner().invoke(app, words).exit_code == 2
+    file.write_text("another one")
+    assert CliRunner().invoke(app, [*words, "--force"]).exit_code == 0
+    assert file.read_text() == whole
+
+
+def test_the_readmes_run_can_be_repeated(tmp_path: Path) -> None:
+    makefile = (Path(__file__).parents[1] / "Makefile").read_text()
+    words = shlex.split(re.findall(r"@\$\(TWIN\) (run .*)", makefile)[0].replace("$(PLAYPEN)", "obstacles"))
+    words[words.index("--seconds") + 1] = "0.5"
+    (tmp_path / "out").mkdir()
+    with chdir(tmp_path):
+        for _ in range(2):
+            assert CliRunner().invoke(app, words).exit_code == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["run.mcap", "run.png"]
 
 
 def test_a_full_disk_ends_the_run_and_keeps_what_was_written(tmp_path: Path) -> None:

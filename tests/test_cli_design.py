@@ -14,9 +14,15 @@ COMMAND = [sys.executable, "-m", "khep_twin", "design"]
 
 def test_it_tells_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) -> None:
     with subprocess.Popen(
-        [*COMMAND, "mine.toml", "--no-browser"], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+        [*COMMAND, "mine.toml", "--no-browser"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stderr.readline().endswith("; open this page in a browser; Ctrl-C ends it\n")
         url = process.stdout.readline().strip()
         with urllib.request.urlopen(url) as answer:
             assert b"Khepera designer" in answer.read()

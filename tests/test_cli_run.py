@@ -176,7 +176,7 @@ def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
     assert process.returncode == 130, errors
     kept = len(rows(tmp_path / "series"))
     assert errors == f"khep-twin: stopped before its end; {kept} of 40 runs are kept, go on with --resume\n"
-    assert "look at it: khep-twin series series" in output
+    assert "khep-twin series series" in output
     log = read(sorted(tmp_path.glob("run*.mcap"))[-1])
     # The last setpoints of the log are those of motors that stand.
     assert [line.text for line in log.robots["khepera0"].serial if line.text.startswith("D")][-1] == "D,0,0"
@@ -412,7 +412,7 @@ def test_a_mistake_is_one_line(words: Sequence[str], line: str, tmp_path: Path) 
 
 
 def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
-    assert "run it: khep-twin run mine.py" in good("new", "controller", "mine.py", folder=tmp_path)
+    assert "khep-twin run mine.py" in good("new", "controller", "mine.py", folder=tmp_path)
     good("run", "mine.py", "--playpen", "obstacles", "--seconds", "20", "--save", "s", folder=tmp_path)
     assert int(rows(tmp_path / "s")[0]["turns"]) >= 1
     assert complaint("new", "controller", "mine.py", folder=tmp_path).startswith("mine.py: is there already")

@@ -17,13 +17,25 @@ SHORTER = {"04_evolve": "--generations 2 --population 4 --seconds 0.4 --check-se
 """What makes a long one short."""
 
 
+ENDS = {"02_pick_and_carry": "carried 96 mm back and put down\nto watch it: python"}
+"""What an example says at its end."""
+
+
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs_on_a_twin_in_its_own_process(example: Path, tmp_path: Path) -> None:
     package = NEEDS.get(example.stem)
     if package is not None and importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed")
     options = SHORTER.get(example.stem, [])
-    subprocess.run([sys.executable, str(example), *options], check=True, timeout=120, cwd=tmp_path)
+    ended = subprocess.run(
+        [sys.executable, str(example), *options],
+        check=True,
+        timeout=120,
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert ENDS.get(example.stem, "") in ended.stdout
 
 
 @pytest.mark.parametrize("name", NEEDS)

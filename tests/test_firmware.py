@@ -145,3 +145,31 @@ def test_rubbish_is_answered_line_by_line_in_plain_ascii(chunks: list[bytes]) ->
     if not any(tool in stream for tool in tools):
         assert replies.count(b"\r\n") == len(lines)
     assert firmware.receive(b"\nB\n").endswith(b"b,5.02,5.01\r\n")
+
+
+@pytest.mark.parametrize(
+    ("rom", "mode", "baud", "told"),
+    [
+        ("5.02", 1, 38400, "for 38400 baud: serve --mode 3, or khep://...?mode=3"),
+        ("5.02", 3, 9600, "for 9600 baud: serve --mode 1, or khep://...?mode=1"),
+        ("khepera2", 1, 115200, "for 115200 baud: serve --mode 9, or khep://...?mode=9"),
+        (
+            "4.06",
+            1,
+            57600,
+            "for 57600 baud, of a Khepera II: serve --model khepera2 --mode 8, or "
+            "khep://...?model=khepera2&mode=8",
+        ),
+        ("5.02", 1, 1200, "no running mode has 1200 baud: expected 9600 at the host"),
+    ],
+)
+def test_the_remedy_for_another_speed_is_the_mode_that_has_it(
+    rom: str, mode: int, baud: int, told: str
+) -> None:
+    assert Firmware(ROMS[rom], mode).remedy(baud) == told
+
+
+def test_the_remedy_for_a_speed_that_the_tool_serial_has_left_is_a_restart() -> None:
+    firmware = Firmware(ROMS["5.02"], 1)
+    firmware.receive(b"serial 38400\n")
+    assert firmware.remedy(9600) == "'restart' brings the robot back to 9600 baud"

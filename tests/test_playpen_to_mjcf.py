@@ -181,7 +181,7 @@ def test_reflectance_and_power_travel_inside_the_mjcf() -> None:
     model = mujoco.MjModel.from_xml_string(to_mjcf(playpen.parse(SCENE, "scene")))
     assert model.geom("block0").user == pytest.approx([0.022, 0])
     assert model.geom("wall_left").user == pytest.approx([0.145, 0])
-    assert model.geom("khepera0/base").user == pytest.approx([0.17, 0])
+    assert model.geom("khepera0/base").user == pytest.approx([0.23, 0])
     assert model.site("lamp0").user == pytest.approx(7)
 
 
@@ -225,3 +225,18 @@ def test_a_khepera_2_has_its_own_body_and_senses() -> None:
     assert y == pytest.approx(0.2, abs=1e-4)
     # Its rest is never 0, as that of a Khepera is.
     assert (world.robots[0].registers[PROXIMITY] > 30).all()
+
+
+def test_a_gripper_stays_up_where_mujoco_alone_opens_the_scene_at_its_keyframe() -> None:
+    text = playpen.dump(playpen.load("gripper"))
+    second = "[[robot]]\nx_mm = 100.0\ny_mm = 100.0\nheading_deg = 0\n"
+    first, _, rest = text.partition("[[robot]]")
+    model = mujoco.MjModel.from_xml_string(to_mjcf(playpen.parse(f"{first}{second}[[robot]]{rest}", "pair")))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    start = data.qpos.copy()
+    assert start.tolist() == model.qpos0.tolist()
+    mujoco.mj_step(model, data, 400)
+    joints = [model.joint(f"khepera1/gripper/{name}").qposadr[0] for name in ("shoulder", "left_slide")]
+    assert data.qpos[joints] == pytest.approx(start[joints], abs=0.01)
+    assert data.ctrl[:2].tolist() == [0, 0]

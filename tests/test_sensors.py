@@ -91,6 +91,29 @@ def test_dark_surfaces_reflect_less() -> None:
     assert black == 0
 
 
+def pair(model: str, x_mm: float, y_mm: float) -> np.ndarray:
+    """Proximity of a robot that looks along x, with another one at a place beside its centre."""
+    text = (
+        scene(x_mm=500, y_mm=500)
+        + scene(x_mm=500 + x_mm, y_mm=500 + y_mm).partition("1000\nheight_mm = 1000\n")[2]
+    )
+    return counts(
+        text.replace("[[robot]]", f'[[robot]]\nmodel = "{model}"\ncalibration = "{model}"'), PROXIMITY
+    )
+
+
+def test_a_khepera_ii_reads_another_one_as_the_manufacturers_report_has_it() -> None:
+    # 10 mm from the faces of the front sensors, and of the right one, to the other's shell.
+    ahead, aside = pair("khepera2", 30 + 10 + 35, 0), pair("khepera2", 0, -26.6 - 10 - 35)
+    assert ahead[1:5].tolist() == pytest.approx([105, 223, 271, 102], abs=10)
+    assert aside[5] == pytest.approx(274, abs=4)
+
+
+def test_with_the_default_calibration_robots_see_each_other_just_before_they_touch() -> None:
+    found = [pair("khepera1", 2 * BODY_RADIUS * 1e3 + gap_mm, 0)[[2, 3]].tolist() for gap_mm in (4, 7, 10)]
+    assert found == [[768, 306], [208, 0], [0, 0]]
+
+
 def test_among_mixed_surfaces_each_ray_takes_that_of_what_it_hits() -> None:
     def block(surface: str) -> str:
         return (

@@ -10,6 +10,7 @@ served twin.
 import ast
 import contextlib
 import io
+import os
 import re
 import runpy
 import shlex
@@ -158,13 +159,16 @@ class Reader:
 
 @contextlib.contextmanager
 def reader(folder: Path) -> Iterator[Reader]:
-    """A reader in a fresh folder."""
+    """A reader in a fresh folder, who has activated the environment."""
+    path = os.environ["PATH"]
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
     with contextlib.chdir(folder):
         person = Reader(folder)
         try:
             yield person
         finally:
             person.close()
+            os.environ["PATH"] = path
 
 
 def draw_pictures() -> None:

@@ -1,14 +1,18 @@
 """Opening the port of a robot, and finding out at which speed it speaks."""
 
 import errno
+import os
 import re
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import serial
 
 from khep_twin.errors import PortError, PortInUse, PortTimeout
+from khep_twin.invocation import command
+from khep_twin.ports.register import served
 
 SPEEDS = (9600, 19200, 38400, 57600, 115200)
 """Of the line in the robots' running modes, tried in this order [baud] (manual, appendix E; manual II)."""
@@ -43,12 +47,13 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
             exclusive=exclusive or None,
             **bound,
         )
+    # One error tells all; its causes repeat it.
     except serial.SerialException as error:
         if error.errno in (errno.EBUSY, errno.EAGAIN):
-            raise PortInUse(f"{url}: in use by a program that has locked it") from error
-        raise PortError(_why_not_opened(url, error)) from error
+            raise PortInUse(f"{url}: in use by a program that has locked it") from None
+        raise PortError(_why_not_opened(url, error)) from None
     except (OSError, ValueError) as error:
-        raise PortError(_why_not_opened(url, error)) from error
+        raise PortError(_why_not_opened(url, error)) from None
 
 
 def find_speed(port: Any, name: str, now: Callable[[], float]) -> int:
@@ -94,8 +99,20 @@ def _answers_at(port: Any, speed: int, now: Callable[[], float]) -> bool:
     return answered and not noticed
 
 
+def _link_of(name: str) -> str:
+    """Find the path of a served twin whose link in the private directory has this name; empty without one."""
+    if os.path.dirname(name):
+        return ""
+    with suppress(PortError):
+        return next((path for path, _ in served() if os.path.basename(path) == name), "")
+    return ""
+
+
 def _why_not_opened(url: str, error: Exception) -> str:
     text = str(error)
     if "://" not in url and isinstance(error, serial.SerialException):
-        return f"{url}: cannot open this port: {text}; `khep-twin serve` makes one, khep://default needs none"
+        if path := _link_of(url):
+            return f"{url}: no such port here; the twin served under this name is at {path}"
+        serve = command("serve")
+        return f"{url}: cannot open this port: {text}; `{serve}` makes one, khep://default needs none"
     return text if text.startswith(url) else f"{url}: {text}"

@@ -13,7 +13,6 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.errors import ControllerError
 from khep_twin.files import write_whole
 from khep_twin.host import Khepera
 from khep_twin.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
@@ -154,11 +153,8 @@ def write_template(kind: Literal["controller", "toolbox"], file: Path) -> None:
     """Write a commented controller to begin with, as a class or in the Khepera Toolbox's form.
 
     Raises:
-        ControllerError: the file is there already.
         KhepTwinError: it cannot be written.
     """
-    if file.exists():
-        raise ControllerError(f"{file}: is there already; expected another name")
     write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes())
 
 

@@ -154,6 +154,8 @@ def template(file: str | Path) -> Path:
     """
     if Path(file).suffix != ".py":
         raise ControllerError(f"template: {file}: expected a name that ends in .py")
+    if Path(file).exists():
+        raise ControllerError(f"template: {file}: is there already; expected another name")
     write_template("toolbox", Path(file))
     return Path(file)
 

@@ -17,6 +17,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
+from khep_twin.invocation import command
 from khep_twin.log.reader import Label, read_label
 from khep_twin.log.record_bytes import HEAD, MESSAGE, RecordBytes, parsed, records_in
 
@@ -154,7 +155,7 @@ class GrowingLog:
     def _unpack(self, records: RecordBytes, place: int) -> Generator[Message, None, None]:
         content, _ = records.chunk(place)
         if content is None:
-            raise LogError(f"{self.part}: a part of it is damaged; right is: khep-twin recover {self.part}")
+            raise LogError(f"{self.part}: a part of it is damaged; right is: {command('recover', self.part)}")
         if self.label() is None:
             raise LogError(f"{self.part}: an MCAP file, but no log of khep_twin")
         for opcode, start, end in records_in(content):
@@ -188,5 +189,5 @@ class GrowingLog:
         if os.fstat(self._file.fileno()).st_size > self._file.tell():
             return
         raise LogError(
-            f"{self.part}: its run has ended without finishing it; right is: khep-twin recover {self.part}"
+            f"{self.part}: its run has ended without finishing it; right is: {command('recover', self.part)}"
         )

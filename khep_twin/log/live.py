@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
+from khep_twin.invocation import command
 from khep_twin.log.arena import Light, Rays, event_chunks, trail_chunks
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.gathered import Gatherer
@@ -90,7 +91,7 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
             try:
                 follow(log, recording, lambda: stop() or viewer.closed(), first)
                 if log.finished:
-                    tell(f"the run has ended; look at the whole of it: khep-twin view {log.path}")
+                    tell(f"the run has ended; look at the whole of it: {command('view', log.path)}")
             except LogError as error:
                 tell(str(error))  # what there is can still be looked at
             try:

@@ -142,6 +142,9 @@ class Recorder:
             self._lamps_topic = f"/lamps_{self._lamps_sets}"
             self._known_lamps, self._lamps = world.lamps, _lamps_frame(world)
             self._powers = np.zeros((_BATCH, len(world.lamps.names)))
+        elif self._lamps is None and not world.lamps.steady:  # a hand has switched one
+            self.flush()
+            self._lamps = _lamps_frame(world)
         row = self._rows
         self._xpos.take(self._moving, 0, self._positions[row], "clip")
         self._xquat.take(self._moving, 0, self._quaternions[row], "clip")

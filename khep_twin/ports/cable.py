@@ -1,12 +1,27 @@
 """What joins one robot of a served twin and its host: a pseudo-terminal, or a connection over a network."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from khep_twin.uart import LineSettings
 
-IN_A_MOMENT = "a host came in the moment another left: it may find what that one left behind"
-"""What is told when a cable cannot be cleared because the next host is there already."""
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Bytes from the hosts of a cable since the last call, and news about the hosts.
+
+    Attributes:
+        data: Bytes sent by hosts that are here.
+        left: All hosts that were here have left, even if another came since; what they left is cleared.
+        last: Bytes sent by hosts that have left.
+        notices: Lines for whoever runs the server.
+    """
+
+    data: bytes = b""
+    left: bool = False
+    last: bytes = b""
+    notices: Sequence[str] = ()
 
 
 class Cable(Protocol):
@@ -35,20 +50,12 @@ class Cable(Protocol):
         """How the host has set its end; None where it has not, or where that cannot be seen."""
         ...
 
-    def look(self) -> tuple[bool, Sequence[str]]:
-        """Whether the last host has left since the last look, and what else there is to tell."""
-        ...
-
-    def read(self, limit: int) -> bytes:
-        """What the host has sent, at most `limit` bytes."""
+    def receive(self, limit: int) -> Received:
+        """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
         ...
 
     def write(self, data: bytes) -> None:
         """Sends to the host."""
-        ...
-
-    def clear(self) -> bool:
-        """Takes away what a host has left behind, unless another is there already; whether it did."""
         ...
 
     def close(self) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from khep_twin.ports.cable import IN_A_MOMENT, Cable
+from khep_twin.ports.cable import Cable
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
 
@@ -39,19 +39,19 @@ class Connection:
             now: gives simulated time by the clock on the wall, behind which the world may lag a little [ns].
         """
         robot, cable = self._robot, self._cable
-        gone, notices = cable.look()
-        for notice in notices:
+        received, time_ns = cable.receive(robot.uart.room), 0 if now is None else now()
+        for notice in received.notices:
             self._note(notice)
-        if data := cable.read(robot.uart.room):
-            if notice := robot.compare_line(cable.settings()):
-                self._note(notice)
-            robot.send(data, 0 if now is None else now())
-        if gone and not cable.clear():
-            self._note(IN_A_MOMENT)
-        elif gone:
-            # What it has sent still reaches the robot, as on a cable; what it has left behind is cleared.
+        if received.last:
+            robot.send(received.last, time_ns)
+        if received.left:
+            # What the host has sent still reaches the robot, as on a cable; nobody gets the answers.
             robot.hang_up()
             robot.compare_line(None)
+        if received.data:
+            if notice := robot.compare_line(cable.settings()):
+                self._note(notice)
+            robot.send(received.data, time_ns)
         self.give()
 
     def give(self) -> None:

@@ -58,11 +58,11 @@ def _processes(path: str, device: os.stat_result) -> Iterator[int]:
             kept = 1 if terminal is not None and _has_master(process, terminal) else 0
             if sum(_is_same(each, device) for each in (process / "fd").iterdir()) > kept:
                 yield int(process.name)
-    with suppress(OSError, ValueError, IndexError):
-        name = os.path.basename(os.path.realpath(path))
-        number = int((_LOCKS / f"LCK..{name}").read_text(encoding="ascii").split()[0])
-        if (_PROCESSES / str(number)).exists():
-            yield number
+    for name in {os.path.basename(path), os.path.basename(os.path.realpath(path))}:
+        with suppress(OSError, ValueError, IndexError):
+            number = int((_LOCKS / f"LCK..{name}").read_text(encoding="ascii").split()[0])
+            if (_PROCESSES / str(number)).exists():
+                yield number
 
 
 def _is_same(descriptor: Path, device: os.stat_result) -> bool:

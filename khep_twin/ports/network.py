@@ -23,6 +23,7 @@ import serial
 from serial.rfc2217 import PortManager
 
 from khep_twin.errors import PortError
+from khep_twin.ports.cable import Received
 from khep_twin.uart import LineSettings
 
 QUEUE_LIMIT = 4096
@@ -88,14 +89,14 @@ class TcpPort:
         """How the host has set its end; None without RFC 2217."""
         return None if self._negotiator is None else self._negotiator.settings()
 
-    def look(self) -> tuple[bool, Sequence[str]]:
-        """Whether the host has left since the last look, and who was refused."""
-        told: list[str] = []
+    def receive(self, limit: int) -> Received:
+        """Take what the host has sent, at most `limit` bytes; the rest goes with its connection."""
         if self._line and time.monotonic() - self._heard > SILENCE:
             self._release(len(self._line))
         left = self._client is not None and self._has_left(self._client)
         if left:
             self._hang_up()
+        notices: list[str] = []
         with suppress(BlockingIOError):
             while True:
                 client, address = self._server.accept()
@@ -103,21 +104,8 @@ class TcpPort:
                     self._take(client)
                 else:
                     client.close()
-                    told.append(f"a second host, {address[0]}, was refused: the port is taken")
-        return left, told
-
-    def read(self, limit: int) -> bytes:
-        """What the host has sent, at most `limit` bytes."""
-        if self._client is None or not limit:
-            return b""
-        try:
-            data = self._client.recv(limit)
-        except (BlockingIOError, ConnectionError):
-            return b""
-        if self._negotiator is not None:
-            data = self._negotiator.received(data)
-            self._flush()
-        return data
+                    notices.append(f"a second host, {address[0]}, was refused: the port is taken")
+        return Received(self._read(limit), left, notices=notices)
 
     def write(self, data: bytes) -> None:
         """Send whole lines to the host; what it leaves no room for is dropped and counted."""
@@ -127,10 +115,6 @@ class TcpPort:
         self._heard = time.monotonic()
         is_long = len(self._line) >= LONGEST_LINE
         self._release(len(self._line) if is_long else self._line.rfind(b"\n") + 1)
-
-    def clear(self) -> bool:
-        """Nothing is left behind: what was sent went with the connection."""
-        return True
 
     def close(self) -> None:
         """Ends the connection and listens no more."""
@@ -145,6 +129,18 @@ class TcpPort:
         del self._line[:count]
         self._waiting += taken if self._negotiator is None else self._negotiator.escaped(taken)
         self._flush()
+
+    def _read(self, limit: int) -> bytes:
+        if self._client is None or not limit:
+            return b""
+        try:
+            data = self._client.recv(limit)
+        except (BlockingIOError, ConnectionError):
+            return b""
+        if self._negotiator is not None:
+            data = self._negotiator.received(data)
+            self._flush()
+        return data
 
     def _take(self, client: socket.socket) -> None:
         client.setblocking(False)

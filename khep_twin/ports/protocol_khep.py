@@ -69,7 +69,7 @@ class Serial(SerialBase):
         try:
             self._connect(open_twin(*parse_url(self._port)))
         except KhepTwinError as error:
-            raise TwinPortError(str(error)) from error
+            raise TwinPortError(str(error)) from None
 
     def _connect(self, twin: Twin) -> None:
         self.twin = twin

@@ -3,25 +3,27 @@
 The terminal is raw before anybody can know its name: a fresh one would echo the robot's replies back to it as
 commands. One descriptor of the host's side stays open here, so that the terminal outlives its hosts; what a
 host leaves behind (settings, a lock, unread replies) is cleared away when the last one closes it, as a cable
-would. inotify tells of opening and closing, even when the host was killed. Where there is no inotify, the
-terminal is not kept open but asked whether it is hung up.
+would; `presence` knows when that is.
 """
 
 import errno
 import fcntl
+import math
 import os
+import re
+import struct
 import termios
+import time
 import tty
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-from khep_twin.errors import PortError
-from khep_twin.ports.cable import IN_A_MOMENT
+from khep_twin.ports.cable import Received
+from khep_twin.ports.event_sources import open_events
 from khep_twin.ports.link import Link
-from khep_twin.ports.wakeups import HangUps, Watch, watch
+from khep_twin.ports.presence import Presence
 from khep_twin.uart import LineSettings
 
 _SPEEDS: dict[int, int] = {
@@ -30,6 +32,17 @@ _SPEEDS: dict[int, int] = {
 """Bits per second of each of the system's own constants for them."""
 
 _INPUT, _OUTPUT, _CONTROL, _LOCAL, _IN_SPEED, _OUT_SPEED = range(6)
+
+_CHUNK = 65536
+"""Bytes at a time that are read of a host that has left; the kernel keeps some 20 kB at most."""
+
+_LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
+"""Line with its end, or what there is of it."""
+
+_CROWDED_S = 0.1
+"""Time that several hosts must be there before it is told, as tools such as stty come and go [s]."""
+
+_IN_A_MOMENT = "a host came in the moment another left: it may have got replies meant for that one"
 
 
 class PtyPort:
@@ -52,19 +65,16 @@ class PtyPort:
     """
 
     def __init__(self, link: str | Path | None = None, baud: int = 9600) -> None:
-        self.descriptor, kept = os.openpty()
-        self._kept: int | None = kept
+        self.descriptor, host_side = os.openpty()
         self._baud = baud
-        self._make_raw()
+        self._raw = self._make_raw(host_side)
         os.set_blocking(self.descriptor, False)
-        self.name = self.path = os.ttyname(kept)
+        self.name = self.path = os.ttyname(host_side)
         self.dropped = 0
-        wakes = watch(self.name, own=1)
-        self._watch: Watch = HangUps(self.descriptor) if wakes is None else wakes
-        if wakes is None:
-            os.close(kept)
-            self._kept = None
-        self._crowded = False
+        self._presence = Presence(self.descriptor, host_side, open_events(self.name))
+        self._crowded_since: float | None = None
+        self._given = 0  # bytes written since the last look
+        self._early = False  # bytes were read before the event that tells of them
         self._link = None
         if link is not None:
             try:
@@ -85,15 +95,12 @@ class PtyPort:
     @property
     def occupied(self) -> bool:
         """Whether a host has it open."""
-        return self._watch.hosts > 0
+        return self._presence.hosts > 0
 
     def descriptors(self, room: bool) -> Sequence[int]:
         """What becomes readable when a host comes, goes or, if there is room for it, writes."""
-        wakes = self._watch.descriptor
-        if wakes is not None:
-            return [*([self.descriptor] if room else []), wakes]
-        # A terminal that is hung up is readable all the time.
-        return [self.descriptor] if room and self.occupied else []
+        events = self._presence.descriptor
+        return [*([self.descriptor] if room else []), *([] if events is None else [events])]
 
     def settings(self) -> LineSettings | None:
         """How the host has set its end; parity and data bits cannot be seen on a pseudo-terminal."""
@@ -102,24 +109,49 @@ class PtyPort:
         speed = int(flags[_OUT_SPEED])
         return LineSettings(_SPEEDS.get(speed, speed), stop_bits)
 
-    def look(self) -> tuple[bool, Sequence[str]]:
-        """Whether the last host has left since the last look, and whether there were two at once."""
-        left, in_a_moment = self._watch.look()
-        told, self._crowded = self._crowded, self._watch.hosts > 1
-        notices: list[str] = []
-        if in_a_moment:
-            # Its settings and commands are the new host's already; only unread replies can be taken back.
-            with self._host_side() as host_side:
-                termios.tcflush(host_side, termios.TCIFLUSH)
-            notices.append(IN_A_MOMENT)
-        if self._crowded and not told:
-            notices.append(
-                f"{self._watch.hosts} hosts have the port open at once and take each other's bytes"
-            )
-        return left, notices
+    def receive(self, limit: int) -> Received:
+        """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
+        # Bytes before events: whoever sent them has been seen to open the terminal then.
+        data, given = self._read(limit), self._given
+        self._given = 0
+        change = self._presence.look(bool(data))
+        n_before, self._early = change.writes_before - self._early, bool(data) and not change.writes_before
+        if not change.left:
+            return Received(data + self._read(limit - len(data)), notices=self._crowd())
+        self._crowded_since, self._early = None, False
+        data += self._read_all()
+        later = self._presence.look(False)
+        if later.left:
+            n_before, n_writes = n_before + change.writes + later.writes_before, later.writes
+        else:
+            n_writes = change.writes + later.writes_before
+        if not self.occupied:
+            self._clear()
+            return Received(left=True, last=data)
+        # The next host is here already, and may have been given replies that nobody had read.
+        unread = self._drop_replies()
+        last, data = _divided(data, n_before, n_writes)
+        notices = [_IN_A_MOMENT] if unread or given or (last and data) else []
+        return Received(data, left=True, last=last, notices=notices)
 
-    def read(self, limit: int) -> bytes:
-        """What the host has sent, at most `limit` bytes; empty when nothing is waiting."""
+    def write(self, data: bytes) -> None:
+        """Sends to the host; what a host that never reads leaves no room for is dropped and counted."""
+        try:
+            sent = os.write(self.descriptor, data)
+        except BlockingIOError:
+            sent = 0
+        self.dropped += len(data) - sent
+        self._given += sent
+
+    def close(self) -> None:
+        """Takes the terminal away, and the link if it still is ours."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        self._presence.close()
+        os.close(self.descriptor)
+
+    def _read(self, limit: int) -> bytes:
         try:
             return os.read(self.descriptor, limit) if limit else b""
         except BlockingIOError:
@@ -129,63 +161,69 @@ class PtyPort:
                 raise
             return b""
 
-    def write(self, data: bytes) -> None:
-        """Sends to the host; what a host that never reads leaves no room for is dropped and counted."""
-        try:
-            sent = os.write(self.descriptor, data)
-        except BlockingIOError:
-            sent = 0
-        self.dropped += len(data) - sent
+    def _read_all(self) -> bytes:
+        data = b""
+        # A read returns what is ready; what is still on the way comes with the next one.
+        while more := self._read(_CHUNK):
+            data += more
+        return data
 
-    def clear(self) -> bool:
-        """Puts the terminal back to how the first host found it, with nothing on the way.
+    def _clear(self) -> None:
+        """Put the terminal back to how the first host found it, with no replies on the way."""
+        host_side = self._presence.host_side
+        fcntl.ioctl(host_side, termios.TIOCNXCL)
+        termios.tcflow(host_side, termios.TCOON)
+        if termios.tcgetattr(host_side) != self._raw:
+            self._make_raw(host_side)
+        self._drop_replies()
 
-        Returns:
-            Whether it did; not if another host has come meanwhile, whose terminal it is by now.
-        """
-        if self._watch.pending():
-            return False
-        with self._host_side() as host_side:
-            fcntl.ioctl(host_side, termios.TIOCNXCL)
-            self._make_raw()
-            termios.tcflow(host_side, termios.TCOON)
-            # Either end has a buffer of its own.
-            for descriptor in (host_side, self.descriptor):
-                termios.tcflush(descriptor, termios.TCIOFLUSH)
-        return True
+    def _drop_replies(self) -> int:
+        """Take back replies that no host has read; return the number of bytes."""
+        host_side = self._presence.host_side
+        unread = struct.unpack("i", fcntl.ioctl(host_side, termios.FIONREAD, bytes(4)))[0]
+        # They may be on the way to the host side's buffer, or in it.
+        termios.tcflush(self.descriptor, termios.TCOFLUSH)
+        termios.tcflush(host_side, termios.TCIFLUSH)
+        return unread
 
-    def close(self) -> None:
-        """Takes the terminal away, and the link if it still is ours."""
-        if self._link is not None:
-            self._link.close()
-            self._link = None
-        self._watch.close()
-        for descriptor in (self.descriptor, self._kept):
-            if descriptor is not None:
-                os.close(descriptor)
+    def _crowd(self) -> Sequence[str]:
+        """Tell, once, that several hosts are here for a while."""
+        if self._presence.hosts < 2:
+            self._crowded_since = None
+            return ()
+        now = time.monotonic()
+        if self._crowded_since is None:
+            self._crowded_since = now
+        if now - self._crowded_since < _CROWDED_S:
+            return ()
+        self._crowded_since = math.inf
+        return (
+            f"the port is open {self._presence.hosts} times at once; each reader takes bytes from the others",
+        )
 
-    def _make_raw(self) -> None:
-        """Raw, at the robot's own speed: a host that sets none is taken to have the right one."""
-        with self._host_side() as host_side:
-            tty.setraw(host_side)
-            flags = termios.tcgetattr(host_side)
-            flags[_CONTROL] |= termios.CSTOPB
-            speed = getattr(termios, f"B{self._baud}", termios.B9600)
-            flags[_IN_SPEED] = flags[_OUT_SPEED] = speed
-            termios.tcsetattr(host_side, termios.TCSANOW, flags)
+    def _make_raw(self, host_side: int) -> list[Any]:
+        """Make it raw, at the robot's own speed: a host that sets none is taken to have the right one."""
+        tty.setraw(host_side)
+        flags = termios.tcgetattr(host_side)
+        flags[_CONTROL] |= termios.CSTOPB
+        speed = getattr(termios, f"B{self._baud}", termios.B9600)
+        flags[_IN_SPEED] = flags[_OUT_SPEED] = speed
+        termios.tcsetattr(host_side, termios.TCSANOW, flags)
+        return termios.tcgetattr(host_side)
 
-    @contextmanager
-    def _host_side(self) -> Generator[int, None, None]:
-        """The host's side: the descriptor that is kept, or one for the moment."""
-        if self._kept is not None:
-            yield self._kept
-            return
-        try:
-            descriptor = os.open(self.name, os.O_RDWR | os.O_NOCTTY)
-        except OSError as error:
-            # An exclusive lock outlives its host here, and nobody can take it away.
-            raise PortError(f"{self.path}: a host has left it locked; right is to serve anew") from error
-        try:
-            yield descriptor
-        finally:
-            os.close(descriptor)
+
+def _divided(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
+    """Divide bytes into those of hosts that have left and those of hosts that are here.
+
+    The kernel keeps no border between them. Where both have written, a host that has just come is taken to
+    have written a line at a time.
+
+    Args:
+        data: Bytes of both.
+        n_before: Runs of writes of hosts that have left.
+        n_writes: Runs of writes of hosts that are here.
+    """
+    if n_before <= 0 or n_writes <= 0:
+        return (b"", data) if n_before <= 0 else (data, b"")
+    lines = _LINE.findall(data)
+    return b"".join(lines[:-n_writes]), b"".join(lines[-n_writes:])

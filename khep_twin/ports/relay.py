@@ -8,6 +8,7 @@ either says is passed on as it comes, and noted with its time.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
 import os
+import re
 import select
 import time
 from collections.abc import Callable
@@ -17,15 +18,25 @@ import serial
 
 from khep_twin.errors import PortError
 from khep_twin.log.line_recorder import LineRecorder
-from khep_twin.ports.cable import IN_A_MOMENT, Cable
+from khep_twin.ports.cable import Cable
 from khep_twin.ports.serve import LONGEST_WAIT, Flush
 from khep_twin.uart import LineSettings
+from khep_twin.units import BITS_PER_BYTE
 
 _CHUNK = 1024
 """Most bytes passed on at once."""
 
 _POLL = 0.001
 """How often a port that cannot wake the loop is looked at [s]."""
+
+_PAUSE_S = 0.02
+"""Silence after the last reply that was due, before the next host may speak [s]."""
+
+_SILENCE_S = 0.5
+"""Silence after which a robot that owes replies is taken not to send them (assumed) [s]."""
+
+_SPOIL = b"?\n"
+"""End of a line that a host has left unfinished: the robot answers an error and obeys no half of it."""
 
 
 class Device:
@@ -54,7 +65,7 @@ class Device:
         except (serial.SerialException, OSError, ValueError) as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else error
-            raise PortError(f"{url}: cannot open this port: {reason}") from error
+            raise PortError(f"{url}: cannot open this port: {reason}") from None
         try:
             self.descriptor: int | None = self._port.fileno()
             self._port.write_timeout = 0
@@ -72,6 +83,11 @@ class Device:
         except (serial.SerialException, OSError, ValueError) as error:
             return f"the robot's port cannot follow the host to {host.baud} baud: {error}"
         return f"the line is at {host.baud} baud with {host.stop_bits} stop bits, as the host has set it"
+
+    @property
+    def baud(self) -> int:
+        """Speed of the robot's line."""
+        return self._port.baudrate
 
     def read(self) -> bytes:
         """What has come from the robot.
@@ -127,35 +143,92 @@ def relay(
             recorder.event(text)
 
     def hear(to_robot: bool, data: bytes) -> None:
-        if recorder is not None:
+        if recorder is not None and data:
             recorder.wire(to_robot, data)
 
     flush = Flush(recorder)
-    waiting = b""
+    dialogue = _Dialogue(device)
+    waiting, next_host = b"", b""
     while not stop():
-        _wait(device, cable, bool(waiting))
-        gone, notices = cable.look()
-        for notice in notices:
+        _wait(device, cable, room := not waiting and not next_host, bool(waiting))
+        received = cable.receive(_CHUNK if room else 0)
+        for notice in received.notices:
             note(notice)
-        if not waiting and (waiting := cable.read(_CHUNK)):
+        if received.left:
+            # What was held back is of a host that has left, too.
+            hear(True, received.last)
+            waiting, next_host = dialogue.end(waiting + next_host + received.last), b""
+        if received.data:
             settings = cable.settings()
             if settings is not None and (notice := device.follow(settings)):
                 note(notice)
-            hear(True, waiting)
+            hear(True, received.data)
+            next_host = received.data
+        if not dialogue.settling(waiting):
+            waiting, next_host = waiting + next_host, b""
         if waiting:
-            waiting = waiting[device.write(waiting) :]
+            waiting = dialogue.send(waiting)
         if reply := device.read():
             hear(False, reply)
-            if cable.occupied:
+            dialogue.heard(reply)
+            if cable.occupied and not dialogue.ended:
                 cable.write(reply)
-        if gone and not cable.clear():
-            note(IN_A_MOMENT)
         flush()
 
 
-def _wait(device: Device, cable: Cable, waiting: bool) -> None:
+class _Dialogue:
+    """Lines sent to the robot and replies due, so that no host gets a reply meant for an earlier one.
+
+    Attributes:
+        ended: A host has left, and replies to it may still come.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.ended = False
+        self._device = device
+        self._due = 0
+        self._begun = b""
+        self._quiet_since = 0.0
+
+    def send(self, data: bytes) -> bytes:
+        """Send to the robot; return what its port did not take."""
+        count = self._device.write(data)
+        *lines, begun = re.split(rb"[\r\n]", self._begun + data[:count])
+        self._due += sum(map(bool, lines))
+        self._begun = begun[:1]
+        busy_s = count * BITS_PER_BYTE / self._device.baud
+        self._quiet_since = max(self._quiet_since, time.monotonic()) + busy_s
+        return data[count:]
+
+    def heard(self, reply: bytes) -> None:
+        """Count the replies that have come."""
+        self._due = max(self._due - reply.count(b"\n"), 0)
+        self._quiet_since = max(self._quiet_since, time.monotonic())
+
+    def end(self, waiting: bytes) -> bytes:
+        """Note that the host has left; return what must still be sent to the robot.
+
+        Args:
+            waiting: Bytes of the host that have not been sent.
+        """
+        begun = (self._begun + waiting)[-1:]
+        if begun and begun not in b"\r\n":
+            waiting += _SPOIL
+        self.ended = self.ended or bool(waiting) or self._due > 0
+        return waiting
+
+    def settling(self, waiting: bytes) -> bool:
+        """Return whether replies to a host that has left may still come; `waiting` was not sent yet."""
+        if self.ended and not waiting:
+            silence_s = time.monotonic() - self._quiet_since
+            if silence_s > (_SILENCE_S if self._due else _PAUSE_S):
+                self.ended, self._due = False, 0
+        return self.ended
+
+
+def _wait(device: Device, cable: Cable, room: bool, waiting: bool) -> None:
     """Waits until there is something to pass on, and room for it."""
-    descriptors = list(cable.descriptors(not waiting))
+    descriptors = list(cable.descriptors(room))
     if device.descriptor is None:
         select.select(descriptors, [], [], _POLL)
     else:

@@ -8,6 +8,7 @@ beside this file, or in the user's cache, for as long as no source has changed.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import hashlib
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -17,6 +18,7 @@ import mujoco
 import numba
 import numpy as np
 from numba import carray, cfunc, njit, types  # pyright: ignore
+from numba.core import event
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 from khep_twin import casting, fitness, kernel, optics, units
@@ -24,6 +26,7 @@ from khep_twin.compiled_kernel import compiled_copy, compiled_kernel
 from khep_twin.errors import ControllerError
 from khep_twin.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.scale import addresses, compiled_casting, episode, networks
+from khep_twin.status_line import announced
 
 SOURCES = (kernel, units, fitness, optics, casting, networks, episode, compiled_casting, addresses)
 """What is compiled."""
@@ -59,11 +62,37 @@ def stamped(function: Any, sources: tuple[ModuleType, ...]) -> Any:
     return function
 
 
+class _Announcer(event.Listener):
+    """Announces each compilation of one function; code from the cache is not compiled."""
+
+    def __init__(self, function: Any) -> None:
+        self._function = function
+        self._shown = ExitStack()
+
+    def on_start(self, event: Any) -> None:
+        if event.data["dispatcher"] is self._function:
+            self._shown.enter_context(announced(COMPILING))
+
+    def on_end(self, event: Any) -> None:
+        if event.data["dispatcher"] is self._function:
+            self._shown.close()
+
+
+COMPILING = "khep_twin: compiling with numba, once per version (10 to 30 s)"
+"""Announcement of a compilation."""
+
+
+def announce_compilation(function: Any) -> Any:
+    """Return a function compiled by numba; its compilations are announced on standard error."""
+    event.register("numba:compile", _Announcer(function))
+    return function
+
+
 def _advance(body, mind, span, n_steps):
     return _EPISODE.advance(body, mind, span, n_steps)
 
 
-advance: Any = njit(nogil=True, cache=True)(stamped(_advance, SOURCES))
+advance: Any = announce_compilation(njit(nogil=True, cache=True)(stamped(_advance, SOURCES)))
 """`episode.advance`, compiled."""
 
 

@@ -24,7 +24,7 @@ from khep_twin.scale import (
     planar_shadows,
     plane,
 )
-from khep_twin.scale.compiled import SOURCES, stamped
+from khep_twin.scale.compiled import SOURCES, announce_compilation, stamped
 
 
 def _copy(module: ModuleType, **others: ModuleType) -> ModuleType:
@@ -59,5 +59,7 @@ def _advance(body, mind, span, n_steps):
 
 _SOURCES = (*SOURCES, planar_casting, planar_motion, planar_pushes, planar_rays, planar_shadows, plane)
 
-advance: Any = njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(stamped(_advance, _SOURCES))
+advance: Any = announce_compilation(
+    njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(stamped(_advance, _SOURCES))
+)
 """`episode.advance` in a plane, compiled."""

@@ -17,7 +17,7 @@ import io
 import json
 import os
 import shutil
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ import pyarrow.parquet as pq
 from khep_twin import __version__
 from khep_twin.errors import StudyError
 from khep_twin.files import write_whole
+from khep_twin.scale.study import COLUMNS
 from khep_twin.scale.sweep_tasks import Task, Work
 from khep_twin.scale.task_lives import Columns
 
@@ -35,6 +36,9 @@ _STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
 
 _TYPES = {"failed_step": pa.int64(), "failure": pa.string()}
 """Of columns that may have no value at all."""
+
+_MOST_ROWS = 12
+"""Longest list of means in a summary."""
 
 
 def encoded(work: Work, task: Task, columns: Columns) -> bytes:
@@ -200,6 +204,21 @@ class SweepFolder:
                 "right is to delete it, and --resume"
             )
         return table.replace_schema_metadata({_STUDY: self._work.digest})
+
+
+def summary(table: Path) -> Iterator[str]:
+    """Yield how many lives a table holds, and the means of each controller in each playpen."""
+    measures = [name for name in pq.read_schema(table).names if name not in COLUMNS]
+    results = pq.ParquetFile(table).read(["playpen", "controller", "failure", *measures])
+    yield f"{results.num_rows} lives, {results.num_rows - results['failure'].null_count} failed; means:"
+    groups = results.group_by(["playpen", "controller"], use_threads=False)
+    rows = groups.aggregate([(name, "mean") for name in measures]).to_pylist()
+    for row in rows[:_MOST_ROWS]:
+        means = [(name, row[f"{name}_mean"]) for name in measures]
+        told = [f"{name} {mean:.4g}" for name, mean in means if mean is not None]
+        yield "  ".join([row["playpen"], row["controller"], *told])
+    if len(rows) > _MOST_ROWS:
+        yield f"and {len(rows) - _MOST_ROWS} more"
 
 
 def _json(file: Path) -> dict[str, Any] | None:

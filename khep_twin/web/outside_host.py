@@ -63,15 +63,19 @@ class OutsideHost:
         uart = self.robot.uart
         if len(uart.rx) or len(uart.tx):
             return
-        gone, notices = self.cable.look()
-        for notice in notices:
+        received = self.cable.receive(_LINE_LIMIT - len(self._begun))
+        for notice in received.notices:
             self._tell(notice)
-        self._begun += self.cable.read(_LINE_LIMIT - len(self._begun))
-        if gone:
-            self.cable.clear()
+        if received.left:
+            # What the host has sent still reaches the robot; nobody gets the answers.
+            if last := bytes(self._begun) + received.last:
+                self.robot.send(last)
+            self.robot.hang_up()
+            self._begun.clear()
+        self._begun += received.data
         end = min((at for at in map(self._begun.find, map(_byte, LINE_ENDS)) if at >= 0), default=-1)
         if end < 0:
-            if gone or len(self._begun) >= _LINE_LIMIT:
+            if len(self._begun) >= _LINE_LIMIT:
                 self._begun.clear()
             return
         line = bytes(self._begun[: end + 1])

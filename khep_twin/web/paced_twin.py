@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.errors import KhepTwinError
+from khep_twin.ports.event_sources import Timer
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin
-from khep_twin.ports.wakeups import Timer
 from khep_twin.units import TICK_NS
 from khep_twin.web.outside_host import OutsideHost
 

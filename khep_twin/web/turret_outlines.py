@@ -1,10 +1,7 @@
 """Turrets from above: outlines of their geoms, in the coordinates of the robot that carries them."""
 
-# SciPy's types are partly unknown.
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-
 import math
-from collections.abc import Iterable
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -41,8 +38,9 @@ def at_start(name: str) -> list[dict[str, Any]]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     rgb = (255 * model.geom_rgba[:, :3]).round().astype(int).tolist()
-    outlines = _outlines(model, data, range(model.ngeom), np.zeros(3), np.eye(3))
-    return [{"points_mm": points, "rgb": colour} for points, colour in zip(outlines, rgb, strict=True)]
+    points = {geom: _points(model, geom) for geom in range(model.ngeom)}
+    outlines = _outlines(data, points, np.zeros(3), np.eye(3))
+    return [{"points_mm": corners, "rgb": colour} for corners, colour in zip(outlines, rgb, strict=True)]
 
 
 class TurretParts:
@@ -55,19 +53,19 @@ class TurretParts:
 
     def __init__(self, world: World, index: int) -> None:
         model, name = world.model, world.robots[index].name
-        self._model, self._data = model, world.data
+        self._data = world.data
         self._base = model.body(f"{name}/base").id
-        self._geoms = [
-            geom
+        self._points = {
+            geom: _points(model, geom)
             for turret in world.playpen.robots[index].turrets
             for geom in range(model.ngeom)
             if _owned(model, geom, f"{name}/{turret}/")
-        ]
+        }
 
     def corners(self) -> list[list[list[float]]]:
         """Return the corners of the parts as they stand [mm]."""
         place, turned = self._data.xpos[self._base], self._data.xmat[self._base].reshape(3, 3)
-        return _outlines(self._model, self._data, self._geoms, place, turned)
+        return _outlines(self._data, self._points, place, turned)
 
 
 def _owned(model: mujoco.MjModel, geom: int, prefix: str) -> bool:
@@ -76,18 +74,35 @@ def _owned(model: mujoco.MjModel, geom: int, prefix: str) -> bool:
 
 
 def _outlines(
-    model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int], place: Floats, turned: Floats
+    data: mujoco.MjData, points: Mapping[int, Floats], place: Floats, turned: Floats
 ) -> list[list[list[float]]]:
-    """Return the convex outlines of geoms, seen along z of a frame [mm]."""
-    from scipy.spatial import ConvexHull
-
+    """Return the convex outlines of geoms with these points, seen along z of a frame [mm]."""
     found: list[list[list[float]]] = []
-    for geom in geoms:
-        points = _points(model, geom) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        flat = ((points - place) @ turned)[:, :2] * 1e3
-        # Joggled, so that what has no width from above is no error.
-        found.append(flat[ConvexHull(flat, qhull_options="QJ").vertices].round(2).tolist())
+    for geom, local in points.items():
+        at = local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        flat = ((at - place) @ turned)[:, :2] * 1e3
+        found.append(_hull(flat.round(2).tolist()))
     return found
+
+
+def _hull(points: list[list[float]]) -> list[list[float]]:
+    """Return the corners of the convex hull of points, counter-clockwise.
+
+    For a box this takes a tenth of the time of SciPy's, which counts 25 times a second.
+    """
+    points = sorted(points)
+    hull: list[list[float]] = []
+    for way in (points, points[::-1]):
+        half: list[list[float]] = []
+        for x, y in way:
+            while len(half) > 1:
+                (x0, y0), (x1, y1) = half[-2:]
+                if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+                    break
+                half.pop()
+            half.append([x, y])
+        hull += half[:-1]
+    return hull
 
 
 def _points(model: mujoco.MjModel, geom: int) -> Floats:

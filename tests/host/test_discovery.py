@@ -1,11 +1,11 @@
 """Which ports are found."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from served_twin import served
+from serial.tools import list_ports
+from served_twin import LISTS_PORTS, served
 
 from khep_twin.errors import PortInUse
 from khep_twin.host import Khepera
@@ -14,7 +14,8 @@ from khep_twin.host.discovery import found_ports, who_answers
 
 @pytest.fixture(autouse=True)
 def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A private directory of this test's own."""
+    """A private directory of this test's own, on a machine without serial ports."""
+    monkeypatch.setattr(list_ports, "comports", list[object])
     (tmp_path / "runtime").mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
     return tmp_path
@@ -39,7 +40,7 @@ def test_a_served_twin_is_found_until_it_is_killed(private: Path) -> None:
 
 def test_the_command_lists_and_asks() -> None:
     def said(*options: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "khep_twin", "ports", *options]
+        command = [*LISTS_PORTS, *options]
         return subprocess.run(command, capture_output=True, text=True, check=True)
 
     with served("default", "--mode", "2", "--strict-line") as (_, path):
@@ -50,7 +51,7 @@ def test_the_command_lists_and_asks() -> None:
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 @pytest.mark.parametrize("kind", [(), ("--tcp", ":0"), ("--rfc2217", ":0")])
 def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> None:
-    command = [sys.executable, "-m", "khep_twin", "ports", "--ask"]
+    command = [*LISTS_PORTS, "--ask"]
     with served("default", *kind, notices=True) as (process, url):
         with Khepera(url) as robot:
             asking = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

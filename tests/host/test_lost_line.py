@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -28,6 +29,15 @@ LONG = 8.0
 def fake() -> Iterator[FakeRobot]:
     with FakeRobot() as robot:
         yield robot
+
+
+@pytest.mark.parametrize("url", ["/dev/nope", "khep://nope", "khep://default?seed=x", "socket://127.0.0.1:1"])
+def test_a_port_that_is_not_there_is_one_error_without_a_chain_of_others(url: str) -> None:
+    with pytest.raises(PortError) as caught:
+        Khepera(url)
+    lines = "".join(traceback.format_exception(caught.value))
+    assert lines.count("Traceback") == 1, lines
+    assert str(caught.value).startswith(url)
 
 
 def test_a_killed_twin_is_one_clear_error() -> None:

@@ -97,6 +97,7 @@ def serve_until_it_is_full(log: Path, *options: str) -> tuple[subprocess.Popen[s
     assert server.stderr is not None
     assert select.select([server.stdout], [], [], 60)[0], "nothing was served"
     port = os.open(server.stdout.readline().strip(), os.O_RDWR | os.O_NOCTTY)
+    assert "; Ctrl-C ends it" in server.stderr.readline()
     end = time.monotonic() + 60
     while time.monotonic() < end and not select.select([server.stderr], [], [], 0.05)[0]:
         os.write(port, b"N\n")

@@ -24,6 +24,8 @@ from khep_twin.log.channels import read_array
 from khep_twin.log.reader import read
 from khep_twin.log.recorder import Recorder
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.switching import switch
+from khep_twin.world import SAMPLE_NS
 
 Start = Callable[[Path], Twin]
 
@@ -68,6 +70,20 @@ def test_lamps_that_change_are_recorded_and_others_are_not(tmp_path: Path) -> No
     assert [event.text for event in read(tmp_path / "turns.mcap").events] == ["in-the-open is on"]
     with (tmp_path / "still.mcap").open("rb") as file:
         assert not list(make_reader(file).iter_messages(["/lamps"]))
+
+
+def test_a_lamp_that_a_hand_switches_is_recorded_from_then_on(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with open_twin("two-lamps", TwinOptions(log=str(path))) as twin:
+        twin.advance_to(SECOND)
+        switch(twin.world, 1, False)
+        twin.advance_to(2 * SECOND)
+    with path.open("rb") as file:
+        found = [
+            (message.log_time, read_array(message.data, "d"))
+            for _, _, message in make_reader(file).iter_messages(["/lamps"])
+        ]
+    assert found == [(SECOND + sample * SAMPLE_NS, (7, 0)) for sample in range(1, 51)]
 
 
 def test_what_describes_the_run_comes_before_its_first_message(log: Path) -> None:

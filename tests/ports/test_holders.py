@@ -1,5 +1,6 @@
 """Who has a port open, without a touch of it."""
 
+import errno
 import os
 import socket
 import subprocess
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
 
 from khep_twin.errors import PortInUse
 from khep_twin.host.discovery import who_answers
@@ -70,6 +72,10 @@ def test_the_lock_file_of_a_living_process_counts(
     assert holder(path) == ""
     lock.write_text("")
     assert holder(path) == ""
+    link = tmp_path / "robot"
+    link.symlink_to(path)
+    (tmp_path / "LCK..robot").write_text(f"{os.getpid():10}\n")
+    assert holder(str(link)).startswith(f"process {os.getpid()} ")
 
 
 def test_a_lock_of_a_holder_that_cannot_be_seen_counts(
@@ -82,6 +88,18 @@ def test_a_lock_of_a_holder_that_cannot_be_seen_counts(
     assert holder(path) == ""
     with pytest.raises(PortInUse, match="in use by a program that has locked it"):
         who_answers(path)
+
+
+def test_a_port_that_its_holder_has_made_exclusive_is_in_use(
+    terminal: tuple[int, int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # TIOCEXCL, which holds against users that are not root.
+    def refuse(url: str, **options: object) -> None:
+        raise serial.SerialException(errno.EBUSY, f"could not open port {url}: [Errno 16] {os.strerror(16)}")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(PortInUse, match="in use by a program that has locked it"):
+        who_answers(terminal[2])
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "0.0.0.0", "::1", "::"])

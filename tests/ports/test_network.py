@@ -12,6 +12,8 @@ import pytest
 import serial
 
 from khep_twin.errors import PortError
+from khep_twin.host import Khepera
+from khep_twin.lab.conformance import Line, checks, run_check
 from khep_twin.ports.network import LONGEST_LINE, SILENCE, TcpPort, is_loopback, parse_address
 
 from test_serve import served, stop  # isort: skip
@@ -78,6 +80,13 @@ def test_a_reply_leaves_in_one_piece_when_its_last_byte_has_come(kind: str) -> N
                 assert took >= (len(asked.rstrip()) + 1 + len(reply)) * 11 / 9600 * 0.98
 
 
+def test_the_pace_of_a_network_port_conforms() -> None:
+    pace = next(each for each in checks(False) if each.name.startswith("every reply begins within 10 ms"))
+    with served("default", "--tcp", ":0") as (_, url), Khepera(url) as robot:
+        # What a busy machine delays is no deviation of the port's.
+        assert "" in (run_check(pace, Line(robot.port)).deviation for _ in range(5))
+
+
 def test_replies_of_several_lines_leave_line_by_line() -> None:
     with served("default", "--tcp", ":0") as (_, url):
         host, _, number = url.partition("://")[2].rpartition(":")
@@ -89,6 +98,21 @@ def test_replies_of_several_lines_leave_line_by_line() -> None:
     assert b"".join(pieces).startswith(b"ROM of minirobot KHEPERA, Edoardo Franzi\r\nK-Team")
     assert all(piece.endswith(b"\r\n") for piece in pieces)
     assert b"".join(pieces).endswith(b"Serial Communication Protocol\r\nb,5.02,5.01\r\nh,0,0\r\n")
+
+
+def test_queued_replies_leave_one_by_one() -> None:
+    with served("default", "--tcp", ":0") as (_, url):
+        host, _, number = url.partition("://")[2].rpartition(":")
+        with socket.create_connection((host, int(number)), timeout=5) as port:
+            for _ in range(5):  # until the machine is idle enough not to be late by a whole reply
+                port.sendall(b"N\nO\nH\nK\n")
+                pieces = [port.recv(1000)]
+                while not pieces[-1].endswith(b"k,1,0,0,1,0,0\r\n"):
+                    pieces.append(port.recv(1000))
+                assert all(piece.endswith(b"\r\n") for piece in pieces)
+                if [piece[:1] for piece in pieces] == [b"n", b"o", b"h", b"k"]:
+                    return
+    pytest.skip("the machine was late by a whole reply five times")
 
 
 def test_an_unpaced_reply_leaves_in_one_piece() -> None:
@@ -117,16 +141,16 @@ def test_a_line_that_never_ends_leaves_after_a_moment_and_a_long_one_at_once() -
         socket.create_connection(("127.0.0.1", int(server.path.rpartition(":")[2])), timeout=5) as host,
     ):
         while not server.occupied:
-            server.look()
+            server.receive(0)
         server.write(b"b,5.02\r\nh,1")
         assert host.recv(1000) == b"b,5.02\r\n"
-        server.look()
+        server.receive(0)
         host.settimeout(0.01)
         with pytest.raises(TimeoutError):
             host.recv(1000)
         host.settimeout(5)
         time.sleep(SILENCE * 1.1)
-        server.look()
+        server.receive(0)
         assert host.recv(1000) == b"h,1"
         server.write(b"x" * LONGEST_LINE)
         assert host.recv(1000) == b"x" * LONGEST_LINE
@@ -215,7 +239,7 @@ def test_bytes_that_no_host_takes_are_counted() -> None:
     host, _, number = port.path.removeprefix("socket://").rpartition(":")
     with socket.create_connection((host, int(number))):
         time.sleep(0.05)
-        port.look()
+        port.receive(0)
         for _ in range(10_000):
             port.write(bytes(1000))
         assert port.dropped > 1_000_000

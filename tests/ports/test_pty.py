@@ -2,7 +2,6 @@
 
 import os
 import termios
-import time
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from khep_twin.ports.pty import PtyPort
 def test_it_is_raw_and_silent_before_anybody_opens_it() -> None:
     with PtyPort() as port:
         port.write(b"hello\r\n")
-        assert port.read(100) == b""
+        assert port.receive(100).data == b""
         flags = termios.tcgetattr(port.descriptor)[3]
         assert not flags & (termios.ECHO | termios.ICANON)
 
@@ -25,7 +24,7 @@ def test_bytes_pass_unchanged_both_ways() -> None:
     with PtyPort() as port, serial.Serial(port.path, 9600, stopbits=2, timeout=1) as host:
         host.write(every)
         host.flush()
-        assert port.read(1000) == every
+        assert port.receive(1000).data == every
         port.write(every)
         assert host.read(256) == every
 
@@ -35,8 +34,8 @@ def test_a_host_may_come_and_go() -> None:
         for _ in range(3):
             with serial.Serial(port.path, 38400, timeout=1) as host:
                 host.write(b"B\n")
-                assert port.read(100) == b"B\n"
-            assert port.read(100) == b""
+                assert port.receive(100).data == b"B\n"
+            assert port.receive(100).data == b""
 
 
 def test_a_host_that_never_reads_loses_bytes_and_blocks_nobody() -> None:
@@ -49,14 +48,12 @@ def test_a_host_that_never_reads_loses_bytes_and_blocks_nobody() -> None:
 def test_what_a_host_left_behind_is_cleared_away() -> None:
     with PtyPort() as port:
         with serial.Serial(port.path, 9600, timeout=1) as host:
-            assert not port.look()[0]
+            assert not port.receive(1000).left
             host.write(bytes(3000))
-            time.sleep(0.05)
-            assert len(port.read(1000)) == 1000
+            assert len(port.receive(1000).data) == 1000
             port.write(b"unread\r\n")
-        assert port.look()[0]
-        port.clear()
-        assert port.read(5000) == b""
+        received = port.receive(1000)
+        assert (received.left, received.data, received.last) == (True, b"", bytes(2000))
         with open(port.path, "rb", buffering=0) as next_host:
             os.set_blocking(next_host.fileno(), False)
             assert next_host.read(100) is None
@@ -69,7 +66,7 @@ def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
         assert os.readlink(link) == port.name
         with serial.Serial(str(link), timeout=1) as host:
             host.write(b"x")
-            assert port.read(10) == b"x"
+            assert port.receive(10).data == b"x"
     assert not os.path.lexists(link)
 
 

@@ -16,7 +16,9 @@ import pytest
 import serial
 
 from khep_twin import playpen
+from khep_twin.errors import PortError
 from khep_twin.host import Khepera
+from khep_twin.invocation import command
 from khep_twin.log.reader import read
 
 
@@ -212,7 +214,12 @@ def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp
             port.readline()
         code, errors = stop(process, how)
     assert code == 0
-    assert "s served" in errors
+    begun, *_, ended, where = errors.splitlines()
+    assert (
+        begun == "khep-twin: serving a twin in default; hosts open what the next lines name; Ctrl-C ends it"
+    )
+    assert "s served" in ended
+    assert where == f"log      {log}      look at it: {command('view', log)}"
     assert not os.path.lexists(link)
     transcript = [line.text for line in read(log).robots["khepera0"].serial]
     assert transcript == ["B", "b,5.02,5.01"]
@@ -299,6 +306,15 @@ def test_a_link_in_the_current_directory_lies_where_it_says(
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
     assert not found.is_symlink()
+
+
+def test_who_opens_a_bare_name_is_told_where_that_link_lies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with served("default", "--link", "khepera") as (_, path):
+        with pytest.raises(PortError, match=rf"^khepera: .* under this name is at {path}$"):
+            Khepera("khepera")
 
 
 def test_a_bare_link_lies_in_a_private_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

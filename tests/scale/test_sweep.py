@@ -17,9 +17,12 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 from test_study import STUDY, loaded
+from typer.testing import CliRunner
 from worker_kills import trial
 
+from khep_twin.cli import app
 from khep_twin.errors import KhepTwinError, MissingExtraError, StudyError
+from khep_twin.invocation import command
 from khep_twin.scale import ray_workers
 from khep_twin.scale.study import COLUMNS
 from khep_twin.scale.sweep import here, run_sweep
@@ -89,6 +92,23 @@ def test_every_life_is_in_the_table_once_with_what_it_was(tmp_path: Path) -> Non
     assert not (tmp_path / "out" / "parts").exists()
 
 
+def test_a_sweep_ends_with_its_means_and_where_they_are_from(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(STEER)
+    (tmp_path / "study.toml").write_text(STUDY + MORE)
+    ended = CliRunner().invoke(app, ["sweep", str(tmp_path / "study.toml")])
+    assert ended.exit_code == 0, ended.output
+    _, lives, *means, results = ended.stdout.splitlines()
+    assert lives == "24 lives, 0 failed; means:"
+    assert [line.split()[:2] for line in means] == [
+        ["default", name] for name in ("braitenberg", "drawn", "mine")
+    ]
+    table = tmp_path / "out" / "results.parquet"
+    assert results.startswith(f"results  {table}      read it: ")
+    rows = [row for row in pq.read_table(table).to_pylist() if row["controller"] == "mine"]
+    mean = sum(row["distance_m"] for row in rows) / len(rows)
+    assert means[2].endswith(f"distance_m {mean:.4g}")
+
+
 def test_tasks_of_any_size_and_any_number_of_threads_give_the_same_lives(tmp_path: Path) -> None:
     whole = pq.read_table(swept(tmp_path, doers=here(2)))
     small = STUDY.replace("rollouts_per_task = 4", "rollouts_per_task = 1") + MORE
@@ -116,8 +136,8 @@ def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
     text = text.replace("rollouts_per_task = 4", "rollouts_per_task = 4")
     file = loaded(tmp_path, text)
     parts = tmp_path / "out" / "parts"
-    command = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml")]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as sweep:
+    words = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml")]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL) as sweep:
         start = time.monotonic()
         while len(list(parts.glob("task-*.parquet"))) < 4 and time.monotonic() - start < 100:
             time.sleep(0.01)
@@ -159,17 +179,16 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done
     )
     file = loaded(tmp_path, text.replace("seconds = 0.2", "seconds = 0.02"))
     output = tmp_path / "another one"
-    command = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml"), "-o", str(output)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as sweep:
+    words = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml"), "-o", str(output)]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as sweep:
         start = time.monotonic()
         while len(list(output.glob("parts/task-*.parquet"))) < 2 and time.monotonic() - start < 100:
             time.sleep(0.01)
         sweep.send_signal(signal.SIGINT)
         told = sweep.communicate()[1]
     assert sweep.returncode == 130, told
-    assert told.endswith(
-        f"stopped; go on: khep-twin sweep {tmp_path}/study.toml --resume --output '{output}'\n"
-    )
+    again = command("sweep", tmp_path / "study.toml", "--resume", "--output", output)
+    assert told.endswith(f"stopped; go on: {again}\n")
     there = len(list(output.glob("parts/task-*.parquet")))
     assert 2 <= there < 20
     following = Counted()

@@ -74,6 +74,11 @@ def test_a_tool_is_kept_for_several_objects(visit: Visit) -> None:
     assert visit.count(".kind-cylinder.drawn") == 3
     visit.picture("14-kept")
     page.click('[data-tool="lamp"]')
+    page.wait_for_timeout(600)
+    page.dblclick('[data-tool="lamp"]')
+    assert visit.count(".kept") == 1
+    page.wait_for_timeout(600)
+    page.click('[data-tool="lamp"]')
     visit.click(100, 300)
     visit.click(200, 300)  # this tool was left after the first
     assert visit.count(".kind-lamp.drawn") == 1

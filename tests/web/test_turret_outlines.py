@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull  # pyright: ignore[reportMissingTypeStubs]
 
 from khep_twin.playpen import load
-from khep_twin.web.turret_outlines import TurretParts, _points, at_start
+from khep_twin.web.turret_outlines import TurretParts, _hull, _points, at_start
 from khep_twin.world import World
 
 
@@ -55,3 +56,10 @@ def test_any_geom_has_its_outline(geom: str, half: tuple[float, float]) -> None:
     mujoco.mj_kinematics(model, data)
     points = _points(model, 0) @ data.geom_xmat[0].reshape(3, 3).T
     assert np.abs(points).max(axis=0)[:2] == pytest.approx(half, rel=0.02)
+
+
+def test_an_outline_is_the_convex_hull() -> None:
+    points = np.random.default_rng(1).normal(size=(200, 2)).round(2)
+    expected = points[ConvexHull(points).vertices]
+    assert sorted(_hull(points.tolist())) == sorted(expected.tolist())
+    assert _hull([[0, 0], [1, 1], [2, 2], [1, 1]]) == [[0, 0], [2, 2]]

@@ -174,7 +174,10 @@ class MjsSensor:
     name: str
     interval: Sequence[float]
 
-class MjsKey: ...
+class MjsKey:
+    name: str
+    ctrl: Sequence[float]
+
 class MjsFrame: ...
 
 class MjsOrientation:
@@ -208,12 +211,14 @@ class MjSpec:
     worldbody: MjsBody
     geoms: Sequence[MjsGeom]
     keys: Sequence[MjsKey]
+    actuators: Sequence[MjsActuator]
     pairs: Sequence[MjsPair]
     sensors: Sequence[MjsSensor]
 
     @staticmethod
     def from_file(filename: str) -> MjSpec: ...
     def add_pair(self, **attributes: Any) -> None: ...
+    def add_key(self, **attributes: Any) -> None: ...
     def body(self, name: str) -> MjsBody: ...
     def geom(self, name: str) -> MjsGeom: ...
     def actuator(self, name: str) -> MjsActuator: ...

@@ -53,6 +53,11 @@ export class Editor {
     this.told(tool);
   }
 
+  // Takes a tool; keeps it, or no longer, if it is taken already.
+  take(tool) {
+    this.use(tool, tool !== "select" && tool === this.tool && !this.kept);
+  }
+
   #placed() {
     if (!this.kept) this.use("select");
   }
@@ -335,7 +340,7 @@ export class Editor {
     if (this.running.active) return false;
     const tools = { v: "select", b: "block", c: "cylinder", w: "wall", l: "lamp", r: "robot", p: "patch", s: "spot" };
     if (tools[key]) {
-      if (!event.repeat) this.use(tools[key], tools[key] === this.tool && !this.kept);
+      if (!event.repeat) this.take(tools[key]);
       return true;
     }
     if (key === "Escape") {

@@ -359,9 +359,9 @@ $("#figure").addEventListener("click", () => {
 });
 for (const button of document.querySelectorAll("#tools button")) {
   const { tool } = button.dataset;
-  button.addEventListener("click", () => editor.use(tool));
+  button.addEventListener("click", () => editor.take(tool));
   if (tool === "select") continue;
-  button.title += "; double click, or its key twice, keeps it for several objects";
+  button.title += "; twice, or a double click: kept for several objects";
   button.addEventListener("dblclick", () => editor.use(tool, true));
 }
 for (const button of document.querySelectorAll("[role=tab]"))

@@ -1,0 +1,131 @@
+"""MuJoCo's own viewer as a window beside a running world.
+
+The viewer works on copies of the scene and its state, which are refreshed up to 30 times a second. Nothing of
+it comes back: the mouse moves the camera, not the robots, and a run with it is bit for bit the run without.
+"""
+
+# mujoco.viewer and glfw are not typed here.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportAttributeAccessIssue=false
+
+import copy
+import os
+import sys
+import time
+import warnings
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import KhepTwinError
+from khep_twin.uart import HostAct
+from khep_twin.world import World
+
+FRAME_NS = NS_PER_S // 30
+"""Shortest wall time between two pictures [ns]."""
+
+_LONGEST_NAP = 0.05
+"""Longest sleep at once [s], so that a closed window is noticed."""
+
+_WITHOUT = "without one, give --log FILE.mcap and look at it with khep-twin view"
+
+
+class MujocoViewer:
+    """A window on a world; a `Tap` of it, and of the worlds that follow in a series.
+
+    Args:
+        real_time: Whether to hold a world back that runs ahead of the clock on the wall.
+
+    Raises:
+        KhepTwinError: There is no screen, or no OpenGL to draw on it.
+    """
+
+    def __init__(self, *, real_time: bool) -> None:
+        _check_screen()
+        self._real_time = real_time
+        self._handle: Any = None
+        self._model: mujoco.MjModel | None = None
+        self._data: mujoco.MjData | None = None
+        self._shown_ns = 0
+        self._ahead_ns = 0
+
+    def watch(self, world: World) -> None:
+        """Show a world from now on; the window opens with the first one."""
+        from mujoco import viewer
+
+        if self._model is None:
+            self._model, self._data = copy.copy(world.model), copy.copy(world.data)
+            self._handle = viewer.launch_passive(
+                self._model, self._data, show_left_ui=False, show_right_ui=False
+            )
+            self._look(world)
+        self._ahead_ns = world.time_ns - time.monotonic_ns()
+        world.add_tap(self)
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._handle is not None:
+            self._handle.close()
+
+    def sample(self, world: World) -> None:
+        """Refresh the picture if it is time to, and wait for the clock on the wall where that is wanted."""
+        if self._handle is None or not self._handle.is_running():
+            return
+        if time.monotonic_ns() - self._shown_ns >= FRAME_NS:
+            self._show(world)
+        while self._real_time and self._handle.is_running():
+            early_ns = world.time_ns - self._ahead_ns - time.monotonic_ns()
+            if early_ns <= 0:
+                break
+            time.sleep(min(early_ns / NS_PER_S, _LONGEST_NAP))
+
+    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Ignore bytes on a line."""
+
+    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+        """Ignore what a host does."""
+
+    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+        """Ignore a note."""
+
+    def _show(self, world: World) -> None:
+        assert self._model is not None
+        assert self._data is not None
+        with self._handle.lock():
+            mujoco.mj_copyData(self._data, world.model, world.data)
+            for index, (lamp, power) in enumerate(zip(world.playpen.lamps, world.lamps.powers, strict=True)):
+                glass = world.model.site(f"lamp{index}").rgba[:3]
+                # A lamp that is off is dark glass.
+                self._model.site(f"lamp{index}").rgba[:3] = glass * (
+                    0.25 + 0.75 * (power / lamp.power_w if power else 0)
+                )
+        self._handle.sync()
+        self._shown_ns = time.monotonic_ns()
+
+    def _look(self, world: World) -> None:
+        """Point the camera at the arena's middle, from before and above."""
+        arena = world.playpen.arena
+        camera = self._handle.cam
+        camera.lookat[:] = np.array((arena.width_mm, arena.height_mm, 0.0)) / 2000
+        camera.distance = 1.25 * max(arena.width_mm, 1.2 * arena.height_mm) / 1000
+        camera.azimuth, camera.elevation = 90, -52
+
+
+def _check_screen() -> None:
+    """Refuse to go on where no window can be opened: the viewer itself would wait for ever."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise KhepTwinError(f"--viewer: DISPLAY is not set, expected a desktop; {_WITHOUT}")
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # glfw tells its errors as warnings, too
+        opened = None
+        if glfw.init():
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            opened = glfw.create_window(64, 64, "khep_twin", None, None)
+            glfw.default_window_hints()
+    if not opened:
+        raise KhepTwinError(f"--viewer: no window can be opened, expected a screen with OpenGL; {_WITHOUT}")
+    glfw.destroy_window(opened)

@@ -1,0 +1,127 @@
+"""Event sources of the serving loop besides bytes: a timer, and hosts that open, write or close a terminal.
+
+Both are descriptors of the Linux kernel that Python 3.11 has no functions for. Where the system lacks the
+timer, its descriptor is None and the loop sleeps by `select`, some 0.1 ms less exactly; where it lacks
+inotify, there is no `OpenEvents`.
+"""
+
+import ctypes
+import os
+import struct
+from contextlib import suppress
+from enum import Enum, auto
+
+from khep_twin.clock import NS_PER_S
+
+_CLOCK_MONOTONIC, _TFD_TIMER_ABSTIME = 1, 1
+_FLAGS = os.O_NONBLOCK | os.O_CLOEXEC
+
+_IN_MODIFY, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE, _IN_OPEN, _IN_Q_OVERFLOW = 0x02, 0x08, 0x10, 0x20, 0x4000
+_IN_CLOSE = _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE
+_HEAD = struct.Struct("iIII")
+_BUFFER = 65536
+
+
+class Event(Enum):
+    """Act of a host on a terminal."""
+
+    OPENED = auto()
+    WRITTEN = auto()
+    CLOSED = auto()
+
+
+class OpenEvents:
+    """Event source for one terminal.
+
+    The terminal's directory is watched beside the terminal: its events stand between two equal ones of the
+    terminal, which the kernel would merge. Those of two processors at the same moment may still be merged.
+
+    Attributes:
+        descriptor: Descriptor for `select`, readable when there are events.
+    """
+
+    def __init__(self, descriptor: int, watch: int) -> None:
+        self.descriptor = descriptor
+        self._watch = watch
+
+    def drain(self) -> list[Event]:
+        """Return the events since the last call, the oldest first."""
+        found: list[Event] = []
+        while data := self._read():
+            place = 0
+            while place < len(data):
+                watch, kind, _, name_size = _HEAD.unpack_from(data, place)
+                place += _HEAD.size + name_size
+                if watch == self._watch or kind & _IN_Q_OVERFLOW:
+                    found.append(_event(kind))
+        return found
+
+    def close(self) -> None:
+        """Release the descriptor."""
+        os.close(self.descriptor)
+
+    def _read(self) -> bytes:
+        try:
+            return os.read(self.descriptor, _BUFFER)
+        except BlockingIOError:
+            return b""
+
+
+def open_events(path: str) -> OpenEvents | None:
+    """Return an event source for the terminal at `path`; None where the system has none."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(libc, "inotify_init1"):
+        return None
+    descriptor = int(libc.inotify_init1(_FLAGS))
+    if descriptor < 0:
+        return None
+    opens = _IN_OPEN | _IN_CLOSE
+    watch = int(libc.inotify_add_watch(descriptor, path.encode(), opens | _IN_MODIFY))
+    if watch < 0 or libc.inotify_add_watch(descriptor, os.path.dirname(path).encode(), opens) < 0:
+        os.close(descriptor)
+        return None
+    return OpenEvents(descriptor, watch)
+
+
+def _event(kind: int) -> Event:
+    if kind & _IN_OPEN:
+        return Event.OPENED
+    # Of events that were lost, a closing is the one that must be looked into.
+    return Event.WRITTEN if kind & _IN_MODIFY else Event.CLOSED
+
+
+class _TimerSpec(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_long) for name in ("every_s", "every_ns", "first_s", "first_ns")]
+
+
+class Timer:
+    """Becomes readable at a time of the wall clock (CLOCK_MONOTONIC).
+
+    Attributes:
+        descriptor: for `select`; None where the system has no such timers.
+    """
+
+    def __init__(self) -> None:
+        self._libc = ctypes.CDLL(None, use_errno=True)
+        self.descriptor: int | None = None
+        if hasattr(self._libc, "timerfd_create"):
+            made = self._libc.timerfd_create(_CLOCK_MONOTONIC, _FLAGS)
+            self.descriptor = made if made >= 0 else None
+
+    def set(self, wall_ns: int) -> None:
+        """Wakes at this time [ns]; a time that is over wakes at once."""
+        if self.descriptor is not None:
+            spec = _TimerSpec(0, 0, *divmod(max(wall_ns, 1), NS_PER_S))
+            self._libc.timerfd_settime(self.descriptor, _TFD_TIMER_ABSTIME, ctypes.byref(spec), None)
+
+    def clear(self) -> None:
+        """Makes it unreadable again."""
+        if self.descriptor is not None:
+            with suppress(BlockingIOError):
+                os.read(self.descriptor, 8)
+
+    def close(self) -> None:
+        """Gives it back."""
+        if self.descriptor is not None:
+            os.close(self.descriptor)
+            self.descriptor = None

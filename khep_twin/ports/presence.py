@@ -1,0 +1,146 @@
+"""Hosts that hold a pseudo-terminal open, by the kernel's own word.
+
+A terminal whose host side is closed everywhere is hung up: that is the fact that decides. inotify tells when
+it is worth asking, and in which order hosts opened, wrote and closed; it merges equal events that follow each
+other, so its counts alone decide nothing. Where the system has no inotify, the terminal is asked at each
+look.
+
+One descriptor of the host side is kept open here, so that settings and locks left behind can be taken away.
+It is closed for the moment of asking.
+"""
+
+import fcntl
+import os
+import select
+import termios
+from dataclasses import dataclass
+
+from khep_twin.ports.event_sources import Event, OpenEvents
+
+_ROUNDS = 4
+"""Times that a look asks the terminal before it leaves the rest to the next look."""
+
+_TIOCGEXCL = getattr(termios, "TIOCGEXCL", 0x80045440)
+"""Request for the state of a terminal's lock, which Python 3.11 does not name; the number is Linux's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Changes among the hosts since the last look.
+
+    Attributes:
+        left: All hosts that were here have left, even if others came since.
+        writes_before: Runs of writes of the hosts that have left; of those that are here, if none has.
+        writes: Runs of writes of the hosts that came after the others left.
+    """
+
+    left: bool = False
+    writes_before: int = 0
+    writes: int = 0
+
+
+class Presence:
+    """Hosts on the host side of a terminal.
+
+    Args:
+        terminal: Descriptor of this side.
+        kept: Descriptor of the host side, which passes to this object.
+        events: Event source; None where the system has none.
+
+    Attributes:
+        hosts: Number of descriptors that hosts have open, at least; 0 only if there is none.
+        host_side: Descriptor of the host side that is kept open here.
+    """
+
+    def __init__(self, terminal: int, kept: int, events: OpenEvents | None) -> None:
+        self.hosts = 0
+        self.host_side = kept
+        self._name = os.ttyname(kept)
+        self._events = events
+        self._own: list[Event] = []
+        self._later: list[Event] = []
+        self._poll = select.poll()
+        self._poll.register(terminal, 0)
+
+    @property
+    def descriptor(self) -> int | None:
+        """Descriptor for `select` that becomes readable when hosts come, write or go; None without events."""
+        return None if self._events is None else self._events.descriptor
+
+    def look(self, wrote: bool) -> Change:
+        """Return what has changed since the last look.
+
+        Args:
+            wrote: Bytes of a host were read since then, so that one has been here.
+        """
+        if self._events is None:
+            left = not (held := self._held()) and (wrote or self.hosts > 0)
+            self.hosts = int(held)
+            return Change(left)
+        events = self._later + self._drain(self._events)
+        if wrote and not self.hosts and Event.OPENED not in events:
+            # An event was lost; asking puts it right.
+            events.append(Event.CLOSED)
+        change = Change()
+        for _ in range(_ROUNDS):
+            change, otherwise = self._follow(events, change)
+            if Event.CLOSED not in events:
+                events = []
+                break
+            held, events = self._held(), self._drain(self._events)
+            if not held:
+                self.hosts, change = 0, _gone(change)
+            elif self.hosts == 0 and Event.OPENED not in events:
+                # Somebody is still here: two openings had become one event.
+                self.hosts, change = 1, otherwise
+        self._later = events
+        return change
+
+    def close(self) -> None:
+        """Release the host side and the event source."""
+        os.close(self.host_side)
+        if self._events is not None:
+            self._events.close()
+
+    def _follow(self, events: list[Event], change: Change) -> tuple[Change, Change]:
+        """Count what the events tell; return the change, and how it is if the last host has not left."""
+        otherwise = change
+        for event in events:
+            if event is Event.OPENED:
+                self.hosts += 1
+            elif event is Event.WRITTEN:
+                n_before, n_after = (0, 1) if change.left else (1, 0)
+                change = Change(change.left, change.writes_before + n_before, change.writes + n_after)
+            elif self.hosts <= 1:
+                otherwise, self.hosts, change = change, 0, _gone(change)
+            else:
+                self.hosts -= 1
+        return change, otherwise
+
+    def _drain(self, events: OpenEvents) -> list[Event]:
+        """Return what hosts did since the last call, in order, without the events of `_held`."""
+        found = events.drain()
+        for own in self._own:
+            if own in found:
+                found.remove(own)
+        self._own = []
+        return found
+
+    def _held(self) -> bool:
+        """Ask the kernel: with the descriptor kept here closed, a terminal without a host is hung up."""
+        locked = any(fcntl.ioctl(self.host_side, _TIOCGEXCL, bytes(4)))
+        if locked:
+            # A lock would keep this process out, too.
+            fcntl.ioctl(self.host_side, termios.TIOCNXCL)
+        os.close(self.host_side)
+        held = not any(state & select.POLLHUP for _, state in self._poll.poll(0))
+        self.host_side = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_CLOEXEC)
+        self._own = [Event.CLOSED, Event.OPENED]
+        if locked and held:
+            fcntl.ioctl(self.host_side, termios.TIOCEXCL)
+        return held
+
+
+def _gone(change: Change) -> Change:
+    """Return a change after which all hosts have left: what was written so far is theirs."""
+    return Change(True, change.writes_before + change.writes, 0)

@@ -1,0 +1,134 @@
+"""Hosts on a terminal, as the kernel knows them."""
+
+import fcntl
+import os
+import random
+import subprocess
+import termios
+
+import pytest
+
+from khep_twin.ports import pty as pty_module
+from khep_twin.ports.pty import PtyPort
+
+
+@pytest.fixture(params=["inotify", "no inotify"])
+def port(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
+    if request.param == "no inotify":
+        monkeypatch.setattr(pty_module, "open_events", lambda path: None)
+    with PtyPort() as port:
+        yield port
+
+
+def opened(port: PtyPort, flags: int = os.O_RDWR) -> int:
+    return os.open(port.path, flags | os.O_NOCTTY)
+
+
+def test_of_two_descriptors_of_one_process_one_may_close(port: PtyPort) -> None:
+    first, second = opened(port), opened(port)
+    port.receive(100)
+    os.close(second)
+    assert not port.receive(100).left
+    assert port.occupied
+    os.close(first)
+    assert port.receive(100).left
+    assert not port.occupied
+
+
+def test_descriptors_opened_and_closed_between_two_looks_leave_the_first_host_here(port: PtyPort) -> None:
+    host = opened(port)
+    subprocess.run(["stty", "-F", port.path, "9600"], check=True)
+    assert not port.receive(100).left
+    for _ in range(3):
+        os.close(opened(port))
+    assert not port.receive(100).left
+    assert port.occupied
+    os.write(host, b"B\n")
+    assert port.receive(100).data == b"B\n"
+    os.close(host)
+
+
+def test_a_descriptor_that_is_inherited_keeps_the_host_here(port: PtyPort) -> None:
+    host = opened(port)
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[host]) as child:
+        os.close(host)
+        assert not port.receive(100).left
+        assert port.occupied
+        child.communicate()
+    assert port.receive(100).left
+
+
+def test_a_host_that_came_and_went_unseen_has_left(port: PtyPort) -> None:
+    host = opened(port)
+    os.write(host, b"D,1,1\nD,0,")
+    os.close(host)
+    received = port.receive(4)
+    assert (received.left, received.last, received.data) == (True, b"D,1,1\nD,0,", b"")
+    assert not port.receive(100).left
+
+
+def test_a_lock_of_a_host_that_is_here_stays_and_goes_with_it(port: PtyPort) -> None:
+    host, other = opened(port), opened(port)
+    fcntl.ioctl(host, termios.TIOCEXCL)
+    port.receive(100)
+    os.close(other)
+    port.receive(100)
+    state = fcntl.ioctl(host, 0x80045440, bytes(4))
+    assert any(state)
+    os.close(host)
+    assert port.receive(100).left
+    host = opened(port)
+    assert not any(fcntl.ioctl(host, 0x80045440, bytes(4)))
+    os.close(host)
+
+
+def test_replies_that_nobody_read_are_taken_back_when_the_next_host_is_here_already() -> None:
+    with PtyPort() as port:
+        host = opened(port)
+        port.receive(100)
+        port.write(b"n,1,2\r\n")
+        os.close(host)
+        host = opened(port)
+        os.write(host, b"B\n")
+        received = port.receive(100)
+        assert (received.left, received.last, received.data) == (True, b"", b"B\n")
+        assert len(received.notices) == 1
+        os.set_blocking(host, False)
+        with pytest.raises(BlockingIOError):
+            os.read(host, 100)
+        os.close(host)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [(b"N\n", b"B\n"), (b"N\nN\r\nC,12\n", b"B\n"), (b"", b"B\n"), (b"D,0,0\n", b""), (b"N\n", b"B")],
+)
+def test_lines_of_the_next_host_are_told_from_those_of_the_one_before(before: bytes, after: bytes) -> None:
+    with PtyPort() as port:
+        host = opened(port)
+        port.receive(100)
+        os.write(host, before)
+        os.close(host)
+        host = opened(port)
+        os.write(host, after)
+        received = port.receive(1)
+        assert (received.left, received.last, received.data) == (True, before, after)
+        os.close(host)
+
+
+def test_random_openings_and_closings_are_followed(port: PtyPort) -> None:
+    rng = random.Random(1)
+    held: list[int] = []
+    for _ in range(2000):
+        before = len(held)
+        for _ in range(rng.randrange(1, 4)):
+            if held and rng.random() < 0.5:
+                os.close(held.pop(rng.randrange(len(held))))
+            elif len(held) < 5:
+                held.append(opened(port, rng.choice([os.O_RDWR, os.O_RDONLY, os.O_WRONLY])))
+        left = port.receive(100).left
+        assert port.occupied == bool(held)
+        if before and not held:
+            assert left
+    for descriptor in held:
+        os.close(descriptor)

@@ -1,0 +1,159 @@
+"""The bottom line of a terminal, and the output above it."""
+
+import os
+import pty
+import re
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import pytest
+import typer
+
+from khep_twin.cli_progress import progress
+from khep_twin.status_line import announced, status_line
+
+
+class Terminal(StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+    @property
+    def screen(self) -> list[str]:
+        """Lines as a person sees them in the end."""
+        lines = [""]
+        column = 0
+        for part in re.split(r"(\r|\n|\033\[K)", self.getvalue()):
+            if part == "\r":
+                column = 0
+            elif part == "\n":
+                lines.append("")
+                column = 0
+            elif part == "\033[K":
+                lines[-1] = lines[-1][:column]
+            else:
+                lines[-1] = lines[-1][:column] + part + lines[-1][column + len(part) :]
+                column += len(part)
+        return lines
+
+
+@contextmanager
+def at_a_terminal() -> Iterator[Terminal]:
+    """One terminal at both outputs."""
+    terminal = Terminal()
+    with redirect_stdout(terminal), redirect_stderr(terminal):
+        yield terminal
+
+
+def test_lines_of_output_and_a_progress_bar_never_share_a_line() -> None:
+    with at_a_terminal() as terminal:
+        with progress() as show:
+            assert show is not None
+            for number in range(4):
+                show(number / 4)
+                typer.echo(f"run {number}")
+                print("a warning", file=sys.stderr)
+                print("in two", end="")
+                show(number / 4 + 0.1)
+                print(" parts")
+                assert terminal.screen[-1].startswith("running  [#")
+        typer.echo("the end")
+    expected = [line for number in range(4) for line in (f"run {number}", "a warning", "in two parts")]
+    assert terminal.screen == [*expected, "the end", ""]
+
+
+def test_the_outputs_are_the_same_objects_again_after_a_bar() -> None:
+    with at_a_terminal() as terminal:
+        try:
+            with progress():
+                assert sys.stdout is not terminal
+                raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            pass
+        assert sys.stdout is sys.stderr is terminal
+    assert terminal.screen == [""]
+
+
+def test_an_output_that_is_no_terminal_is_left_alone() -> None:
+    piped = StringIO()
+    with at_a_terminal(), redirect_stdout(piped), progress():
+        assert sys.stdout is piped
+        print("data")
+    assert piped.getvalue() == "data\n"
+
+
+def test_long_work_shows_its_seconds_in_place_of_the_bar_which_comes_back() -> None:
+    with at_a_terminal() as terminal:
+        with progress() as show:
+            assert show is not None
+            show(0.5)
+            with announced("compiling"):
+                end = time.monotonic() + 30
+                while "compiling ... 1 s" not in terminal.getvalue() and time.monotonic() < end:
+                    time.sleep(0.05)
+                assert "compiling ... 0 s" in terminal.getvalue()
+            assert "compiling ... 1 s" in terminal.getvalue()
+            assert terminal.screen[0].startswith("running  [#####")
+        with announced("alone"):
+            pass
+    assert terminal.screen == [""]
+
+
+def test_where_nobody_looks_long_work_is_one_line_and_a_bar_is_none(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with status_line() as line, announced("compiling"):
+        assert line is None
+    assert capsys.readouterr() == ("", "compiling\n")
+    monkeypatch.setattr(sys, "stderr", None)
+    with announced("compiling"):
+        pass
+
+
+def test_the_compilation_of_an_episode_is_announced_and_no_other_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("numba", reason="numba, the extra [batch], is not installed")
+    from numba import njit
+    from numba.core import event
+
+    from khep_twin.scale import compiled, compiled_planar
+
+    for function in (compiled.advance, compiled_planar.advance):
+        with event.trigger_event("numba:compile", data={"dispatcher": function}):
+            pass
+        assert capsys.readouterr() == ("", f"{compiled.COMPILING}\n")
+    twice = compiled.announce_compilation(njit(lambda x: 2 * x))
+    assert (twice(1), twice(2)) == (2, 4)
+    assert capsys.readouterr() == ("", f"{compiled.COMPILING}\n")
+    assert njit(lambda x: 3 * x)(1) == 3
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_run_on_a_real_terminal_has_its_lines_to_themselves(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("def turn(robot):\n    robot.sleep(0.2)\n    print('from the controller')\n")
+    words = ["-m", "khep_twin", "run", f"{file}:turn", "--cycles", "2", "--runs", "2"]
+    pid, descriptor = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [sys.executable, *words])
+    shown = bytearray()
+    try:
+        while part := os.read(descriptor, 4096):
+            shown += part
+    except OSError:  # the terminal has gone with the program
+        pass
+    os.close(descriptor)
+    assert os.waitpid(pid, 0)[1] == 0
+    terminal = Terminal()
+    terminal.write(shown.decode().replace("\r\n", "\n"))
+    assert "running  [" in shown.decode()
+    own = "from the controller"
+    assert [re.sub(r"^run +(\d).*", r"run \1", line) for line in terminal.screen] == [
+        *(own, own, "run 1", own, own, "run 2", "")
+    ]

@@ -1,0 +1,107 @@
+"""The pictures of docs/designer.md, as a reader gets them.
+
+KHEP_SCREENSHOTS=docs/pictures make browser BROWSER='-k pictures_of_the_guide'    # makes them anew
+"""
+
+import re
+import shutil
+from pathlib import Path
+
+from PIL import Image
+
+from khep_twin.web.routes import ASSETS
+from tests.web.visit import BROWSED, PICTURES, Visit, need_a_browser
+
+need_a_browser()
+pytestmark = BROWSED
+
+PAGE = Path(__file__).parents[2] / "docs" / "designer.md"
+
+BENCH = """
+version = 1
+name = "bench"
+arena = { width_mm = 600, height_mm = 500 }
+robot = [{ x_mm = 300, y_mm = 330, heading_deg = 90 }]
+"""
+
+
+def test_the_pictures_of_the_guide_are_the_pages_own(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    shutil.copy(ASSETS.parent / "playpens" / "obstacles.toml", tmp_path / "mine.toml")
+    open_file(visit, "mine.toml")
+    visit.click(590, 435)
+    visit.picture("designer")
+
+    page.mouse.move(*visit.at(120, 290))
+    page.mouse.down()
+    page.mouse.move(*visit.at(215, 405), steps=5)
+    page.wait_for_selector(".kind-robot.bad")
+    visit.picture("designer_wrong")
+    page.mouse.up()
+    page.click("#undo")
+    page.wait_for_selector("#problems.none")
+
+    page.click("#view")
+    page.click('[data-tool="select"]')
+    visit.click(120, 290)
+    page.check("#field-robot-turrets input[value=gripper]")
+    page.click("#preview")
+    page.wait_for_selector("#dialog img")
+    visit.wait("document.querySelector('#dialog img').naturalWidth > 0 && !document.querySelector('.banner')")
+    visit.picture("designer_3d")
+    page.click("#dialog .main")
+    page.click("#undo")
+
+    page.click('[data-tab="run"]')
+    page.select_option("#speed", "10")
+    page.fill("#cycles", "3000")
+    page.click("#run")
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 18")
+    page.select_option("#speed", "0.25")
+    page.focus("#view")
+    page.wait_for_timeout(300)
+    visit.picture("designer_run")
+
+    page.click("#stop")
+    visit.wait("!document.querySelector('#run').disabled")
+    page.click("#end")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+
+    (tmp_path / "bench.toml").write_text(BENCH)
+    open_file(visit, "bench.toml")
+    page.click('[data-tab="run"]')
+    page.select_option("#speed", "0")
+    page.click('[data-tab="sense"]')
+    page.fill("#amount", "13")
+    page.click("#gather")
+    page.wait_for_selector("#figure:not([hidden])")
+    visit.wait("document.querySelector('#figure').naturalWidth > 100")
+    visit.picture("designer_sense")
+
+    page.click('[data-tab="run"]')
+    page.click("#end")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    open_file(visit, "mine.toml")
+    page.click("#start")
+    page.wait_for_selector(".live")
+    page.mouse.move(*visit.at(120, 290))
+    page.mouse.down()
+    page.mouse.move(*visit.at(410, 440), steps=5)
+    page.wait_for_selector(".live.held.bad")
+    visit.picture("designer_held")
+    page.mouse.up()
+    page.click("#end")
+
+    shown = re.findall(r"\(pictures/(designer\w*\.png)\)", PAGE.read_text())
+    assert len(shown) >= 4
+    for name in shown:
+        with Image.open(PAGE.parent / "pictures" / name) as kept, Image.open(PICTURES / name) as made:
+            assert (kept.mode, kept.size) == (made.mode, made.size), name
+
+
+def open_file(visit: Visit, name: str) -> None:
+    visit.page.click("#open")
+    visit.page.select_option("#dialog select", name)
+    visit.page.click("#dialog .main")
+    visit.wait(f"document.querySelector('#file').textContent === '{name}'")
+    visit.page.wait_for_selector("#problems.none")
