@@ -1,6 +1,7 @@
 """What a log's channels carry, as ROS 2 messages in CDR, which rerun and Foxglove read without code of ours.
 
     /robot_description          std_msgs/String             the playpen and its robots as URDF, once
+    /channel_names              std_msgs/String             what the numbers of the channels are, once
     /scene                      foxglove.SceneUpdate        the same for Foxglove, once (`foxglove_scene`)
     /tf                         tf2_msgs/TFMessage          where every body is
     /khepera0/proximity         std_msgs/Float64MultiArray  eight counts, in the order of N

@@ -15,7 +15,7 @@ from khep_twin import __version__
 from khep_twin.errors import LogError
 from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame
 from khep_twin.log.log_file import LogFile
-from khep_twin.log.recorder import SAMPLED
+from khep_twin.log.recorder import SAMPLED, channel_names
 from khep_twin.log.transcript import Transcript
 from khep_twin.log.wire import acts_message
 from khep_twin.protocol import Command, LineReader, parse
@@ -69,6 +69,7 @@ class LineRecorder:
             {"configuration.json": attachment},
             {**facts, **{key: str(value) for key, value in settings.items()}},
         )
+        self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
         self._log.flush()
         self._log.tell = carry_on
 

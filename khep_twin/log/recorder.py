@@ -30,6 +30,7 @@ from khep_twin.log.transcript import Transcript
 from khep_twin.log.wire import Answered, acts_message, boards, hashes, states_message
 from khep_twin.robot import Robot
 from khep_twin.uart import HostAct
+from khep_twin.units import Sensor
 from khep_twin.world import SAMPLE_NS, World
 
 FLUSH_NS = 5 * NS_PER_S
@@ -45,9 +46,11 @@ hash has all of it."""
 
 _NONE: Mapping[str, str] = {}
 
+_SENSORS = ", ".join(sensor.name.lower().replace("_", " ") for sensor in Sensor)
+
 SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
-    ("proximity", FLOATS, "f8", "counts", list(PROXIMITY)),
-    ("ambient", FLOATS, "f8", "counts", list(AMBIENT)),
+    ("proximity", FLOATS, "f8", f"{_SENSORS} [counts]", list(PROXIMITY)),
+    ("ambient", FLOATS, "f8", f"{_SENSORS} [counts]", list(AMBIENT)),
     (
         "speed",
         FLOATS,
@@ -56,7 +59,7 @@ SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
         [*SPEEDS, *SETPOINTS],
     ),
     ("duty", FLOATS, "f8", "left, right [-255 to 255]", list(DUTIES)),
-    ("leds", FLOATS, "f8", "lateral, frontal", [int(Board.LED_0), int(Board.LED_1)]),
+    ("leds", FLOATS, "f8", "lateral, frontal [1 is lit]", [int(Board.LED_0), int(Board.LED_1)]),
 ]
 """Channels of every robot: topic, message type, kind of number, label, and the registers that they show."""
 
@@ -250,6 +253,7 @@ class Recorder:
         self._log.describe(attachments, {**facts, **{key: str(value) for key, value in settings.items()}})
         message = channels.text_message(urdf(world.model))
         self._log.add("/robot_description", "std_msgs/msg/String", 0, message)
+        self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
         scene = foxglove_scene.scene_update(world.model)
         self._log.add_protobuf("/scene", foxglove_scene.SCHEMA, foxglove_scene.descriptors(), 0, scene)
         self._log.flush()
@@ -257,6 +261,19 @@ class Recorder:
 
 def _lamps_frame(world: World) -> ArrayFrame:
     return ArrayFrame(len(world.lamps.names), "f8", "power [W]")
+
+
+def channel_names() -> bytes:
+    """Return a message that names what the numbers of each channel are, for viewers that only count them."""
+    topics: dict[str, list[str]] = {}
+    for topic, _, _, label, _ in SAMPLED:
+        topics.setdefault(label, []).append(topic)
+    lines = ["Numbers of each robot's channels:"]
+    for label, found in topics.items():
+        names, _, unit = label.removesuffix("]").partition(" [")
+        lines += ["", f"{', '.join(found)} [{unit}]"]
+        lines += [f"  [{index}]  {name}" for index, name in enumerate(names.split(", "))]
+    return channels.text_message("\n".join(lines))
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -29,8 +29,8 @@ from khep_twin.log.viewer import Web, open_viewer
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
-UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$"]
-"""Topics, as patterns, that no view shows: they are for programs."""
+UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
+"""Topics, as patterns, that no view shows: they are for programs, or said by the views themselves."""
 
 PICTURES = 10_000
 """Most pictures of bars and rays of a run; a longer one has fewer than ten a second."""

@@ -126,6 +126,7 @@ def test_every_channel_has_its_messages_at_simulated_times(log: Path) -> None:
     ):
         assert times.pop(f"/{topic}") == samples
     assert times.pop("/robot_description") == [0]
+    assert times.pop("/channel_names") == [0]
     assert times.pop("/scene") == [0]
     assert times.pop("/events") == [2 * SECOND]
     assert len(times.pop("/khepera0/serial")) == 40

@@ -54,6 +54,18 @@ def test_rerun_reads_a_log_by_itself(log: Path) -> None:
     assert components(list(McapReader(log).stream())) >= EXPECTED
 
 
+def test_rerun_names_the_curves_of_a_log_by_itself(log: Path) -> None:
+    chunks = [chunk for chunk in McapReader(log).stream() if chunk.entity_path == "/channel_names"]
+    (text,) = (
+        chunk.to_record_batch()["TextDocument:text"].to_pylist()[0][0]
+        for chunk in chunks
+        if ("/channel_names", "TextDocument:text") in components([chunk])
+    )
+    assert "\nproximity, ambient [counts]\n  [0]  left 90\n" in text
+    assert "\n  [7]  back left\n\nspeed [pulses/10 ms]\n" in text
+    assert "\n  [2]  setpoint left\n" in text
+
+
 def test_the_boards_whole_state_opens_no_plot(log: Path) -> None:
     found = components(list(McapReader(log).stream()))
     assert ("/khepera0/registers", "Scalars:scalars") not in found
