@@ -37,8 +37,9 @@ format: $(VENV)/dev.stamp ## put the code into its layout
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
-fuzz: $(VENV)/dev.stamp ## a million inputs for the board; about ten minutes
+fuzz: $(VENV)/dev.stamp ## a million inputs for the board, and 50,000 commands against its model; a quarter of an hour
 	@$(BIN)/python tests/fuzz_board.py -runs=1000000
+	@KHEP_COMMANDS=50000 $(BIN)/python -m pytest -q tests/test_board_against_model.py
 
 fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 million; about ten minutes
 	@$(BIN)/python tests/fuzz_files.py mat 200000 --jobs 2

@@ -1,5 +1,9 @@
-"""Tens of thousands of random commands, and the firmware agrees with a model of the board on every reply."""
+"""Thousands of random commands, and the firmware agrees with a model of the board on every reply.
 
+The suite takes a share of them; `KHEP_COMMANDS=50000` takes 50,000 and more, as `make fuzz` does.
+"""
+
+import os
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +18,9 @@ from khep_twin.gripper import Register
 from khep_twin.rom import ROMS
 from khep_twin.turrets import find
 
-COMMANDS_WANTED = 50_000
+COMMANDS_WANTED = int(os.environ.get("KHEP_COMMANDS", "5000"))
+COMMANDS_A_SESSION = 77
+"""Commands that hypothesis draws in a session at least, over many: 92 to 138 on average."""
 
 EDGES = [0, 1, 2, 3, 6, 7, 63, 64, 127, 128, 255, 256, 1023, 32767, 32768, 2**23 - 2, 2**23, 2**31 - 1, 2**31]
 NUMBERS = st.one_of(
@@ -170,12 +176,12 @@ class Session(RuleBasedStateMachine):
         self.model.supply = supply
 
 
-def test_the_firmware_agrees_with_the_model_on_fifty_thousand_commands() -> None:
+def test_the_firmware_agrees_with_the_model_on_thousands_of_commands() -> None:
     Session.n_commands = 0
     run_state_machine_as_test(
         Session,
         settings=settings(
-            max_examples=650,
+            max_examples=COMMANDS_WANTED // COMMANDS_A_SESSION + 1,
             stateful_step_count=60,
             derandomize=True,
             deadline=None,
@@ -183,7 +189,6 @@ def test_the_firmware_agrees_with_the_model_on_fifty_thousand_commands() -> None
             suppress_health_check=list(HealthCheck),
         ),
     )
-    # How many there are depends on what hypothesis draws: 60,000 to 90,000 in 650 sessions.
     assert Session.n_commands >= COMMANDS_WANTED, Session.n_commands
 
 
