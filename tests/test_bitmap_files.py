@@ -195,19 +195,19 @@ def test_every_cut_of_a_picture_is_refused_or_read() -> None:
 def test_packed_text_and_profiles_are_never_unpacked() -> None:
     packed = zlib.compress(bytes(2**20), 9)
     bombs = chunk(b"iCCP", b"a\0\0" + packed) + chunk(b"zTXt", b"a\0\0" + packed)
-    begun = time.perf_counter()
+    begun = time.process_time()
     found = decode(WHOLE[:33] + bombs * 10_000 + WHOLE[33:])
-    assert time.perf_counter() - begun < 2
+    assert time.process_time() - begun < 2
     np.testing.assert_array_equal(found.solid, DRAWN)
 
 
 def test_a_picture_in_very_many_pieces_is_read_in_time() -> None:
     packed = zlib.compress(np.random.default_rng(1).bytes(301 * 300), 0)
     pieces = b"".join(chunk(b"IDAT", bytes([byte])) for byte in packed)
-    begun = time.perf_counter()
+    begun = time.process_time()
     message = refused(header(4000, 4000) + pieces[:-13])
     assert message.startswith("no whole PNG: ")
-    assert time.perf_counter() - begun < 2
+    assert time.process_time() - begun < 2
 
 
 BIGGEST = """
@@ -216,14 +216,14 @@ from pathlib import Path
 from khep_twin import bitmap, bitmap_files
 size = int(Path("/proc/self/status").read_text().split("VmSize:")[1].split()[0]) * 1024
 resource.setrlimit(resource.RLIMIT_AS, (size + 2**29, size + 2**29))
-begun = time.perf_counter()
+begun = time.process_time()
 found = bitmap_files.read(sys.argv[1])
-print(time.perf_counter() - begun, found.solid.shape)
+print(time.process_time() - begun, found.solid.shape)
 try:
     bitmap.to_playpen(found.solid, "x")
 except bitmap.BitmapError as error:
     print(error)
-print(time.perf_counter() - begun)
+print(time.process_time() - begun)
 """
 
 

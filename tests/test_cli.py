@@ -268,11 +268,13 @@ def test_a_run_that_is_asked_to_end_ends_with_its_log_whole(how: signal.Signals,
     log = tmp_path / "run.mcap"
     command = [sys.executable, "-m", "khep_twin", "run", "--seconds", "5000", "--log", str(log)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        while not (tmp_path / "run.mcap.part").exists():
+        part = tmp_path / "run.mcap.part"
+        end = time.monotonic() + 60
+        while not part.exists() or part.stat().st_size < 150_000:
+            assert time.monotonic() < end, "nothing is written"
             time.sleep(0.05)
-        time.sleep(1)
         process.send_signal(how)
-        output, errors = process.communicate(timeout=20)
+        output, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert errors == "khep-twin: stopped before its end\n"
     assert "look at it" in output

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from khep_twin.errors import LogError
 from khep_twin.lab.sensor_files import load
+from khep_twin.log.growing import GrowingLog, Message
 
 BENCH = """
 version = 1
@@ -86,8 +88,21 @@ def test_a_test_that_breaks_off_keeps_its_data_and_tells_why_in_one_line(folder:
     assert len(load(folder / "run.csv").dv) > 10
 
 
+def drives(part: Path) -> bool:
+    """Whether a log that grows has the order to drive."""
+    try:
+        with GrowingLog(part.with_suffix("")) as log:
+            found: list[Message] = []
+            while block := log.new():
+                found += block
+    except LogError:  # it has only just begun
+        return False
+    return any(b"C," in message.data for message in found)
+
+
 def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
     serve = [sys.executable, "-m", "khep_twin", "serve", "bench.toml", "--tcp", "127.0.0.1:0"]
+    serve += ["--log", "twin.mcap"]
     with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True, cwd=folder) as served:
         try:
             assert served.stdout is not None
@@ -95,9 +110,13 @@ def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
             command = [sys.executable, "-m", "khep_twin", "sense", port, "--linear", "-60", "-o", "run.csv"]
             command += ["--speed", "5"]  # 15 s, so that it goes on by then on slow machines, too
             with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=folder) as sensing:
-                time.sleep(5)
+                end = time.monotonic() + 60
+                while not (folder / "twin.mcap.part").exists() or not drives(folder / "twin.mcap.part"):
+                    assert time.monotonic() < end, "it does not drive"
+                    time.sleep(0.1)
+                time.sleep(1)
                 sensing.send_signal(signal.SIGINT)
-                _, complaint = sensing.communicate(timeout=20)
+                _, complaint = sensing.communicate(timeout=60)
         finally:
             served.terminate()
     assert sensing.returncode == 130

@@ -5,9 +5,13 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from lateness import lateness
 
 from khep_twin.host import Khepera
 from khep_twin.lab.conformance import Check, Line, checks, run_check
+
+MOST_LATE = 0.003
+"""Lateness of the machine that the checks of pace bear [s]."""
 
 TWINS = [f"{kind}-{baudrate}" for kind in ("khep", "pty") for baudrate in (9600, 19200, 38400)]
 
@@ -42,4 +46,15 @@ def line(request: pytest.FixtureRequest) -> Iterator[Line]:
 
 
 def test_the_port_conforms(line: Line, check: Check) -> None:
-    assert run_check(check, line).deviation == ""
+    if hasattr(line.port, "time_ns"):  # simulated time
+        assert run_check(check, line).deviation == ""
+        return
+    # In real time a busy machine delays replies, which is no deviation of the port's.
+    for _ in range(5):
+        with lateness() as late:
+            deviation = run_check(check, line).deviation
+        if not deviation or late.worst < MOST_LATE:
+            break
+    if deviation:
+        late.excuse(MOST_LATE)
+    assert deviation == ""

@@ -185,7 +185,7 @@ def test_a_run_served_by_the_clock_on_the_wall_repeats(tmp_path: Path) -> None:
                 while time.monotonic() < start + 1:
                     robot.proximity()
                 robot.port.write(b"N\nO\nD,0,0\nE")
-            time.sleep(0.3)
+            time.sleep(1)  # until the twin knows that its host has gone
     finally:
         server.terminate()
         server.communicate()

@@ -109,7 +109,7 @@ def serve_until_it_is_full(log: Path, *options: str) -> tuple[subprocess.Popen[s
 
 def test_a_server_whose_log_may_not_grow_loses_at_most_a_second_and_ends(tmp_path: Path) -> None:
     server, line = serve_until_it_is_full(tmp_path / "run.mcap")
-    _, rest = server.communicate(timeout=20)
+    _, rest = server.communicate(timeout=60)
     assert (server.returncode, rest) == (1, "")
     assert (told := TOLD.search(line)), line
     assert told[2] == "File too large"
@@ -130,7 +130,7 @@ def test_a_server_that_is_asked_to_carry_on_goes_on_answering(tmp_path: Path) ->
     os.close(port)
     assert reply.endswith(b"b,5.02,5.01\r\n")
     server.terminate()
-    _, rest = server.communicate(timeout=20)
+    _, rest = server.communicate(timeout=60)
     assert server.returncode == 3
     assert "cannot be written" not in rest
 

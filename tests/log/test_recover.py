@@ -220,7 +220,7 @@ def test_a_killed_run_is_rescued_and_the_next_one_says_how(tmp_path: Path) -> No
     part = tmp_path / "run.mcap.part"
     child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 120
         while (not part.exists() or part.stat().st_size < 60_000) and time.monotonic() < deadline:
             time.sleep(0.02)
     finally:

@@ -14,12 +14,16 @@ from pathlib import Path
 
 import pytest
 import serial
+from lateness import lateness
 
 from khep_twin import playpen
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
 from khep_twin.invocation import command
 from khep_twin.log.reader import read
+
+PATIENCE = 20.0
+"""Wait for what must come, on machines of any load [s]."""
 
 
 @contextmanager
@@ -35,17 +39,17 @@ def served(
     )
     try:
         assert process.stdout is not None
-        assert select.select([process.stdout], [], [], 30)[0], "nothing was served"
+        assert select.select([process.stdout], [], [], 120)[0], "nothing was served"
         yield process, process.stdout.readline().strip()
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=60)
 
 
 def stop(process: subprocess.Popen[str], how: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
     """Ends it; returns its exit code and what it said."""
     process.send_signal(how)
-    _, errors = process.communicate(timeout=5)
+    _, errors = process.communicate(timeout=60)
     return process.returncode, errors
 
 
@@ -57,30 +61,31 @@ def path() -> Iterator[str]:
 
 @pytest.mark.parametrize("ending", [b"\n", b"\r", b"\r\n"])
 def test_a_host_in_pyserial_gets_its_reply(path: str, ending: bytes) -> None:
-    with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+    with serial.Serial(path, 9600, stopbits=2, timeout=PATIENCE) as port:
         port.write(b"B" + ending)
         assert port.readline() == b"b,5.02,5.01\r\n"
 
 
 def test_the_reply_takes_its_time_on_the_line(path: str) -> None:
-    with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+    with lateness() as late, serial.Serial(path, 9600, stopbits=2, timeout=PATIENCE) as port:
         start = time.monotonic()
         port.write(b"N\n")
         reply = port.readline()
         took = time.monotonic() - start
     assert reply.count(b",") == 8
     assert took >= (2 + len(reply)) * 11 / 9600 * 0.95
+    late.excuse(0.05)
     assert took < 0.5
 
 
 def test_a_host_may_set_another_speed_or_one_stop_bit(path: str) -> None:
-    with serial.Serial(path, 57600, stopbits=1, timeout=1, rtscts=True) as port:
+    with serial.Serial(path, 57600, stopbits=1, timeout=PATIENCE, rtscts=True) as port:
         port.write(b"B\n")
         assert port.readline() == b"b,5.02,5.01\r\n"
 
 
 def test_single_bytes_and_bursts_are_answered_in_order(path: str) -> None:
-    with serial.Serial(path, 9600, timeout=1) as port:
+    with serial.Serial(path, 9600, timeout=PATIENCE) as port:
         for byte in b"G,5,6\n":
             port.write(bytes((byte,)))
             time.sleep(0.002)
@@ -102,7 +107,7 @@ def test_a_host_in_c_style_reads_and_writes_a_descriptor(path: str) -> None:
         os.write(descriptor, b"B\r")
         data = b""
         while not data.endswith(b"\n"):
-            assert select.select([descriptor], [], [], 2)[0]
+            assert select.select([descriptor], [], [], PATIENCE)[0]
             data += os.read(descriptor, 100)
     finally:
         os.close(descriptor)
@@ -110,7 +115,7 @@ def test_a_host_in_c_style_reads_and_writes_a_descriptor(path: str) -> None:
 
 
 def test_our_own_host_drives_it_in_real_time(path: str) -> None:
-    with Khepera(path) as robot:
+    with lateness() as late, Khepera(path) as robot:
         robot.set_position(0, 0)
         robot.set_speed(5, 5)
         start = time.monotonic()
@@ -118,6 +123,7 @@ def test_our_own_host_drives_it_in_real_time(path: str) -> None:
         left, right = robot.position()
         took = time.monotonic() - start
         robot.set_speed(0, 0)
+    late.excuse(0.02)
     # 500 pulses a second, less the start.
     assert left == pytest.approx(500 * took, rel=0.15)
     assert right == pytest.approx(left, abs=5)
@@ -130,13 +136,14 @@ def test_rubbish_at_full_speed_is_survived(path: str) -> None:
         deadline = time.monotonic() + 10
         while port.read(1000) and time.monotonic() < deadline:
             pass
+        port.timeout = PATIENCE
         port.write(b"\nB\n")
         assert port.read_until(b"5.01\r\n").endswith(b"b,5.02,5.01\r\n")
 
 
 def test_the_example_runs_unchanged_on_a_pty(path: str) -> None:
     example = Path(__file__).parents[2] / "examples" / "01_braitenberg.py"
-    subprocess.run([sys.executable, str(example), path, "20"], check=True, timeout=60)
+    subprocess.run([sys.executable, str(example), path, "20"], check=True, timeout=300)
 
 
 def reply_of_the_next_host(path: str) -> bytes:
@@ -146,7 +153,7 @@ def reply_of_the_next_host(path: str) -> bytes:
     try:
         os.write(descriptor, b"B\n")
         data = b""
-        while not data.endswith(b"\n") and select.select([descriptor], [], [], 2)[0]:
+        while not data.endswith(b"\n") and select.select([descriptor], [], [], PATIENCE)[0]:
             data += os.read(descriptor, 100)
         return data
     finally:
@@ -194,14 +201,18 @@ def test_the_last_command_of_a_host_that_closes_at_once_is_carried_out(path: str
 
 def test_at_full_speed_without_line_time_answers_come_at_once() -> None:
     with (
+        lateness() as late,
         served("default", "--speed", "max", "--unpaced") as (_, path),
-        serial.Serial(path, 9600, timeout=1) as port,
+        serial.Serial(path, 9600, timeout=PATIENCE) as port,
     ):
         start = time.monotonic()
         for _ in range(100):
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
-        assert time.monotonic() - start < 2
+        took = time.monotonic() - start
+    late.excuse(0.005)
+    # On a line they would take 1.8 s.
+    assert took < 1
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
@@ -209,7 +220,7 @@ def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp
     log, link = tmp_path / "run.mcap", tmp_path / "khepera"
     with served("default", "--log", str(log), "--link", str(link)) as (process, path):
         assert path == str(link)
-        with serial.Serial(path, 9600, timeout=1) as port:
+        with serial.Serial(path, 9600, timeout=PATIENCE) as port:
             port.write(b"B\n")
             port.readline()
         code, errors = stop(process, how)
@@ -228,11 +239,13 @@ def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp
 def test_a_killed_server_loses_less_than_a_second_and_is_announced_next_time(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with served("default", "--log", str(log)) as (process, _):
-        time.sleep(2.5)
+        part = tmp_path / "run.mcap.part"
+        end = time.monotonic() + 60
+        while part.stat().st_size < 20_000:
+            assert time.monotonic() < end, "nothing is written"
+            time.sleep(0.05)
         process.kill()
     assert not log.exists()
-    part = tmp_path / "run.mcap.part"
-    assert part.stat().st_size > 20_000
     with served("default", "--log", str(log)) as (process, _):
         code, errors = stop(process)
     assert code == 0
@@ -267,7 +280,7 @@ def test_after_a_kill_the_next_start_takes_the_link_again(tmp_path: Path) -> Non
         process.wait()
     assert os.path.lexists(link)
     with served("default", "--link", str(link)) as (_, path):
-        with serial.Serial(path, 9600, stopbits=2, timeout=1) as port:
+        with serial.Serial(path, 9600, stopbits=2, timeout=PATIENCE) as port:
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
     assert list(tmp_path.iterdir()) == []
@@ -302,7 +315,7 @@ def test_a_link_in_the_current_directory_lies_where_it_says(
         found = tmp_path / ("khepera0" if several else "khepera")
         assert path == str(found)
         assert found.is_symlink()
-        with serial.Serial(f"./{found.name}", timeout=1) as port:
+        with serial.Serial(f"./{found.name}", timeout=PATIENCE) as port:
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
     assert not found.is_symlink()
@@ -339,13 +352,13 @@ def test_whoever_waits_is_told_when_hosts_may_come() -> None:
     assert process.stdout is not None
     assert told == process.stdout.readline()
     process.terminate()
-    process.communicate(timeout=20)
+    process.communicate(timeout=60)
 
 
 def test_stty_and_a_shell_get_a_reply(path: str) -> None:
     subprocess.run(["stty", "-F", path, "9600", "cstopb", "raw", "-echo"], check=True)
     time.sleep(0.2)
-    script = f"exec 3<>{path}; printf 'B\\n' >&3; read -r -t 2 line <&3; echo \"$line\""
+    script = f"exec 3<>{path}; printf 'B\\n' >&3; read -r -t 20 line <&3; echo \"$line\""
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "b,5.02,5.01"
 
@@ -355,11 +368,11 @@ def test_terminal_programs_get_a_reply(path: str, tool: str) -> None:
     if shutil.which(tool) is None:
         pytest.skip(f"{tool} is not installed")
     commands = {
-        "socat": ["socat", "-t", "0.5", "-", f"{path},b9600,cstopb=1,raw,echo=0"],
-        "picocom": ["picocom", "-q", "-b", "9600", "-p", "2", "-x", "2000", path],
+        "socat": ["socat", "-t", "2", "-", f"{path},b9600,cstopb=1,raw,echo=0"],
+        "picocom": ["picocom", "-q", "-b", "9600", "-p", "2", "-x", "3000", path],
     }
     done = subprocess.run(
-        commands[tool], input="B\n", capture_output=True, text=True, timeout=10, check=False
+        commands[tool], input="B\n", capture_output=True, text=True, timeout=120, check=False
     )
     assert "b,5.02,5.01" in done.stdout
 
@@ -370,17 +383,20 @@ def test_miniterm_gets_a_reply(path: str) -> None:
     own, keys = os.openpty()
     with subprocess.Popen(command, stdin=keys, stdout=keys, stderr=keys, close_fds=True) as process:
         os.close(keys)
-        time.sleep(1)
-        os.write(own, b"B\n")
-        time.sleep(1)
-        assert b"b,5.02,5.01" in os.read(own, 4096)
+        shown, end = b"", time.monotonic() + 60
+        while b"b,5.02,5.01" not in shown:
+            assert time.monotonic() < end, shown
+            # What is typed before it has begun is lost.
+            os.write(own, b"B\n")
+            while select.select([own], [], [], 1)[0]:
+                shown += os.read(own, 4096)
         process.kill()
     os.close(own)
 
 
 def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_told_of() -> None:
     with served("default", "--model", "khepera2", "--mode", "9") as (process, path):
-        with serial.Serial(path, 115200, stopbits=2, timeout=1) as port:
+        with serial.Serial(path, 115200, stopbits=2, timeout=PATIENCE) as port:
             port.write(b"B\n")
             assert port.readline() == b"b,6.01,5.01\r\n"
         _, errors = stop(process)
@@ -393,7 +409,7 @@ def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_told_of() 
 def test_the_notice_of_another_speed_names_the_mode_and_one_stop_bit_is_no_reason_for_one() -> None:
     with served("default") as (process, path):
         for speed in (9600, 38400, 57600, 38400):
-            with serial.Serial(path, speed, stopbits=1, timeout=1) as port:
+            with serial.Serial(path, speed, stopbits=1, timeout=PATIENCE) as port:
                 port.write(b"B\n")
                 assert port.readline() == b"b,5.02,5.01\r\n"
         _, errors = stop(process)
