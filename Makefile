@@ -12,6 +12,13 @@ TESTS :=
 BENCH :=
 BROWSER :=
 
+# An environment that is there stays what it is.
+ifneq ($(and $(PYTHON),$(wildcard $(BIN)/python)),)
+ifneq ($(shell $(PYTHON) --version),$(shell $(BIN)/python --version))
+$(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(PYTHON); to make it anew: make clean)
+endif
+endif
+
 .PHONY: help run test wheels check format fuzz fuzz-files soak determinism kills worker-kills pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
