@@ -275,6 +275,17 @@ def test_a_held_robot_gets_a_red_outline_where_it_has_no_room(visit: Visit) -> N
     page.click("#end")
 
 
+def test_the_legend_does_not_cover_the_arena(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    page.click('[data-tab="run"]')
+    page.click("#start")
+    page.wait_for_selector(".live")
+    legend = page.locator("#legend").bounding_box()
+    assert legend["y"] + legend["height"] <= visit.at(300, 510)[1]
+    page.click("#end")
+
+
 def test_the_gripper_is_drawn_as_it_stands(visit: Visit, tmp_path: Path) -> None:
     (tmp_path / "lower.py").write_text(
         "from khep_twin.host import Gripper\n\n\ndef controller(robot):\n    Gripper(robot).lower()\n"

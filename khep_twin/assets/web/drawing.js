@@ -38,7 +38,10 @@ export class Drawing {
   fit() {
     const { width_mm, height_mm, wall_thickness_mm } = this.#arena();
     const edge = wall_thickness_mm + 28;
-    this.look(-edge, -height_mm - edge, width_mm + 2 * edge, height_mm + 2 * edge);
+    const room = (above) => this.look(-edge, -height_mm - edge - above, width_mm + 2 * edge, height_mm + 2 * (edge + above));
+    room(0);
+    // The legend lies above the arena, in two lines at most where there is width for it; as much is left below.
+    room(Math.max(50 * this.pixel - 28, 0));
   }
 
   #arena() {
