@@ -23,7 +23,7 @@ def served(*arguments: str, notices: bool = False) -> Iterator[tuple["subprocess
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process:
         try:
             assert process.stdout is not None
-            assert select.select([process.stdout], [], [], 30)[0], "nothing was served"
+            assert select.select([process.stdout], [], [], 120)[0], "nothing was served"
             yield process, process.stdout.readline().strip()
         finally:
             process.kill()

@@ -27,7 +27,7 @@ def test_it_tells_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) ->
         with urllib.request.urlopen(url) as answer:
             assert b"Khepera designer" in answer.read()
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         assert process.stdout.read() == ""
     assert list(tmp_path.iterdir()) == []
 

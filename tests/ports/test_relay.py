@@ -102,8 +102,8 @@ def test_a_robot_that_goes_is_told_of_and_the_log_is_whole(tmp_path: Path) -> No
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
             twin.kill()
-            twin.wait(5)
-            process.wait(5)
+            twin.wait(60)
+            process.wait(60)
         _, errors = process.communicate()
     assert process.returncode == 1
     begun, failed = errors.splitlines()

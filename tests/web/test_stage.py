@@ -4,7 +4,9 @@ import math
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
@@ -44,7 +46,7 @@ class Ear:
                         del self.heard[: self.heard.index(message) + 1]
                         return message
                 seen = len(self.heard)
-                assert self._news.wait(30), f"no {kind} among {[each['kind'] for each in self.heard]}"
+                assert self._news.wait(120), f"no {kind} among {[each['kind'] for each in self.heard]}"
 
 
 @pytest.fixture
@@ -238,11 +240,19 @@ def test_no_picture_is_told_while_nobody_watches() -> None:
 
 def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, ear: Ear) -> None:
     ear.wait("picture")
+    times: list[float] = []
+
+    def tell(message: Mapping[str, Any]) -> None:
+        times.append(time.monotonic())
+        ear(message)
+
+    actor.tell = tell
     ear.heard.clear()
-    start = time.monotonic()
-    for _ in range(5):
+    for _ in range(21):
         ear.wait("picture")
-    assert time.monotonic() - start >= 4 * 0.04 * 0.99
+    # Noted where they are told, as whoever waits for them may be woken late. A picture that is late itself
+    # makes one gap longer and the next one shorter.
+    assert median(after - before for before, after in pairwise(times)) >= 0.04 * 0.99
 
 
 def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_it(
