@@ -80,8 +80,9 @@ reference: $(VENV)/dev.stamp ## pages of every public function and class, docs/r
 	@$(BIN)/python tests/reference.py docs/reference
 	@echo "reference  docs/reference/index.html"
 
-tutorial: $(VENV)/dev.stamp ## the pictures of docs/tutorial.md anew, by its own commands
+tutorial: $(VENV)/dev.stamp ## the tutorial's numbers and the docs' pictures anew, by their own commands; needs Vulkan
 	@$(BIN)/python tests/tutorial.py
+	@PYTHONPATH=. $(BIN)/python tests/pictures.py
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run; three minutes, BENCH=--quick for a short one
 	@$(BIN)/python -m benchmarks $(BENCH)

@@ -4,9 +4,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import tutorial
+from PIL import Image
+from typer.testing import CliRunner
 
 from khep_twin import playpen
+from khep_twin.cli import app
 from khep_twin.host import Khepera
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
@@ -45,6 +50,19 @@ def test_the_playpen_is_right() -> None:
 def test_the_two_commands_are_the_makefiles() -> None:
     commands = [line.split("#")[0].strip() for line in blocks("sh")[0].splitlines()]
     assert commands == ["make run", "make test"]
+
+
+def test_the_picture_is_the_one_that_make_run_leaves(tmp_path: Path) -> None:
+    if not tutorial.same_numbers():
+        pytest.skip(f"another machine than the picture's; here it is {tutorial.made_with()}")
+    done = CliRunner().invoke(app, tutorial.make_run(tmp_path))
+    assert done.exit_code == 0, done.output
+    with Image.open(tmp_path / "run.png") as made, Image.open(tutorial.PICTURES / "run.png") as shown:
+        assert made.size == shown.size
+        pixels = [np.asarray(picture.convert("RGB"), np.int16) for picture in (made, shown)]
+    other = np.abs(pixels[0] - pixels[1]).max(axis=2) > 40
+    # A tenth of the way, two lines wide, are some 800 pixels.
+    assert other.sum() < 100, "another path than the README's picture shows; make tutorial draws it anew"
 
 
 def test_the_environment_of_the_readme_takes_a_step() -> None:

@@ -4,7 +4,10 @@ A block that begins with `# NAME` is a file, other Python blocks are typed at a 
 of `sh` are typed in a terminal, and a block of `text` is what the one before has shown. `/dev/ttyUSB0` is a
 served twin.
 
-    python tests/tutorial.py    # makes the tutorial's pictures anew
+The numbers of a run depend in their last bits on MuJoCo, numpy and the kind of machine. The page says in a
+comment with which of them its own were made; where they are the same, every number is compared.
+
+    python tests/tutorial.py    # makes the pictures and numbers of the tutorial and the README anew
 """
 
 import ast
@@ -23,12 +26,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
 from typer.testing import CliRunner
 
 from khep_twin.cli import app
+from khep_twin.log.recorder import versions
 
 PAGE = Path(__file__).parents[1] / "docs" / "tutorial.md"
 PICTURES = PAGE.parent / "pictures"
+MAKEFILE = PAGE.parents[1] / "Makefile"
 
 ROBOT = "/dev/ttyUSB0"
 LAB = "~/khepera-lab"
@@ -64,6 +70,24 @@ def pictures(page: str) -> list[str]:
     return re.findall(r"pictures/tutorial_(\w+\.png)", page)
 
 
+def made_with() -> str:
+    """The page's comment about what its numbers depend on, as it would be here."""
+    known = {key: text for key, text in versions().items() if key != "khep_twin"}
+    return f"<!-- Numbers made with: {', '.join(f'{key} {text}' for key, text in known.items())}. -->"
+
+
+def same_numbers() -> bool:
+    """Whether this machine has to print the very numbers of the page."""
+    return made_with() in PAGE.read_text()
+
+
+def with_shown(page: str, block: Block, shown: str) -> str:
+    """The page with another text in one of its blocks."""
+    lines = page.splitlines(keepends=True)
+    lines[block.line : block.line + block.text.count("\n")] = shown.splitlines(keepends=True)
+    return "".join(lines)
+
+
 def likeness(text: str) -> str:
     """What of an output is the same everywhere: all but numbers, and the columns they stand in."""
     return re.sub(r"\s+", " ", re.sub(r"-?\d+(?:\.\d*)?(?:e-?\d+)?", "#", text)).strip()
@@ -75,10 +99,12 @@ class Reader:
 
     Attributes:
         folder: where they are.
+        exact: whether the numbers shown have to be the page's.
         shown: what the last block has shown.
     """
 
     folder: Path
+    exact: bool = False
     shown: str = ""
     _names: dict[str, Any] = field(default_factory=dict[str, Any])
     _servers: list["subprocess.Popen[bytes]"] = field(default_factory=list["subprocess.Popen[bytes]"])
@@ -96,7 +122,8 @@ class Reader:
         elif block.language == "sh":
             self.shown = "".join(self._command(line) for line in block.text.splitlines())
         elif block.language == "text":
-            assert likeness(self.shown) == likeness(block.text), f"line {block.line}: shown was\n{self.shown}"
+            alike = self.shown == block.text if self.exact else likeness(self.shown) == likeness(block.text)
+            assert alike, f"line {block.line}: shown was\n{self.shown}"
         else:
             raise AssertionError(f"line {block.line}: a block of {block.language or 'nothing'}")
 
@@ -158,12 +185,12 @@ class Reader:
 
 
 @contextlib.contextmanager
-def reader(folder: Path) -> Iterator[Reader]:
+def reader(folder: Path, exact: bool = False) -> Iterator[Reader]:
     """A reader in a fresh folder, who has activated the environment."""
     path = os.environ["PATH"]
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
     with contextlib.chdir(folder):
-        person = Reader(folder)
+        person = Reader(folder, exact)
         try:
             yield person
         finally:
@@ -171,10 +198,16 @@ def reader(folder: Path) -> Iterator[Reader]:
             os.environ["PATH"] = path
 
 
-def draw_pictures() -> None:
-    """Makes the page's pictures anew, by its own commands, small and in 256 colours."""
-    from PIL import Image
+def make_run(folder: Path) -> list[str]:
+    """The words of `make run`, with its files in another folder."""
+    recipe = re.search(r"^run:.*\n(?:\t.*\n)*?\t@\$\(TWIN\) (run .*)$", MAKEFILE.read_text(), re.MULTILINE)
+    assert recipe, "make run: no such recipe"
+    words = shlex.split(recipe[1].replace("$(PLAYPEN)", "obstacles"))
+    return [str(folder / Path(word).name) if word.startswith("out/") else word for word in words]
 
+
+def draw_pictures() -> None:
+    """Makes the page's pictures anew by its own commands, and puts what they show into its blocks."""
     page = PAGE.read_text()
     with tempfile.TemporaryDirectory() as name, reader(Path(name)) as person:
         for block in blocks(page)[1:]:
@@ -182,14 +215,35 @@ def draw_pictures() -> None:
             if block.language != "text":
                 person.follow(block)
                 print(f"line {block.line}, {time.monotonic() - begin:.1f} s")
-            elif person.shown != block.text:
-                print(f"line {block.line}: shown was\n{person.shown}")
+                continue
+            assert person.shown.count("\n") == block.text.count("\n"), f"line {block.line}: {person.shown}"
+            page = with_shown(page, block, person.shown)
         for file in pictures(page):
-            picture = Image.open(person.folder / file).convert("RGB")
-            height = round(picture.height * WIDTH / picture.width)
-            small = picture.resize((WIDTH, height), Image.Resampling.LANCZOS)
-            small.quantize(256, dither=Image.Dither.NONE).save(PICTURES / f"tutorial_{file}", optimize=True)
+            shrunk(person.folder / file, WIDTH).save(PICTURES / f"tutorial_{file}", optimize=True)
+    PAGE.write_text(re.sub(r"<!-- Numbers made with: .*? -->", made_with(), page))
+
+
+def draw_readme() -> None:
+    """Makes the README's pictures of `make run` anew."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for words in (
+            make_run(folder),
+            ["view", str(folder / "run.mcap"), "--png", str(folder / "view.png")],
+        ):
+            done = CliRunner().invoke(app, words, prog_name="khep-twin")
+            assert done.exit_code == 0, f"{words}\n{done.output}{done.exception or ''}"
+        (PICTURES / "run.png").write_bytes((folder / "run.png").read_bytes())
+        shrunk(folder / "view.png", 1280).save(PICTURES / "view.png", optimize=True)
+
+
+def shrunk(file: Path, width: int) -> Image.Image:
+    """A picture of this width, in full colour."""
+    picture = Image.open(file).convert("RGB")
+    height = round(picture.height * width / picture.width)
+    return picture.resize((width, height), Image.Resampling.LANCZOS)
 
 
 if __name__ == "__main__":
+    draw_readme()
     draw_pictures()
