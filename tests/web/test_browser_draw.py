@@ -18,7 +18,7 @@ from khep_twin.playpen_parts import Block
 from khep_twin.web.server import Server
 from tests.drawn_bitmap import drawn
 from tests.web.conftest import Asker
-from tests.web.visit import BROWSED, Visit, need_a_browser
+from tests.web.visit import BROWSED, PICTURES, Visit, need_a_browser
 
 need_a_browser()
 pytestmark = BROWSED
@@ -240,7 +240,7 @@ def test_a_new_file_of_any_name_is_drawn_and_saved(browser: Any, tmp_path: Path)
         visit.page.wait_for_selector("html[data-ready]")
         assert (visit.page.text_content("#file"), visit.count(".kind-block.drawn")) == ("my pen.toml", 1)
         visit.save_as("größe 2.toml")
-    context.close()
+        context.close()
     assert visit.trouble == []
     assert playpens.load(tmp_path / "my pen.toml").name == "my-pen"
     assert playpens.load(tmp_path / "größe 2.toml").name == "gro-e-2"
@@ -262,17 +262,95 @@ def test_an_error_of_the_first_request_is_shown(browser: Any, asker: Asker) -> N
     context.close()
 
 
-def test_what_is_drawn_outlives_a_designer_that_was_ended(visit: Visit, asker: Asker) -> None:
+def test_a_designer_that_ends_during_a_run_says_so_once_and_what_needs_it_is_off(
+    visit: Visit, asker: Asker
+) -> None:
+    page = visit.page
     visit.add("block", (200, 200))
+    visit.add("robot", (400, 200))
+    page.click('[data-tab="run"]')
+    page.fill("#cycles", "100000")
+    page.click("#run")
+    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
     asker.end()
-    visit.page.wait_for_selector("text=The designer does not answer")
-    visit.add("cylinder", (400, 200))
-    visit.page.click("#save-as")
-    visit.page.click("#dialog .main")
-    visit.page.wait_for_selector("text=This did not reach the designer")
-    assert visit.count(".drawn") == 2
+    page.wait_for_selector("text=The designer has ended, and the twin with it")
+    assert page.inner_text("#clock") == "not running"
+    page.click('[data-tab="object"]')
+    visit.add("cylinder", (400, 400))
+    page.keyboard.press("Control+s")
+    page.wait_for_timeout(2000)  # checks, drafts and the attempts to reach it again fail meanwhile
+    assert visit.count(".banner") == 1
+    assert visit.count(".drawn") == 3
+    for name in "new open save save-as import preview run stop start end put connect gather".split():
+        assert page.evaluate(f"document.querySelector('#{name}').closest('[inert]') !== null"), name
+    assert page.evaluate("document.querySelector('#undo').closest('[inert]') === null")
     visit.picture("8-ended")
     visit.trouble = [text for text in visit.trouble if "ERR_CONNECTION" not in text]
+
+
+def test_a_designer_that_is_reached_again_is_used_again(visit: Visit) -> None:
+    page = visit.page
+
+    def cut(route: Any) -> None:
+        route.abort()
+
+    page.route("**/do/check", cut)
+    visit.add("block", (200, 200))
+    page.wait_for_selector("text=The designer cannot be reached")
+    page.unroute("**/do/check")
+    visit.wait("!document.querySelector('.banner')")
+    visit.save_as("mine.toml")
+    visit.trouble = [text for text in visit.trouble if "ERR_FAILED" not in text]
+
+
+def test_an_error_stays_until_its_cause_is_gone(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    page.click("#run")
+    page.wait_for_selector(".banner.error >> text=there is no robot")
+    (tmp_path / "broken.toml").write_text("x = [1")
+    page.click("#open")
+    page.click("#dialog .main")
+    page.wait_for_selector(".banner.error >> text=not TOML")
+    visit.add("robot", (300, 200))
+    page.wait_for_selector("text=there is no robot", state="detached")
+    assert visit.count(".banner.error") == 1
+    visit.save_as("mine.toml")
+    visit.wait("!document.querySelector('.banner.error')")
+    visit.trouble = [text for text in visit.trouble if "400" not in text]
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (820, 1180), (390, 844), (390, 600)])
+def test_banners_cover_neither_arena_nor_tools_nor_legend(
+    browser: Any, asker: Asker, tmp_path: Path, width: int, height: int
+) -> None:
+    (tmp_path / "notes.png").write_text("no picture")
+    context = browser.new_context(viewport={"width": width, "height": height}, has_touch=width < 1280)
+    visit = Visit(context.new_page(), asker.server.url)
+    page = visit.page
+    before = page.evaluate("JSON.stringify(document.querySelector('#arena').getBoundingClientRect())")
+    page.click('[data-tab="run"]')
+    page.click("#start")
+    visit.drop(tmp_path / "notes.png")
+    page.click("#dialog .main")
+    Visit(context.new_page(), asker.server.url)
+    visit.wait("document.querySelectorAll('.banner').length === 3")
+    page.evaluate("document.querySelector('main').scrollTo(0, 0)")
+    assert page.evaluate("JSON.stringify(document.querySelector('#arena').getBoundingClientRect())") == before
+    page.screenshot(path=PICTURES / f"12-banners-{width}x{height}.png")
+    covered = """() => ["header", "#tools", "#view", "#legend"].filter((name) => {
+        const main = document.querySelector("main").getBoundingClientRect();
+        const [is, over] = [name, "#banners"].map((each) =>
+            document.querySelector(each).getBoundingClientRect());
+        const bottom = Math.min(is.bottom, main.height ? main.bottom : Infinity);  // what is scrolled away
+        return is.left < over.right && over.left < is.right && is.top < over.bottom && over.top < bottom;
+    })"""
+    assert page.evaluate(covered) == []
+    for name in ("run", "sense"):
+        page.click(f'[data-tab="{name}"]')
+        panel = f"document.querySelector('#tab-{name}')"
+        assert page.evaluate(f"{panel}.scrollWidth <= {panel}.clientWidth"), name
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    context.close()
 
 
 def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, tmp_path: Path) -> None:
@@ -357,7 +435,7 @@ def test_two_fingers_zoom_and_move_the_view(tablet: Visit) -> None:
     assert tablet.page.input_value("#field-block-y_mm") == "300"
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180)])
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180), (390, 844)])
 def test_nothing_sticks_out_of_the_window(browser: Any, asker: Asker, width: int, height: int) -> None:
     context = browser.new_context(viewport={"width": width, "height": height}, has_touch=width < 1280)
     visit = Visit(context.new_page(), asker.server.url)
@@ -411,9 +489,11 @@ def designer(folder: Path, file: str) -> Generator[str]:
     server = Server(folder, file, "127.0.0.1:0")
     thread = threading.Thread(target=server.serve, args=(ended.is_set,))
     thread.start()
-    yield server.url
-    ended.set()
-    thread.join(60)
+    try:
+        yield server.url
+    finally:
+        ended.set()
+        thread.join(60)
 
 
 def wait_for(happens: Callable[[], bool]) -> None:

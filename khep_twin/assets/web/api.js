@@ -23,9 +23,12 @@ export async function upload(file, mm) {
   return read(answer);
 }
 
+let drop = () => {};
+
 function reach(url, wanted) {
   return fetch(url, wanted).catch(() => {
-    throw new Error("This did not reach the designer: nothing was saved or started.");
+    drop();
+    throw Object.assign(new Error("The designer cannot be reached."), { unreached: true });
   });
 }
 
@@ -42,16 +45,26 @@ async function read(answer) {
   return found;
 }
 
+// Hears the designer; lost(true, ended) is told when it goes, with whether it said that it ended, lost(false) when it is back.
 export function listen(hear, lost) {
   let socket;
+  const again = () => setTimeout(open, 1500);
   const open = () => {
     socket = new WebSocket(`ws://${location.host}${base}live`);
     socket.onmessage = (event) => hear(JSON.parse(event.data));
     socket.onopen = () => lost(false);
-    socket.onclose = () => {
-      lost(true);
-      setTimeout(open, 1500);
+    socket.onclose = ({ code }) => {
+      lost(true, code === 1012);
+      again();
     };
+  };
+  // A request that found nobody tells so before the socket does.
+  drop = () => {
+    if (!socket.onclose || socket.readyState > WebSocket.OPEN) return;
+    socket.onclose = null;
+    socket.close();
+    lost(true, false);
+    again();
   };
   open();
   return (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));

@@ -10,11 +10,12 @@ import { Running } from "./run.js";
 const $ = (selector) => document.querySelector(selector);
 const model = new Model();
 const drawing = new Drawing($("#view"), model);
-const running = new Running(drawing, model, banner);
+const running = new Running(drawing, model, banner, attempt);
 const snap = () => ({ grid: +$("#grid").value, angle: +$("#angle").value });
 let hello;
-let gone = null;
+let gone = false;
 let offered = null;
+let why = "";
 let say = () => {};
 
 const editor = new Editor(drawing, model, {
@@ -31,7 +32,7 @@ const editor = new Editor(drawing, model, {
 
 // Banners ------------------------------------------------------------------------------------------------
 
-// One that is about the same takes the place of the last.
+// One that is about the same takes the place of the last. An error stays until what it is about has succeeded.
 function banner(text, kind = "", choices = {}, about = text) {
   const same = [...$("#banners").children].find((each) => each.dataset.about === about);
   same?.remove();
@@ -44,7 +45,7 @@ function banner(text, kind = "", choices = {}, about = text) {
     const button = Object.assign(document.createElement("button"), { textContent: name });
     button.addEventListener("click", () => {
       close();
-      attempt(act);
+      attempt(act, about);
     });
     box.append(button);
   }
@@ -52,16 +53,24 @@ function banner(text, kind = "", choices = {}, about = text) {
   away.addEventListener("click", close);
   box.append(away);
   $("#banners").append(box);
-  while ($("#banners").children.length > 3) $("#banners").firstChild.remove();
-  if (!Object.keys(choices).length) setTimeout(close, kind === "error" ? 15000 : 8000);
+  // What offers a choice is not pushed out.
+  if ($("#banners").children.length > 4) [...$("#banners").children].find((each) => each.childElementCount === 2)?.remove();
+  if (!Object.keys(choices).length && (kind !== "error" || about === "hand")) setTimeout(close, 8000);
   return close;
 }
 
-async function attempt(act) {
+function settle(about) {
+  for (const each of document.querySelectorAll(".banner.error")) if (each.dataset.about === about) each.remove();
+}
+
+async function attempt(act, about) {
   try {
-    return await act();
+    const found = await act();
+    settle(about);
+    return found;
   } catch (error) {
-    banner(error.message, "error");
+    // That the designer is gone is told once, by itself.
+    if (!error.unreached) banner(error.message, "error", {}, about);
     return undefined;
   }
 }
@@ -101,7 +110,7 @@ async function mayLeave() {
 
 function show(found, base) {
   // What these say is about the document that was open.
-  for (const each of [...$("#banners").children]) if (["file", "draft"].includes(each.dataset.about)) each.remove();
+  for (const each of [...$("#banners").children]) if (["file", "draft", "others"].includes(each.dataset.about)) each.remove();
   model.load(found, base);
   hasDraft = false;
   remember();
@@ -235,7 +244,7 @@ async function check() {
   while (again) {
     again = false;
     await new Promise((done) => setTimeout(done, 50));
-    const found = await attempt(() => post("check", { draft: model.draft }));
+    const found = await attempt(() => post("check", { draft: model.draft }), "check");
     if (found) problems(found.problems);
   }
   checking = false;
@@ -275,7 +284,7 @@ function keepNow(more = {}) {
   // Changes that were undone leave no draft.
   if (!changed && !hasDraft) return undefined;
   hasDraft = changed;
-  return attempt(() => post("keep", { file, version, base, draft: changed ? draft : null }, more));
+  return attempt(() => post("keep", { file, version, base, draft: changed ? draft : null }, more), "keep");
 }
 
 const PLURALS = { patch: "patches" };
@@ -300,6 +309,7 @@ model.addEventListener("change", ({ detail }) => {
   title();
   if (detail !== "whole") return;
   legend();
+  if (!running.active) settle("run");
   check();
   keepSoon();
 });
@@ -332,8 +342,10 @@ async function help() {
   await ask("Keys", table, "Close");
 }
 
+const FILES = ["new", "open", "save", "save-as"];
+
 function press(id, act) {
-  $(`#${id}`).addEventListener("click", () => attempt(act));
+  $(`#${id}`).addEventListener("click", () => attempt(act, FILES.includes(id) ? "file" : id));
 }
 
 const drawn = (act) => () => (running.active && !running.real ? banner("A twin runs in this drawing; right is to end it first.") : act());
@@ -355,7 +367,7 @@ press("preview", preview);
 press("help", help);
 $("#figure").addEventListener("click", () => {
   const picture = Object.assign(document.createElement("img"), { src: $("#figure").src, alt: $("#figure").alt });
-  attempt(() => ask("Sensor test", picture, "Close"));
+  ask("Sensor test", picture, "Close");
 });
 for (const button of document.querySelectorAll("#tools button")) {
   const { tool } = button.dataset;
@@ -370,22 +382,23 @@ for (const button of document.querySelectorAll("[role=tab]"))
       each.setAttribute("aria-selected", each === button);
       $(`#tab-${each.dataset.tab}`).hidden = each !== button;
     }
-    if (button.dataset.tab === "run") attempt(programs);
+    if (button.dataset.tab === "run") attempt(programs, "programs");
   });
 $("#import").addEventListener("change", (event) => {
-  attempt(() => take(event.target.files[0]));
+  attempt(() => take(event.target.files[0]), "file");
   event.target.value = "";
 });
 $("#arena").addEventListener("dragover", (event) => event.preventDefault());
 $("#arena").addEventListener("drop", (event) => {
   event.preventDefault();
-  attempt(() => take(event.dataTransfer.files[0]));
+  if (gone) tellGone();
+  else attempt(() => take(event.dataTransfer.files[0]), "file");
 });
 document.addEventListener("keydown", (event) => {
   if ($("#dialog").open) return;
   if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "s") {
     event.preventDefault();
-    return void attempt(() => save());
+    return void (gone ? tellGone() : attempt(() => save(), "file"));
   }
   // Stopping comes first, wherever the keys go.
   if (event.key === "Escape" && running.active) return void running.key(event);
@@ -429,9 +442,31 @@ function hear(message) {
     if (other.tab === tab || other.file !== model.file) return;
     // It still works on what was taken for left.
     if (other.tab === offered?.page) offered.close();
-    banner(`Another page has ${model.file ?? "a new playpen"} open, too: who saves second is asked first.`, "", {}, "file");
+    banner(`Another page has ${model.file ?? "a new playpen"} open, too: who saves second is asked first.`, "", {}, "others");
     if (other.ask) say({ file: model.file, tab });
   } else running.hear(message);
+}
+
+// Without the designer, all that needs it is off.
+function lost(away, ended) {
+  if (!away) say({ file: model.file, tab, ask: true });
+  if (away === gone) return;
+  gone = away;
+  for (const each of document.querySelectorAll("[data-server]")) each.inert = gone;
+  if (!gone) {
+    settle("server");
+    check();
+    keepSoon();
+    return;
+  }
+  const twin = running.active && !running.real ? ", and the twin with it" : "";
+  why = ended ? `The designer has ended${twin}. To go on, start it again and use the page that it opens.` : "The designer cannot be reached.";
+  running.hear({ kind: "ended" });
+  tellGone();
+}
+
+function tellGone() {
+  banner(`${why} Nothing can be saved or run from here. What you draw now stays in this page only.`, "error", {}, "server");
 }
 
 async function begin() {
@@ -448,7 +483,7 @@ drawing.turrets = hello.turrets;
   running.panel.limits(hello.bars, $("#bars"));
   new Fields(model, hello.surfaces, hello.turrets);
   show(hello, hello.version ? { file: hello.file } : {});
-  if (hello.trouble) banner(hello.trouble, "error");
+  if (hello.trouble) banner(hello.trouble, "error", {}, "file");
   if (hello.runs && hello.runs.file === hello.file) {
     // What a twin runs in is shown as it is, saved or not.
     model.replace(hello.runs.draft);
@@ -456,15 +491,8 @@ drawing.turrets = hello.turrets;
     $('[data-tab="run"]').click();
   }
   offer(hello.left);
-  await attempt(programs);
-  say = listen(hear, (lost) => {
-    if (lost) gone ??= banner("The designer does not answer: it was ended, or is busy. What you draw from now on stays in this page only.", "error", { "All right": () => {} });
-    else {
-      gone?.();
-      gone = null;
-      say({ file: model.file, tab, ask: true });
-    }
-  });
+  await attempt(programs, "programs");
+  say = listen(hear, lost);
   document.documentElement.dataset.ready = "yes";
 }
 

@@ -39,28 +39,28 @@ export class Running {
   #held = null;
   #trails = [];
 
-  constructor(drawing, model, banner) {
-    Object.assign(this, { drawing, model, banner });
+  constructor(drawing, model, banner, attempt) {
+    Object.assign(this, { drawing, model, banner, attempt });
     this.panel = new Panel($("#panel"), $("#readings"));
     $("#sensor").append(...SENSORS.map((name) => new Option(name, name)));
-    const press = (selector, act) => $(selector).addEventListener("click", () => this.#try(act));
-    press("#start", () => this.start());
-    press("#reset", () => this.start());
+    const press = (selector, act, about = selector) => $(selector).addEventListener("click", () => attempt(act, about));
+    press("#start", () => this.start(), "run");
+    press("#reset", () => this.start(), "run");
     press("#end", () => post("end"));
     press("#pause", () => this.pause());
     press("#step", () => this.step());
-    press("#run", () => this.#run());
+    press("#run", () => this.#run(), "run");
     press("#stop", () => post("stop"));
-    press("#gather", () => this.#gather());
-    press("#display", () => this.#figure());
+    press("#gather", () => this.#gather(), "run");
+    press("#display", () => this.#figure(), "figure");
     press("#save-sensed", async () => {
       await post("save-sensed", { file: $("#sensed-file").value });
       this.banner(`Saved as ${$("#sensed-file").value}.`);
     });
-    press("#connect", () => post("connect", { port: $("#device").value }));
+    press("#connect", () => post("connect", { port: $("#device").value }), "run");
     press("#copy-port", () => navigator.clipboard.writeText($("#port").textContent));
-    press("#put", () => post("put", { robot: this.which, x_mm: number("#put-x"), y_mm: number("#put-y"), heading_deg: number("#put-h") }));
-    $("#speed").addEventListener("change", () => this.#try(() => this.#pace()));
+    press("#put", () => post("put", { robot: this.which, x_mm: number("#put-x"), y_mm: number("#put-y"), heading_deg: number("#put-h") }), "hand");
+    $("#speed").addEventListener("change", () => attempt(() => this.#pace(), "pace"));
     $("#which").addEventListener("change", () => this.#shape());
     model.addEventListener("change", ({ detail }) => {
       if (detail === "whole" && this.active) this.#live();
@@ -132,13 +132,13 @@ export class Running {
       robot: () => this.#cast(message, true),
       picture: () => this.#picture(message),
       run: () => this.#ran(message),
-      sensed: () => this.#try(() => this.#figure()),
+      sensed: () => this.attempt(() => this.#figure(), "figure"),
       done: () => {
         this.busy = false;
         this.#buttons();
       },
-      error: () => this.banner(message.text, "error"),
-      refused: () => this.banner(message.text, "error"),
+      error: () => this.banner(message.text, "error", {}, "run"),
+      refused: () => this.banner(message.text, "error", {}, "hand"),
       note: () => this.banner(message.text),
       room: () => this.#room(message),
       ended: () => this.#ended(),
@@ -176,7 +176,7 @@ export class Running {
     $("#switches").replaceChildren(
       ...this.model.list("lamp").map((_, index) => {
         const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: true });
-        box.addEventListener("change", () => this.#try(() => post("switch", { lamp: index, on: box.checked })));
+        box.addEventListener("change", () => this.attempt(() => post("switch", { lamp: index, on: box.checked }), "hand"));
         const label = document.createElement("label");
         label.append(box, ` lamp ${index + 1}`);
         return label;
@@ -269,7 +269,7 @@ export class Running {
     const lamp = target?.dataset.id?.match(/^lamp:(\d+)$/);
     if (lamp) {
       const off = this.last?.lamps[+lamp[1]]?.off;
-      this.#try(() => post("switch", { lamp: +lamp[1], on: off === true }));
+      this.attempt(() => post("switch", { lamp: +lamp[1], on: off === true }), "hand");
       return true;
     }
     if (!live) return false;
@@ -322,7 +322,7 @@ export class Running {
     held.node.classList.remove("held");
     const { index } = held;
     const [x_mm, y_mm, heading_deg] = [tidy(held.x_mm), tidy(held.y_mm), angle(held.heading_deg)];
-    this.#try(async () => {
+    this.attempt(async () => {
       try {
         if (Math.hypot(x_mm - held.from[0], y_mm - held.from[1]) > 1 || heading_deg !== this.last.robots[index].heading_deg)
           await post("put", { robot: index, x_mm, y_mm, heading_deg });
@@ -331,23 +331,15 @@ export class Running {
         this.drawing.reasons([]);
         this.#held = null;
       }
-    });
+    }, "hand");
   }
 
   key(event) {
     if (!this.active) return false;
     if (this.#held && (event.key === "[" || event.key === "]")) return this.turn(event.key === "[" ? 15 : -15);
-    if (event.key === " " && !this.real) return this.#try(() => this.pause()), true;
-    if (event.key === "." && !this.real) return this.#try(() => this.step()), true;
-    if (event.key === "Escape") return this.#try(() => post("stop")), true;
+    if (event.key === " " && !this.real) return this.attempt(() => this.pause(), "pace"), true;
+    if (event.key === "." && !this.real) return this.attempt(() => this.step(), "pace"), true;
+    if (event.key === "Escape") return this.attempt(() => post("stop"), "#stop"), true;
     return false;
-  }
-
-  async #try(act) {
-    try {
-      await act();
-    } catch (error) {
-      this.banner(error.message, "error");
-    }
   }
 }
