@@ -13,6 +13,7 @@ none that reaches up to a bulb may start there.
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -22,7 +23,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from khep_twin import toml_files
 from khep_twin.errors import PlaypenError
-from khep_twin.playpen_checks import assigned, completed, playpen_problems
+from khep_twin.playpen_checks import assigned, completed, following, playpen_problems
 from khep_twin.playpen_parts import (
     BULB_RADIUS_MM,
     Arena,
@@ -138,7 +139,7 @@ def edited(text: str, playpen: Playpen) -> str:
         PlaypenError: the text is no playpen, or written in a way that leaves no room for the change.
     """
     before = parse(text, "the file to be edited")
-    changed = toml_files.edited(text, before, playpen, _with_what_follows)
+    changed = toml_files.edited(text, before, playpen, _with_what_follows, partial(_bare, playpen))
     try:
         if parse(changed, "the edited file") == playpen:
             return changed
@@ -169,6 +170,17 @@ def _with_what_follows(before: dict[str, Any], after: dict[str, Any]) -> dict[st
             follows += ["calibration", "rom"]
         robots[index] = {key: value for key, value in old.items() if key not in follows}
     return {**before, "robot": robots} if robots else before
+
+
+def _bare(playpen: Playpen, data: dict[str, Any]) -> dict[str, Any]:
+    """Return the data of a playpen, without defaults, less the keys of robots that follow from others."""
+    spots = {spot.name: spot.model_dump() for spot in playpen.spots}
+    robots: list[dict[str, Any]] = []
+    for robot, found in zip(playpen.robots, data.get("robot", ()), strict=False):
+        follows = following(robot.model, [spots[name] for name in robot.spots])
+        own = {key: value for key in follows if (value := getattr(robot, key)) != follows[key]}
+        robots.append({key: value for key, value in found.items() if key not in follows} | own)
+    return {**data, "robot": robots} if robots else data
 
 
 def placed(playpen: Playpen, chance: np.random.Generator) -> Playpen:

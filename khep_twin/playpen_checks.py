@@ -1,6 +1,6 @@
 """What makes a playpen's parts a place: surfaces exist, robots can be what they are, and all have room."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -80,11 +80,19 @@ def completed(data: dict[str, Any]) -> dict[str, Any]:
     robots: list[dict[str, Any]] = []
     for robot in _tables(data, "robot"):
         known = [spots[name] for name in map(str, _items(robot, "spots")) if name in spots]
-        place = {key: known[0][key] for key in ("x_mm", "y_mm", "heading_deg") if known and key in known[0]}
+        follows = following(str(robot.get("model")), known)
         if not known and _items(robot, "spots"):
-            place = {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}  # that the names are wrong is told later
-        robots.append({**MODELS.get(str(robot.get("model")), {}), **place, **robot})
+            # That the names are wrong is told later.
+            follows |= {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}
+        robots.append({**follows, **robot})
     return {**data, "robot": tuple(robots)} if robots else data
+
+
+def following(model: str, spots: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the keys of a robot that follow from its model and its spots, if the file does not have them."""
+    first: Mapping[str, Any] = spots[0] if spots else {}
+    place = {key: first[key] for key in ("x_mm", "y_mm", "heading_deg") if key in first}
+    return {**MODELS.get(model, {}), **place}
 
 
 def _tables(data: dict[str, Any], kind: str) -> list[dict[str, Any]]:

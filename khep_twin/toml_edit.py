@@ -11,13 +11,19 @@ import tomlkit
 from tomlkit.items import AoT
 
 
-def change(table: MutableMapping[str, Any], before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
+def change(
+    table: MutableMapping[str, Any],
+    before: Mapping[str, Any],
+    after: Mapping[str, Any],
+    bare: Mapping[str, Any],
+) -> None:
     """Lets a table of a document say `after` where it said `before`.
 
     Args:
         table: of a tomlkit document; keys that have their defaults may be missing.
         before: what it says, defaults included.
         after: what it is to say, likewise.
+        bare: The same without defaults: what is written of a table that is new.
     """
     for key in before:
         if key not in after and key in table:
@@ -27,17 +33,22 @@ def change(table: MutableMapping[str, Any], before: Mapping[str, Any], after: Ma
         if key in before and old == value:
             continue
         if key in table and isinstance(table[key], AoT) and isinstance(old, list) and isinstance(value, list):
-            _change_list(table[key], old, value)
+            _change_list(table[key], old, value, bare[key])
         elif key in table and isinstance(table[key], MutableMapping) and isinstance(value, Mapping):
-            change(table[key], dict(old or {}), value)
+            change(table[key], dict(old or {}), value, bare.get(key, {}))
         elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-            table[key] = _tables(value)
+            table[key] = _tables(bare[key])
+        elif isinstance(value, Mapping):
+            _set(table, key, bare.get(key, value))
         else:
             _set(table, key, value)
 
 
 def _change_list(
-    tables: AoT, before: Sequence[Mapping[str, Any]], after: Sequence[Mapping[str, Any]]
+    tables: AoT,
+    before: Sequence[Mapping[str, Any]],
+    after: Sequence[Mapping[str, Any]],
+    bare: Sequence[Mapping[str, Any]],
 ) -> None:
     """The same for an array of tables: those that stay keep their comments wherever they move to."""
     steps = SequenceMatcher(None, [*map(repr, before)], [*map(repr, after)], autojunk=False).get_opcodes()
@@ -46,11 +57,13 @@ def _change_list(
             continue
         common = min(end - start, last - first)
         for offset in range(common):
-            change(tables[start + offset], before[start + offset], after[first + offset])
+            change(
+                tables[start + offset], before[start + offset], after[first + offset], bare[first + offset]
+            )
         for index in reversed(range(start + common, end)):
             del tables[index]
         for offset in range(common, last - first):
-            tables.insert(start + offset, tomlkit.item(dict(after[first + offset])))
+            tables.insert(start + offset, tomlkit.item(dict(bare[first + offset])))
 
 
 def _tables(values: Sequence[Mapping[str, Any]]) -> AoT:

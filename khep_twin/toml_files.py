@@ -169,20 +169,24 @@ def edited(
     before: Table,
     after: Table,
     said: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda before, _: before,
+    bare: Callable[[dict[str, Any]], dict[str, Any]] = lambda after: after,
 ) -> str:
     """A file's text, `before` to its reader, changed so that it is `after`; comments and all else stay.
+
+    A new table gets no keys that have their defaults.
 
     Args:
         text: of the file.
         before: what it says.
         after: what it is to say.
         said: given both as data, what of `before` stands in the file by itself.
+        bare: Returns `after` as data without what follows from other keys; is given it without defaults.
     """
     if before == after:
         return text
     document = tomlkit.parse(text if text.endswith("\n") else text + "\n")
     old, new = _plain_data(before), _plain_data(after)
-    change(document, said(old, new), new)
+    change(document, said(old, new), new, bare(_plain_data(after, exclude_defaults=True)))
     return tomlkit.dumps(document)
 
 
@@ -215,8 +219,8 @@ def _plain(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _plain_data(table: Table) -> dict[str, Any]:
-    return table.model_dump(by_alias=True, exclude_none=True, mode="json")
+def _plain_data(table: Table, *, exclude_defaults: bool = False) -> dict[str, Any]:
+    return table.model_dump(by_alias=True, exclude_none=True, exclude_defaults=exclude_defaults, mode="json")
 
 
 def _problems(model: type[BaseModel], trouble: ValidationError) -> Iterator[Problem]:

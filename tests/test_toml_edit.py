@@ -1,6 +1,7 @@
 """Saving into a file that has comments: what does not change stays as it is."""
 
 import contextlib
+import tomllib
 
 import pytest
 
@@ -79,6 +80,35 @@ def test_a_new_thing_comes_behind_those_of_its_kind() -> None:
     assert text.startswith(TEXT[: TEXT.index("[[robot]]")].rstrip())
     assert text.index("third") < text.index("[[robot]]")
     assert "# by the ruler" in text
+
+
+def test_a_new_thing_has_no_keys_with_their_defaults() -> None:
+    head = 'version = 1\nname = "p"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
+    whole = playpens.parse(
+        head
+        + "[lighting]\nmode = 'random'\n"
+        + "[[block]]\nx_mm = 100\ny_mm = 100\nlength_mm = 60\nwidth_mm = 20\nheight_mm = 50\n"
+        + "[[lamp]]\nx_mm = 50\ny_mm = 50\npower_w = 2\n"
+        + "[[spot]]\nname = 'a'\nx_mm = 300\ny_mm = 200\nheading_deg = 0\n"
+        + "[[robot]]\nspots = ['a']\n"
+        + "[[robot]]\nx_mm = 500\ny_mm = 400\nheading_deg = 90\nmodel = 'khepera2'\nrom = '5.02'\n",
+        "p",
+    )
+    text = playpens.edited(head, whole)
+    assert playpens.parse(text, "p") == whole
+    found = tomllib.loads(text)
+    assert found["arena"] == {"width_mm": 600, "height_mm": 500}
+    assert found["lighting"] == {"mode": "random"}
+    assert found["lamp"] == [{"x_mm": 50, "y_mm": 50, "power_w": 2}]
+    assert sorted(found["block"][0]) == ["height_mm", "length_mm", "width_mm", "x_mm", "y_mm"]
+    # What follows from a spot or a model is not written, what deviates from it is.
+    assert found["robot"] == [
+        {"spots": ["a"]},
+        {"x_mm": 500, "y_mm": 400, "heading_deg": 90, "model": "khepera2", "rom": "5.02"},
+    ]
+    # A default that somebody has written into the file stays.
+    said = head.replace("height_mm = 500", "height_mm = 500\nsurface = 'white'")
+    assert "surface = 'white'" in playpens.edited(said, whole)
 
 
 def test_the_first_thing_of_a_kind_can_be_given() -> None:

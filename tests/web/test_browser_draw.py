@@ -62,6 +62,8 @@ def test_a_playpen_is_built_by_keys_alone(visit: Visit, tmp_path: Path) -> None:
     page.keyboard.press("Enter")
     visit.wait("document.querySelector('#file').textContent === 'keys.toml'")
     made = playpens.load(tmp_path / "keys.toml")
+    for default in ("mass_g", "movable", "[lighting]", "surface", "calibration", "mode"):
+        assert default not in (tmp_path / "keys.toml").read_text()
     assert (made.blocks[0].x_mm, made.blocks[0].angle_deg) == (245, 15)
     assert made.robots[0].y_mm == 200
 

@@ -296,7 +296,7 @@ export class Running {
     held.moved = true;
     if (held.asked) return;
     Object.assign(held, { asked: true, moved: false });
-    this.#try(() => post("room", { robot: held.index, x_mm: held.x_mm, y_mm: held.y_mm }));
+    this.attempt(() => post("room", { robot: held.index, x_mm: held.x_mm, y_mm: held.y_mm }), "room");
   }
 
   #room({ robot, reason }) {
