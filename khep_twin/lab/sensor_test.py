@@ -41,6 +41,12 @@ PULSES_PER_DEGREE = math.radians(1) * WHEEL_BASE / 2 / PULSE_LENGTH
 _SHAKE_PULSES = 2
 """A wheel that comes nearer by no more only shakes."""
 
+_SEEN_COUNTS = 50
+"""Proximity counts that no sensor idles at: the noise of the idle converter ends far below."""
+
+_LIT_COUNTS = 40
+"""Ambient counts that differ by less do so by noise and from sensor to sensor."""
+
 _NEAR_PULSES = 10
 """From here on the robot is asked whether it is on target; asking all the way would cost rows."""
 
@@ -149,6 +155,25 @@ class SensorRun:
         if self.test.motion == "linear":
             return (left + right) / 2 / PULSES_PER_CM
         return (right - left) / 2 / PULSES_PER_DEGREE
+
+    @property
+    def warning(self) -> str:
+        """A sentence if the sensors have seen nothing on the way, else empty."""
+        counts = self.dv[:, 2:]
+        if not counts.size:
+            return ""
+        low, high = int(counts.min()), int(counts.max())
+        if self.test.what == "proximity" and high < _SEEN_COUNTS:
+            return (
+                f"Nothing was within reach: no proximity count is above {high}. Expected an object within "
+                "a few cm of the robot's way."
+            )
+        if self.test.what == "light" and high - low < _LIT_COUNTS:
+            return (
+                f"No lamp was within reach: all ambient counts are {low} to {high}. Expected a lamp that the "
+                "sensors face on the way."
+            )
+        return ""
 
 
 class BrokenOffError(SensorTestError):

@@ -201,6 +201,7 @@ def run_series(
     before: Callable[[int], None] | None = None,
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
+    broken_off: Callable[[Run], None] | None = None,
 ) -> Generator[Run]:
     """Runs a controller again and again and yields each run that was not broken off.
 
@@ -212,6 +213,7 @@ def run_series(
         before: is told the number of each run before it, after the pause: the time to put a robot right.
         progress: is told after each cycle which part of the series is done, 0 to 1.
         stop: is asked before each cycle whether to end early; a run that was broken off is not yielded.
+        broken_off: is told of the run that `stop` has broken off, as far as it came.
 
     Raises:
         ControllerError: the controller failed, or lets no time pass.
@@ -230,7 +232,7 @@ def run_series(
                         before(number)
                     if stop is not None and stop():
                         break
-                    run = _run(algorithm, robot, session.start, number, plan, progress, stop)
+                    run = _run(algorithm, robot, session.start, number, plan, progress, stop, broken_off)
                     if run is None:
                         break
                     yield run
@@ -250,30 +252,49 @@ def _run(
     plan: Plan,
     progress: Callable[[float], None] | None,
     stop: Callable[[], bool] | None,
+    broken_off: Callable[[Run], None] | None,
 ) -> Run | None:
-    """One run; None if it was broken off."""
+    """One run; None if it was broken off, which `broken_off` is told."""
     heard, truth = Heard(), _truth_of(robot)
+    began, done = robot.time, 0
+
+    def end_cycle() -> None:
+        nonlocal done
+        heard.end_cycle()
+        done += 1
+
+    def result(outcome: experiment.Outcome) -> Run:
+        numbers = heard.numbers() | ({} if truth is None else truth.numbers())
+        return Run(number, start, outcome.cycles, outcome.duration, numbers, variables(controller))
+
     _tell(robot, f"run {number} begins")
     robot.listen(heard)
     try:
-        outcome = experiment.run(
-            controller,
-            robot,
-            cycles=plan.cycles,
-            seconds=plan.seconds,
-            progress=None if progress is None else lambda part: progress((number - 1 + part) / plan.runs),
-            stop=stop,
-            after_cycle=heard.end_cycle,
-        )
-    finally:
-        robot.listen(None)
-        if truth is not None:
-            truth.end()
+        try:
+            outcome = experiment.run(
+                controller,
+                robot,
+                cycles=plan.cycles,
+                seconds=plan.seconds,
+                progress=None if progress is None else lambda part: progress((number - 1 + part) / plan.runs),
+                stop=stop,
+                after_cycle=end_cycle,
+            )
+        finally:
+            robot.listen(None)
+            if truth is not None:
+                truth.end()
+    except KhepTwinError:
+        # It may have been stopped within a cycle.
+        if broken_off is not None and stop is not None and stop():
+            broken_off(result(experiment.Outcome(done, robot.time - began, complete=False)))
+        raise
     _tell(robot, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
-    if not outcome.complete:
-        return None
-    numbers = heard.numbers() | ({} if truth is None else truth.numbers())
-    return Run(number, start, outcome.cycles, outcome.duration, numbers, variables(controller))
+    if outcome.complete:
+        return result(outcome)
+    if broken_off is not None:
+        broken_off(result(outcome))
+    return None
 
 
 def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> None:

@@ -15,7 +15,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.controllers import BUILT_IN, AnyController
 from khep_twin.lab.experiment import find_controller
 from khep_twin.lab.sensor_test import SensorRun, SensorTest, sense
-from khep_twin.lab.series import OneRobot, Plan, run_series
+from khep_twin.lab.series import OneRobot, Plan, Run, run_series
 from khep_twin.lab.series_files import SeriesFolder
 from khep_twin.web.documents import Documents
 
@@ -63,20 +63,29 @@ class Series:
             }
             kept = SeriesFolder(self.folder, settings, resume=False)
 
-        series = run_series(self.controller, OneRobot(robot), self.plan, progress=progress, stop=stop)
-        for run in series:
-            if kept is not None:
-                kept.keep(run)
-            numbers = {name: value for name, value in run.numbers.items() if math.isfinite(value)}
+        def row(run: Run, stopped: bool = False) -> None:
             tell(
                 {
                     "kind": "run",
                     "number": run.number,
+                    "stopped": stopped,
                     "cycles": run.cycles,
                     "seconds": run.duration,
-                    "numbers": numbers,
+                    "numbers": {name: value for name, value in run.numbers.items() if math.isfinite(value)},
                 }
             )
+
+        for run in run_series(
+            self.controller,
+            OneRobot(robot),
+            self.plan,
+            progress=progress,
+            stop=stop,
+            broken_off=lambda run: row(run, stopped=True),
+        ):
+            if kept is not None:
+                kept.keep(run)
+            row(run)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +106,7 @@ class Sensing:
         """Drives it."""
         run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
         self.keep(run)
-        tell({"kind": "sensed", "rows": len(run.times)})
+        tell({"kind": "sensed", "rows": len(run.times), "warning": run.warning})
 
 
 def series(wanted: Mapping[str, Any], documents: Documents) -> Series:

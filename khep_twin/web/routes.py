@@ -33,6 +33,7 @@ from khep_twin.turrets import installed
 from khep_twin.web import drafts, jobs
 from khep_twin.web.audience import Audience
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
+from khep_twin.web.printed import taken_by
 from khep_twin.web.stage import Actor, RobotActor, TwinActor, shape
 from khep_twin.web.turret_outlines import at_start
 
@@ -81,7 +82,7 @@ class Page:
             "put": self._put,
             "room": self._room,
             "switch": self._switch,
-            "run": lambda wanted: self._running().start(jobs.series(wanted, self._documents)),
+            "run": self._run,
             "sense": lambda wanted: self._running().start(jobs.sensing(wanted, self._keep_sensed)),
             "figure": self._figure,
             "save-sensed": self._save_sensed,
@@ -247,6 +248,12 @@ class Page:
 
     def _pace(self, wanted: Mapping[str, Any]) -> None:
         self._twin().set_pace(_speed(wanted), wanted.get("paused") is True)
+
+    def _run(self, wanted: Mapping[str, Any]) -> None:
+        actor = self._running()
+        with taken_by(actor.take_printed):  # a file may print as it is read
+            job = jobs.series(wanted, self._documents)
+        actor.start(job)
 
     def _put(self, wanted: Mapping[str, Any]) -> None:
         place = [_number(wanted, key) for key in ("x_mm", "y_mm", "heading_deg")]

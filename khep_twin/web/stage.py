@@ -26,10 +26,14 @@ from khep_twin.units import BODIES
 from khep_twin.web.jobs import Job, Tell
 from khep_twin.web.outside_host import OutsideHost
 from khep_twin.web.paced_twin import PacedSerial, PacedTwin
+from khep_twin.web.printed import taken_by
 from khep_twin.web.turret_outlines import TurretParts
 
 _PATIENCE = 5.0
 """How long an actor may take to end [s]."""
+
+_PRINT_LIMIT = 20_000
+"""Longest text of a controller that is told at once [characters]."""
 
 _LOOK = 0.08
 """How often a robot at a port is asked for its readings [s]."""
@@ -51,6 +55,7 @@ class Actor:
         self._left = False
         self.job: Job | None = None
         self.part = 0.0
+        self._printed = ""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
 
@@ -92,6 +97,17 @@ class Actor:
         if not self._left:
             self._tell(message)
 
+    def take_printed(self, text: str) -> None:
+        """Keep what a controller prints for the page, of much the last; `_tell_printed` tells it."""
+        self._printed += text
+        if len(self._printed) > 2 * _PRINT_LIMIT:
+            self._printed = self._printed[-_PRINT_LIMIT:]
+
+    def _tell_printed(self) -> None:
+        text, self._printed = self._printed, ""
+        if text:
+            self.tell({"kind": "printed", "text": text})
+
     def _run(self) -> None:
         try:
             self._live()
@@ -115,12 +131,14 @@ class Actor:
         if (job := self.job) is None:
             return
         try:
-            job.do(robot, self.tell, self._progress, stop)
+            with taken_by(self.take_printed):
+                job.do(robot, self.tell, self._progress, stop)
         except KhepTwinError as error:
             if not stop():
                 self.tell({"kind": "error", "text": str(error)})
         finally:
             self.job = None
+            self._tell_printed()
             self.tell({"kind": "done"})
 
 
@@ -222,7 +240,12 @@ class TwinActor(Actor):
                 stack.enter_context(
                     registered([cable.path for cable in cables], f"twin in {self.playpen.name}, in a page")
                 )
-            paced = PacedTwin(twin, hosts, lambda: self.tell(self._picture(paced, hosts)))
+
+            def show() -> None:
+                self._tell_printed()
+                self.tell(self._picture(paced, hosts))
+
+            paced = PacedTwin(twin, hosts, show)
             stack.callback(paced.end)
             paced.speed, paced.paused = self.speed, self.paused
             self._turrets = [TurretParts(twin.world, index) for index in range(len(twin.robots))]
@@ -349,6 +372,7 @@ class RobotActor(Actor):
             self._look(self._robot)
 
     def _look(self, robot: Khepera) -> None:
+        self._tell_printed()
         proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
         self._looked = robot.time
         reading = {

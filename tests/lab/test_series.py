@@ -88,9 +88,13 @@ def test_a_series_that_is_stopped_leaves_a_robot_that_stands_and_no_broken_run()
         def stop() -> bool:
             return places._calls.count("cycle") >= 5
 
-        found = list(run_series(places, OneRobot(robot), Plan(4, cycles=3), stop=stop))
+        broken: list[Run] = []
+        series = run_series(places, OneRobot(robot), Plan(4, cycles=3), stop=stop, broken_off=broken.append)
+        found = list(series)
         assert robot.port.twin.robot.registers[SETPOINTS].tolist() == [0, 0]
     assert len(found) == 1
+    assert [(run.number, run.cycles) for run in broken] == [(2, 2)]
+    assert broken[0].duration > 0
     assert places._calls[-2:] == ["end", "stop"]
 
 

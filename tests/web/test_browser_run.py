@@ -113,6 +113,49 @@ def test_a_controller_of_ones_own_is_run_from_its_file(visit: Visit, tmp_path: P
     page.click("#end")
 
 
+def test_a_new_program_appears_and_what_it_prints_and_its_stopped_run_are_shown(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.add("robot", (300, 120))
+    page.click('[data-tab="run"]')
+    page.click("#start")
+    page.wait_for_selector(".live")
+    (tmp_path / "talks.py").write_text(
+        "print('read')\ncycles = []\n\ndef controller(robot):\n    cycles.append(1)\n"
+        "    print(f'cycle {len(cycles)}')\n    robot.set_speed(3, 3)\n"
+    )
+    # Nothing is clicked meanwhile.
+    visit.wait("[...document.querySelector('#controller').options].some(({ value }) => value === 'talks.py')")
+    page.select_option("#controller", "talks.py")
+    page.fill("#cycles", "100000")
+    page.click("#run")
+    page.wait_for_selector("#printed >> text=cycle 5")
+    assert page.inner_text("#printed").startswith("read\ncycle 1\ncycle 2\n")
+    page.click("#stop")
+    visit.wait("!document.querySelector('#run').disabled")
+    row = page.inner_text("#runs-done tbody tr").split("\t")
+    assert row[0] == "1, stopped"
+    assert int(row[1]) >= 5
+    assert page.inner_text("#printed").endswith(f"cycle {row[1]}\n")
+    visit.picture("13-printed")
+    page.click("#end")
+
+
+def test_a_sensor_test_warns_where_nothing_is_within_reach(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 250))
+    page.click('[data-tab="run"]')
+    page.select_option("#speed", "0")
+    page.click('[data-tab="sense"]')
+    page.select_option("#motion", "rotational")
+    page.fill("#amount", "90")
+    page.click("#gather")
+    page.wait_for_selector("#sensed-warning >> text=Nothing was within reach")
+    visit.wait("document.querySelector('#figure').naturalWidth > 100")
+    visit.picture("14-nothing-sensed")
+
+
 def test_a_sensor_test_is_driven_and_shown(visit: Visit, tmp_path: Path) -> None:
     page = visit.page
     visit.add("robot", (300, 120))

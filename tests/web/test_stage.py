@@ -118,6 +118,8 @@ def test_one_job_at_a_time(actor: TwinActor, ear: Ear) -> None:
         actor.start(long)
     ear.wait("picture", lambda told: told["part"] > 0)
     actor.stop()
+    row = ear.wait("run")
+    assert (row["stopped"], row["cycles"] > 0, row["numbers"]["distance_m"] > 0) == (True, True, True)
     ear.wait("done")
     ear.wait("picture", lambda told: not told["busy"])
 
@@ -133,6 +135,8 @@ def test_a_controller_that_never_ends_its_cycle_is_broken_off_and_the_motors_sta
     actor.start(Series("stubborn", stubborn, Plan(cycles=5), None))
     ear.wait("picture", lambda told: told["busy"])
     actor.stop()
+    row = ear.wait("run")
+    assert (row["number"], row["stopped"], row["cycles"], row["seconds"] > 0) == (1, True, 0, True)
     ear.wait("done")
     assert ear.wait("picture", lambda told: told["robots"][0]["speed"] == [0, 0])
 
@@ -180,6 +184,37 @@ def test_a_sensor_test_gathers_rows(actor: TwinActor, ear: Ear) -> None:
     ear.wait("twin")
     actor.start(Sensing(SensorTest(rotate_deg=30), gathered.append))
     assert ear.wait("sensed")["rows"] == len(gathered[0].times) > 5
+
+
+def test_a_sensor_test_tells_where_nothing_was_within_reach(actor: TwinActor, ear: Ear) -> None:
+    ear.wait("twin")
+    for what, x_mm, warning in (
+        ("proximity", 300, "no proximity count is above"),
+        ("proximity", 40, ""),
+        ("light", 300, ""),
+    ):
+        actor.put(0, x_mm, 250, 180)
+        actor.start(Sensing(SensorTest(what=what, rotate_deg=30), lambda run: None))
+        told = ear.wait("sensed")["warning"]
+        assert (warning in told) if warning else not told
+        ear.wait("done")
+
+
+def test_what_a_controller_prints_is_told_and_all_else_is_not(
+    capsys: pytest.CaptureFixture[str], actor: TwinActor, ear: Ear
+) -> None:
+    def talks(robot: Khepera) -> None:
+        print("from the controller", "x" * 50_000)
+        robot.sleep(0.1)
+
+    ear.wait("twin")
+    actor.start(Series("talks", talks, Plan(cycles=2), None))
+    print("from elsewhere")
+    text = ear.wait("printed")["text"]
+    ear.wait("done")
+    assert text.endswith("x\n")
+    assert len(text) < 60_000
+    assert capsys.readouterr().out == "from elsewhere\n"
 
 
 def test_a_controller_that_fails_is_told_and_the_twin_goes_on(actor: TwinActor, ear: Ear) -> None:

@@ -110,7 +110,7 @@ async function mayLeave() {
 
 function show(found, base) {
   // What these say is about the document that was open.
-  for (const each of [...$("#banners").children]) if (["file", "draft", "others"].includes(each.dataset.about)) each.remove();
+  for (const each of [...$("#banners").children]) if (["file", "draft", "conflict", "others"].includes(each.dataset.about)) each.remove();
   model.load(found, base);
   hasDraft = false;
   remember();
@@ -188,6 +188,7 @@ async function save(name = model.file, overwrite = false, rename = false) {
     title();
     remember();
     if (model.changed) keepSoon();
+    settle("conflict");
     banner(`Saved as ${name}.`, "", {}, "file");
   } catch (error) {
     if (!error.conflict || model.opened !== opened) throw error;
@@ -195,7 +196,7 @@ async function save(name = model.file, overwrite = false, rename = false) {
       "Load it anew": () => loadAnew(name),
       "Save under another name": saveAs,
       "Replace it": () => save(name, true, rename),
-    }, "file");
+    }, "conflict");
   }
 }
 
@@ -214,9 +215,10 @@ async function take(file) {
   const label = document.createElement("label");
   label.append("How many mm is a pixel of it? ", input);
   if (!(await ask(`Import ${file.name}`, label, "Import"))) return;
-  await leaveFor(await upload(file, input.value), {});
+  const leaving = leaveFor(await upload(file, input.value), {});
   model.saved = "";
   title();
+  await leaving;
 }
 
 async function preview() {
@@ -415,11 +417,23 @@ document.addEventListener("visibilitychange", () => document.hidden && keepNow({
 
 async function programs() {
   const found = await post("list");
-  const chosen = $("#controller").value;
-  $("#controller").replaceChildren(...[...hello.controllers, ...found.programs].map((name) => new Option(name, name)));
-  if (chosen) $("#controller").value = chosen;
-  $("#ports").replaceChildren(...found.ports.map(({ url, what }) => new Option(what, url)));
+  renew($("#controller"), [...hello.controllers, ...found.programs].map((name) => new Option(name, name)));
+  renew($("#ports"), found.ports.map(({ url, what }) => new Option(what, url)));
 }
+
+// Replaces a list where it has changed, as an open one closes; what was chosen stays.
+function renew(list, options) {
+  const told = (each) => `${each.value}\n${each.text}`;
+  if ([...list.options].map(told).join("\n") === options.map(told).join("\n")) return;
+  const chosen = list.value;
+  list.replaceChildren(...options);
+  if (chosen && options.some(({ value }) => value === chosen)) list.value = chosen;
+}
+
+// A file that is written while the page is open appears by itself.
+setInterval(() => {
+  if (hello && !gone && !document.hidden && !running.busy && !$("#tab-run").hidden) attempt(programs, "programs");
+}, 3000);
 
 function decodedHash() {
   try {
@@ -436,7 +450,7 @@ function hear(message) {
     banner(`${message.file} was saved by another page.`, "error", {
       "Load it anew": () => loadAnew(message.file),
       "Keep mine": () => {},
-    }, "file");
+    }, "conflict");
   else if (message.kind === "page") {
     const other = JSON.parse(message.said);
     if (other.tab === tab || other.file !== model.file) return;

@@ -97,6 +97,8 @@ export class Running {
     if (!this.active) await this.start();
     if (!(await this.#there())) return;
     $("#runs-done tbody").replaceChildren();
+    $("#printed").textContent = "";
+    $("#printed").hidden = true;
     $("#part").value = 0;
     await post("run", { controller: $("#controller").value, cycles: number("#cycles"), seconds: number("#seconds"), runs: number("#runs") ?? 1, pause: number("#between") ?? 0, folder: $("#keep").value || null });
     this.busy = true;
@@ -132,7 +134,13 @@ export class Running {
       robot: () => this.#cast(message, true),
       picture: () => this.#picture(message),
       run: () => this.#ran(message),
-      sensed: () => this.attempt(() => this.#figure(), "figure"),
+      printed: () => this.#printed(message.text),
+      sensed: () => {
+        const box = $("#sensed-warning");
+        box.textContent = message.warning;
+        box.hidden = !message.warning;
+        return this.attempt(() => this.#figure(), "figure");
+      },
       done: () => {
         this.busy = false;
         this.#buttons();
@@ -231,9 +239,18 @@ export class Running {
   #ran(message) {
     const { fitness, distance_m } = message.numbers;
     const row = document.createElement("tr");
-    const cells = [message.number, message.cycles, message.seconds.toFixed(1), fitness?.toPrecision(3) ?? "–", distance_m?.toPrecision(3) ?? "–"];
+    const cells = [`${message.number}${message.stopped ? ", stopped" : ""}`, message.cycles, message.seconds.toFixed(1), fitness?.toPrecision(3) ?? "–", distance_m?.toPrecision(3) ?? "–"];
     row.append(...cells.map((text) => Object.assign(document.createElement("td"), { textContent: text })));
     $("#runs-done tbody").append(row);
+  }
+
+  // The last of what the controller prints; it scrolls along unless somebody reads further up.
+  #printed(text) {
+    const box = $("#printed");
+    const along = box.scrollTop + box.clientHeight >= box.scrollHeight - 4;
+    box.hidden = false;
+    box.textContent = (box.textContent + text).slice(-20000);
+    if (along) box.scrollTop = box.scrollHeight;
   }
 
   #ended() {

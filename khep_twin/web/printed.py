@@ -1,0 +1,42 @@
+"""Standard output of the designer, less what controllers print: that goes to the page."""
+
+import io
+import sys
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+_TAKES: ContextVar[Callable[[str], object] | None] = ContextVar("_TAKES", default=None)
+
+
+class _Split(io.TextIOBase):
+    """Text stream that is split by thread: to what takes the text, or else to the stream before it."""
+
+    def __init__(self, before: Any) -> None:
+        self._before = before
+
+    def write(self, text: str, /) -> int:
+        take = _TAKES.get()
+        if take is None:
+            return self._before.write(text)
+        take(text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._before.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._before, name)  # such as its buffer of bytes
+
+
+@contextmanager
+def taken_by(take: Callable[[str], object]) -> Generator[None]:
+    """Give what this thread prints to a function; other threads print as before."""
+    if not isinstance(sys.stdout, _Split):
+        sys.stdout = _Split(sys.stdout)
+    token = _TAKES.set(take)
+    try:
+        yield
+    finally:
+        _TAKES.reset(token)
