@@ -29,7 +29,7 @@ CLEARANCE_MM = 1.0
 
 _THICKNESS_MM, _LEAST_MM, _THICKEST_MM = 10.0, 1.0, 1000.0
 _ARENA_MM = (100.0, 10_000.0)
-_ADVICE = "as a picture of fewer pixels with a larger --mm-per-pixel gives"
+_ADVICE = ", as a picture of fewer pixels with a larger --mm-per-pixel gives"
 
 Pixels = NDArray[np.bool_]
 """Solid pixels (rows, columns), the first row at the top."""
@@ -90,7 +90,8 @@ def to_playpen(
     if not all(_ARENA_MM[0] <= side <= _ARENA_MM[1] for side in (width, height)):
         raise BitmapError(
             f"an arena of {width:g} x {height:g} mm within the walls; right are {_ARENA_MM[0]:g} to "
-            f"{_ARENA_MM[1]:g} mm a side, which another --mm-per-pixel may give"
+            f"{_ARENA_MM[1]:g} mm a side",
+            ", which another --mm-per-pixel may give",
         )
     low, size = _blocks(inner, mm_per_pixel)
     if robot is None and find_place:
@@ -140,7 +141,7 @@ def _blocks(inner: Pixels, mm_per_pixel: float) -> tuple[NDArray[np.float64], ND
     boxes = rectangles(inner)
     least = float(boxes[:, 2:].min(initial=SIDE_LIMIT) * mm_per_pixel)
     if least < _LEAST_MM:
-        raise BitmapError(f"a block of {least:g} mm; right is at least {_LEAST_MM:g} mm, {_ADVICE}")
+        raise BitmapError(f"a block of {least:g} mm; right is at least {_LEAST_MM:g} mm", _ADVICE)
     row, column, rows, columns = boxes.T
     low = np.column_stack((column, inner.shape[0] - row - rows)).astype(np.float64)
     size = np.column_stack((columns, rows)).astype(np.float64)
@@ -176,7 +177,7 @@ def rectangles(solid: Pixels) -> NDArray[np.int64]:
     if others < fewest:
         fewest, boxes = others, turned[:, [1, 0, 3, 2]]
     if fewest > BLOCK_LIMIT:
-        raise BitmapError(f"{fewest} blocks; right are up to {BLOCK_LIMIT}, {_ADVICE}")
+        raise BitmapError(f"{fewest} blocks; right are up to {BLOCK_LIMIT}", _ADVICE)
     return boxes[np.lexsort((boxes[:, 1], boxes[:, 0]))]
 
 

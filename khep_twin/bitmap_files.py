@@ -96,7 +96,9 @@ def decode(data: bytes, variable: str | None = None, solid: int | None = None) -
     if not pixels.any():
         some: list[float] = np.unique(matrix.reshape(-1)[: 2**20]).tolist()
         listed = ", ".join(f"{each:g}" for each in some[:8]) + (", ..." if len(some) > 8 else "")
-        raise BitmapError(f"{name}: no pixel is {value}; right is --solid with one of its values ({listed})")
+        raise BitmapError(
+            f"{name}: no pixel is {value}", f"; right is --solid with one of its values ({listed})"
+        )
     return Bitmap(pixels, name, True)
 
 
@@ -107,7 +109,7 @@ def _chosen(variables: Mapping[str, Variable], wanted: str | None) -> tuple[str,
         bitmaps = [name for name, value in told.items() if _may_be_bitmap(value)]
         if len(bitmaps) > 1:
             raise BitmapError(
-                f"several matrices ({_listed(told, bitmaps)}); right is --variable with one of them"
+                f"several matrices ({_listed(told, bitmaps)})", "; right is --variable with one of them"
             )
         if not bitmaps:
             raise BitmapError(

@@ -31,7 +31,19 @@ from importlib import metadata
 
 
 class KhepTwinError(Exception):
-    """Root of every error that khep_twin raises for its users."""
+    """Root of every error that khep_twin raises for its users.
+
+    Args:
+        message: What is wrong.
+        option: What to add on the command line, such as the option that helps.
+
+    Attributes:
+        plain: The message without what is of use on the command line only.
+    """
+
+    def __init__(self, message: object = "", option: str = "") -> None:
+        super().__init__(f"{message}{option}")
+        self.plain = str(message)
 
 
 class PlaypenError(KhepTwinError):

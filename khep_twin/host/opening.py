@@ -51,9 +51,9 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
     except serial.SerialException as error:
         if error.errno in (errno.EBUSY, errno.EAGAIN):
             raise PortInUse(f"{url}: in use by a program that has locked it") from None
-        raise PortError(_why_not_opened(url, error)) from None
+        raise PortError(*_why_not_opened(url, error)) from None
     except (OSError, ValueError) as error:
-        raise PortError(_why_not_opened(url, error)) from None
+        raise PortError(*_why_not_opened(url, error)) from None
 
 
 def find_speed(port: Any, name: str, now: Callable[[], float]) -> int:
@@ -108,11 +108,12 @@ def _link_of(name: str) -> str:
     return ""
 
 
-def _why_not_opened(url: str, error: Exception) -> str:
+def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
+    """Return the reason, and what to add to it on the command line."""
     text = str(error)
     if "://" not in url and isinstance(error, serial.SerialException):
         if path := _link_of(url):
-            return f"{url}: no such port here; the twin served under this name is at {path}"
-        serve = command("serve")
-        return f"{url}: cannot open this port: {text}; `{serve}` makes one, khep://default needs none"
-    return text if text.startswith(url) else f"{url}: {text}"
+            return f"{url}: no such port here; the twin served under this name is at {path}", ""
+        hint = f"; `{command('serve')}` makes one, khep://default needs none"
+        return f"{url}: cannot open this port: {text}", hint
+    return (text if text.startswith(url) else f"{url}: {text}"), ""

@@ -70,8 +70,8 @@ class SeriesFolder:
             before, self.rows = read_series(path)
             if self.rows and not resume:
                 raise ControllerError(
-                    f"{path}: has a series of {len(self.rows)} runs already; right is --resume, or another "
-                    "folder"
+                    f"{path}: has a series of {len(self.rows)} runs already",
+                    "; right is --resume, or another folder",
                 )
             if resume:
                 self._compare(before)

@@ -117,7 +117,7 @@ class Page:
             there = file is not None and self._documents.version(file) is not None
             opened = self._documents.open(file) if file and there else self._documents.new(file)
         except KhepTwinError as error:
-            opened, trouble = self._documents.new(None), str(error)
+            opened, trouble = self._documents.new(None), error.plain
         return {
             **opened,
             "trouble": trouble,
@@ -196,7 +196,8 @@ class Page:
                 raise KhepTwinError(f"the picture took longer than {_PREVIEW_TIME} s") from None
             if done.returncode or not target.is_file():
                 lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-                raise KhepTwinError(lines[-1] if lines else "no picture was made")
+                told = lines[-1] if lines else "no picture was made"
+                raise KhepTwinError(told.removeprefix("khep-twin: ").partition(", or no --")[0])
             return Response(target.read_bytes(), media_type="image/png")
 
     async def _import(self, request: Request) -> Response:
@@ -312,12 +313,14 @@ def _answered(act: Callable[[], Any]) -> Response:
         answer = act()
         return answer if isinstance(answer, Response) else JSONResponse({} if answer is None else answer)
     except OutsideError as error:
-        return JSONResponse({"error": str(error)}, 403)
+        return JSONResponse({"error": error.plain}, 403)
     except ConflictError as error:
-        return JSONResponse({"error": str(error), "conflict": True}, 409)
+        return JSONResponse({"error": error.plain, "conflict": True}, 409)
     except OSError as error:  # such as a name that is too long
         return JSONResponse({"error": error.strerror or str(error)}, 400)
-    except (KhepTwinError, RecursionError, ValueError) as error:
+    except KhepTwinError as error:
+        return JSONResponse({"error": error.plain}, 400)
+    except (RecursionError, ValueError) as error:
         return JSONResponse({"error": str(error)}, 400)
 
 
@@ -331,6 +334,8 @@ async def _asset(request: Request) -> Response:
 
 
 def _imported(data: bytes, name: str, mm_per_pixel: float) -> dict[str, Any]:
+    if not 0.001 <= mm_per_pixel <= 1000:
+        raise KhepTwinError(f"{mm_per_pixel:g} mm per pixel: expected 0.001 to 1000")
     found = bitmap_files.decode(data)
     solid = found.solid[::-1] if found.scanned else found.solid
     made = bitmap.to_playpen(solid, drafts.name_of(Path(name).stem), mm_per_pixel=mm_per_pixel)

@@ -112,7 +112,7 @@ class Actor:
         try:
             self._live()
         except KhepTwinError as error:
-            self.tell({"kind": "error", "text": str(error)})
+            self.tell({"kind": "error", "text": error.plain})
         except BaseException as error:  # told where it can be seen, then as ever
             self.tell({"kind": "error", "text": f"{type(error).__name__}: {error}"})
             raise
@@ -135,7 +135,7 @@ class Actor:
                 job.do(robot, self.tell, self._progress, stop)
         except KhepTwinError as error:
             if not stop():
-                self.tell({"kind": "error", "text": str(error)})
+                self.tell({"kind": "error", "text": error.plain})
         finally:
             self.job = None
             self._tell_printed()
@@ -218,7 +218,9 @@ class TwinActor(Actor):
         def safely() -> None:
             try:
                 act(twin)
-            except (KhepTwinError, IndexError) as error:
+            except KhepTwinError as error:
+                self.tell({"kind": "refused", "text": error.plain})
+            except IndexError as error:
                 self.tell({"kind": "refused", "text": str(error)})
 
         twin.wish(safely)

@@ -4,9 +4,12 @@ import json
 import threading
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
+from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PlaypenError
@@ -219,6 +222,26 @@ def test_any_draft_is_told_what_is_wrong_with_it(asker: Asker, draft: dict[str, 
 def test_no_json_is_told(asker: Asker) -> None:
     for body in (b"", b"[]", b"{", b"[" * 100_000, b'{"draft": 1}', b"\xff"):
         assert asker.raw("POST", f"{asker.base}/do/check", asker.own(), body)[0] == 400
+
+
+def test_refusals_name_no_options_of_the_command_line(asker: Asker, tmp_path: Path) -> None:
+    headers = asker.own(Content_Type="application/octet-stream")
+    scans: list[tuple[dict[str, Any], str, str]] = [
+        ({"a": np.eye(50), "b": np.eye(60)}, "1", "several matrices (a: 50 x 50, b: 60 x 60)"),
+        ({"btmap1": np.eye(50)}, "1", "btmap1: no pixel is 44"),
+        ({"btmap1": np.eye(200) * 44}, "0.6", "a block of 0.6 mm; right is at least 1 mm"),
+        ({"btmap1": np.eye(50) * 44}, "0", "0 mm per pixel: expected 0.001 to 1000"),
+        ({"btmap1": np.eye(50) * 44}, "nan", "nan mm per pixel: expected 0.001 to 1000"),
+        ({"btmap1": np.eye(50) * 44}, "1", "an arena of 50 x 50 mm within the walls"),
+    ]
+    for matrices, scale, told in scans:
+        data = BytesIO()
+        savemat(data, matrices)
+        path = f"{asker.base}/import?name=scan.mat&mm={scale}"
+        status, body = asker.raw("POST", path, headers, data.getvalue())
+        assert status == 400
+        assert told in json.loads(body)["error"]
+        assert "--" not in json.loads(body)["error"]
 
 
 def test_a_scan_becomes_a_playpen(asker: Asker) -> None:

@@ -186,6 +186,18 @@ def test_a_sensor_test_gathers_rows(actor: TwinActor, ear: Ear) -> None:
     assert ear.wait("sensed")["rows"] == len(gathered[0].times) > 5
 
 
+def test_a_folder_that_has_a_series_is_refused_in_the_page_s_words(
+    actor: TwinActor, ear: Ear, tmp_path: Path
+) -> None:
+    ear.wait("twin")
+    series = Series("braitenberg", braitenberg, Plan(cycles=2), tmp_path / "series")
+    actor.start(series)
+    ear.wait("done")
+    actor.start(series)
+    assert ear.wait("error")["text"].endswith("has a series of 1 runs already")
+    ear.wait("done")
+
+
 def test_a_sensor_test_tells_where_nothing_was_within_reach(actor: TwinActor, ear: Ear) -> None:
     ear.wait("twin")
     for what, x_mm, warning in (

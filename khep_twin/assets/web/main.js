@@ -60,13 +60,19 @@ function banner(text, kind = "", choices = {}, about = text) {
 }
 
 function settle(about) {
-  for (const each of document.querySelectorAll(".banner.error")) if (each.dataset.about === about) each.remove();
+  for (const each of errors(about)) each.remove();
+}
+
+function errors(about) {
+  return [...document.querySelectorAll(".banner.error")].filter((each) => each.dataset.about === about);
 }
 
 async function attempt(act, about) {
+  // What comes up meanwhile, as from a twin that does not start, stays.
+  const before = errors(about);
   try {
     const found = await act();
-    settle(about);
+    for (const each of before) each.remove();
     return found;
   } catch (error) {
     // That the designer is gone is told once, by itself.
