@@ -76,8 +76,11 @@ def _with_log(port: str, log: Path | None) -> str:
     """The port that records itself."""
     from urllib.parse import quote
 
+    from khep_twin.host.opening import numbered
+
     if log is None:
         return port
+    port = numbered(port)
     if not port.startswith("khep://"):
         raise KhepTwinError(
             f"--log {log}: is for a twin at khep://; right is serve --log, or serve --through {port} --log"

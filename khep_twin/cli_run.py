@@ -137,6 +137,7 @@ def run(
 ) -> None:
     """Runs a controller on a twin or a robot, once or in a series."""
     from khep_twin.host import Khepera
+    from khep_twin.host.opening import PORT_IDS
     from khep_twin.lab.controller_source import source_of
     from khep_twin.lab.controllers import LoopingController
     from khep_twin.lab.experiment import call_after, find_after, find_controller
@@ -186,6 +187,7 @@ def run(
         # Its own loops count cycles; the toolbox's windows begin at 500.
         cycles = 500 if cycles is None and seconds is None else cycles
         options = replace(options, unpaced=found.unpaced)
+        found.port_id = int(port) if port in {*map(str, PORT_IDS)} else None
     plan = Plan(runs, cycles, 60.0 if seconds is None and cycles is None else seconds, pause)
     source = source_of(found)
     logs = RunLogs(log, picture, carry_on, source)

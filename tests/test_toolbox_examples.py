@@ -56,7 +56,7 @@ def test_the_braitenberg_vehicle_wanders_until_it_is_interrupted(name: str, robo
 
 
 def test_the_simulators_example_goes_ahead_and_turns_at_the_wall() -> None:
-    names = runpy.run_path(str(EXAMPLES / "simsamp1.py"))
+    names = runpy.run_path(str(EXAMPLES / "simsamp1.py"), run_name="__main__")
     btmap1 = names["btmap1"]
     _, y, heading = btmap1.twin.robot.pose
     toolbox_simulator.close_playpen()
@@ -64,3 +64,16 @@ def test_the_simulators_example_goes_ahead_and_turns_at_the_wall() -> None:
     # 1000 cycles of 50 ms at 8 mm/s from the middle: it came to the upper wall and turned there.
     assert y > 0.40
     assert abs(heading - 1.5708) > 0.2
+
+
+def test_the_simulators_second_example_shows_khepbase(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    names = runpy.run_path(str(EXAMPLES / "simsamp2.py"))
+    names["simsamp2"](2, 20, 1, 0)
+    assert names["btmap1"].time == 1
+    assert Path("khepbase.png").exists()
+    toolbox_simulator.close_playpen()
+    toolbox_khepbase._views.clear()

@@ -1,8 +1,10 @@
 """docs/toolbox.md: it leaves nothing of the toolbox out, its tests exist, its programs run."""
 
 import ast
+import math
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -73,12 +75,16 @@ def test_the_programs_on_the_page_run(
     monkeypatch.setattr(toolbox_roborunner, "show", lambda figure, title: False)
     program = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[number]
     try:
-        exec(compile(program, "docs/toolbox.md", "exec"), {"__name__": "__main__"})
+        names: dict[str, Any] = {"__name__": "__main__"}
+        exec(compile(program, "docs/toolbox.md", "exec"), names)
     finally:
         host.ports({})
         toolbox.close_playpen()
         toolbox_khepbase._views.clear()
         toolbox_figures._graphs.clear()
+    if number == 1:
+        # It came to the upper wall, 250 mm ahead, and has turned there.
+        assert abs(toolbox.cvrtang(math.degrees(names["btmap1"].twin.robot.pose[2]) - 90)) > 10
     told = capsys.readouterr().out
     assert told.startswith("[") == (number in (1, 2))
     assert told.count("last speeds") == 3 * (number == 3)

@@ -1,6 +1,7 @@
 """The Khepera Toolbox's example for its simulator, typed over from Matlab into its template for RoboRunner.
 
-python simsamp1.py              a twin, as long as 2 runs of 500 cycles take
+python simsamp1.py                                     a twin, as long as 2 runs of 500 cycles take
+khep-twin run simsamp1.py:simsamp1 --cycles 500        the same as an experiment
 
 It goes ahead until a sensor sees something near, then turns. docs/toolbox.md makes it a program for a robot.
 """
@@ -28,4 +29,5 @@ def simsamp1(port_id, cycles_per_run, runs, pause_stat):
     sim_sms(2, 0, 0)
 
 
-simsamp1(2, 500, 2, 0)
+if __name__ == "__main__":
+    simsamp1(2, 500, 2, 0)

@@ -16,7 +16,7 @@ import serial
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PortError, PortTimeout, ProtocolError
 from khep_twin.host.commands import Command
-from khep_twin.host.opening import SPEEDS, find_speed, open_port
+from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
 from khep_twin.ports.link import leads_to_ours
 
 STOP_WAIT = 0.5
@@ -54,6 +54,7 @@ class Line:
         baudrate: int | Literal["auto"],
         retries: int,
     ) -> None:
+        url = numbered(url) if isinstance(url, str) else url
         self._url = url if isinstance(url, str) else None
         self._timeout = timeout
         self._retries = retries

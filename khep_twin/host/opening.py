@@ -17,10 +17,32 @@ from khep_twin.ports.register import served
 SPEEDS = (9600, 19200, 38400, 57600, 115200)
 """Of the line in the robots' running modes, tried in this order [baud] (manual, appendix E; manual II)."""
 
+PORT_IDS = (1, 2, 3, 4)
+"""Numbers of ports in the Khepera Toolbox, on the command line and in programs."""
+
+VARIABLE = "KHEP_PORT_"
+"""With a port's number behind it: what the environment calls a port."""
+
 _LISTEN = 0.3
 """Wait for an answer at each speed that is tried [s]: B is answered within 0.03 s at 9600 baud."""
 
 _VERSIONS = re.compile(rb"b,[0-9][0-9.]*,[0-9][0-9.]*\r?\n$")
+
+
+def numbered(port: str) -> str:
+    """Return what a port's number, "1" to "4", stands for in the environment; any other port as it is.
+
+    Raises:
+        PortError: the environment does not tell what the number stands for.
+    """
+    if port not in map(str, PORT_IDS):
+        return port
+    if not (meant := os.environ.get(f"{VARIABLE}{port}")):
+        raise PortError(
+            f"port {port}: no port is chosen for this number; expected {VARIABLE}{port}=/dev/ttyUSB0 in the "
+            "environment, or a port such as /dev/ttyUSB0 in its place"
+        )
+    return meant
 
 
 def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool = False) -> Any:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import PortError, ProtocolError
 from khep_twin.host.khepera import Khepera
+from khep_twin.host.opening import PORT_IDS, VARIABLE
 
 __all__ = [
     "cls",
@@ -44,12 +45,6 @@ __all__ = [
     "sms",
     "spc",
 ]
-
-PORT_IDS = (1, 2, 3, 4)
-"""The toolbox's serial ports."""
-
-VARIABLE = "KHEP_PORT_"
-"""With the port's number behind it: what the environment calls a port."""
 
 Port = int | str | Khepera
 """1 to 4, the URL of a port, or a robot."""

@@ -84,9 +84,11 @@ class LoopingController(FunctionController):
     Attributes:
         unpaced: whether its commands to a twin take no time on the line.
         playpen: that its file has open, None for no playpen of its own.
+        port_id: number of the robot's port, None for one that means no other robot.
     """
 
     unpaced = False
+    port_id: int | None = None
     playpen: Playpen | None = None
 
     def loop(

@@ -88,9 +88,9 @@ class SensorData:
         height = np.full(len(away), self.height - SENSOR_HEIGHT)
         places = np.column_stack([away * np.cos(bearings), away * np.sin(bearings), height])
         pulse = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
-        turning = 2 * self.run.test.speed * 100 * pulse / wheels.base_mm
-        if self.run.test.motion == "linear":
-            turning = 0.0
+        # A straight way turns nowhere, and of a turn the speed is known.
+        speed = self.run.test.speed if self.run.test.motion == "rotational" else None
+        turning = 2 * (speed or 0) * 100 * pulse / wheels.base_mm
         return LampTable(places, self.counts, self.power or 0.0, turning)
 
     @property
@@ -175,9 +175,11 @@ def _test(text: str) -> Drive | DutyDrive | SensorData:
     what = "light" if parts["lamp"] else "proximity"
     if run.test.what != what:
         raise FitError(f"{text}: a test of {run.test.what}; right is one of {what}")
-    if run.test.motion == "rotational" and run.test.speed > FASTEST_TURN:
+    speed = run.test.speed
+    if run.test.motion == "rotational" and (speed is None or speed > FASTEST_TURN):
+        turned = "an unknown speed" if speed is None else f"speed {speed}"
         raise FitError(
-            f"{text}: turned at speed {run.test.speed}, where readings lag by degrees; right is a turn with "
+            f"{text}: turned at {turned}, where readings lag by degrees; right is a turn with "
             f"`khep-twin sense --speed 1`, and up to {FASTEST_TURN}"
         )
     if parts["lamp"]:

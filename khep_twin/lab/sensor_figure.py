@@ -220,11 +220,9 @@ def _facts(runs: Sequence[SensorRun]) -> list[str]:
     """What was tested, in few words."""
     test = runs[0].test
     amounts = _span([round(run.test.amount, 1) for run in runs])
-    return [
-        test.what,
-        f"{test.motion} {amounts} {test.unit}",
-        f"speed {_span([run.test.speed for run in runs])}",
-    ]
+    speeds = [run.test.speed for run in runs if run.test.speed is not None]
+    told = [f"speed {_span(speeds)}"] if len(speeds) == len(runs) else []
+    return [test.what, f"{test.motion} {amounts} {test.unit}", *told]
 
 
 def _description(runs: Sequence[SensorRun]) -> list[str]:

@@ -96,12 +96,12 @@ def checked_suffix(path: Path) -> str:
 def facts(test: SensorTest) -> dict[str, str]:
     """A test as words."""
     motion = {"linear_cm": test.linear_cm, "rotate_deg": test.rotate_deg}
+    profile = {"speed": test.speed, "acceleration": test.acceleration}
     return {
         "what": test.what,
         "motion": test.motion,
         **{key: repr(float(value)).removesuffix(".0") for key, value in motion.items() if value is not None},
-        "speed": str(test.speed),
-        "acceleration": str(test.acceleration),
+        **{key: str(value) for key, value in profile.items() if value is not None},
         "return_to_zero": str(int(test.return_to_zero)),
     }
 

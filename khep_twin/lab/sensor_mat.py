@@ -72,9 +72,9 @@ def _guessed(what: What, dv: NDArray[np.int64]) -> SensorTest:
         raise SensorTestError("dv: the counters end at 0; right is a robot that has moved")
     if left * right < 0:
         turn = round((right - left) / 2 / PULSES_PER_DEGREE, 2)
-        return SensorTest(what, rotate_deg=math.copysign(min(max(abs(turn), 15.0), 360.0), turn))
+        return SensorTest(what, None, math.copysign(min(max(abs(turn), 15.0), 360.0), turn), None, None)
     straight = round((left + right) / 2 / PULSES_PER_CM, 2)
-    return SensorTest(what, linear_cm=math.copysign(min(max(abs(straight), 5.0), 60.0), straight))
+    return SensorTest(what, math.copysign(min(max(abs(straight), 5.0), 60.0), straight), None, None, None)
 
 
 def _numbers(values: Mapping[str, Variable], name: str) -> NDArray[np.float64]:

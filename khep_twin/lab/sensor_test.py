@@ -59,16 +59,16 @@ class SensorTest:
         what: "proximity" or "light".
         linear_cm: straight on, 5 to 60, or backwards, -5 to -60 [cm].
         rotate_deg: on the spot, 15 to 360 counter-clockwise, or -15 to -360 [degrees].
-        speed: of command J, 1 to 127 [pulses/10 ms].
-        acceleration: of command J, 1 to 255 [3.125 mm/s^2].
+        speed: of command J, 1 to 127 [pulses/10 ms]; None in data that does not tell it.
+        acceleration: of command J, 1 to 255 [3.125 mm/s^2]; None likewise.
         return_to_zero: whether the robot drives back afterwards.
     """
 
     what: What = "proximity"
     linear_cm: float | None = None
     rotate_deg: float | None = None
-    speed: int = DEFAULT_SPEED
-    acceleration: int = DEFAULT_ACCELERATION
+    speed: int | None = DEFAULT_SPEED
+    acceleration: int | None = DEFAULT_ACCELERATION
     return_to_zero: bool = False
 
     def __post_init__(self) -> None:
@@ -91,7 +91,7 @@ class SensorTest:
                 f"rotate = {self.rotate_deg:g} degrees: right is 15 to 360, or -15 to -360 for clockwise"
             )
         for name, value, limit in (("speed", self.speed, 127), ("acceleration", self.acceleration, 255)):
-            if not 1 <= value <= limit:
+            if value is not None and not 1 <= value <= limit:
                 raise SensorTestError(f"{name} = {value}: right is a whole number from 1 to {limit}")
 
     @property
@@ -188,6 +188,18 @@ class BrokenOffError(SensorTestError):
         self.run = run
 
 
+class InterruptedTest(KeyboardInterrupt):
+    """Ctrl-C in the middle of a test.
+
+    Attributes:
+        run: what was gathered until then.
+    """
+
+    def __init__(self, run: SensorRun) -> None:
+        super().__init__(f"the test was interrupted after {len(run.dv)} rows")
+        self.run = run
+
+
 def sense(
     robot: Khepera,
     test: SensorTest,
@@ -207,6 +219,7 @@ def sense(
 
     Raises:
         BrokenOffError: a wheel is blocked, or the port failed; its `run` has the rows so far.
+        InterruptedTest: Ctrl-C was pressed; likewise.
         SensorTestError: the text cannot be kept.
     """
     gathered = _Gathered(robot, test, text, progress)
@@ -214,7 +227,8 @@ def sense(
     asked = stop or (lambda: False)
     try:
         robot.set_position(0, 0)
-        robot.configure_profile(test.speed, test.acceleration, test.speed, test.acceleration)
+        profile = test.speed or DEFAULT_SPEED, test.acceleration or DEFAULT_ACCELERATION
+        robot.configure_profile(*profile, *profile)
         if _drive(robot, test.target, gathered.look, asked) and test.return_to_zero:
             _go_back(robot, asked)
         _rest(robot)
@@ -224,6 +238,8 @@ def sense(
             _rest(robot)
         if isinstance(error, KhepTwinError):
             raise BrokenOffError(f"{gathered.so_far}: {error}", gathered.run()) from error
+        if isinstance(error, KeyboardInterrupt):
+            raise InterruptedTest(gathered.run()) from None
         raise
     return gathered.run()
 

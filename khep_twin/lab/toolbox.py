@@ -53,6 +53,7 @@ from khep_twin.lab.toolbox_roborunner import plotrun as plotrun
 from khep_twin.lab.toolbox_roborunner import roborun2 as roborun2
 from khep_twin.lab.toolbox_roborunner import template as template
 from khep_twin.lab.toolbox_roborunner import user1 as user1
+from khep_twin.lab.toolbox_sense import lasttest as lasttest
 from khep_twin.lab.toolbox_sense import simsense as simsense
 from khep_twin.lab.toolbox_sense import tstsense as tstsense
 from khep_twin.lab.toolbox_simulator import close_playpen as close_playpen

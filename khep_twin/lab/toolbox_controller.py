@@ -43,7 +43,6 @@ class ToolboxController(LoopingController):
         function: of `ARGUMENTS`.
 
     Attributes:
-        port_id: number of the robot's port, None for any that means no other robot.
         unpaced: whether it drives by `sim_` commands and `kheprom`, and not through a port.
     """
 
@@ -51,7 +50,6 @@ class ToolboxController(LoopingController):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self.port_id: int | None = None
         open_ones = [each for each in function.__globals__.values() if isinstance(each, OpenPlaypen)]
         self.playpen = open_ones[0].twin.world.playpen if open_ones else None
         self.unpaced = _names_the_simulator(function, set())

@@ -6,7 +6,8 @@
 
 `dv` has a row for each look: two position counters and eight sensors. `khep_pos` is how far a wheel went in
 the test [pulses]. A graph opens a window where there is a screen, and is returned in any case. Neither of the
-two knows the speed: the graph names the toolbox's, 20.
+two tells the sensors' kind and the speed: the graph has those of the test that has given `dv`, or what is
+said.
 """
 
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ from khep_twin.lab.sensor_test import (
     SensorTest,
     What,
 )
+from khep_twin.lab.toolbox_sense import test_of
 from khep_twin.lab.toolbox_windows import show
 
 if TYPE_CHECKING:
@@ -34,43 +36,53 @@ Matrix = NDArray[Any] | Sequence[Sequence[SupportsFloat]]
 """`dv` (n, 10)."""
 
 
-def ddl(dv: Matrix, khep_pos: SupportsFloat, what: What = "proximity") -> "Figure":
+def ddl(
+    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+) -> "Figure":
     """All sensors over a straight way, which counts down to 0 cm at its end.
 
     Args:
         dv: what the test has gathered (n, 10).
         khep_pos: how far it went [pulses], 5 to 60 cm.
-        what: the sensors told, "proximity" or "light".
+        what: the sensors told, "proximity" or "light"; without, as the test that has given `dv`.
+        speed: that was driven [pulses/10 ms]; likewise, and none is named where it is unknown.
 
     Raises:
         SensorTestError: `dv` is no such matrix, or no test goes so far.
     """
-    return _drawn(dv, khep_pos, "linear", what)
+    return _drawn(dv, khep_pos, "linear", what, speed)
 
 
-def ddlg(dv: Matrix, khep_pos: SupportsFloat, what: What = "proximity") -> "Figure":
+def ddlg(
+    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+) -> "Figure":
     """As `ddl`, with a grid."""
-    return _drawn(dv, khep_pos, "linear", what, grid=True)
+    return _drawn(dv, khep_pos, "linear", what, speed, grid=True)
 
 
-def ddr(dv: Matrix, khep_pos: SupportsFloat, what: What = "proximity") -> "Figure":
+def ddr(
+    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+) -> "Figure":
     """All sensors over a turn, in degrees; arguments as for `ddl`, 15 to 360 degrees."""
-    return _drawn(dv, khep_pos, "rotational", what)
+    return _drawn(dv, khep_pos, "rotational", what, speed)
 
 
-def ddrg(dv: Matrix, khep_pos: SupportsFloat, what: What = "proximity") -> "Figure":
+def ddrg(
+    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+) -> "Figure":
     """As `ddr`, with a grid."""
-    return _drawn(dv, khep_pos, "rotational", what, grid=True)
+    return _drawn(dv, khep_pos, "rotational", what, speed, grid=True)
 
 
 def disonel(
     dv: Matrix,
     khep_pos: SupportsFloat,
     which_one: int | str,
-    what: What = "proximity",
+    what: What | None = None,
     *,
     y_min: int = 0,
     grid: bool = False,
+    speed: int | None = None,
 ) -> "Figure":
     """One sensor over the way or the turn; the counters tell which it was.
 
@@ -78,9 +90,10 @@ def disonel(
         dv: what the test has gathered (n, 10).
         khep_pos: how far it went [pulses].
         which_one: the sensor, 1 to 8 in the order of `rps`, or its name, such as "left 10".
-        what: the sensors told, "proximity" or "light".
+        what: the sensors told, as for `ddl`.
         y_min: where the axis of counts begins.
         grid: whether there are lines behind.
+        speed: that was driven, as for `ddl`.
 
     Raises:
         SensorTestError: there is no such sensor, or as for `ddl`.
@@ -91,7 +104,7 @@ def disonel(
     sensor = which_one if isinstance(which_one, str) else SENSORS[which_one - 1]
     rows = _matrix(dv)
     motion = "rotational" if rows[-1, 0] * rows[-1, 1] < 0 else "linear"
-    return _drawn(rows, khep_pos, motion, what, sensor=sensor, y_min=y_min, grid=grid)
+    return _drawn(dv, khep_pos, motion, what, speed, sensor=sensor, y_min=y_min, grid=grid)
 
 
 def dataprnt(file: str | Path = "graph_data.pdf") -> Path:
@@ -127,7 +140,8 @@ def _drawn(
     dv: Matrix,
     khep_pos: SupportsFloat,
     motion: Literal["linear", "rotational"],
-    what: What,
+    what: What | None,
+    speed: int | None,
     *,
     sensor: str | None = None,
     y_min: int = 0,
@@ -137,10 +151,13 @@ def _drawn(
 
     rows = _matrix(dv)
     left, right = int(rows[-1, 0]), int(rows[-1, 1])
+    driven = test_of(dv)
+    what = what or (driven.what if driven else "proximity")
+    speed = speed if speed is not None or driven is None else driven.speed
     if motion == "linear":
-        test = SensorTest(what, linear_cm=_amount(khep_pos, left + right, PULSES_PER_CM))
+        test = SensorTest(what, _amount(khep_pos, left + right, PULSES_PER_CM), None, speed, None)
     else:
-        test = SensorTest(what, rotate_deg=_amount(khep_pos, right - left, PULSES_PER_DEGREE))
+        test = SensorTest(what, None, _amount(khep_pos, right - left, PULSES_PER_DEGREE), speed, None)
     run = SensorRun(test, rows, np.full(len(rows), np.nan))
     figure = sensor_figure.draw([run], sensor=sensor, y_min=y_min, grid=grid)
     _graphs[:] = [figure]

@@ -13,10 +13,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.errors import SensorTestError
 from khep_twin.host import Khepera
 from khep_twin.host.toolbox import Port, robot_at
 from khep_twin.lab import sensor_files
-from khep_twin.lab.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest, What, sense
+from khep_twin.lab.sensor_test import (
+    DEFAULT_ACCELERATION,
+    DEFAULT_SPEED,
+    BrokenOffError,
+    InterruptedTest,
+    SensorRun,
+    SensorTest,
+    What,
+    sense,
+)
 from khep_twin.lab.toolbox_simulator import opened
 
 EXCHANGE = 0.03
@@ -36,6 +46,9 @@ def tstsense(
     dlgstr: str = "",
 ) -> tuple[NDArray[np.int64], int]:
     """Drives a robot straight or turns it, and reads its sensors on the way.
+
+    Ctrl-C, a blocked wheel or a lost line end it early: the motors stop, and the rows so far are in `save`
+    and in `lasttest()`.
 
     Args:
         port_id: where the robot is.
@@ -87,12 +100,41 @@ def simsense(
     return _driven(robot, test, save, dlgstr)
 
 
+def lasttest() -> tuple[NDArray[np.int64], int]:
+    """Return `dv` and `khep_pos` of the latest test, as far as it came, also of one that was interrupted.
+
+    Raises:
+        SensorTestError: there was none yet.
+    """
+    if not _latest:
+        raise SensorTestError("there was no test yet; expected tstsense or simsense before")
+    return _latest[-1].dv, abs(_latest[-1].test.target[1])
+
+
+def test_of(dv: object) -> SensorTest | None:
+    """Return the latest test if it has given `dv`."""
+    return _latest[-1].test if _latest and _latest[-1].dv is dv else None
+
+
+_latest: list[SensorRun] = []
+"""What the latest test has gathered."""
+
+
 def _driven(
     robot: Khepera, test: SensorTest, save: str | Path | None, dlgstr: str
 ) -> tuple[NDArray[np.int64], int]:
     if save is not None:
         sensor_files.checked_suffix(Path(save))  # before the robot moves
-    run = sense(robot, test, text=dlgstr)
-    if save is not None:
+    try:
+        _keep(sense(robot, test, text=dlgstr), save)
+    except (BrokenOffError, InterruptedTest) as ended:
+        _keep(ended.run, save)
+        raise
+    return lasttest()
+
+
+def _keep(run: SensorRun, save: str | Path | None) -> None:
+    """Keep what a test has gathered, in a file where one is wanted."""
+    _latest[:] = [run]
+    if save is not None and len(run.dv):
         sensor_files.save(Path(save), run)
-    return run.dv, abs(test.target[1])

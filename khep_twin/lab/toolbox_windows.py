@@ -1,9 +1,18 @@
-"""Windows for the Khepera Toolbox's pictures, where there is a screen."""
+"""Windows for the Khepera Toolbox's pictures, where there is a screen.
+
+They stay open when a program has come to its end, until somebody closes them or presses Ctrl-C.
+"""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
 
+import atexit
+import sys
+import time
 from typing import TYPE_CHECKING, Any
+
+from khep_twin.host.toolbox import ports
+from khep_twin.lab.toolbox_simulator import close_playpen
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,6 +46,30 @@ def refresh(figure: "Figure") -> None:
         figure.canvas.draw()
         figure.canvas.flush_events()
 
+
+def wait_until_closed() -> None:
+    """Keep the windows of a program that has ended until they are closed, with its robots at rest.
+
+    Nothing is waited for at a prompt, which keeps them itself, and after an error or Ctrl-C.
+    """
+    failed = hasattr(sys, "last_type")
+    if not _windows or failed or hasattr(sys, "ps1") or sys.flags.interactive:
+        return
+    ports({})
+    close_playpen()
+    print("the program has ended; close its windows, or press Ctrl-C", file=sys.stderr)
+    try:
+        while _windows:
+            _windows[-1].canvas.flush_events()
+            time.sleep(_LOOK)
+    except KeyboardInterrupt:
+        _windows.clear()
+
+
+atexit.register(wait_until_closed)
+
+_LOOK = 0.03
+"""How often the windows are looked after [s]."""
 
 _windows: list[Any] = []
 """Kept, because a window that nobody holds is closed."""

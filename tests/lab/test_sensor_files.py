@@ -66,10 +66,10 @@ def test_a_mat_file_has_the_toolboxs_variables_and_no_date(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("left", "right", "test"),
     [
-        (6875, 6873, SensorTest(linear_cm=54.99)),
-        (-1250, -1250, SensorTest(linear_cm=-10)),
-        (-2042, 2042, SensorTest(rotate_deg=359.99)),
-        (511, -511, SensorTest(rotate_deg=-90.09)),
+        (6875, 6873, SensorTest(linear_cm=54.99, speed=None, acceleration=None)),
+        (-1250, -1250, SensorTest(linear_cm=-10, speed=None, acceleration=None)),
+        (-2042, 2042, SensorTest(rotate_deg=359.99, speed=None, acceleration=None)),
+        (511, -511, SensorTest(rotate_deg=-90.09, speed=None, acceleration=None)),
     ],
 )
 @pytest.mark.parametrize("version", ["4", "5"])
@@ -89,7 +89,7 @@ def test_a_file_of_the_toolbox_is_told_from_its_counters(
 
 def test_a_packed_mat_file_is_read(tmp_path: Path) -> None:
     savemat(tmp_path / "x.mat", {"dv": toolbox_dv(1250, 1250)}, do_compression=True)
-    assert load(tmp_path / "x.mat").test == SensorTest(linear_cm=10)
+    assert load(tmp_path / "x.mat").test == SensorTest(linear_cm=10, speed=None, acceleration=None)
 
 
 def test_a_log_has_positions_and_counts_under_our_names(tmp_path: Path) -> None:

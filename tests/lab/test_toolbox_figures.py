@@ -50,6 +50,26 @@ def test_a_turn_is_in_degrees(draw: object, grid: bool) -> None:
     assert any(line.get_visible() for line in axes.get_xgridlines()) == grid
 
 
+def description(figure: object) -> str:
+    """The words below a figure's graphs."""
+    return " ".join(text.get_text() for text in figure.texts)  # type: ignore[attr-defined]
+
+
+def test_the_speed_that_was_driven_is_named_or_none() -> None:
+    assert "speed" not in description(toolbox.ddl(rows(1500, 1500), 1500))
+    assert "speed 4" in description(toolbox.ddlg(rows(1500, 1500), 1500, speed=4))
+    assert "speed" not in toolbox.disonel(rows(1500, 1500), 1500, 3).axes[0].get_title(loc="left")
+    assert "speed 7" in toolbox.disonel(rows(1500, 1500), 1500, 3, speed=7).axes[0].get_title(loc="left")
+    toolbox.open_default(noise=False)
+    dv, khep_pos = toolbox.simsense("light", rotate_deg=30, max_speed=9)
+    # Of the test itself kind and speed are known.
+    told = description(toolbox.ddr(dv, khep_pos))
+    assert "light" in told
+    assert "speed 9" in told
+    assert "speed" not in description(toolbox.ddr(dv.copy(), khep_pos))
+    toolbox.close_playpen()
+
+
 @pytest.mark.parametrize("which_one", [3, "left 10"])
 def test_one_sensor_is_drawn_alone(which_one: int | str) -> None:
     straight = toolbox.disonel(rows(-625, -625), 625, which_one, y_min=10, grid=True)

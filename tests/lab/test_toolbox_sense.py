@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from khep_twin.errors import PlaypenError, SensorTestError
+from khep_twin.errors import PlaypenError, PortError, SensorTestError
+from khep_twin.host import Khepera
 from khep_twin.host import toolbox as host
+from khep_twin.host.results import SensorCounts
 from khep_twin.lab import toolbox
+from khep_twin.lab.sensor_test import BrokenOffError
 
 
 @pytest.fixture(autouse=True)
@@ -51,6 +54,33 @@ def test_a_robot_at_a_port_is_tested_and_its_data_saved(tmp_path: Path) -> None:
     assert saved["dv"].tolist() == dv.tolist()
     assert saved["dlgstr"].tolist() == ["two lamps"]
     assert khep_pos == 255
+
+
+class Interrupted(Khepera):
+    """A robot whose user presses Ctrl-C, or whose line fails, after so many looks."""
+
+    left, failure = 12, KeyboardInterrupt()
+
+    def proximity(self) -> SensorCounts:
+        """Look, or not any more."""
+        self.left -= 1
+        if self.left == 0:
+            raise self.failure
+        return super().proximity()
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt(), PortError("the line is gone")])
+def test_an_interrupted_test_keeps_what_it_has(failure: BaseException, tmp_path: Path) -> None:
+    robot = Interrupted("khep://default?noise=off")
+    robot.failure = failure  # type: ignore[assignment]
+    with pytest.raises((KeyboardInterrupt, BrokenOffError)) as caught:
+        toolbox.tstsense(robot, linear_cm=15, save=tmp_path / "so_far.mat")
+    assert len(loadmat(tmp_path / "so_far.mat")["dv"]) == 11
+    dv, khep_pos = toolbox.lasttest()
+    assert (len(dv), khep_pos) == (11, 1875)
+    assert caught.value.run.dv is dv  # type: ignore[union-attr]
+    robot.sleep(1)
+    assert robot.speed() == (0, 0)
 
 
 def test_what_is_no_test_moves_nothing() -> None:
