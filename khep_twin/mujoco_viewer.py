@@ -11,6 +11,7 @@ it comes back: the mouse moves the camera, not the robots, and a run with it is 
 import copy
 import os
 import sys
+import threading
 import time
 import warnings
 from typing import Any
@@ -28,6 +29,9 @@ FRAME_NS = NS_PER_S // 30
 
 _LONGEST_NAP = 0.05
 """Longest sleep at once [s], so that a closed window is noticed."""
+
+_PATIENCE = 10.0
+"""Longest wait for the window's end [s]."""
 
 _WITHOUT = "without one, give --log FILE.mcap and look at it with khep-twin view"
 
@@ -48,6 +52,7 @@ class MujocoViewer:
         self._handle: Any = None
         self._model: mujoco.MjModel | None = None
         self._data: mujoco.MjData | None = None
+        self._threads: set[threading.Thread] = set()
         self._shown_ns = 0
         self._ahead_ns = 0
 
@@ -57,17 +62,21 @@ class MujocoViewer:
 
         if self._model is None:
             self._model, self._data = copy.copy(world.model), copy.copy(world.data)
+            before = set(threading.enumerate())
             self._handle = viewer.launch_passive(
                 self._model, self._data, show_left_ui=False, show_right_ui=False
             )
+            self._threads = set(threading.enumerate()) - before
             self._look(world)
         self._ahead_ns = world.time_ns - time.monotonic_ns()
         world.add_tap(self)
 
     def close(self) -> None:
-        """Close the window."""
+        """Close the window and wait for its last picture; X ends a process that draws on nothing."""
         if self._handle is not None:
             self._handle.close()
+        for thread in self._threads:
+            thread.join(_PATIENCE)
 
     def sample(self, world: World) -> None:
         """Refresh the picture if it is time to, and wait for the clock on the wall where that is wanted."""

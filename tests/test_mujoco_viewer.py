@@ -8,6 +8,8 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +100,28 @@ def test_a_series_of_new_twins_has_one_window(windows: list[Window]) -> None:
     places = np.round(np.array(window.pictures) * 10)
     assert places[0].tolist() == [1, 1]
     assert places[-1].tolist() == [4, 4]
+
+
+def test_closing_waits_until_nothing_is_drawn(windows: list[Window], monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[str] = []
+
+    def launch(*arguments: Any, **options: Any) -> Window:
+        window = Window(*arguments, **options)
+
+        def draw() -> None:
+            while window.open:
+                time.sleep(0.01)
+            time.sleep(0.1)  # the last picture
+            drawn.append("last")
+
+        threading.Thread(target=draw, daemon=True).start()
+        return window
+
+    monkeypatch.setattr("mujoco.viewer.launch_passive", launch)
+    viewer = MujocoViewer(real_time=False)
+    viewer.watch(World(playpen.load("default")))
+    viewer.close()
+    assert drawn == ["last"]
 
 
 def test_a_lamp_that_is_off_is_dark(windows: list[Window]) -> None:
