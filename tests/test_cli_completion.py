@@ -88,7 +88,7 @@ def test_zsh_is_told_what_there_is_and_what_it_is(capsys: pytest.CaptureFixture[
     [
         ("conform", "Missing argument 'port': Port of a robot or a twin, such as khep://default. (choices: "),
         ("playpen draw", f"(choices: {', '.join(SHIPPED)}, mine.toml)"),
-        ("new", "(choices: controller)"),
+        ("new", "(choices: controller, toolbox)"),
         ("view", "(choices: mine.mcap)"),
         ("new controller", "Missing argument 'FILE.py': Where to write it."),
     ],
