@@ -15,7 +15,7 @@ import serial
 
 from test_serve import served, stop  # isort: skip
 
-CONNECTS = 2000
+CONNECTS = int(os.environ.get("KHEP_OPENINGS", "400"))
 PAUSE = 0.02
 
 
@@ -38,7 +38,7 @@ def killed(path: str, rubbish: str) -> None:
     assert subprocess.run(["/bin/sh", "-c", script], check=False).returncode == -signal.SIGKILL
 
 
-def test_two_thousand_connects_get_no_wrong_or_stale_reply() -> None:
+def test_hundreds_of_connects_get_no_wrong_or_stale_reply() -> None:
     with served("default", "--unpaced") as (process, path):
         folder = f"/proc/{process.pid}/fd"
         exchange(path, b"B\n", b"b,5.02,5.01\r\n")
