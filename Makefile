@@ -27,6 +27,7 @@ help: ## show this list
 run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated seconds
 	@mkdir -p out
 	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --force --picture out/run.png
+	@$(MAKE) --no-print-directory -s $(VENV)/compiled.stamp
 
 test: $(VENV)/dev.stamp ## the whole test suite
 	@echo "khep_twin: $(or $(TESTS),the whole test suite: about 15 minutes on two cores)"
@@ -122,6 +123,13 @@ $(VENV)/run.stamp: $(VENV)/made.stamp requirements.lock pyproject.toml
 	@echo "khep_twin: installing what it needs (about a minute, once)"
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements.lock
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+# Compiled code is kept between processes, so that the first run without a serial line does not wait for it.
+$(VENV)/compiled.stamp: $(VENV)/run.stamp
+	@echo "khep_twin: preparing runs without a serial line (about a minute, once)"
+	@$(TWIN) run braitenberg --fast --seconds 1 >$(VENV)/compiled.log
+	@$(TWIN) run braitenberg --fast --planar --seconds 1 >$(VENV)/compiled.log
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp requirements-dev.lock

@@ -111,6 +111,7 @@ def serve(
 
     Standard output has one line for each robot: what its host opens.
     """
+    from khep_twin.host.opening import numbered
     from khep_twin.ports.far_ends import far_ends
     from khep_twin.ports.serve import WIRE, stopping
     from khep_twin.ports.serve import serve as serve_twin
@@ -123,7 +124,7 @@ def serve(
         if ignored := given(context) & (OF_A_TWIN | _OF_A_SERVED_TWIN) - {"mode", "log", "carry_on"}:
             option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
             raise usage(f"{option} is for a twin, not for a robot at --through")
-        _relay(through, running_mode(mode), where, ready_fd, log, carry_on)
+        _relay(numbered(through), running_mode(mode), where, ready_fd, log, carry_on)
         return
     factor = WIRE if clock is Clock.WIRE else _speed(speed)
     options = TwinOptions(

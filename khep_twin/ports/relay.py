@@ -17,7 +17,6 @@ from typing import Any
 import serial
 
 from khep_twin.errors import PortError
-from khep_twin.host.opening import numbered
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.cable import Cable
 from khep_twin.ports.serve import LONGEST_WAIT, Flush
@@ -56,7 +55,7 @@ class Device:
     """
 
     def __init__(self, url: str, baud: int) -> None:
-        self.url = url = numbered(url)
+        self.url = url
         if url.startswith("khep:"):
             raise PortError(f"{url}: a twin needs no relay; right is khep-twin serve PLAYPEN")
         try:
