@@ -30,7 +30,7 @@ def test_an_example_runs_on_a_twin_in_its_own_process(example: Path, tmp_path: P
     ended = subprocess.run(
         [sys.executable, str(example), *options],
         check=True,
-        timeout=120,
+        timeout=600,
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         text=True,
