@@ -16,6 +16,7 @@ import termios
 from dataclasses import dataclass
 
 from khep_twin.ports.event_sources import Event, OpenEvents
+from khep_twin.ports.holders import count_descriptors
 
 _ROUNDS = 4
 """Times that a look asks the terminal before it leaves the rest to the next look."""
@@ -81,7 +82,7 @@ class Presence:
         if wrote and not self.hosts and Event.OPENED not in events:
             # An event was lost; asking puts it right.
             events.append(Event.CLOSED)
-        change = Change()
+        change, was_empty = Change(), False
         for _ in range(_ROUNDS):
             change, otherwise = self._follow(events, change)
             if Event.CLOSED not in events:
@@ -89,12 +90,25 @@ class Presence:
                 break
             held, events = self._held(), self._drain(self._events)
             if not held:
-                self.hosts, change = 0, _gone(change)
+                self.hosts, change, was_empty = 0, _gone(change), True
             elif self.hosts == 0 and Event.OPENED not in events:
                 # Somebody is still here: two openings had become one event.
                 self.hosts, change = 1, otherwise
         self._later = events
+        if change.left and self.hosts and not was_empty:
+            # By the count alone the last host has left; there are more than counted if openings were merged.
+            n_counted = self.hosts
+            if self.recount() > n_counted:
+                change = Change(False, change.writes_before + change.writes)
         return change
+
+    def recount(self) -> int:
+        """Count the hosts anew, as events that the kernel merged are missed; return their number, at least 1.
+
+        Descriptors of other users' processes cannot be seen.
+        """
+        self.hosts = max(count_descriptors(self._name) - 1, 1)
+        return self.hosts
 
     def close(self) -> None:
         """Release the host side and the event source."""
@@ -120,9 +134,12 @@ class Presence:
     def _drain(self, events: OpenEvents) -> list[Event]:
         """Return what hosts did since the last call, in order, without the events of `_held`."""
         found = events.drain()
+        # The descriptor kept here was closed, then opened; a host may have opened another just before.
+        start = 0
         for own in self._own:
-            if own in found:
-                found.remove(own)
+            if own in found[start:]:
+                start = found.index(own, start)
+                del found[start]
         self._own = []
         return found
 

@@ -39,6 +39,9 @@ _CHUNK = 65536
 _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 """Line with its end, or what there is of it."""
 
+_UNFINISHED = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
+"""Line that another one follows without an end between: commands begin with a capital letter."""
+
 _CROWDED_S = 0.1
 """Time that several hosts must be there before it is told, as tools such as stty come and go [s]."""
 
@@ -197,6 +200,8 @@ class PtyPort:
         if now - self._crowded_since < _CROWDED_S:
             return ()
         self._crowded_since = math.inf
+        if self._presence.recount() < 2:
+            return ()
         return (
             f"the port is open {self._presence.hosts} times at once; each reader takes bytes from the others",
         )
@@ -226,4 +231,7 @@ def _divided(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
     if n_before <= 0 or n_writes <= 0:
         return (b"", data) if n_before <= 0 else (data, b"")
     lines = _LINE.findall(data)
-    return b"".join(lines[:-n_writes]), b"".join(lines[-n_writes:])
+    last, rest = b"".join(lines[:-n_writes]), b"".join(lines[-n_writes:])
+    if unfinished := _UNFINISHED.match(rest):
+        last, rest = last + unfinished[0], rest[unfinished.end() :]
+    return last, rest

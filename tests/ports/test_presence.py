@@ -101,7 +101,14 @@ def test_replies_that_nobody_read_are_taken_back_when_the_next_host_is_here_alre
 
 @pytest.mark.parametrize(
     ("before", "after"),
-    [(b"N\n", b"B\n"), (b"N\nN\r\nC,12\n", b"B\n"), (b"", b"B\n"), (b"D,0,0\n", b""), (b"N\n", b"B")],
+    [
+        (b"N\n", b"B\n"),
+        (b"N\nN\r\nC,12\n", b"B\n"),
+        (b"", b"B\n"),
+        (b"D,0,0\n", b""),
+        (b"N\n", b"B"),
+        (b"B\nC,12", b"T,1,B\n"),
+    ],
 )
 def test_lines_of_the_next_host_are_told_from_those_of_the_one_before(before: bytes, after: bytes) -> None:
     with PtyPort() as port:
