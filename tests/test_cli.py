@@ -61,7 +61,7 @@ def test_the_version_and_the_help_come_at_once() -> None:
     [
         ("frobnicate", "frobnicate: no such command; (choices: run, series, "),
         ("plaipen", "plaipen: no such command; did you mean 'playpen'? (choices: run, "),
-        ("playpen chek", "chek: no such command; did you mean 'check'? (choices: check, "),
+        ("playpen chek", "chek: no such command; did you mean 'check'? (choices: list, check, "),
         ("run --fats", "No such option: --fats (Possible options: --fast, "),
         ("run --seconds abc", "Invalid value for '--seconds': "),
         ("run --seed", "Option '--seed' requires an argument"),

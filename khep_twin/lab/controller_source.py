@@ -63,8 +63,9 @@ def source_of(controller: AnyController) -> Source:
     built_in = next((each for each, function in BUILT_IN.items() if function is controller), None)
     facts = {"controller": built_in or f"{name}:{name_of(controller)}"}
     try:
-        loader = getattr(inspect.getmodule(defined), "__loader__", None)
-        data: bytes = loader.get_data(file) if loader is not None else Path(file).read_bytes()
+        # A module may come out of an archive; that of an interactive Python comes out of nothing.
+        get_data = getattr(getattr(inspect.getmodule(defined), "__loader__", None), "get_data", None)
+        data: bytes = Path(file).read_bytes() if get_data is None else get_data(file)
         text = _text(data)
     except (OSError, SyntaxError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)

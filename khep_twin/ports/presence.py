@@ -82,25 +82,29 @@ class Presence:
         if wrote and not self.hosts and Event.OPENED not in events:
             # An event was lost; asking puts it right.
             events.append(Event.CLOSED)
-        change, was_empty = Change(), False
+        hosts, change, seen = self.hosts, Change(), list[Event]()
         for _ in range(_ROUNDS):
-            change, otherwise = self._follow(events, change)
+            seen += events
             if Event.CLOSED not in events:
                 events = []
                 break
             held, events = self._held(), self._drain(self._events)
             if not held:
-                self.hosts, change, was_empty = 0, _gone(change), True
-            elif self.hosts == 0 and Event.OPENED not in events:
-                # Somebody is still here: two openings had become one event.
-                self.hosts, change = 1, otherwise
+                change = _followed(hosts, change, seen)[1]
+                hosts, change, seen = 0, _gone(change), []
         self._later = events
-        if change.left and self.hosts and not was_empty:
-            # By the count alone the last host has left; there are more than counted if openings were merged.
-            n_counted = self.hosts
-            if self.recount() > n_counted:
-                change = Change(False, change.writes_before + change.writes)
-        return change
+        self.hosts, after = _followed(hosts, change, seen)
+        if Event.CLOSED in seen:
+            # The kernel says that somebody is here; events that were merged may tell another story.
+            if Event.OPENED in seen[seen.index(Event.CLOSED) :]:
+                n_counted, n_open = self.hosts, count_descriptors(self._name) - 1
+                self._later += self._drain(self._events)
+                if n_open > 0 and not self._later:
+                    self.hosts, after = _followed(hosts + n_open - n_counted, change, seen)
+            elif self.hosts == 0:
+                after = _followed(len(seen) + 1, change, seen)[1]
+            self.hosts = max(self.hosts, 1)
+        return after
 
     def recount(self) -> int:
         """Count the hosts anew, as events that the kernel merged are missed; return their number, at least 1.
@@ -115,21 +119,6 @@ class Presence:
         os.close(self.host_side)
         if self._events is not None:
             self._events.close()
-
-    def _follow(self, events: list[Event], change: Change) -> tuple[Change, Change]:
-        """Count what the events tell; return the change, and how it is if the last host has not left."""
-        otherwise = change
-        for event in events:
-            if event is Event.OPENED:
-                self.hosts += 1
-            elif event is Event.WRITTEN:
-                n_before, n_after = (0, 1) if change.left else (1, 0)
-                change = Change(change.left, change.writes_before + n_before, change.writes + n_after)
-            elif self.hosts <= 1:
-                otherwise, self.hosts, change = change, 0, _gone(change)
-            else:
-                self.hosts -= 1
-        return change, otherwise
 
     def _drain(self, events: OpenEvents) -> list[Event]:
         """Return what hosts did since the last call, in order, without the events of `_held`."""
@@ -161,3 +150,18 @@ class Presence:
 def _gone(change: Change) -> Change:
     """Return a change after which all hosts have left: what was written so far is theirs."""
     return Change(True, change.writes_before + change.writes, 0)
+
+
+def _followed(hosts: int, change: Change, events: list[Event]) -> tuple[int, Change]:
+    """Return the number of hosts and the change after some more events."""
+    for event in events:
+        if event is Event.OPENED:
+            hosts += 1
+        elif event is Event.WRITTEN:
+            n_before, n_after = (0, 1) if change.left else (1, 0)
+            change = Change(change.left, change.writes_before + n_before, change.writes + n_after)
+        elif hosts <= 1:
+            hosts, change = 0, _gone(change)
+        else:
+            hosts -= 1
+    return hosts, change

@@ -1,9 +1,11 @@
 """The controller in the log: the very text that was run, and nothing of the machine."""
 
+import importlib.machinery
 import importlib.util
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -105,3 +107,13 @@ def test_a_source_that_cannot_be_read_is_left_out_and_that_is_said(tmp_path: Pat
     del sys.modules["gone"]
     assert not found.attachments
     assert found.facts["controller_source"] == "left out: cannot be read: No such file or directory"
+
+
+def test_a_controller_typed_into_python_has_no_source_and_that_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # As in `python -c`, whose module comes out of no file.
+    monkeypatch.setattr(sys.modules["__main__"], "__loader__", importlib.machinery.BuiltinImporter)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    exec("def controller(robot): pass", names)
+    assert "left out" in source_of(names["controller"]).facts["controller_source"]
