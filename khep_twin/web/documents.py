@@ -80,6 +80,22 @@ class Documents:
             raise PlaypenError(f"{name}: this is no regular file; right is the name of a file")
         return found
 
+    def new_path(self, name: str, *endings: str) -> Path:
+        """Return where a file will lie that is not there yet; an empty one may be replaced.
+
+        Args:
+            name: Name of the file, from the folder on.
+            endings: Endings of which it has to have one.
+
+        Raises:
+            OutsideError: The file is not below the folder.
+            PlaypenError: It is no name of such a file, or the file is there.
+        """
+        found = self.path(name, *endings)
+        if found.exists() and found.stat().st_size:
+            raise PlaypenError(f"{name}: is there already; expected the name of a new file")
+        return found
+
     def names(self, ending: str = ".toml") -> list[str]:
         """The files with an ending, in the order of their names; none of hidden folders."""
         found: list[str] = []

@@ -221,7 +221,7 @@ class Page:
             raise PortError(f"seed = {str(seed)[:40]}: right is a whole number")
         options = TwinOptions(seed=seed, noise=wanted.get("noise") is not False)
         log = wanted.get("log")
-        path = None if not log else self._documents.path(str(log), ".mcap")
+        path = None if not log else self._documents.new_path(str(log), ".mcap")
         actor = TwinActor(playpen, options, path, self._audience.tell)
         actor.set_pace(_speed(wanted), wanted.get("paused") is True)
         self._replace(actor)
@@ -279,7 +279,8 @@ class Page:
     def _save_sensed(self, wanted: Mapping[str, Any]) -> None:
         if self._sensed is None:
             raise PortError("no sensor test was driven yet")
-        sensor_files.save(self._documents.path(_text(wanted, "file"), ".mat", ".csv", ".mcap"), self._sensed)
+        path = self._documents.new_path(_text(wanted, "file"), ".mat", ".csv", ".mcap")
+        sensor_files.save(path, self._sensed)
 
     def _keep_sensed(self, run: SensorRun) -> None:
         self._sensed = run

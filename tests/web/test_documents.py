@@ -252,3 +252,13 @@ def test_a_scan_becomes_a_playpen(asker: Asker) -> None:
     assert status == 200, body
     assert json.loads(body)["draft"]["arena"]["width_mm"] == 1160
     assert asker.raw("POST", f"{asker.base}/import?name=scan.mat", headers, b"rubbish")[0] == 400
+
+
+def test_a_file_that_has_something_in_it_is_no_place_for_a_new_one(tmp_path: Path) -> None:
+    documents = Documents(tmp_path)
+    (tmp_path / "run.mcap").write_bytes(b"a run")
+    with pytest.raises(PlaypenError, match=r"run\.mcap: is there already; expected the name of a new file"):
+        documents.new_path("run.mcap", ".mcap")
+    (tmp_path / "empty.mcap").touch()
+    for name in ("empty.mcap", "other.mcap"):
+        assert documents.new_path(name, ".mcap") == tmp_path / name
