@@ -147,6 +147,7 @@ def test_what_was_not_saved_is_offered_again(visit: Visit, tmp_path: Path) -> No
     wait_for(lambda: drafts(tmp_path) == ["unnamed"])
     visit.open()
     visit.page.click("text=Go on with it")
+    visit.page.wait_for_selector(".kind-block.drawn")
     assert visit.count(".kind-block.drawn") == 1
 
 

@@ -307,7 +307,7 @@ def test_a_held_robot_gets_a_red_outline_where_it_has_no_room(visit: Visit) -> N
     for place, bad in (((310, 390), True), ((400, 300), False), ((-20, 300), True), ((310, 380), True)):
         page.mouse.move(*visit.at(*place), steps=5)
         page.wait_for_selector(".live.held.bad" if bad else ".live.held:not(.bad)")
-    assert "overlaps block 1" in page.text_content(".why")
+    page.wait_for_selector(".why >> text=overlaps block 1")
     body = "getComputedStyle(document.querySelector('.live .body')).stroke"
     assert page.evaluate(body) == "rgb(213, 94, 0)"
     visit.picture("13-held")
