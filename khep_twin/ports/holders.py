@@ -51,7 +51,7 @@ def count_descriptors(path: str) -> int:
     for process in _PROCESSES.glob("[0-9]*"):
         # Processes end while they are looked at, and those of others are closed to us.
         with suppress(OSError):
-            count += sum(_is_same(each, device) for each in (process / "fd").iterdir())
+            count += _count(process, device)
     return count
 
 
@@ -66,13 +66,18 @@ def _processes(path: str, device: os.stat_result) -> Iterator[int]:
                 yield int(process.name)
                 continue
             kept = 1 if terminal is not None and _has_master(process, terminal) else 0
-            if sum(_is_same(each, device) for each in (process / "fd").iterdir()) > kept:
+            if _count(process, device) > kept:
                 yield int(process.name)
     for name in {os.path.basename(path), os.path.basename(os.path.realpath(path))}:
         with suppress(OSError, ValueError, IndexError):
             number = int((_LOCKS / f"LCK..{name}").read_text(encoding="ascii").split()[0])
             if (_PROCESSES / str(number)).exists():
                 yield number
+
+
+def _count(process: Path, device: os.stat_result) -> int:
+    """Count the descriptors that a process has open of a device."""
+    return sum(_is_same(each, device) for each in (process / "fd").iterdir())
 
 
 def _is_same(descriptor: Path, device: os.stat_result) -> bool:

@@ -33,8 +33,8 @@ _SPEEDS: dict[int, int] = {
 
 _INPUT, _OUTPUT, _CONTROL, _LOCAL, _IN_SPEED, _OUT_SPEED = range(6)
 
-_CHUNK = 65536
-"""Bytes at a time that are read of a host that has left; the kernel keeps some 20 kB at most."""
+_MOST_KEPT = 65536
+"""Most bytes that are read of a host that has left; the kernel keeps some 20 kB at most."""
 
 _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 """Line with its end, or what there is of it."""
@@ -120,7 +120,10 @@ class PtyPort:
         change = self._presence.look(bool(data))
         n_before, self._early = change.writes_before - self._early, bool(data) and not change.writes_before
         if not change.left:
-            return Received(data + self._read(limit - len(data)), notices=self._crowd())
+            # The writes that were just told of are counted with this call, so their bytes come with it, too.
+            if change.writes_before:
+                data += self._read(limit - len(data))
+            return Received(data, notices=self._crowd())
         self._crowded_since, self._early = None, False
         data += self._read_all()
         later = self._presence.look(False)
@@ -165,9 +168,10 @@ class PtyPort:
             return b""
 
     def _read_all(self) -> bytes:
+        """Read what hosts that have left can have written; one that goes on writing does not hold this up."""
         data = b""
         # A read returns what is ready; what is still on the way comes with the next one.
-        while more := self._read(_CHUNK):
+        while more := self._read(_MOST_KEPT - len(data)):
             data += more
         return data
 

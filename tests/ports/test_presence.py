@@ -3,7 +3,9 @@
 import fcntl
 import os
 import random
+import select
 import subprocess
+import sys
 import termios
 
 import pytest
@@ -139,3 +141,18 @@ def test_random_openings_and_closings_are_followed(port: PtyPort) -> None:
             assert left
     for descriptor in held:
         os.close(descriptor)
+
+
+def test_a_host_that_floods_the_line_as_another_leaves_holds_nothing_up() -> None:
+    with PtyPort() as port:
+        os.close(opened(port))
+        program = (
+            "import os, sys\nhost = os.open(sys.argv[1], os.O_RDWR)\nwhile True: os.write(host, bytes(4096))"
+        )
+        with subprocess.Popen([sys.executable, "-c", program, port.path]) as flood:
+            while not select.select([port.descriptor], [], [], 1)[0]:
+                pass
+            received = port.receive(100)
+            flood.kill()
+        assert received.left
+        assert 0 < len(received.data + received.last) <= 100 + 65536
