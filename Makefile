@@ -19,7 +19,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run test wheels check format fuzz fuzz-files soak determinism kills worker-kills pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test wheels check format fuzz fuzz-files soak determinism kills day worker-kills pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -63,6 +63,9 @@ determinism: $(VENV)/dev.stamp ## 100,000 steps of an environment, the same bit 
 kills: $(VENV)/dev.stamp ## 200 served twins and 40 runs killed at random times, and what their logs lost; about ten minutes
 	@$(BIN)/python tests/log/kills.py serve 200 --jobs 3
 	@$(BIN)/python tests/log/kills.py run 40 --jobs 2
+
+day: $(VENV)/dev.stamp ## 24 simulated hours of serve --log with a host that never stops asking, and what memory they take; about two hours
+	@$(BIN)/python tests/log/day.py 24
 
 worker-kills: $(VENV)/dev.stamp ## 100 of Ray's workers killed in a sweep of 200 tasks; needs ray; about five minutes
 	@$(BIN)/python tests/scale/worker_kills.py --tasks 200 --kills 100

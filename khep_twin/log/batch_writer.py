@@ -7,7 +7,7 @@ numpy, several times faster than one by one.
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +19,6 @@ from mcap.records import (
     AttachmentIndex,
     Channel,
     Chunk,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -32,6 +31,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
+
+from khep_twin.log.chunk_index import COMPRESSION, ENTRY_BYTES, ChunkIndex
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _INDEX_HEAD = struct.Struct("<BQHI")
@@ -68,7 +69,7 @@ class BatchWriter:
         self._index: dict[int, list[NDArray[np.uint64]]] = {}
         self._counts: Counter[int] = Counter()
         self._span: tuple[int, int] | None = None
-        self._chunks: list[ChunkIndex] = []
+        self._chunks = ChunkIndex()
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         sink.write(MCAP0_MAGIC + _record(Header(profile, library)))
@@ -182,37 +183,26 @@ class BatchWriter:
         first, last = self._span or (start_ns, end_ns)
         self._span = min(first, start_ns), max(last, end_ns)
         chunk = Chunk(
-            compression="zstd",
+            compression=COMPRESSION.decode("ascii"),
             data=packed,
             message_start_time=start_ns,
             message_end_time=end_ns,
             uncompressed_crc=zlib.crc32(data),
             uncompressed_size=len(data),
         )
-        chunk_start = self._sink.tell()
+        place = self._sink.tell()
         records = _record(chunk)
-        chunk_length = len(records)
-        offsets: dict[int, int] = {}
+        length = len(records)
+        counts: dict[int, int] = {}
         for channel, places in sorted(self._index.items()):
             entries = np.concatenate(places).astype("<u8").tobytes()
-            offsets[channel] = chunk_start + len(records)
-            head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries))
-            records += head + entries
-            self._counts[channel] += len(entries) // 16
-        self._sink.write(records)
-        self._chunks.append(
-            ChunkIndex(
-                message_start_time=start_ns,
-                message_end_time=end_ns,
-                chunk_start_offset=chunk_start,
-                chunk_length=chunk_length,
-                message_index_offsets=offsets,
-                message_index_length=len(records) - chunk_length,
-                compression="zstd",
-                compressed_size=len(packed),
-                uncompressed_size=len(data),
+            records += (
+                _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
             )
-        )
+            counts[channel] = len(entries) // ENTRY_BYTES
+        self._sink.write(records)
+        self._counts.update(counts)
+        self._chunks.add(place, length, len(data), (start_ns, end_ns), counts)
         self._pieces.clear()
         self._index.clear()
         self._size = 0
@@ -233,26 +223,28 @@ class BatchWriter:
             message_end_time=end_ns,
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
-            (Opcode.SCHEMA, list(self._schemas.values())),
-            (Opcode.CHANNEL, list(self._channels.values())),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+        groups: list[tuple[Opcode, Iterable[bytes]]] = [
+            (Opcode.SCHEMA, map(_record, self._schemas.values())),
+            (Opcode.CHANNEL, map(_record, self._channels.values())),
+            (Opcode.STATISTICS, [_record(statistics)]),
+            (Opcode.CHUNK_INDEX, self._chunks.records()),
+            (Opcode.ATTACHMENT_INDEX, map(_record, self._attachments)),
+            (Opcode.METADATA_INDEX, map(_record, self._metadata)),
         ]
         summary_start = self._sink.tell()
-        summary, offsets = b"", b""
-        for opcode, records in groups:
-            group = b"".join(map(_record, records))
-            start = summary_start + len(summary)
-            offsets += _record(SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(group)))
-            summary += group
-        offset_start = summary_start + len(summary)
-        footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)
-        crc = zlib.crc32(summary + offsets + footer_head)
+        crc, offsets = 0, b""
+        # Written bit by bit: of a day it is 30 MB.
+        for opcode, pieces in groups:
+            start = self._sink.tell()
+            for piece in pieces:
+                crc = zlib.crc32(piece, crc)
+                self._sink.write(piece)
+            length = self._sink.tell() - start
+            offsets += _record(SummaryOffset(group_opcode=opcode, group_start=start, group_length=length))
+        offset_start = self._sink.tell()
+        crc = zlib.crc32(offsets + struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), crc)
         footer = Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc)
-        self._sink.write(summary + offsets + _record(footer) + MCAP0_MAGIC)
+        self._sink.write(offsets + _record(footer) + MCAP0_MAGIC)
 
     def _append(self, data: bytes) -> None:
         self._pieces.append(data)
