@@ -37,7 +37,7 @@ def design(
             raise usage(f"{file}: right is a file below {folder}, or to start in its folder")
         name = str(file.resolve().relative_to(folder.resolve()))
     with stopping() as stop:
-        server = Server(folder, name, listen, expose=expose)
+        server = Server(folder, name, listen, expose=expose, complain=complain)
         if expose:
             complain("whoever has this address may do all that you may; it is not encrypted")
         how = "open this page in a browser" if no_browser else "the browser opens this page"

@@ -2,6 +2,7 @@
 
 import secrets
 import socket
+import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -10,6 +11,7 @@ import uvicorn
 
 from khep_twin.errors import PortError
 from khep_twin.ports.network import is_loopback, parse_address
+from khep_twin.web.connections import ACCEPTED_AT_ONCE, PING, QUEUE, Connection, Watch, told
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
@@ -29,15 +31,25 @@ class Server:
         file: that is opened at first, from the folder on.
         listen: HOST:PORT, port 0 for any that is free.
         expose: whether other machines may reach it.
+        complain: told of the server's own errors, in a line each; without it, they are logged.
 
     Attributes:
         url: of the page, with its token.
+        listener: socket that it listens at.
 
     Raises:
         PortError: it cannot listen there, or may not.
     """
 
-    def __init__(self, folder: Path, file: str | None, listen: str, *, expose: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        file: str | None,
+        listen: str,
+        *,
+        expose: bool = False,
+        complain: Callable[[str], object] | None = None,
+    ) -> None:
         host, port = parse_address(listen)
         if not is_loopback(host) and not expose:
             raise PortError(
@@ -49,40 +61,51 @@ class Server:
             documents.check(file)
         try:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
-            self._socket = socket.create_server((host, port), family=family, dualstack_ipv6=host == "::")
+            self.listener = socket.create_server((host, port), family=family, dualstack_ipv6=host == "::")
         except OSError as error:
             reason = (error.strerror or str(error)).partition(" (while")[0]
             raise PortError(f"{listen}: cannot listen there: {reason}") from error
-        port = self._socket.getsockname()[1]
+        port = self.listener.getsockname()[1]
         names = _names(host)
         token = secrets.token_urlsafe(24)
         self.url = f"http://{names[0]}:{port}/{token}/"
         self._page = Page(documents, file)
+        self._complain = complain
         guard = Guard(self._page.app(), token, {f"{name}:{port}" for name in names})
         self._server = _Quiet(
             uvicorn.Config(
                 guard,
-                log_level="critical",
+                log_config=None,
+                log_level="error",
                 access_log=False,
                 lifespan="off",
                 server_header=False,
                 ws="websockets-sansio",
                 ws_max_size=MESSAGE_LIMIT,
+                ws_ping_interval=PING,
+                ws_ping_timeout=PING,
+                backlog=ACCEPTED_AT_ONCE,
                 timeout_graceful_shutdown=2,
                 h11_max_incomplete_event_size=32 * 1024,
-                http="h11",
+                http=Connection,
                 loop="asyncio",
             )
         )
+
+    @property
+    def connections(self) -> int:
+        """How many connections are open."""
+        return len(self._server.server_state.connections)
 
     def serve(self, stop: Callable[[], bool]) -> None:
         """Serves until `stop` says so."""
         self._server.stop = stop
         try:
-            self._server.run(sockets=[self._socket])
+            with told(self._complain):
+                self._server.run(sockets=[self.listener])
         finally:
             self._page.close()
-            self._socket.close()
+            self.listener.close()
 
 
 def _names(host: str) -> list[str]:
@@ -108,9 +131,19 @@ def _bracketed(host: str) -> str:
 
 
 class _Quiet(uvicorn.Server):
-    """Leaves signals to who has started it, and asks whether to go on."""
+    """Leaves signals to who has started it, asks whether to go on, and watches over its connections."""
 
     stop: Callable[[], bool]
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self._watch = Watch()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Starts to listen."""
+        await super().startup(sockets)
+        for each in sockets or ():
+            each.listen(QUEUE)  # which asyncio makes as short as what it accepts at once
 
     @contextmanager
     def capture_signals(self) -> Generator[None, None, None]:
@@ -119,4 +152,5 @@ class _Quiet(uvicorn.Server):
 
     async def on_tick(self, counter: int) -> bool:
         """Whether to end, asked ten times a second."""
+        self._watch.look(self.server_state.connections, time.monotonic())
         return self.stop() or await super().on_tick(counter)

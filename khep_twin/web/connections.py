@@ -1,0 +1,140 @@
+"""Connections to the page: how many there are at most, how long each may keep it waiting, and what is told.
+
+uvicorn waits for ever for the rest of a request and for a peer that takes no answer, and it accepts until no
+descriptor is left. Here a connection that stands at one thing for too long is ended, and where all places
+are taken, a new connection gets that of the one that has sent no whole head of a request for the longest
+time. A browser asks at once, so that connections which send nothing keep nobody out.
+"""
+
+import logging
+import resource
+import time
+from asyncio import BaseTransport, CancelledError
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+PATIENCE: Mapping[str, float] = {"head": 10.0, "body": 60.0, "answer": 30.0, "end": 5.0}
+"""How long a connection may stand at one thing [s]: at the head of a request, which begins with the
+connection or the last answer; at the rest of a request; at an answer of which the peer takes nothing; at the
+last bytes of one, likewise. Work on an answer, and a websocket that answers when asked, may take any time."""
+
+PING = 20.0
+"""How often a websocket is asked whether its page is still there, and how long it has to answer [s]."""
+
+ACCEPTED_AT_ONCE, QUEUE = 4, 128
+"""Most connections that are accepted before the first of them can be ended, and that wait for it."""
+
+_MOST = 64
+"""Most connections: a page has up to seven, its websocket included."""
+
+_AHEAD = 64 * 1024
+"""Most that may have come of further requests when one is answered [bytes]; more than all of a page's."""
+
+_NEXT_LINE = 60.0
+"""How long nothing more is told about trouble of one kind [s]."""
+
+
+def most() -> int:
+    """Return how many connections there may be: as many as take a quarter of the descriptors, at most 64."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return _MOST if limit == resource.RLIM_INFINITY else max(min(_MOST, limit // 4), 1)
+
+
+class Connection(H11Protocol):
+    """A connection that takes another one's place where there are too many."""
+
+    def connection_made(self, transport: BaseTransport) -> None:
+        """Take a place."""
+        super().connection_made(transport)  # pyright: ignore[reportArgumentType]
+        self.since = self.loop.time()
+        places = most()
+        taken = [each for each in self.connections if not _gone(each)]
+        idle = [
+            each for each in taken if isinstance(each, Connection) and _stands_at(each)[0] in ("head", "end")
+        ]
+        for each in sorted(idle, key=lambda each: each.since)[: max(len(taken) - places, 0)]:
+            each.transport.abort()
+            self.logger.error(
+                "all %d connections are taken; the one that is idle the longest is ended", places
+            )
+
+    def on_response_complete(self) -> None:
+        """Go on with the next request, unless requests come faster than they are answered."""
+        if len(self.conn.trailing_data[0]) > _AHEAD:
+            self.transport.abort()
+        super().on_response_complete()
+
+
+class Watch:
+    """Ends connections that stand at one thing for too long; to be asked again and again."""
+
+    def __init__(self) -> None:
+        self._seen: dict[Any, tuple[tuple[str, object], float]] = {}
+
+    def look(self, connections: Iterable[Any], now: float) -> None:
+        """Look at all connections there are, at a time [s]."""
+        seen: dict[Any, tuple[tuple[str, object], float]] = {}
+        for connection in list(connections):
+            stands_at = _stands_at(connection)
+            before, since = self._seen.get(connection, (None, now))
+            seen[connection] = stands_at, since if stands_at == before else now
+            if now - seen[connection][1] > PATIENCE.get(stands_at[0], float("inf")):
+                connection.transport.abort()
+        self._seen = seen
+
+
+@contextmanager
+def told(tell: Callable[[str], object] | None) -> Generator[None]:
+    """Tell of the server's errors a line each and one of a kind a minute; without `tell`, log them."""
+    loggers = [logging.getLogger(name) for name in ("uvicorn.error", "asyncio")] if tell else []
+    lines = _Lines(tell or str)
+    for logger in loggers:
+        logger.addHandler(lines)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(lines)
+
+
+class _Lines(logging.Handler):
+    """Makes one line of a record."""
+
+    def __init__(self, tell: Callable[[str], object]) -> None:
+        super().__init__(logging.ERROR)
+        self._tell = tell
+        self._next: dict[str, float] = {}
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Tell of a record, unless one of its kind was told of a short time ago."""
+        error = record.exc_info[1] if record.exc_info else None
+        if isinstance(error, CancelledError):
+            return  # the server is at its end
+        kind, now = str(record.msg), time.monotonic()
+        if now >= self._next.get(kind, 0.0):
+            self._next[kind] = now + _NEXT_LINE
+            text = record.getMessage().splitlines()[0]
+            self._tell(f"the page: {text}" + (f": {type(error).__name__}: {error}" if error else ""))
+
+
+def _stands_at(connection: Any) -> tuple[str, object]:
+    """Return what a connection waits for, and something that changes as it goes on."""
+    transport = connection.transport
+    if transport.is_closing():
+        return "end", None
+    if unsent := transport.get_write_buffer_size():
+        return "answer", unsent
+    if isinstance(connection, H11Protocol):
+        cycle: Any = connection.cycle
+        if cycle is None or cycle.response_complete:
+            return "head", cycle
+        if cycle.more_body:
+            return "body", cycle
+    return "work", None
+
+
+def _gone(connection: Any) -> bool:
+    return connection.transport.is_closing() and not connection.transport.get_write_buffer_size()
