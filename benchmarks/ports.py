@@ -64,14 +64,7 @@ def main() -> None:
     with trip_rows(TRIPS) as rows:
         print(text([measure("B over a pty", rows, ROUNDS, unit="round trips per s")]))
     print(LEGEND)
-    with _served() as twin:
-        lateness = _lateness(_path_of(twin))
-        twin.terminate()
-    print(
-        f"N at 9600 baud, 400 times: beside the line's time the reply ends "
-        f"{statistics.median(lateness) * 1e3:+.2f} ms p50, {_p99(lateness) * 1e3:+.2f} ms p99, "
-        f"{min(lateness) * 1e3:+.2f} ms at the earliest"
-    )
+    print_lateness()
     with _served("--clock", "wire", playpen="obstacles") as twin:
         name, start = _path_of(twin), time.perf_counter()
         subprocess.run([sys.executable, str(EXAMPLE), name, "1000"], check=True)
@@ -83,11 +76,53 @@ def main() -> None:
     print(f"wire clock, 1000 cycles of the example: {simulated:.1f} s in {took:.2f} s, {factor:.0f} times")
 
 
-def _echo() -> tuple[subprocess.Popen[bytes], str]:
-    program = (
-        "import os, sys\nmaster = int(sys.argv[1])\n"
-        "while True:\n    if b'\\n' in os.read(master, 100): os.write(master, b'b,5.02,5.01\\r\\n')"
-    )
+def print_lateness(queries: int = 400) -> None:
+    """Print how late replies to N at 9600 baud end, of a served twin and of a bare loop in turn."""
+    echo, path = _echo(_PACED_ECHO)
+    with _served() as twin:
+        try:
+            ends = {"bare paced echo (floor)": path, "served twin": _path_of(twin)}
+            ports = {name: os.open(end, os.O_RDWR | os.O_NOCTTY) for name, end in ends.items()}
+            late: dict[str, list[float]] = {name: [] for name in ports}
+            for number in range(queries):
+                for name, port in ports.items():
+                    late[name].append(_late(port) * 1e3)
+                    time.sleep(0.001 * (number % 7))
+        finally:
+            twin.terminate()
+            echo.kill()
+            echo.wait()
+    print(f"N at 9600 baud, {queries} times each: beside the line's time the reply ends")
+    for name, values in late.items():
+        p99 = statistics.quantiles(values, n=100)[98]
+        print(
+            f"  {name:26} {statistics.median(values):+.2f} ms p50, {p99:+.2f} ms p99, "
+            f"{max(values):+.2f} ms at most, {min(values):+.2f} ms at the earliest"
+        )
+
+
+_ECHO = """
+import os, sys
+master = int(sys.argv[1])
+while True:
+    if b"\\n" in os.read(master, 100):
+        os.write(master, b"b,5.02,5.01\\r\\n")
+"""
+
+_PACED_ECHO = """
+import os, sys, time
+master, byte = int(sys.argv[1]), 11 / 9600
+while True:
+    if b"\\n" in os.read(master, 100):
+        end = time.perf_counter() + 2 * byte
+        for value in b"n,0,0,0,0,0,0,0,0\\r\\n":
+            end += byte
+            time.sleep(max(end - time.perf_counter(), 0))
+            os.write(master, bytes([value]))
+"""
+
+
+def _echo(program: str = _ECHO) -> tuple[subprocess.Popen[bytes], str]:
     master, slave = os.openpty()
     tty.setraw(slave)
     command = [sys.executable, "-c", program, str(master)]
@@ -120,25 +155,14 @@ def _trips(path: str, trips: int) -> list[float]:
     return taken
 
 
-def _lateness(path: str) -> list[float]:
-    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    late: list[float] = []
-    try:
-        for number in range(400):
-            start, reply = time.perf_counter(), b""
-            os.write(port, b"N\n")
-            while not reply.endswith(b"\n"):
-                reply += os.read(port, 100)
-            late.append(time.perf_counter() - start - (2 + len(reply)) * 11 / 9600)
-            time.sleep(0.001 * (number % 7))
-    finally:
-        os.close(port)
-    return late
-
-
-def _p99(values: list[float]) -> float:
-    return statistics.quantiles(values, n=100)[98]
+def _late(port: int) -> float:
+    """Return how long after the line's time a reply to N has ended [s]."""
+    start, reply = time.perf_counter(), b""
+    os.write(port, b"N\n")
+    while not reply.endswith(b"\n"):
+        reply += os.read(port, 100)
+    return time.perf_counter() - start - (2 + len(reply)) * 11 / 9600
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

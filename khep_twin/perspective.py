@@ -1,4 +1,8 @@
-"""A playpen as a camera above it would see it, rendered by MuJoCo where there is OpenGL."""
+"""A playpen as a camera above it would see it, rendered by MuJoCo where there is OpenGL.
+
+A driver of graphics may end the process that uses it, so the picture is made in one of its own:
+`python -m khep_twin.perspective` reads a playpen and writes a PNG.
+"""
 
 # MuJoCo's renderer and its libraries of OpenGL are not typed here.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -7,6 +11,7 @@
 import contextlib
 import importlib
 import os
+import subprocess
 import sys
 import warnings
 from collections.abc import Generator
@@ -19,28 +24,56 @@ import numpy as np
 from PIL import Image
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Playpen, dump, parse
 from khep_twin.playpen_to_mjcf import to_spec
 
 WIDTH, HEIGHT = 1280, 960
 """Of a picture [pixels]."""
+
+LONGEST = 60.0
+"""Wall time after which a picture is given up [s]."""
 
 _FLOOR, _LINES = [0.68, 0.76, 0.80], [0.48, 0.57, 0.63]
 """Colours that no surface of the library has."""
 
 
 def render(playpen: Playpen, target: Path) -> bytes:
-    """A picture of a playpen as it is at the start, as PNG.
+    """Return a picture of a playpen as it is at the start, as PNG.
 
     Args:
         playpen: what is seen.
         target: the file's name, which has to fit.
 
     Raises:
-        KhepTwinError: the name does not end in .png, or there is no OpenGL here.
+        KhepTwinError: the name does not end in .png, or no picture can be made here.
     """
     if target.suffix.lower() != ".png":
-        raise KhepTwinError(f"{target}: right is a name that ends in .png, or no --perspective")
+        raise KhepTwinError(f"{target}: right is a name that ends in .png", ", or no --perspective")
+    command = [sys.executable, "-m", "khep_twin.perspective"]
+    text = dump(playpen).encode("utf-8")
+    try:
+        done = subprocess.run(command, input=text, capture_output=True, timeout=LONGEST, check=False)
+    except subprocess.TimeoutExpired:
+        raise KhepTwinError(f"{target}: the picture took longer than {LONGEST:g} s") from None
+    if done.returncode:
+        told = done.stderr.decode("utf-8", "replace").strip().splitlines()
+        reason = told[-1] if told else f"the graphics driver ended with status {done.returncode}"
+        raise KhepTwinError(f"{target}: {reason}", ", or no --perspective")
+    return done.stdout
+
+
+def main() -> int:
+    """Write a picture of the playpen on standard input to standard output; return the exit status."""
+    try:
+        picture = _rendered(parse(sys.stdin.buffer.read().decode("utf-8"), "standard input"))
+    except KhepTwinError as error:
+        print(error, file=sys.stderr)
+        return 1
+    sys.stdout.buffer.write(picture)
+    return 0
+
+
+def _rendered(playpen: Playpen) -> bytes:
     spec = to_spec(playpen)
     _decorate(spec)
     model = spec.compile()
@@ -58,7 +91,7 @@ def render(playpen: Playpen, target: Path) -> bytes:
     mujoco.mjv_updateScene(model, data, option, None, camera, everything, scene)
     pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-    with _window(model, target) as window:
+    with window_of(model) as window:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, window)
         mujoco.mjr_render(view, scene, window)
         mujoco.mjr_readPixels(pixels, None, view, window)
@@ -112,8 +145,8 @@ def _decorate(spec: mujoco.MjSpec) -> None:
 
 
 @contextlib.contextmanager
-def _window(model: mujoco.MjModel, target: Path) -> Generator[Any, None, None]:
-    """What MuJoCo renders into: by the screen's driver, or without a screen."""
+def window_of(model: mujoco.MjModel) -> Generator[Any, None, None]:
+    """Give what MuJoCo renders into: by the screen's driver, or without a screen."""
     screen = bool(os.environ.get("DISPLAY")) or sys.platform != "linux"
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     kinds = [wanted] if wanted in ("egl", "osmesa", "glfw") else (["glfw"] if screen else ["egl", "osmesa"])
@@ -136,6 +169,10 @@ def _window(model: mujoco.MjModel, target: Path) -> Generator[Any, None, None]:
             context.free()
         return
     raise KhepTwinError(
-        f"{target}: there is no OpenGL to render with ({', '.join(reasons)}); right is a graphics driver "
-        "with EGL, or libOSMesa, or no --perspective"
+        f"there is no OpenGL to render with ({', '.join(reasons)}); right is a graphics driver with EGL, or "
+        "libOSMesa"
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

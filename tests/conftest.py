@@ -1,6 +1,7 @@
 """What several tests need."""
 
 import os
+from collections.abc import Iterator
 
 import hypothesis
 import pytest
@@ -31,6 +32,14 @@ heading_deg = 0
 def field() -> Playpen:
     """A robot on a wide floor, 1.5 m from the nearest wall, looking along x."""
     return playpen.parse(FIELD, "field")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def private_registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep the twins that tests serve, and list, apart from those that a person serves meanwhile."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
+        yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

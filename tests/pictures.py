@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from benchmarks import library_picture
 from khep_twin.cli import app
 from khep_twin.host import Gripper, Khepera
-from khep_twin.perspective import _window
+from khep_twin.perspective import window_of
 from khep_twin.world import World
 
 SOLID = [
@@ -115,7 +115,7 @@ def _seen(world: World) -> Image.Image:
     scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
     pixels = np.zeros((800, 960, 3), np.uint8)
     view = mujoco.MjrRect(0, 0, 960, 800)
-    with _window(model, Path("gripper.png")) as window:
+    with window_of(model) as window:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, window)
         mujoco.mjr_render(view, scene, window)
         mujoco.mjr_readPixels(pixels, None, view, window)

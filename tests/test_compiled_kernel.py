@@ -13,7 +13,7 @@ from khep_twin.errors import MissingExtraError
 from khep_twin.kernel import LEFT, N_REGISTERS, RIGHT, Board, Wheel
 from khep_twin.randomness import stream
 
-N_ORDERS = 20_000
+N_ORDERS = 10_000
 
 
 def orders(rng: np.random.Generator) -> Callable[[Any, Any], None]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from khep_twin.firmware import Firmware
 
-SHARE = 20_000
+SHARE = 8_000
 
 
 @pytest.mark.skipif(find_spec("atheris") is None, reason="atheris is not installed")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from fuzz_files import CORPUS, TARGETS, mutated
 
-SHARE = {"toml": 10_000, "mat": 5_000, "png": 5_000}
+SHARE = {"toml": 5_000, "mat": 2_500, "png": 2_500}
 
 
 @pytest.mark.parametrize("kind", TARGETS)

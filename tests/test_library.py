@@ -1,4 +1,4 @@
-"""The shipped playpens: each runs the Braitenberg controller for two minutes, and says what it is."""
+"""The shipped playpens: each runs the Braitenberg controller for a while, and says what it is."""
 
 import pytest
 
@@ -30,11 +30,11 @@ def test_these_playpens_ship() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_braitenberg_vehicle_drives_two_minutes_without_a_warning(name: str) -> None:
+def test_a_braitenberg_vehicle_drives_half_a_minute_without_a_warning(name: str) -> None:
     twin = open_twin(name, TwinOptions(seed=1))
     with Khepera(Serial.of(twin, timeout=1.0)) as robot:
-        outcome = run(BUILT_IN["braitenberg"], robot, seconds=120)
-        assert outcome.duration >= 120
+        outcome = run(BUILT_IN["braitenberg"], robot, seconds=30)
+        assert outcome.duration >= 30
         assert not twin.world.data.warning.number.any()
         x, y, _ = twin.robot.pose
         arena = twin.world.playpen.arena

@@ -17,9 +17,11 @@ def test_a_reader_who_follows_the_tutorial_sees_what_it_shows(
     with tutorial.reader(tmp_path, exact=tutorial.same_numbers()) as person:
         for block in BLOCKS[1:]:  # the first one has brought the reader here
             person.follow(block)
-    for name in tutorial.pictures(PAGE):
+    for name in set(tutorial.pictures(PAGE)) - set(person.undrawn):
         with Image.open(tmp_path / name) as made, Image.open(tutorial.PICTURES / f"tutorial_{name}") as shown:
             assert shown.size == (tutorial.WIDTH, round(made.height * tutorial.WIDTH / made.width)), name
+    if person.undrawn:
+        pytest.skip(f"{', '.join(person.undrawn)}: not drawn, as there is no Vulkan here")
 
 
 def test_the_tutorial_begins_with_the_readmes_command() -> None:

@@ -101,11 +101,13 @@ class Reader:
         folder: where they are.
         exact: whether the numbers shown have to be the page's.
         shown: what the last block has shown.
+        undrawn: pictures that rerun's viewer cannot draw here, as there is no Vulkan.
     """
 
     folder: Path
     exact: bool = False
     shown: str = ""
+    undrawn: list[str] = field(default_factory=list[str])
     _names: dict[str, Any] = field(default_factory=dict[str, Any])
     _servers: list["subprocess.Popen[bytes]"] = field(default_factory=list["subprocess.Popen[bytes]"])
 
@@ -159,6 +161,9 @@ class Reader:
             return ""
         if program == "khep-twin":
             done = CliRunner().invoke(app, words, prog_name="khep-twin")
+            if "rerun's viewer cannot draw here" in done.output:
+                self.undrawn.append(words[-1])
+                return f"picture  {words[-1]}\n"
             assert done.exit_code == 0, f"{line}\n{done.output}{done.exception or ''}"
             return done.stdout
         assert program == "python", line

@@ -5,9 +5,6 @@ leads out of the folder 403.
 """
 
 import asyncio
-import subprocess
-import sys
-import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -27,7 +24,9 @@ from khep_twin.host.discovery import found_ports
 from khep_twin.lab import sensor_files
 from khep_twin.lab.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import SensorRun
+from khep_twin.perspective import render
 from khep_twin.ports.twin import TwinOptions
+from khep_twin.randomness import stream
 from khep_twin.sensor_bars import BARS
 from khep_twin.turrets import installed
 from khep_twin.web import drafts, jobs
@@ -40,9 +39,6 @@ from khep_twin.web.turret_outlines import at_start
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
 
 _KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-
-_PREVIEW_TIME = 60
-"""Longest that a picture in perspective may take [s]."""
 
 
 class Page:
@@ -182,23 +178,9 @@ class Page:
             self._file = name
 
     def _preview(self, wanted: Mapping[str, Any]) -> Response:
-        """A picture in perspective, by a process of its own: drivers of graphics may do anything."""
-        text = playpens.dump(drafts.playpen_of(_draft(wanted)))
-        with tempfile.TemporaryDirectory(prefix="khep_twin-") as folder:
-            source, target = Path(folder) / "preview.toml", Path(folder) / "preview.png"
-            source.write_text(text, encoding="utf-8")
-            command = ["-m", "khep_twin", "playpen", "draw", str(source), "--perspective", "-o", str(target)]
-            try:
-                done = subprocess.run(
-                    [sys.executable, *command], capture_output=True, timeout=_PREVIEW_TIME, check=False
-                )
-            except subprocess.TimeoutExpired:
-                raise KhepTwinError(f"the picture took longer than {_PREVIEW_TIME} s") from None
-            if done.returncode or not target.is_file():
-                lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-                told = lines[-1] if lines else "no picture was made"
-                raise KhepTwinError(told.removeprefix("khep-twin: ").partition(", or no --")[0])
-            return Response(target.read_bytes(), media_type="image/png")
+        """Return a picture in perspective, as a run with seed 0 begins."""
+        playpen = playpens.placed(drafts.playpen_of(_draft(wanted)), stream(0, "spots"))
+        return Response(render(playpen, Path("picture.png")), media_type="image/png")
 
     async def _import(self, request: Request) -> Response:
         """A MAT file or a PNG as a new playpen."""

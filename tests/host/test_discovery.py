@@ -7,9 +7,11 @@ import pytest
 from serial.tools import list_ports
 from served_twin import LISTS_PORTS, served
 
+from khep_twin import cli_completion
 from khep_twin.errors import PortInUse
 from khep_twin.host import Khepera
 from khep_twin.host.discovery import found_ports, who_answers
+from khep_twin.ports.event_sources import Event, open_events
 
 
 @pytest.fixture(autouse=True)
@@ -73,6 +75,23 @@ def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> N
             line for line in process.stderr.read().splitlines() if line.startswith(f"khep-twin: {url}: ")
         ]
     assert notices == []
+
+
+def test_looking_for_ports_opens_none_of_them() -> None:
+    with served("default") as (_, path):
+        events = open_events(path)
+        if events is None:
+            pytest.skip("there is no inotify here")
+        subprocess.run(LISTS_PORTS, capture_output=True, check=True)
+        assert path in dict(cli_completion.ports())
+        assert path in twins()
+        assert events.drain() == []
+        with Khepera(path):
+            events.drain()
+            subprocess.run([*LISTS_PORTS, "--ask"], capture_output=True, check=True)
+            assert path in dict(cli_completion.ports())
+            assert Event.OPENED not in events.drain()
+        events.close()
 
 
 def test_asking_leaves_a_robots_port_alone_that_is_relayed() -> None:

@@ -336,7 +336,12 @@ def test_a_still_that_cannot_be_drawn_is_one_line(
 
 def test_a_still_is_a_picture_of_the_viewer(log: Path, tmp_path: Path) -> None:
     target = tmp_path / "still.png"
-    view_still([log], target, 1.0)
+    try:
+        view_still([log], target, 1.0)
+    except LogError as error:
+        if "cannot draw here" in str(error):
+            pytest.skip(str(error))
+        raise
     picture = Image.open(target)
     assert picture.size[0] > 1000
     assert len(picture.convert("RGB").getcolors(maxcolors=1 << 24) or []) > 50

@@ -17,7 +17,7 @@ import pytest
 
 from test_serve import served, stop  # isort: skip
 
-OPENINGS = int(os.environ.get("KHEP_OPENINGS", "200"))
+OPENINGS = int(os.environ.get("KHEP_OPENINGS", "120"))
 PATIENCE_S = 20.0
 """Longest wait for a reply; a machine may be busy, a line that is deaf stays so [s]."""
 
