@@ -20,7 +20,8 @@ from khep_twin import toml_files
 from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.files import unusable, write_whole
 from khep_twin.toml_files import SIZE_LIMIT
-from khep_twin.web.drafts import Draft, blank, draft_of, object_of, text_of
+from khep_twin.web.drafts import Draft, blank, draft_of, text_of
+from khep_twin.web.requests import RequestError, object_of, sendable
 
 _UNNAMED = "unnamed"
 """Stands in a draft's name for a playpen that has no file yet."""
@@ -261,12 +262,12 @@ def _kept(place: Path) -> dict[str, Any] | None:
         if place.is_symlink() or not place.is_file():
             return None
         with place.open("rb") as file:
-            kept = object_of(file.read(2 * SIZE_LIMIT))
+            kept = sendable(object_of(file.read(2 * SIZE_LIMIT)))
             time = os.fstat(file.fileno()).st_mtime
-    except OSError:
+    except (OSError, ValueError, RequestError):
         return None
     # A draft of an earlier version is the playpen alone.
-    return None if kept is None else {**(kept if "draft" in kept else {"draft": kept}), "time": time}
+    return {**(kept if "draft" in kept else {"draft": kept}), "time": time}
 
 
 def _version(text: str) -> str:

@@ -1,6 +1,5 @@
 """What the page works on: a playpen as JSON, which may be wrong for now, and what is wrong with it."""
 
-import json
 import re
 import unicodedata
 from collections.abc import Mapping
@@ -16,16 +15,6 @@ Draft = dict[str, Any]
 
 BLANK = 'version = 1\nname = "{name}"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
 """A playpen to begin with: the toolbox's four walls [mm]."""
-
-
-def object_of(data: bytes) -> dict[str, Any] | None:
-    """An object of JSON that can be sent on as it is; None for anything else, as for what has NaN."""
-    try:
-        found = json.loads(data)
-        json.dumps(found, ensure_ascii=False, allow_nan=False).encode("utf-8")
-    except (ValueError, RecursionError):
-        return None
-    return found if isinstance(found, dict) else None  # pyright: ignore[reportUnknownVariableType]
 
 
 def name_of(stem: str) -> str:

@@ -10,14 +10,15 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol
 
-from khep_twin.errors import ControllerError, SensorTestError
 from khep_twin.host import Khepera
 from khep_twin.lab.controllers import BUILT_IN, AnyController
 from khep_twin.lab.experiment import find_controller
 from khep_twin.lab.sensor_test import SensorRun, SensorTest, sense
-from khep_twin.lab.series import OneRobot, Plan, Run, run_series
+from khep_twin.lab.series import OneRobot, Plan, run_series
+from khep_twin.lab.series import Run as DoneRun
 from khep_twin.lab.series_files import SeriesFolder
 from khep_twin.web.documents import Documents
+from khep_twin.web.requests import Run, Sense
 
 Tell = Callable[[Mapping[str, Any]], None]
 """Takes a message for the page."""
@@ -63,7 +64,7 @@ class Series:
             }
             kept = SeriesFolder(self.folder, settings, resume=False)
 
-        def row(run: Run, stopped: bool = False) -> None:
+        def row(run: DoneRun, stopped: bool = False) -> None:
             tell(
                 {
                     "kind": "run",
@@ -109,47 +110,37 @@ class Sensing:
         tell({"kind": "sensed", "rows": len(run.times), "warning": run.warning})
 
 
-def series(wanted: Mapping[str, Any], documents: Documents) -> Series:
-    """A series as the page asks for it.
+def series(asked: Run, documents: Documents) -> Series:
+    """Return a series as the page asks for it.
 
     Raises:
-        KhepTwinError: there is no such controller or plan, or a file is not below the folder.
+        KhepTwinError: There is no such controller or plan, or a file is not below the folder.
     """
-    name = str(wanted.get("controller", "braitenberg"))
+    name = asked.controller
     if name in BUILT_IN:
         found = find_controller(name)
     else:
         file, _, function = name.partition(":")
         path = documents.path(file, ".py")
         found = find_controller(f"{path}:{function}" if function else str(path))
-    plan = Plan(
-        _whole(wanted, "runs", 1),
-        None if wanted.get("cycles") is None else _whole(wanted, "cycles", 500),
-        None if wanted.get("seconds") is None else _number(wanted, "seconds"),
-        _number(wanted, "pause") if wanted.get("pause") else 0.0,
-    )
-    folder = wanted.get("folder")
-    return Series(name, found, plan, documents.path(str(folder), "") if folder else None)
+    plan = Plan(asked.runs, asked.cycles, asked.seconds, asked.pause)
+    return Series(name, found, plan, documents.path(asked.folder, "") if asked.folder else None)
 
 
-def sensing(wanted: Mapping[str, Any], keep: Callable[[SensorRun], None]) -> Sensing:
-    """A sensor test as the page asks for it.
+def sensing(asked: Sense, keep: Callable[[SensorRun], None]) -> Sensing:
+    """Return a sensor test as the page asks for it.
 
     Raises:
-        SensorTestError: it is none.
+        SensorTestError: It is none.
     """
-    motion = "rotate_deg" if wanted.get("motion") == "rotational" else "linear_cm"
-    try:
-        test = SensorTest(
-            what="light" if wanted.get("what") == "light" else "proximity",
-            speed=_whole(wanted, "speed", 10),
-            acceleration=_whole(wanted, "acceleration", 64),
-            return_to_zero=bool(wanted.get("return")),
-            **{motion: _number(wanted, "amount")},
-        )
-    except ControllerError as error:
-        raise SensorTestError(str(error)) from None
-    return Sensing(test, keep, str(wanted.get("text") or "")[:10_000])
+    test = SensorTest(
+        what=asked.what,
+        speed=asked.speed,
+        acceleration=asked.acceleration,
+        return_to_zero=asked.back,
+        **{"rotate_deg" if asked.motion == "rotational" else "linear_cm": asked.amount},
+    )
+    return Sensing(test, keep, asked.text)
 
 
 def figure(run: SensorRun, sensor: str | None, y_min: int, grid: bool) -> bytes:
@@ -163,17 +154,3 @@ def figure(run: SensorRun, sensor: str | None, y_min: int, grid: bool) -> bytes:
     picture = BytesIO()
     draw([run], sensor=sensor, y_min=y_min, grid=grid).savefig(picture, format="png", dpi=100)
     return picture.getvalue()
-
-
-def _whole(wanted: Mapping[str, Any], key: str, otherwise: int) -> int:
-    value = wanted.get(key, otherwise)
-    if not isinstance(value, int) or isinstance(value, bool) or abs(value) > 10**9:
-        raise ControllerError(f"{key} = {str(value)[:40]}: right is a whole number")
-    return value
-
-
-def _number(wanted: Mapping[str, Any], key: str) -> float:
-    value = wanted.get(key)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise ControllerError(f"{key} = {str(value)[:40]}: right is a number")
-    return float(value)

@@ -5,8 +5,9 @@ leads out of the folder 403.
 """
 
 import asyncio
+import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from khep_twin.ports.twin import TwinOptions
 from khep_twin.randomness import stream
 from khep_twin.sensor_bars import BARS
 from khep_twin.turrets import installed
-from khep_twin.web import drafts, jobs
+from khep_twin.web import drafts, jobs, requests
 from khep_twin.web.audience import Audience
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.printed import taken_by
@@ -59,39 +60,50 @@ class Page:
 
     def app(self) -> Starlette:
         """The application, to be put behind a guard."""
-        actions: dict[str, Callable[[Any], Any]] = {
-            "hello": self._hello,
-            "list": self._list,
-            "open": self._open,
-            "library": lambda wanted: self._documents.library(_text(wanted, "name")),
-            "left": lambda wanted: {"left": self._documents.left(_file(wanted))},
-            "version": lambda wanted: {"version": self._documents.version(_text(wanted, "file"))},
-            "check": lambda wanted: {"problems": drafts.problems_of(_draft(wanted))},
-            "save": self._save,
-            "keep": self._keep,
-            "preview": self._preview,
-            "start": self._start,
-            "connect": self._connect,
-            "end": self._end,
-            "pace": self._pace,
-            "step": lambda wanted: self._twin().step(),
-            "put": self._put,
-            "room": self._room,
-            "switch": self._switch,
-            "run": self._run,
-            "sense": lambda wanted: self._running().start(jobs.sensing(wanted, self._keep_sensed)),
-            "figure": self._figure,
-            "save-sensed": self._save_sensed,
-            "stop": lambda wanted: self._running().stop(),
-        }
         routes = [
             Route("/", _asset, methods=["GET"]),
             Route("/static/{name}", _asset, methods=["GET"]),
             Route("/import", self._import, methods=["POST"]),
-            *(Route(f"/do/{name}", _action(act), methods=["POST"]) for name, act in actions.items()),
+            *(
+                Route(f"/do/{name}", _action(name, *act), methods=["POST"])
+                for name, act in self.actions.items()
+            ),
             WebSocketRoute("/live", self._audience.serve),
         ]
-        return Starlette(routes=routes)
+        return Starlette(routes=routes, exception_handlers={Exception: _failed})
+
+    @property
+    def actions(self) -> Mapping[str, tuple[type[requests.Request], Callable[[Any], Any]]]:
+        """What the page may ask for, by name: its class and what is done."""
+        documents = self._documents
+        return {
+            "hello": (requests.Hello, self._hello),
+            "list": (requests.Request, self._list),
+            "open": (requests.Named, self._open),
+            "library": (requests.Library, lambda asked: documents.library(asked.name)),
+            "left": (requests.MaybeNamed, lambda asked: {"left": documents.left(asked.file)}),
+            "version": (requests.Named, lambda asked: {"version": documents.version(asked.file)}),
+            "check": (requests.Drafted, lambda asked: {"problems": drafts.problems_of(asked.draft)}),
+            "save": (requests.Saved, self._save),
+            "keep": (requests.Kept, self._keep),
+            "preview": (requests.Drafted, self._preview),
+            "start": (requests.Start, self._start),
+            "connect": (requests.Connect, self._connect),
+            "end": (requests.Request, self._end),
+            "pace": (requests.Pace, self._pace),
+            "step": (requests.Request, lambda asked: self._twin().step()),
+            "put": (requests.Put, self._put),
+            "room": (requests.Room, self._room),
+            "switch": (requests.Switch, self._switch),
+            "run": (requests.Run, self._run),
+            "sense": (
+                requests.Sense,
+                lambda asked: self._running().start(jobs.sensing(asked, self._keep_sensed)),
+            ),
+            "figure": (requests.Figure, self._figure),
+            "save-sensed": (requests.Named, self._save_sensed),
+            "stop": (requests.Request, lambda asked: self._running().stop()),
+        }
 
     def close(self) -> None:
         """Ends what runs."""
@@ -100,14 +112,16 @@ class Page:
 
     # Files ---------------------------------------------------------------------------------------------
 
-    def _hello(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    def _hello(self, asked: requests.Hello) -> dict[str, Any]:
         """Answer the first request of a page: a document, and what the page needs to know.
 
         A page that is loaded again names its "file". A new page gets the playpen that runs, or else the last
         that was worked on.
         """
         runs = self._runs()
-        file = _file(wanted) if "file" in wanted else self._file if runs is None else runs["file"]
+        file = (
+            asked.file if "file" in asked.model_fields_set else self._file if runs is None else runs["file"]
+        )
         trouble = None
         try:
             there = file is not None and self._documents.version(file) is not None
@@ -138,7 +152,7 @@ class Page:
             return None
         return {"file": self._runs_in, "draft": drafts.draft_of(actor.playpen)}
 
-    def _list(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    def _list(self, asked: requests.Request) -> dict[str, Any]:
         found = [{"url": port.url, "what": port.what} for port in found_ports()]
         return {
             "files": self._documents.names(),
@@ -147,39 +161,39 @@ class Page:
             "ports": found,
         }
 
-    def _open(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        found = self._documents.open(_text(wanted, "file"))
+    def _open(self, asked: requests.Named) -> dict[str, Any]:
+        found = self._documents.open(asked.file)
         self._file = found["file"]
         return found
 
-    def _save(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        name, draft = _text(wanted, "file"), _draft(wanted)
-        if wanted.get("rename") is True:
+    def _save(self, asked: requests.Saved) -> dict[str, Any]:
+        name, draft = asked.file, asked.draft
+        if asked.rename:
             draft = {**draft, "name": drafts.name_of(Path(name).stem)}
         version = self._documents.save(
             name,
             draft,
-            version=wanted.get("version"),
-            base=_texts(wanted.get("base")),
-            overwrite=wanted.get("overwrite") is True,
-            page=_page(wanted),
+            version=asked.version,
+            base=asked.base.model_dump(exclude_none=True),
+            overwrite=asked.overwrite,
+            page=asked.tab,
         )
         self._file = name
-        self._audience.tell({"kind": "saved", "file": name, "version": version, "tab": wanted.get("tab")})
+        self._audience.tell({"kind": "saved", "file": name, "version": version, "tab": asked.tab})
         return {"file": name, "version": version, "name": draft.get("name")}
 
-    def _keep(self, wanted: Mapping[str, Any]) -> None:
-        name, kept = _file(wanted), None
-        if wanted.get("draft") is not None:
-            base = _texts(wanted.get("base"))
-            kept = {"draft": _draft(wanted), "version": wanted.get("version"), "base": base}
-        self._documents.keep(name, kept, _page(wanted))
+    def _keep(self, asked: requests.Kept) -> None:
+        kept = None
+        if asked.draft is not None:
+            base = {} if asked.base is None else asked.base.model_dump(exclude_none=True)
+            kept = {"draft": asked.draft, "version": asked.version, "base": base}
+        self._documents.keep(asked.file, kept, asked.tab if asked.page is None else asked.page)
         if kept is not None:
-            self._file = name
+            self._file = asked.file
 
-    def _preview(self, wanted: Mapping[str, Any]) -> Response:
+    def _preview(self, asked: requests.Drafted) -> Response:
         """Return a picture in perspective, as a run with seed 0 begins."""
-        playpen = playpens.placed(drafts.playpen_of(_draft(wanted)), stream(0, "spots"))
+        playpen = playpens.placed(drafts.playpen_of(asked.draft), stream(0, "spots"))
         return Response(render(playpen, Path("picture.png")), media_type="image/png")
 
     async def _import(self, request: Request) -> Response:
@@ -194,23 +208,19 @@ class Page:
 
     # What runs -----------------------------------------------------------------------------------------
 
-    def _start(self, wanted: Mapping[str, Any]) -> None:
-        playpen = drafts.playpen_of(_draft(wanted))
+    def _start(self, asked: requests.Start) -> None:
+        playpen = drafts.playpen_of(asked.draft)
         if not playpen.robots:
             raise PortError("there is no robot; right is to add one")
-        seed = wanted.get("seed", 0)
-        if not isinstance(seed, int) or isinstance(seed, bool):
-            raise PortError(f"seed = {str(seed)[:40]}: right is a whole number")
-        options = TwinOptions(seed=seed, noise=wanted.get("noise") is not False)
-        log = wanted.get("log")
-        path = None if not log else self._documents.new_path(str(log), ".mcap")
+        options = TwinOptions(seed=asked.seed, noise=asked.noise)
+        path = self._documents.new_path(asked.log, ".mcap") if asked.log else None
         actor = TwinActor(playpen, options, path, self._audience.tell)
-        actor.set_pace(_speed(wanted), wanted.get("paused") is True)
+        actor.set_pace(_speed(asked), asked.paused)
         self._replace(actor)
-        self._runs_in = _file(wanted)
+        self._runs_in = asked.file
 
-    def _connect(self, wanted: Mapping[str, Any]) -> None:
-        url = _text(wanted, "port")
+    def _connect(self, asked: requests.Connect) -> None:
+        url = asked.port
         known = {port.url for port in found_ports()}
         if url not in known and not url.startswith(("/dev/", "socket://", "rfc2217://")):
             wish = "right is a path in /dev, socket://HOST:PORT or rfc2217://HOST:PORT"
@@ -224,45 +234,43 @@ class Page:
             self._actor = actor
             actor.begin()
 
-    def _end(self, wanted: Mapping[str, Any]) -> None:
+    def _end(self, asked: requests.Request) -> None:
         with self._changing:
             self.close()
             self._actor = None
 
-    def _pace(self, wanted: Mapping[str, Any]) -> None:
-        self._twin().set_pace(_speed(wanted), wanted.get("paused") is True)
+    def _pace(self, asked: requests.Pace) -> None:
+        self._twin().set_pace(_speed(asked), asked.paused)
 
-    def _run(self, wanted: Mapping[str, Any]) -> None:
+    def _run(self, asked: requests.Run) -> None:
         actor = self._running()
         with taken_by(actor.take_printed):  # a file may print as it is read
-            job = jobs.series(wanted, self._documents)
+            job = jobs.series(asked, self._documents)
         actor.start(job)
 
-    def _put(self, wanted: Mapping[str, Any]) -> None:
-        place = [_number(wanted, key) for key in ("x_mm", "y_mm", "heading_deg")]
-        self._twin().put(_index(wanted, "robot"), *place)
+    def _put(self, asked: requests.Put) -> None:
+        twin = self._twin()
+        robot = _among("robot", asked.robot, twin.playpen.robots)
+        twin.put(robot, asked.x_mm, asked.y_mm, asked.heading_deg)
 
-    def _room(self, wanted: Mapping[str, Any]) -> None:
-        place = [_number(wanted, key) for key in ("x_mm", "y_mm")]
-        self._twin().room(_index(wanted, "robot"), *place)
+    def _room(self, asked: requests.Room) -> None:
+        twin = self._twin()
+        twin.room(_among("robot", asked.robot, twin.playpen.robots), asked.x_mm, asked.y_mm)
 
-    def _switch(self, wanted: Mapping[str, Any]) -> None:
-        self._twin().switch(_index(wanted, "lamp"), wanted.get("on") is True)
+    def _switch(self, asked: requests.Switch) -> None:
+        twin = self._twin()
+        twin.switch(_among("lamp", asked.lamp, twin.playpen.lamps), asked.on)
 
-    def _figure(self, wanted: Mapping[str, Any]) -> Response:
+    def _figure(self, asked: requests.Figure) -> Response:
         if self._sensed is None:
             raise PortError("no sensor test was driven yet")
-        sensor = wanted.get("sensor")
-        name = str(sensor) if sensor else None
-        low = int(_number(wanted, "y_min")) if wanted.get("y_min") else 0
-        picture = jobs.figure(self._sensed, name, low, wanted.get("grid") is True)
+        picture = jobs.figure(self._sensed, asked.sensor or None, asked.y_min, asked.grid)
         return Response(picture, media_type="image/png")
 
-    def _save_sensed(self, wanted: Mapping[str, Any]) -> None:
+    def _save_sensed(self, asked: requests.Named) -> None:
         if self._sensed is None:
             raise PortError("no sensor test was driven yet")
-        path = self._documents.new_path(_text(wanted, "file"), ".mat", ".csv", ".mcap")
-        sensor_files.save(path, self._sensed)
+        sensor_files.save(self._documents.new_path(asked.file, ".mat", ".csv", ".mcap"), self._sensed)
 
     def _keep_sensed(self, run: SensorRun) -> None:
         self._sensed = run
@@ -279,16 +287,21 @@ class Page:
         return actor
 
 
-def _action(act: Callable[[Any], Any]) -> Callable[[Request], Any]:
-    """An endpoint that has JSON and gives JSON."""
+def _action(
+    name: str, kind: type[requests.Request], act: Callable[[Any], Any]
+) -> Callable[[Request], Awaitable[Response]]:
+    """Return an endpoint that has JSON and gives JSON."""
 
     async def endpoint(request: Request) -> Response:
-        wanted = drafts.object_of(await request.body())
-        if wanted is None:
-            return JSONResponse({"error": "no JSON object"}, 400)
-        return await run_in_threadpool(_answered, lambda: act(wanted))
+        body = await request.body()
+        return await run_in_threadpool(_answered, lambda: act(requests.request_of(body, kind, name)))
 
     return endpoint
+
+
+async def _failed(request: Request, error: Exception) -> Response:
+    """Answer a request that has met a mistake of the server itself, which is told on standard error."""
+    return _refused(f"the designer failed: {type(error).__name__}: {error}", 500)
 
 
 def _answered(act: Callable[[], Any]) -> Response:
@@ -296,15 +309,19 @@ def _answered(act: Callable[[], Any]) -> Response:
         answer = act()
         return answer if isinstance(answer, Response) else JSONResponse({} if answer is None else answer)
     except OutsideError as error:
-        return JSONResponse({"error": error.plain}, 403)
+        return _refused(error.plain, 403)
     except ConflictError as error:
-        return JSONResponse({"error": error.plain, "conflict": True}, 409)
+        return _refused(error.plain, 409, conflict=True)
     except OSError as error:  # such as a name that is too long
-        return JSONResponse({"error": error.strerror or str(error)}, 400)
+        return _refused(error.strerror or str(error))
     except KhepTwinError as error:
-        return JSONResponse({"error": error.plain}, 400)
-    except (RecursionError, ValueError) as error:
-        return JSONResponse({"error": str(error)}, 400)
+        return _refused(error.plain)
+
+
+def _refused(text: str, status: int = 400, **more: bool) -> Response:
+    """Return an answer that tells what is wrong, a line for each problem."""
+    lines = (line if line.isprintable() else ascii(line)[1:-1] for line in text.split("\n"))
+    return JSONResponse({"error": "\n".join(lines), **more}, status)
 
 
 async def _asset(request: Request) -> Response:
@@ -325,55 +342,19 @@ def _imported(data: bytes, name: str, mm_per_pixel: float) -> dict[str, Any]:
     return {"file": None, "version": None, "draft": drafts.draft_of(made.playpen)}
 
 
-def _draft(wanted: Mapping[str, Any]) -> drafts.Draft:
-    draft = wanted.get("draft")
-    if not isinstance(draft, dict):
-        raise KhepTwinError("no draft")
-    return draft  # pyright: ignore[reportUnknownVariableType]
+def _among(key: str, index: int, items: Sequence[object]) -> int:
+    """Return the number from 0 of one of the playpen's items."""
+    if index >= len(items):
+        raise requests.RequestError(f"{key} = {index}: the twin has {len(items)} of them, counted from 0")
+    return index
 
 
-def _file(wanted: Mapping[str, Any]) -> str | None:
-    """Return the name of the page's file; None for a playpen without a file."""
-    return None if wanted.get("file") is None else _text(wanted, "file")
-
-
-def _page(wanted: Mapping[str, Any]) -> str:
-    """Return the identifier of the page whose draft is meant: by default, the one that asks."""
-    return str(wanted.get("page", wanted.get("tab", "")))
-
-
-def _text(wanted: Mapping[str, Any], key: str) -> str:
-    value = wanted.get(key)
-    if not isinstance(value, str) or not 0 < len(value) <= 1024:
-        raise KhepTwinError(f"{key}: right is a text")
-    return value
-
-
-def _texts(value: Any) -> dict[str, str]:
-    """An object of texts; empty for anything else."""
-    items: Any = value.items() if isinstance(value, dict) else ()  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-    return {str(key): str(each) for key, each in items}
-
-
-def _index(wanted: Mapping[str, Any], key: str) -> int:
-    value = wanted.get(key)
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 10_000:
-        raise KhepTwinError(f"{key}: right is a number from 0 on")
-    return value
-
-
-def _number(wanted: Mapping[str, Any], key: str) -> float:
-    value = wanted.get(key)
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        raise KhepTwinError(f"{key}: right is a number")
-    return float(value)
-
-
-def _speed(wanted: Mapping[str, Any]) -> float:
-    """Simulated per real second; 0 for as fast as it goes."""
-    speed = _number(wanted, "speed") if "speed" in wanted else 1.0
-    if speed == 0:
-        return float("inf")
-    if not 0.001 <= speed <= 1000:
-        raise KhepTwinError(f"speed = {speed:g}: right is a number from 0.001 to 1000, or 0 for the most")
-    return speed
+def _speed(asked: requests.Pace) -> float:
+    """Return a twin's speed in simulated per real second; 0 is for as fast as it goes."""
+    if asked.speed == 0:
+        return math.inf
+    if asked.speed < 0.001:
+        raise requests.RequestError(
+            f"speed = {asked.speed:g}: expected a number from 0.001 to 1000, or 0 for the most"
+        )
+    return asked.speed

@@ -5,6 +5,7 @@ import os
 import socket
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,7 +23,7 @@ HANDSHAKE = {
     "Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode(),
 }
 
-DRAFT = {
+DRAFT: dict[str, Any] = {
     "version": 1,
     "name": "x",
     "arena": {"width_mm": 600, "height_mm": 500},
@@ -33,7 +34,7 @@ DRAFT = {
 def routes(tmp_path: Path) -> list[tuple[str, str]]:
     """Method and path of each route; GET with a handshake for the websocket."""
     app = Page(Documents(tmp_path), None).app()
-    found = []
+    found: list[tuple[str, str]] = []
     for route in app.routes:
         methods = getattr(route, "methods", None)
         path = str(getattr(route, "path", "")).replace("{name}", "designer.js")
@@ -228,16 +229,21 @@ def test_what_cannot_be_sent_on_is_no_object_and_leaves_no_draft(asker: Asker, t
 
 
 def test_a_name_that_is_too_long_is_told(asker: Asker) -> None:
-    for action in ("open", "save", "version", "keep"):
-        status, told = asker.do(action, file="x" * 300 + ".toml", draft=DRAFT)
+    for action, more in (
+        ("open", {}),
+        ("save", {"draft": DRAFT}),
+        ("version", {}),
+        ("keep", {"draft": DRAFT}),
+    ):
+        status, told = asker.do(action, file="x" * 300 + ".toml", **more)
         assert (status, "too long" in told["error"]) == (400, True), action
 
 
 def test_a_pipe_is_no_file_and_holds_nobody_up(asker: Asker, tmp_path: Path) -> None:
     for name in ("pipe.toml", "pipe.mcap", ".mine.toml.draft"):
         os.mkfifo(tmp_path / name)
-    for action in ("open", "save", "version"):
-        status, told = asker.do(action, file="pipe.toml", draft=DRAFT)
+    for action, more in (("open", {}), ("save", {"draft": DRAFT}), ("version", {})):
+        status, told = asker.do(action, file="pipe.toml", **more)
         assert (status, "no regular file" in told["error"]) == (400, True), action
     assert "no regular file" in asker.do("start", draft=DRAFT, log="pipe.mcap")[1]["error"]
     assert asker.do("save", file="mine.toml", draft=DRAFT)[0] == 200

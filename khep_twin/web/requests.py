@@ -1,0 +1,251 @@
+"""What the page may ask for: one class per action, its attributes the keys of the request.
+
+Each request is checked here before anything is done: it has these keys and no others, no value is of another
+type, numbers are finite and within their ranges, texts not too long.
+"""
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, Field
+
+from khep_twin import toml_files
+from khep_twin.errors import KhepTwinError
+from khep_twin.randomness import SEED_LIMIT
+from khep_twin.toml_files import Table
+from khep_twin.units import COUNTS_LIMIT
+
+_DEPTH = 32
+"""Most objects and lists within each other; a playpen has five."""
+
+_FAR = 100_000
+"""Beyond all places [mm] and turns [degrees] that a page has to do with."""
+
+
+def sendable(value: dict[str, Any]) -> dict[str, Any]:
+    """Return a value that JSON has.
+
+    Raises:
+        ValueError: It has numbers that are not finite, or text that is no Unicode.
+    """
+    json.dumps(value, ensure_ascii=False, allow_nan=False).encode("utf-8")
+    return value
+
+
+FileName = Annotated[str, Field(min_length=1, max_length=1024, description="the name of a file")]
+Text = Annotated[str, Field(max_length=10_000, description="text of up to 10000 characters")]
+Word = Annotated[str, Field(max_length=1024, description="text of up to 1024 characters")]
+Draft = Annotated[
+    dict[str, Any],
+    Field(description="a playpen as an object, of finite numbers and Unicode text"),
+    AfterValidator(sendable),
+]
+Index = Annotated[int, Field(ge=0, le=10_000)]
+Far = Annotated[float, Field(ge=-_FAR, le=_FAR)]
+Speed = Annotated[float, Field(ge=0, le=1000, description="a number from 0.001 to 1000, or 0 for the most")]
+
+
+class RequestError(KhepTwinError):
+    """A request that is not understood; one line, of the first problem."""
+
+    def __init__(self, message: object = "", option: str = "") -> None:
+        super().__init__(str(message).partition("\n")[0], option)
+
+
+class Request(Table):
+    """A request without keys of its own.
+
+    Attributes:
+        tab: identifier of the page that asks.
+    """
+
+    tab: Annotated[
+        str, Field(pattern="^[A-Za-z0-9-]{0,40}$", description="up to 40 letters, digits and hyphens")
+    ] = ""
+
+
+class Hello(Request):
+    """The first request of a page; `file` is the one that a page has had which is loaded again."""
+
+    file: FileName | None = None
+
+
+class Named(Request):
+    """A request about a file."""
+
+    file: FileName
+
+
+class MaybeNamed(Request):
+    """A request about a file, or a playpen without one."""
+
+    file: FileName | None = None
+
+
+class Library(Request):
+    """A shipped playpen."""
+
+    name: FileName
+
+
+class Drafted(Request):
+    """A request about a draft."""
+
+    draft: Draft
+
+
+class Base(Table):
+    """What the text of a file goes on from."""
+
+    file: FileName | None = None
+    library: FileName | None = None
+
+
+class Kept(Request):
+    """A draft to keep, or, without one, to delete; of the page that asks, or of another."""
+
+    file: FileName | None = None
+    draft: Draft | None = None
+    version: Word | None = None
+    base: Base | None = None
+    page: Annotated[
+        str | None, Field(pattern="^[A-Za-z0-9-]{0,40}$", description="up to 40 letters, digits and hyphens")
+    ] = None
+
+
+class Saved(Drafted):
+    """A file to write."""
+
+    file: FileName
+    version: Word | None = None
+    base: Base = Base()
+    overwrite: bool = False
+    rename: bool = False
+
+
+class Pace(Request):
+    """How fast time passes; speed 0 is as fast as it goes."""
+
+    speed: Speed = 1.0
+    paused: bool = False
+
+
+class Start(Drafted, Pace):
+    """A twin."""
+
+    file: FileName | None = None
+    seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT, description="a whole number from 0 to 2**63-1")] = 0
+    noise: bool = True
+    log: Word | None = None
+
+
+class Connect(Request):
+    """A robot at a port."""
+
+    port: Annotated[str, Field(min_length=1, max_length=1024, description="the name of a port")]
+
+
+class Room(Request):
+    """A place of which is asked if a robot has room there."""
+
+    robot: Index
+    x_mm: Far
+    y_mm: Far
+
+
+class Put(Room):
+    """A place that a robot is put to."""
+
+    heading_deg: Far
+
+
+class Switch(Request):
+    """A lamp that is turned on or off."""
+
+    lamp: Index
+    on: bool
+
+
+class Run(Request):
+    """A controller, run after run."""
+
+    controller: Annotated[
+        str, Field(min_length=1, max_length=1024, description="the name of a controller or of its file")
+    ] = "braitenberg"
+    runs: Annotated[int, Field(ge=1, le=100_000)] = 1
+    cycles: Annotated[
+        int | None, Field(ge=1, le=10**9, description="a whole number from 1 to 1000000000")
+    ] = None
+    seconds: Annotated[float | None, Field(gt=0, le=100_000)] = None
+    pause: Annotated[float, Field(ge=0, le=100_000)] = 0.0
+    folder: Word | None = None
+
+
+class Sense(Request):
+    """A sensor test."""
+
+    what: Literal["proximity", "light"] = "proximity"
+    motion: Literal["linear", "rotational"] = "linear"
+    amount: Annotated[float, Field(ge=-360, le=360)]
+    speed: Annotated[int, Field(ge=1, le=127)] = 10
+    acceleration: Annotated[int, Field(ge=1, le=255)] = 64
+    back: Annotated[bool, Field(alias="return")] = False
+    text: Text = ""
+
+
+class Figure(Request):
+    """The picture of a sensor test."""
+
+    sensor: Word | None = None
+    y_min: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
+    grid: bool = False
+
+
+Asked = TypeVar("Asked", bound=Request)
+
+
+def request_of(data: bytes, kind: type[Asked], action: str) -> Asked:
+    """Return a request out of JSON.
+
+    Raises:
+        RequestError: It is none.
+    """
+    return toml_files.check(kind, toml_files.frozen(object_of(data)), action, RequestError)
+
+
+def object_of(data: bytes) -> dict[str, Any]:
+    """Return an object out of JSON, or what Python takes for it: numbers may not be finite.
+
+    Raises:
+        RequestError: There is none, or one that is nested too deeply.
+    """
+    try:
+        found = json.loads(data, parse_int=_whole)
+        if _depth(found) > _DEPTH:
+            raise RecursionError
+    except RecursionError:
+        raise RequestError(f"nested too deeply; expected a JSON object of at most {_DEPTH} levels") from None
+    except ValueError as error:
+        raise RequestError(f"no JSON: {error}; expected a JSON object") from None
+    if not isinstance(found, dict):
+        raise RequestError(f"{toml_files.show(found)}: expected a JSON object")
+    return found  # pyright: ignore[reportUnknownVariableType]
+
+
+def _whole(digits: str) -> float:
+    # Python refuses to read thousands of digits; which key has them is told by the checks.
+    return int(digits) if len(digits) < 1000 else math.inf
+
+
+def _depth(value: object) -> int:
+    """Return how many objects and lists lie within each other."""
+    depth, level = 0, [value]
+    while level := [_items(each) for each in level if isinstance(each, dict | list)]:
+        depth, level = depth + 1, [item for items in level for item in items]
+    return depth
+
+
+def _items(value: Any) -> Iterable[object]:
+    return value.values() if isinstance(value, dict) else value  # pyright: ignore[reportUnknownVariableType]
