@@ -29,6 +29,10 @@ REPLY_LIMIT = 256
 """Bytes of replies that wait to be sent before the firmware takes no more commands (assumed)."""
 
 
+_MOST_WARNINGS = 100
+"""Speeds of a host that are told of; a host may try millions."""
+
+
 class Stage(Protocol):
     """What a robot needs of the world that it is in."""
 
@@ -151,6 +155,8 @@ class Robot:
             self._stage.act(self.index, HostAct(Act.SET, self._stage.time_ns, host))
         self._host, baud = host, self._baud
         if host is None or host.baud == baud or (host.baud, baud) in self._warned:
+            return ""
+        if len(self._warned) == _MOST_WARNINGS:
             return ""
         self._warned.add((host.baud, baud))
         outcome = "taken all the same" if self._line_noise is None else "garbled"

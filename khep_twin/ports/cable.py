@@ -50,8 +50,14 @@ class Cable(Protocol):
         """How the host has set its end; None where it has not, or where that cannot be seen."""
         ...
 
-    def receive(self, limit: int) -> Received:
-        """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
+    def receive(self, limit: int, answered: bool = False) -> Received:
+        """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them.
+
+        Args:
+            limit: Most bytes that the robot's line takes now.
+            answered: All that was taken so far is carried out and answered: a host that has finished sending
+                and waits for its replies is let go.
+        """
         ...
 
     def write(self, data: bytes) -> None:

@@ -38,8 +38,9 @@ class Connection:
         Args:
             now: gives simulated time by the clock on the wall, behind which the world may lag a little [ns].
         """
-        robot, cable = self._robot, self._cable
-        received, time_ns = cable.receive(robot.uart.room), 0 if now is None else now()
+        robot, cable, uart = self._robot, self._cable, self._robot.uart
+        answered = not len(uart.rx) and not len(uart.tx)
+        received, time_ns = cable.receive(uart.room, answered), 0 if now is None else now()
         for notice in received.notices:
             self._note(notice)
         if received.last:

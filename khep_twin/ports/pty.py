@@ -112,7 +112,7 @@ class PtyPort:
         speed = int(flags[_OUT_SPEED])
         return LineSettings(_SPEEDS.get(speed, speed), stop_bits)
 
-    def receive(self, limit: int) -> Received:
+    def receive(self, limit: int, answered: bool = False) -> Received:
         """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
         # Bytes before events: whoever sent them has been seen to open the terminal then.
         data, given = self._read(limit), self._given

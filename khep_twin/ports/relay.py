@@ -19,6 +19,7 @@ import serial
 from khep_twin.errors import PortError
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.cable import Cable
+from khep_twin.ports.ration import Ration
 from khep_twin.ports.serve import LONGEST_WAIT, Flush
 from khep_twin.uart import LineSettings
 from khep_twin.units import BITS_PER_BYTE
@@ -37,6 +38,9 @@ _SILENCE_S = 0.5
 
 _SPOIL = b"?\n"
 """End of a line that a host has left unfinished: the robot answers an error and obeys no half of it."""
+
+_KEPT = _CHUNK - len(_SPOIL)
+"""Bytes of a host that has left for which the next one waits; a second's worth at 9600 baud."""
 
 
 class Device:
@@ -147,11 +151,11 @@ def relay(
             recorder.wire(to_robot, data)
 
     flush = Flush(recorder)
-    dialogue = _Dialogue(device)
+    dialogue, ration = _Dialogue(device), Ration()
     waiting, next_host = b"", b""
     while not stop():
         _wait(device, cable, room := not waiting and not next_host, bool(waiting))
-        received = cable.receive(_CHUNK if room else 0)
+        received = cable.receive(_CHUNK if room else 0, room and dialogue.answered)
         for notice in received.notices:
             note(notice)
         if received.left:
@@ -161,9 +165,13 @@ def relay(
         if received.data:
             settings = cable.settings()
             if settings is not None and (notice := device.follow(settings)):
-                note(notice)
+                for text in ration.told([notice]):
+                    note(text)
             hear(True, received.data)
             next_host = received.data
+        if next_host and dialogue.ended and len(waiting) > _CHUNK:
+            note(f"{len(waiting) - _KEPT} bytes of a host that has left were dropped: the next one waits")
+            waiting = dialogue.end(waiting[:_KEPT])
         if not dialogue.settling(waiting):
             waiting, next_host = waiting + next_host, b""
         if waiting:
@@ -191,8 +199,8 @@ class _Dialogue:
         self._quiet_since = 0.0
 
     def send(self, data: bytes) -> bytes:
-        """Send to the robot; return what its port did not take."""
-        count = self._device.write(data)
+        """Send to the robot; return what is still to be sent."""
+        count = self._device.write(data[:_CHUNK])
         *lines, begun = re.split(rb"[\r\n]", self._begun + data[:count])
         self._due += sum(map(bool, lines))
         self._begun = begun[:1]
@@ -217,12 +225,15 @@ class _Dialogue:
         self.ended = self.ended or bool(waiting) or self._due > 0
         return waiting
 
+    @property
+    def answered(self) -> bool:
+        """Whether what was sent is answered, or will not be: the robot has been silent for long enough."""
+        return time.monotonic() - self._quiet_since > (_SILENCE_S if self._due else _PAUSE_S)
+
     def settling(self, waiting: bytes) -> bool:
         """Return whether replies to a host that has left may still come; `waiting` was not sent yet."""
-        if self.ended and not waiting:
-            silence_s = time.monotonic() - self._quiet_since
-            if silence_s > (_SILENCE_S if self._due else _PAUSE_S):
-                self.ended, self._due = False, 0
+        if self.ended and not waiting and self.answered:
+            self.ended, self._due = False, 0
         return self.ended
 
 

@@ -63,7 +63,8 @@ class OutsideHost:
         uart = self.robot.uart
         if len(uart.rx) or len(uart.tx):
             return
-        received = self.cable.receive(_LINE_LIMIT - len(self._begun))
+        answered = not any(end in self._begun for end in LINE_ENDS)
+        received = self.cable.receive(_LINE_LIMIT - len(self._begun), answered)
         for notice in received.notices:
             self._tell(notice)
         if received.left:

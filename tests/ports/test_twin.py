@@ -5,6 +5,7 @@ import pytest
 from khep_twin.errors import PortError
 from khep_twin.playpen import load, parse
 from khep_twin.ports.twin import TwinOptions, equipped, open_twin
+from khep_twin.uart import LineSettings
 
 OWN_SENSORS = """version = 1
 name = "own"
@@ -60,3 +61,9 @@ def test_a_larger_body_that_has_no_room_is_refused_with_what_is_in_its_way() -> 
 def test_an_unknown_model_is_told_with_the_choices() -> None:
     with pytest.raises(PortError, match=r"model = 'khepera3': unknown; .*\(choices: khepera1, khepera2\)"):
         TwinOptions(model="khepera3")
+
+
+def test_a_host_that_tries_many_speeds_is_warned_a_hundred_times_at_most() -> None:
+    with open_twin("default", TwinOptions()) as twin:
+        warnings = [twin.robot.compare_line(LineSettings(baud, 2)) for baud in range(1000, 2000)]
+    assert sum(map(bool, warnings)) == 100

@@ -1,0 +1,138 @@
+"""RFC 2217: the settings of a serial line, told between the bytes that go over it.
+
+The negotiation is pyserial's own server half, over a port object that only remembers what the host has set.
+That half expects hosts which keep to the standard; here a value out of range is answered with the one in
+force, and a negotiation that cannot be understood is a fault, after which nothing is taken from its host.
+"""
+
+# pyserial's types leave out what it does with a negotiation.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false, reportArgumentType=false
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import serial
+from serial.rfc2217 import PortManager
+
+from khep_twin.uart import LineSettings
+
+LOWEST_BAUD, HIGHEST_BAUD = 50, 4_000_000
+"""Speeds that a host may set: as Linux has constants for."""
+
+LONGEST = 256
+"""Bytes between the two ends of one negotiation; only a signature is longer than a few."""
+
+_DATA_BITS = range(5, 9)
+
+_SHOWN = 16
+
+
+class Negotiator:
+    """The robot's end of an RFC 2217 connection.
+
+    Args:
+        baud: speed of the robot's line.
+        answer: takes the answers of the negotiation.
+
+    Attributes:
+        fault: negotiation that could not be understood and what was expected; empty while there was none.
+    """
+
+    def __init__(self, baud: int, answer: Callable[[bytes], None]) -> None:
+        self.fault = ""
+        self._line = _Line(baud)
+        self._answer = answer
+        self._manager = _Manager(self._line, self)
+
+    def write(self, data: bytes) -> None:
+        """Sends an answer of the negotiation; called by pyserial."""
+        self._answer(bytes(data))
+
+    def settings(self) -> LineSettings:
+        """Return what the host has set."""
+        return LineSettings(self._line.baudrate, 2 if self._line.stopbits > 1 else 1)
+
+    def received(self, data: bytes) -> bytes:
+        """Return the host's bytes without the negotiation in between, up to a fault."""
+        manager, taken = self._manager, bytearray()
+        for value in data:
+            if self.fault:
+                break
+            try:
+                taken += b"".join(manager.filter(bytes((value,))))
+            except (struct.error, TypeError):
+                # A value that is too short or not there, or an end without a beginning.
+                self._find_fault(manager.suboption, "ff f0")
+            else:
+                if manager.suboption is not None and len(manager.suboption) > LONGEST:
+                    self._find_fault(manager.suboption, "without an end")
+        return bytes(taken)
+
+    def escaped(self, data: bytes) -> bytes:
+        """Return bytes for the host as they must go over the connection."""
+        return b"".join(self._manager.escape(data))
+
+    def _find_fault(self, suboption: bytes | None, end: str) -> None:
+        begin, inside = ("", b"") if suboption is None else ("ff fa ", bytes(suboption[:_SHOWN]))
+        more = " ..." if suboption is not None and len(suboption) > _SHOWN else ""
+        shown = f"{begin}{inside.hex(' ')}{more} {end}".strip()
+        self.fault = (
+            f"negotiation {shown} cannot be understood; expected ff fa 2c COMMAND VALUE ff f0 of RFC 2217, "
+            f"with at most {LONGEST} bytes inside"
+        )
+
+
+class _Manager(PortManager):
+    """pyserial's server half, which has no answer to a parity and to stop bits that there are not."""
+
+    def _telnet_process_subnegotiation(self, suboption: bytes) -> None:
+        try:
+            super()._telnet_process_subnegotiation(suboption)
+        except KeyError:
+            # 0 asks for those in force.
+            super()._telnet_process_subnegotiation(suboption[:2] + b"\0")
+
+
+class _Line:
+    """Settings of a line as pyserial's server wants to find them; the robot has no modem lines.
+
+    pyserial answers a value that is refused by `ValueError` with the one in force.
+    """
+
+    def __init__(self, baud: int) -> None:
+        self._baud = baud
+        self._data_bits = serial.EIGHTBITS
+        self.parity = serial.PARITY_NONE
+        self.stopbits: Any = serial.STOPBITS_TWO
+        self.rtscts = self.xonxoff = self.break_condition = False
+        self.rts = self.dtr = self.cts = self.dsr = self.cd = True
+        self.ri = False
+
+    @property
+    def baudrate(self) -> int:
+        """Speed of the line [baud]."""
+        return self._baud
+
+    @baudrate.setter
+    def baudrate(self, value: int) -> None:
+        if not LOWEST_BAUD <= value <= HIGHEST_BAUD:
+            raise ValueError(f"{value} baud; expected {LOWEST_BAUD} to {HIGHEST_BAUD}")
+        self._baud = value
+
+    @property
+    def bytesize(self) -> int:
+        """Data bits of a byte."""
+        return self._data_bits
+
+    @bytesize.setter
+    def bytesize(self, value: int) -> None:
+        if value not in _DATA_BITS:
+            raise ValueError(f"{value} data bits; expected {_DATA_BITS[0]} to {_DATA_BITS[-1]}")
+        self._data_bits = value
+
+    def reset_input_buffer(self) -> None:
+        """Nothing waits here."""
+
+    def reset_output_buffer(self) -> None:
+        """Nothing waits here."""

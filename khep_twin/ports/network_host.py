@@ -1,0 +1,173 @@
+"""The host at a network port: what it has sent and what waits for it, until it has left.
+
+Hosts of the network call `recv` once and take what they get for a whole reply. So bytes are held back until
+their line is complete and leave in one piece, at the time at which its last byte has arrived. Replies of
+several lines, such as the banner, leave line by line. A line whose end never comes leaves after a moment's
+silence.
+
+TCP says when a host will send no more, not whether it still reads: a closed connection looks as a half-closed
+one until something is sent to it. So a host that has finished sending stays until it has been answered, or
+until another one comes.
+"""
+
+import socket
+import time
+
+from khep_twin.ports.negotiation import Negotiator
+from khep_twin.uart import LineSettings
+
+QUEUE_LIMIT = 4096
+"""Most bytes of replies that wait for a host that does not read; the rest is dropped and counted."""
+
+ANSWERS_LIMIT = 4 * QUEUE_LIMIT
+"""Most bytes of any kind that wait for it; one that negotiates on and never reads the answers is cut off."""
+
+WAITING_LIMIT = 16384
+"""Bytes behind which a host's leaving cannot be seen; one that has so many waiting gives way to the next."""
+
+LAST_LIMIT = 4096
+"""Most bytes that are carried out of a host that has left: what the buffer of a PC's serial port holds."""
+
+LONGEST_LINE = 512
+"""Bytes that are held back at most; the camera's 64 values are shorter."""
+
+SILENCE = 0.1
+"""Wall time after the last byte at which a line that has not ended leaves all the same [s]."""
+
+_MOST_RETRANSMISSIONS = 7
+"""Packets are sent again so often, for half a minute, before a host is taken to have vanished.
+
+The system alone goes on for a quarter of an hour.
+"""
+
+
+class NetworkHost:
+    """One host at a network port.
+
+    Args:
+        client: its connection.
+        address: where it is.
+        baud: speed of the robot's line, for a host that negotiates settings by RFC 2217; else None.
+
+    Attributes:
+        address: where it is.
+        lost: its connection is gone: reset, broken, or given up for a fault.
+        fault: why it was given up; empty if it was not.
+        dropped: bytes that it did not take in time.
+    """
+
+    def __init__(self, client: socket.socket, address: str, baud: int | None) -> None:
+        self.address = address
+        self.lost = False
+        self.fault = ""
+        self.dropped = 0
+        self._client = client
+        client.setblocking(False)
+        self._finished = False
+        self._ahead = bytearray()  # as it came, with negotiations
+        self._line = bytearray()
+        self._heard = 0.0
+        self._waiting = bytearray()
+        self._negotiator = None if baud is None else Negotiator(baud, self._waiting.extend)
+
+    @property
+    def descriptor(self) -> int | None:
+        """What becomes readable when it sends or leaves; None when it has finished sending."""
+        return None if self._finished else self._client.fileno()
+
+    @property
+    def done(self) -> bool:
+        """Whether it has finished sending, and nothing from it or for it waits here."""
+        return self._finished and not (self._ahead or self._line or self._waiting)
+
+    def settings(self) -> LineSettings | None:
+        """Return how it has set its end; None without RFC 2217."""
+        return None if self._negotiator is None else self._negotiator.settings()
+
+    def look(self) -> None:
+        """Send what still waits for it, and see whether its connection is gone."""
+        if self._line and time.monotonic() - self._heard > SILENCE:
+            self._release(len(self._line))
+        self._flush()
+        failed = bool(self._client.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR))
+        self.lost = self.lost or failed or _retransmissions(self._client) >= _MOST_RETRANSMISSIONS
+
+    def stays(self) -> bool:
+        """Return whether it keeps the port when another host comes: it is still sending, and not too much."""
+        self._read(WAITING_LIMIT)
+        return not self.lost and not self._finished and not self.overfull
+
+    @property
+    def overfull(self) -> bool:
+        """Whether so much of it waits here that its leaving could not be seen."""
+        return len(self._ahead) >= WAITING_LIMIT
+
+    def take(self, limit: int) -> bytes:
+        """Return what it has sent, at most `limit` bytes."""
+        self._read(limit)
+        data = bytes(self._ahead[:limit])
+        del self._ahead[:limit]
+        if self._negotiator is None or self.fault:
+            return b"" if self.fault else data
+        data = self._negotiator.received(data)
+        self.fault = self._negotiator.fault
+        if not self.fault and len(self._waiting) > ANSWERS_LIMIT:
+            self.fault = f"{len(self._waiting)} bytes wait to be read; expected a host that reads its answers"
+        if self.fault:
+            self.lost = True
+        self._flush()
+        return data
+
+    def rest(self) -> bytes:
+        """Return what a host that has left had sent, as much as is carried out of it."""
+        return self.take(LAST_LIMIT)
+
+    def write(self, data: bytes) -> None:
+        """Send whole lines; what it leaves no room for is dropped and counted."""
+        self._line += data
+        self._heard = time.monotonic()
+        is_long = len(self._line) >= LONGEST_LINE
+        self._release(len(self._line) if is_long else self._line.rfind(b"\n") + 1)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._client.close()
+
+    def _release(self, count: int) -> None:
+        """Send so many of the bytes that are held back, in one piece."""
+        room = max(QUEUE_LIMIT - len(self._waiting), 0)
+        self.dropped += max(count - room, 0)
+        taken = bytes(self._line[: min(count, room)])
+        del self._line[:count]
+        self._waiting += taken if self._negotiator is None else self._negotiator.escaped(taken)
+        self._flush()
+
+    def _read(self, limit: int) -> None:
+        """Read until so many bytes are here, or all that have come."""
+        while len(self._ahead) < limit and not self._finished:
+            try:
+                data = self._client.recv(limit - len(self._ahead))
+            except BlockingIOError:
+                return
+            except OSError:  # reset, timed out, or the network is gone
+                self.lost = True
+                return
+            self._ahead += data
+            self._finished = not data
+
+    def _flush(self) -> None:
+        if self._waiting:
+            try:
+                del self._waiting[: self._client.send(self._waiting)]
+            except BlockingIOError:
+                pass  # it leaves no room yet
+            except OSError:
+                self.lost = True
+                self._waiting.clear()
+
+
+def _retransmissions(client: socket.socket) -> int:
+    """Return how often the packet under way was sent again; 0 where the system does not tell."""
+    option = getattr(socket, "TCP_INFO", None)
+    # The third byte of Linux's struct tcp_info.
+    return 0 if option is None else client.getsockopt(socket.IPPROTO_TCP, option, 3)[2]

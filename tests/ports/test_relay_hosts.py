@@ -1,0 +1,92 @@
+"""A relay between hosts that leave and a robot that takes its time."""
+
+import time
+from typing import cast
+
+import pytest
+
+from khep_twin.ports.cable import Received
+from khep_twin.ports.relay import Device, relay
+from khep_twin.uart import LineSettings
+
+
+class SlowRobot:
+    """A robot at a port that takes a hundred bytes at a time, answers nothing, and remembers all."""
+
+    url, baud, descriptor = "robot", 9600, None
+
+    def __init__(self) -> None:
+        self.heard = b""
+
+    def follow(self, host: LineSettings) -> str:
+        return ""
+
+    def read(self) -> bytes:
+        return b""
+
+    def write(self, data: bytes) -> int:
+        self.heard += data[:100]
+        return len(data[:100])
+
+
+class Hosts:
+    """A cable whose hosts come as they are listed."""
+
+    path, dropped, occupied = "hosts", 0, True
+
+    def __init__(self, *news: Received) -> None:
+        self.news = list(news)
+        self.answered: list[bool] = []
+
+    def descriptors(self, room: bool) -> list[int]:
+        return []
+
+    def settings(self) -> None:
+        return None
+
+    def receive(self, limit: int, answered: bool = False) -> Received:
+        self.answered.append(answered)
+        return self.news.pop(0) if self.news else Received()
+
+    def write(self, data: bytes) -> None:
+        """Nothing is answered."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_the_next_host_waits_for_no_more_than_a_second_of_one_that_has_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("khep_twin.ports.relay._SILENCE_S", 0.01)
+    monkeypatch.setattr("khep_twin.ports.relay.BITS_PER_BYTE", 0)
+    robot, told = SlowRobot(), list[str]()
+    hosts = Hosts(Received(b"D,10,1\n" * 20), Received(b"B\n", left=True, last=b"D,10,1\n" * 2000))
+    end = time.monotonic() + 20
+    relay(
+        cast(Device, robot),
+        hosts,
+        None,
+        stop=lambda: robot.heard.endswith(b"B\n") or time.monotonic() > end,
+        tell=told.append,
+    )
+    commands, rest = robot.heard.split(b"?\n")
+    assert rest == b"B\n"
+    assert commands == (b"D,10,1\n" * 300)[: len(commands)]
+    assert 1000 < len(commands) <= 140 + 1024
+    assert told == ["hosts: 13018 bytes of a host that has left were dropped: the next one waits"]
+
+
+def test_a_relay_tells_its_cable_when_all_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("khep_twin.ports.relay._SILENCE_S", 0.05)
+    robot, hosts = SlowRobot(), Hosts(Received(b"D,1,1\n" * 20))
+    end = time.monotonic() + 20
+
+    def stop() -> bool:
+        return (len(robot.heard) == 120 and hosts.answered[-1]) or time.monotonic() > end
+
+    relay(cast(Device, robot), hosts, None, stop=stop, tell=lambda text: None)
+    # It was so before, and was not while the robot had something to answer.
+    assert hosts.answered[0]
+    assert not all(hosts.answered)
+    assert hosts.answered[-1]
