@@ -19,10 +19,10 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run test wheels check format fuzz fuzz-files soak determinism kills day worker-kills pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test wheels check format fuzz fuzz-files fuzz-rfc2217 soak determinism kills day worker-kills pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
+	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
 
 run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated seconds
 	@mkdir -p out
@@ -53,6 +53,9 @@ fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 milli
 	@$(BIN)/python tests/fuzz_files.py mat 200000 --jobs 2
 	@$(BIN)/python tests/fuzz_files.py png 200000 --jobs 2
 	@$(BIN)/python tests/fuzz_files.py toml 1000000 --jobs 2
+
+fuzz-rfc2217: $(VENV)/dev.stamp ## a million connections that negotiate by RFC 2217, well or not; a quarter of an hour
+	@$(BIN)/python tests/fuzz_rfc2217.py -runs=1000000
 
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each, and 2,000 that come and go at random
 	@KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000 $(BIN)/python -m pytest tests/ports/test_chaos.py tests/ports/test_random_hosts.py

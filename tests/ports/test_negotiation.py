@@ -1,0 +1,162 @@
+"""RFC 2217: what a host may send as a negotiation, and what comes of it."""
+
+import socket
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from fuzz_rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from khep_twin.log.reader import read
+from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD, Negotiator
+from khep_twin.uart import LineSettings
+
+from test_serve import served, stop  # isort: skip
+
+SHARE = 2_000
+
+TOO_SHORT = ["01 01", "01", "02", "03", "04", "0a", "0b"]
+
+OUT_OF_RANGE = {
+    "01 00 00 00 01": "65 00 00 25 80",
+    "01 ff ff ff ff ff ff ff ff": "65 00 00 25 80",
+    "02 04": "66 08",
+    "02 4d": "66 08",
+    "03 4d": "67 01",
+    "04 09": "68 02",
+}
+"""Negotiations with a value that there is not, and the answers."""
+
+GREETING = bytes.fromhex("fffb01 fffb03 fffd00 fffb2c")
+
+
+def negotiated(*sent: bytes) -> tuple[bytes, bytes, Negotiator]:
+    """What reaches the robot, what is answered, and the end that did it."""
+    answers = bytearray()
+    negotiator = Negotiator(9600, answers.extend)
+    answers.clear()
+    taken = b"".join(map(negotiator.received, sent))
+    return taken, bytes(answers), negotiator
+
+
+@pytest.mark.parametrize("wrong", TOO_SHORT)
+def test_a_value_too_short_is_a_fault_that_shows_the_bytes(wrong: str) -> None:
+    taken, answers, negotiator = negotiated(b"B\n" + BEGIN + bytes.fromhex(wrong) + END + b"N\n", b"E\n")
+    assert negotiator.fault.startswith(f"negotiation ff fa 2c {wrong} ff f0 cannot be understood; expected ")
+    assert (taken, answers) == (b"B\n", b"")
+
+
+def test_an_end_without_a_beginning_is_a_fault() -> None:
+    taken, _, negotiator = negotiated(b"B\n" + END + b"N\n")
+    assert negotiator.fault.startswith("negotiation ff f0 cannot be understood")
+    assert taken == b"B\n"
+
+
+@pytest.mark.parametrize("piece", [1, 7, 10_000])
+def test_a_negotiation_without_an_end_is_a_fault_before_it_takes_memory(piece: int) -> None:
+    sent = BEGIN + b"x" * 10_000
+    _, _, negotiator = negotiated(*(sent[at : at + piece] for at in range(0, len(sent), piece)))
+    assert "78 78 ... without an end cannot be understood" in negotiator.fault
+    assert len(negotiator.fault) < 300
+
+
+@pytest.mark.parametrize(("wrong", "answer"), OUT_OF_RANGE.items())
+def test_a_value_out_of_range_is_answered_with_the_one_in_force(wrong: str, answer: str) -> None:
+    taken, answers, negotiator = negotiated(BEGIN + bytes.fromhex(wrong) + END + b"B\n")
+    assert answers == BEGIN + bytes.fromhex(answer) + END
+    assert taken == b"B\n"
+    assert not negotiator.fault
+    assert negotiator.settings() == LineSettings(9600, 2)
+
+
+@pytest.mark.parametrize("baud", [LOWEST_BAUD, 19200, HIGHEST_BAUD])
+def test_a_value_in_range_is_taken(baud: int) -> None:
+    value = b"\x01" + baud.to_bytes(4, "big")
+    _, answers, negotiator = negotiated(BEGIN + value + END + BEGIN + b"\x04\x01" + END)
+    assert answers == BEGIN + b"\x65" + value[1:] + END + BEGIN + b"\x68\x01" + END
+    assert negotiator.settings() == LineSettings(baud, 1)
+
+
+@pytest.mark.parametrize(
+    "harmless", ["05", "05 63", "0c", "0c 09", "63 01", "", "00" + " 41" * (LONGEST - 2)]
+)
+def test_what_has_no_answer_is_passed_over(harmless: str) -> None:
+    taken, answers, negotiator = negotiated(BEGIN + bytes.fromhex(harmless) + END + b"B\n")
+    assert (taken, answers, negotiator.fault) == (b"B\n", b"", "")
+
+
+@pytest.mark.skipif(find_spec("atheris") is None, reason="atheris is not installed")
+def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
+    program = Path(__file__).parents[1] / "fuzz_rfc2217.py"
+    done = subprocess.run(
+        [sys.executable, str(program), f"-runs={SHARE}", "-seed=1"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert f"Done {SHARE} runs" in done.stderr
+
+
+@settings(max_examples=300, derandomize=True, database=None, deadline=None)
+@given(st.binary(max_size=60))
+def test_any_bytes_are_negotiated_with(data: bytes) -> None:
+    check(data)
+
+
+def test_the_seeds_have_what_clients_send(tmp_path: Path) -> None:
+    seeds(tmp_path)
+    said = [path.read_bytes() for path in tmp_path.iterdir()]
+    assert len(said) > len(WELL_FORMED + ODD)
+    for data in said:
+        check(data)
+
+
+@pytest.mark.parametrize("wrong", [b"", b"B\n\n", BEGIN + b"\x02\x07" + END])
+def test_a_negotiator_that_works_wrongly_is_noticed(monkeypatch: pytest.MonkeyPatch, wrong: bytes) -> None:
+    def received(self: Negotiator, data: bytes) -> bytes:
+        return wrong
+
+    monkeypatch.setattr(Negotiator, "received", received)
+    with pytest.raises(AssertionError):
+        check(b"\0B\n" + BEGIN + b"\x02\x07" + END)
+
+
+def test_no_negotiation_ends_a_server_or_its_log(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with served("default", "--rfc2217", ":0", "--log", str(log)) as (process, url):
+        address = ("127.0.0.1", int(url.rpartition(":")[2]))
+        for wrong in TOO_SHORT:
+            with socket.create_connection(address, timeout=20) as host:
+                host.sendall(BEGIN + bytes.fromhex(wrong) + END)
+                assert all_of(host) == GREETING
+        with socket.create_connection(address, timeout=20) as host:
+            for odd in OUT_OF_RANGE:
+                host.sendall(BEGIN + bytes.fromhex(odd) + END)
+            host.sendall(b"B\n")
+            host.shutdown(socket.SHUT_WR)
+            answers = b"".join(BEGIN + bytes.fromhex(answer) + END for answer in OUT_OF_RANGE.values())
+            assert all_of(host) == GREETING + answers + b"b,5.02,5.01\r\n"
+        code, errors = stop(process)
+    assert code == 0
+    told = [line.text for line in read(log).events]
+    assert len(told) == len(TOO_SHORT)
+    for wrong, line in zip(TOO_SHORT, told, strict=True):
+        assert line.startswith(
+            f"a host, 127.0.0.1, was cut off: negotiation ff fa 2c {wrong} ff f0 cannot be"
+        )
+        assert line in errors
+
+
+def all_of(host: socket.socket) -> bytes:
+    """What a host gets until the other end closes."""
+    got = b""
+    while more := host.recv(1000):
+        got += more
+    return got
