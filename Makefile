@@ -57,8 +57,9 @@ fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 milli
 fuzz-rfc2217: $(VENV)/dev.stamp ## a million connections that negotiate by RFC 2217, well or not; a quarter of an hour
 	@$(BIN)/python tests/fuzz_rfc2217.py -runs=1000000
 
-soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each, and 2,000 that come and go at random
+soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each, 2,000 that come and go, 2,000 that leave a network port
 	@KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000 $(BIN)/python -m pytest tests/ports/test_chaos.py tests/ports/test_random_hosts.py
+	@KHEP_LEAVINGS=1000 $(BIN)/python -m pytest -s tests/ports/test_leaving_hosts.py -k stale
 
 determinism: $(VENV)/dev.stamp ## 100,000 steps of an environment, the same bit for bit; a few minutes
 	@$(BIN)/python tests/scale/long_determinism.py

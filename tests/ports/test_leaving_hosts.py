@@ -1,0 +1,172 @@
+"""Hosts of the network that leave in the middle of something: the next is served at once, with no stale byte.
+
+The suite takes a share of them; `KHEP_LEAVINGS=1000` takes 1,000 at a port of each kind and holds the server
+to half a second, as `make soak` does.
+"""
+
+import os
+import random
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+
+import pytest
+
+from test_serve import served, stop  # isort: skip
+
+LEAVINGS = int(os.environ.get("KHEP_LEAVINGS", "40"))
+MOST_S = 0.5 if "KHEP_LEAVINGS" in os.environ else 10.0
+"""Longest that a next host may wait: in the suite the machine is busy; on the line 20 kB take 22 s."""
+
+PATIENCE_S = 20.0
+GREETING = {"--tcp": b"", "--rfc2217": bytes.fromhex("fffb01 fffb03 fffd00 fffb2c")}
+SPEED = bytes.fromhex("fffa2c 01 00002580 fff0")
+
+KILLED = "import os, socket, sys, time; host = socket.socket(fileno=int(sys.argv[1])); time.sleep(100)"
+"""A process that shares a host's connection."""
+
+Address = tuple[str, int]
+
+
+def connect(address: Address) -> socket.socket:
+    return socket.create_connection(address, timeout=PATIENCE_S)
+
+
+def flood(host: socket.socket, data: bytes, size: int) -> None:
+    """Send as much of a flood as finds room."""
+    host.setblocking(False)
+    try:
+        for _ in range(-(-size // 10_000)):
+            host.sendall((data * (10_000 // len(data) + 1))[: min(size, 10_000)])
+    except (BlockingIOError, ConnectionError):
+        pass
+
+
+def fall_silent(host: socket.socket, rng: random.Random) -> None:
+    """Close with nothing said."""
+
+
+def ask(host: socket.socket, rng: random.Random) -> None:
+    """Ask and leave the replies unread."""
+    host.sendall(b"N\nO\nH\n" * rng.randint(1, 20))
+    time.sleep(rng.choice([0, 0.005, 0.05]))
+
+
+def begin_a_line(host: socket.socket, rng: random.Random) -> None:
+    """Leave in the middle of a command."""
+    host.sendall(rng.choice([b"G,12", b"N\nG,9", b"L,0,1\nD,", b"restart", b"\n\nB"]))
+    time.sleep(rng.choice([0, 0.005]))
+
+
+def negotiate(host: socket.socket, rng: random.Random) -> None:
+    """Leave in the middle of a negotiation; plain bytes to a port that negotiates nothing."""
+    host.sendall((SPEED * 3)[: rng.randint(1, 30)])
+
+
+def negotiate_wrongly(host: socket.socket, rng: random.Random) -> None:
+    """Send what is no negotiation."""
+    host.sendall(rng.choice([b"\xff\xf0", b"N\n\xff\xfa\x2c\x01\x01\xff\xf0N\n", b"\xff\xfa" + bytes(400)]))
+
+
+def flood_a_little(host: socket.socket, rng: random.Random) -> None:
+    flood(host, rng.choice([b"N\n", b"L,0,1\n", b"x", b"\n", b"restart\n", SPEED]), 20_000)
+
+
+def flood_a_lot(host: socket.socket, rng: random.Random) -> None:
+    flood(host, rng.choice([b"N\n", b"L,0,1\n", b"x", b"\n", b"restart\n", SPEED]), 1_000_000)
+
+
+def close(host: socket.socket) -> None:
+    host.close()
+
+
+def reset(host: socket.socket) -> None:
+    host.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    host.close()
+
+
+def finish(host: socket.socket) -> None:
+    """Finish sending, and go on reading: it is closed when the next host has been served."""
+    try:
+        host.shutdown(socket.SHUT_WR)
+    except OSError:
+        pass  # the server has cut it off
+
+
+def die(host: socket.socket) -> None:
+    """Let the last process that has the connection be killed."""
+    command = [sys.executable, "-S", "-E", "-c", KILLED, str(host.fileno())]
+    with subprocess.Popen(command, pass_fds=[host.fileno()]) as process:
+        host.close()
+        process.kill()
+
+
+DEEDS = [fall_silent, ask, begin_a_line, negotiate, negotiate_wrongly, flood_a_little, flood_a_lot]
+LEAVES = [close, close, reset, reset, finish, die]
+
+
+def served_next(address: Address, greeting: bytes, number: int) -> tuple[float, bytes]:
+    """Return how long the next host waits for its own replies, and what it gets [s]."""
+    start = time.monotonic()
+    wanted, got = greeting + b"g\r\nh,%d,7\r\n" % number, b""
+    with connect(address) as host:
+        host.sendall(b"G,%d,7\nH\n" % number)
+        while len(got) < len(wanted) and (more := host.recv(1000)):
+            got += more
+    return time.monotonic() - start, got
+
+
+@pytest.mark.parametrize("kind", ["--tcp", "--rfc2217"])
+def test_the_host_after_one_that_left_is_served_at_once_with_no_stale_byte(kind: str) -> None:
+    rng = random.Random(5)
+    times: list[float] = []
+    with served("default", kind, "127.0.0.1:0") as (process, url):
+        host, _, number = url.partition("://")[2].rpartition(":")
+        address = (host, int(number))
+        for count in range(LEAVINGS):
+            deed, leave = rng.choice(DEEDS), rng.choice(LEAVES)
+            with connect(address) as first:
+                deed(first, rng)
+                leave(first)
+                time.sleep(rng.choice([0, 0, 0.0005, 0.005, 0.03]))
+                waited, got = served_next(address, GREETING[kind], count)
+            named = (count, deed.__name__, leave.__name__)
+            assert got == GREETING[kind] + b"g\r\nh,%d,7\r\n" % count, (named, got)
+            assert waited < MOST_S, (named, waited)
+            times.append(waited)
+        code, errors = stop(process)
+    assert code == 0
+    assert "Traceback" not in errors
+    print(f"{kind}: {LEAVINGS} hosts left; the next waited {max(times):.3f} s at most")
+
+
+@pytest.mark.parametrize(
+    "how", [["--tcp"], ["--unpaced", "--rfc2217"], ["--clock", "wire", "--tcp"]], ids=" ".join
+)
+def test_a_host_that_has_finished_sending_gets_all_its_replies(how: Sequence[str]) -> None:
+    with served("default", *how, ":0") as (_, url):
+        check_finished_hosts(url, GREETING[how[-1]])
+
+
+def test_a_host_that_has_finished_sending_gets_all_its_replies_through_a_relay() -> None:
+    with (
+        served("default", "--unpaced") as (_, device),
+        served("--through", device, "--tcp", ":0") as (_, url),
+    ):
+        check_finished_hosts(url, b"")
+
+
+def check_finished_hosts(url: str, greeting: bytes) -> None:
+    """Check that hosts that behave as `nc -N` get their replies to the last, and then the end."""
+    host, _, number = url.partition("://")[2].rpartition(":")
+    for _ in range(2):
+        with connect((host, int(number))) as port:
+            port.sendall(b"B\n" * 20 + b"C,12")
+            port.shutdown(socket.SHUT_WR)
+            replies = b""
+            while more := port.recv(1000):
+                replies += more
+        assert replies == greeting + b"b,5.02,5.01\r\n" * 20
