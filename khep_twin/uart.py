@@ -140,5 +140,8 @@ class Uart:
 
     @property
     def room(self) -> int:
-        """How many more bytes the host may send before the line pushes back."""
-        return QUEUE_LIMIT - len(self.rx)
+        """Number of bytes that the host may send before the line pushes back.
+
+        A host that comes as another leaves may have sent more already, so that there is less than none.
+        """
+        return max(QUEUE_LIMIT - len(self.rx), 0)

@@ -161,7 +161,7 @@ class Reader:
             return ""
         if program == "khep-twin":
             done = CliRunner().invoke(app, words, prog_name="khep-twin")
-            if "rerun's viewer cannot draw here" in done.output:
+            if "rerun's viewer cannot draw here" in str(done.exception):
                 self.undrawn.append(words[-1])
                 return f"picture  {words[-1]}\n"
             assert done.exit_code == 0, f"{line}\n{done.output}{done.exception or ''}"

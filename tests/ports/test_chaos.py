@@ -155,6 +155,24 @@ def test_a_second_later_the_next_host_gets_its_first_reply(path: str, misdeed: C
         assert port.readline().startswith(b"e,")
 
 
+def test_a_host_that_comes_as_another_leaves_and_writes_more_than_the_line_takes_ends_no_server() -> None:
+    with served("default") as (process, path):
+        assert exchange(path, b"B\n", b"b,5.02,5.01\r\n") == b"b,5.02,5.01\r\n"
+        first = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        # Both are there, one after the other, before the server looks.
+        process.send_signal(signal.SIGSTOP)
+        os.write(first, b"B\n")
+        os.close(first)
+        second = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        os.write(second, b"x" * 3000 + b"\n")
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.3)
+        os.close(second)
+        time.sleep(0.3)
+        assert exchange(path, b"B\n", b"b,5.02,5.01\r\n", timeout=5) == b"b,5.02,5.01\r\n"
+        assert stop(process)[0] == 0
+
+
 def test_two_hosts_at_once_are_told_of() -> None:
     with served("default") as (process, path):
         two_at_once(path)
