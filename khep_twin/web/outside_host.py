@@ -64,7 +64,7 @@ class OutsideHost:
         if len(uart.rx) or len(uart.tx):
             return
         answered = not any(end in self._begun for end in LINE_ENDS)
-        received = self.cable.receive(_LINE_LIMIT - len(self._begun), answered)
+        received = self.cable.receive(max(_LINE_LIMIT - len(self._begun), 0), answered)
         for notice in received.notices:
             self._tell(notice)
         if received.left:
