@@ -11,6 +11,7 @@ PLAYPEN := obstacles
 TESTS :=
 BENCH :=
 BROWSER :=
+SIGNALS := 1000
 
 # An environment that is there stays what it is.
 ifneq ($(and $(PYTHON),$(wildcard $(BIN)/python)),)
@@ -19,7 +20,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run test wheels check format fuzz fuzz-files fuzz-rfc2217 soak determinism kills day worker-kills pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test wheels check format fuzz fuzz-files fuzz-rfc2217 soak determinism kills day worker-kills signals pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -73,6 +74,9 @@ day: $(VENV)/dev.stamp ## 24 simulated hours of serve --log with a host that nev
 
 worker-kills: $(VENV)/dev.stamp ## 100 of Ray's workers killed in a sweep of 200 tasks; needs ray; about five minutes
 	@$(BIN)/python tests/scale/worker_kills.py --tasks 200 --kills 100
+
+signals: $(VENV)/dev.stamp ## 1,000 signals at random moments of run, serve, design, sweep and sense; SIGNALS=100 for fewer; an hour
+	@$(BIN)/python tests/signals.py $(SIGNALS) --jobs 2
 
 pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back line
 	@$(BIN)/python tests/pyserial_suite.py

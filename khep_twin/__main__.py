@@ -1,5 +1,16 @@
 """`python -m khep_twin` is `khep-twin`."""
 
-from khep_twin.cli import main
+import signal
 
-main()
+
+def main() -> None:
+    """Runs the command line."""
+    # Until the commands are there, which takes a moment, Ctrl-C ends the process without a trace.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from khep_twin.cli import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

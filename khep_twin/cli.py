@@ -30,6 +30,7 @@ from khep_twin.cli_sweep import sweep
 from khep_twin.cli_view import view
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import unusable, write_whole
+from khep_twin.stopping import answered, asked_by, leave
 
 app = typer.Typer(
     name="khep-twin",
@@ -64,8 +65,17 @@ def main() -> None:
     """Runs the command line; a user's mistake ends in one line, not in a trace."""
     if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
         complete_in_bash(lambda: app(prog_name="khep-twin"))
+    code = _run()
+    # Typer has one code for whatever was interrupted, shells have one for each signal.
+    leave(128 + asked_by() if code == 130 and asked_by() else code)
+
+
+def _run() -> int:
     try:
-        sys.exit(app(prog_name="khep-twin", standalone_mode=False) or 0)
+        with answered():
+            return app(prog_name="khep-twin", standalone_mode=False) or 0
+    except KeyboardInterrupt:
+        return 130
     except KhepTwinError as error:
         text, code = str(error), 1
     except TyperException as error:
@@ -74,10 +84,10 @@ def main() -> None:
             text = missing(error)
         if "\n" in text:  # the help, where nothing was typed
             print(text, file=sys.stderr)
-            sys.exit(code)
+            return code
     for line in text.splitlines():
         print(f"khep-twin: {line}", file=sys.stderr)
-    sys.exit(code)
+    return code
 
 
 def _show_version(wanted: bool) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli_options import complain, usage
+from khep_twin.stopping import stopping
 
 
 def design(
@@ -27,7 +28,6 @@ def design(
     It reads and writes files below the current folder only. Standard output has one line, the page's address
     with the token that opens it.
     """
-    from khep_twin.ports.stopping import stopping
     from khep_twin.web.server import Server
 
     folder = Path.cwd()

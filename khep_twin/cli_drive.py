@@ -15,6 +15,7 @@ import typer
 from khep_twin.cli_completion import ports
 from khep_twin.cli_options import Force, check_new
 from khep_twin.errors import KhepTwinError
+from khep_twin.stopping import clear_at_end, stopping
 
 if TYPE_CHECKING:
     import curses
@@ -49,13 +50,12 @@ def drive(
     """
     from khep_twin.host import Khepera
     from khep_twin.lab.teleoperation import TIMEOUT, Teleoperation
-    from khep_twin.ports.stopping import stopping
 
     check_new(force, log)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise KhepTwinError("drive: there is no terminal to drive from; right is to start it in one")
     with (
-        stopping() as stop,
+        stopping(awaited=None) as stop,
         Khepera(_with_log(port, log), TIMEOUT, baudrate or "auto") as robot,
     ):
         versions = robot.versions()
@@ -118,6 +118,7 @@ def _on_screen(show: Callable[["curses.window"], None]) -> None:
     # Suspended, nobody would hold the dead-man's switch; so Ctrl-Z is a key without meaning.
     before = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
     os.environ.setdefault("ESCDELAY", "25")
+    forget = clear_at_end(curses.endwin)
     try:
         curses.setupterm()
         curses.wrapper(show)
@@ -127,6 +128,7 @@ def _on_screen(show: Callable[["curses.window"], None]) -> None:
             f"TERM={kind}: this terminal cannot be drawn on ({error}); right is TERM=xterm"
         ) from None
     finally:
+        forget()
         signal.signal(signal.SIGTSTP, before)
 
 

@@ -38,8 +38,9 @@ from khep_twin.cli_options import (
 )
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_run_logs import RunLogs, check_picture
-from khep_twin.errors import ControllerError
+from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.invocation import command
+from khep_twin.stopping import stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.series import Bench, Run
@@ -143,7 +144,6 @@ def run(
     from khep_twin.lab.experiment import call_after, find_after, find_controller
     from khep_twin.lab.series import OneRobot, Plan, run_series
     from khep_twin.lab.series_files import SeriesFolder
-    from khep_twin.ports.stopping import stopping
     from khep_twin.ports.twin import TwinOptions
 
     check_fast(given(context), fast)
@@ -206,7 +206,8 @@ def run(
             bench, settings = _twins(stack, scene, options, start or [], runs, begin)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": pause, **source.identity}
         folder = None if save is None else SeriesFolder(save, settings, resume=resume)
-        asked = stack.enter_context(stopping())
+        awaited = "stopping the motors, waiting for the end of this cycle"
+        asked = stack.enter_context(stopping(awaited, bench.hold))
 
         def stop() -> bool:
             # A controller that catches every error catches the log's, too.
@@ -221,13 +222,16 @@ def run(
             progress=stack.enter_context(progress_bar()),
             stop=stop,
         )
-        for each in stack.enter_context(closing(series)):
-            done.append(each)
-            is_new = folder is None or folder.keep(each)
-            typer.echo(each.line(runs) + ("" if is_new else "  as before"))
-            if user_function is not None and is_new:
-                call_after(user_function, each)
-        stopped = asked() and (not done or done[-1].number < runs)
+        try:
+            for each in stack.enter_context(closing(series)):
+                done.append(each)
+                is_new = folder is None or folder.keep(each)
+                typer.echo(each.line(runs) + ("" if is_new else "  as before"))
+                if user_function is not None and is_new:
+                    call_after(user_function, each)
+            stopped = asked() and (not done or done[-1].number < runs)
+        except (KeyboardInterrupt, StoppedError):
+            stopped = True  # amid a cycle
     logs.finish()
     if folder is not None:
         typer.echo(f"series   {folder.path}      look at it: {command('series', folder.path)}")

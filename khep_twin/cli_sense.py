@@ -14,6 +14,7 @@ from khep_twin.cli_options import Force, check_new
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.files import unusable
+from khep_twin.stopping import stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.sensor_test import SensorRun, SensorTest
@@ -218,7 +219,6 @@ def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[Sen
     """Drives the tests and hands over what each has gathered; whether it was asked to end early."""
     from khep_twin.host import Khepera
     from khep_twin.lab.sensor_test import sense as drive
-    from khep_twin.ports.serve import stopping
 
     with stopping() as stop, Khepera(port) as robot, progress_bar() as show:
         for number, test in enumerate(tests):

@@ -39,6 +39,7 @@ from khep_twin.cli_options import (
 from khep_twin.cli_playpen import PlaypenName
 from khep_twin.errors import PortError
 from khep_twin.invocation import command
+from khep_twin.stopping import stopping
 
 if TYPE_CHECKING:
     from khep_twin.ports.cable import Cable
@@ -113,7 +114,7 @@ def serve(
     """
     from khep_twin.host.opening import numbered
     from khep_twin.ports.far_ends import far_ends
-    from khep_twin.ports.serve import WIRE, stopping
+    from khep_twin.ports.serve import WIRE
     from khep_twin.ports.serve import serve as serve_twin
     from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -178,7 +179,6 @@ def _relay(
     """Serves the robot at a port."""
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.ports.relay import Device, relay, since_now
-    from khep_twin.ports.serve import stopping
     from khep_twin.rom import ROMS
 
     number, modes = 1 if mode is None else mode, ROMS["khepera2"]

@@ -13,6 +13,7 @@ from khep_twin.cli_completion import studies
 from khep_twin.cli_options import complain, usage
 from khep_twin.cli_progress import clock, progress
 from khep_twin.invocation import command
+from khep_twin.stopping import clear_at_end
 
 if TYPE_CHECKING:
     from khep_twin.scale.sweep_tasks import Task, Work
@@ -89,6 +90,10 @@ def sweep(
         there = f", {work.lives - lives} are there already" if lives < work.lives else ""
         typer.echo(f"{file.study.name}: {work.lives} lives in {len(work.tasks)} tasks{there}")
 
+    def tell_again() -> None:
+        complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
+
+    forget = clear_at_end(tell_again)
     try:
         with progress() as show:
             told = _Lines() if show is None else None
@@ -101,8 +106,10 @@ def sweep(
 
             table = run_sweep(file, output=output, resume=resume, doers=doers, begin=begin, progress=tell)
     except KeyboardInterrupt:
-        complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
+        tell_again()
         raise typer.Exit(130) from None
+    finally:
+        forget()
     for line in summary(table):
         typer.echo(line)
     typer.echo(f"results  {table}      read it: pyarrow.parquet.read_table({str(table)!r})")

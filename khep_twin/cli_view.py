@@ -10,6 +10,7 @@ from khep_twin.cli_options import usage
 from khep_twin.errors import LogError
 from khep_twin.files import unusable
 from khep_twin.invocation import command
+from khep_twin.stopping import stopping
 
 
 def view(
@@ -53,7 +54,6 @@ def view(
         typer.echo(f"recording  {save}      look at it: {command(save, program='rerun')}")
         return
     from khep_twin.log.viewer import Web
-    from khep_twin.ports.serve import stopping
 
     page = Web(typer.echo, not no_browser) if web else None
     with stopping() as stop:

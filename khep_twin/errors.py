@@ -16,6 +16,7 @@
     ├── SensorTestError   a sensor test that cannot be driven, or data that is none of one
     ├── TurretError       a turret that cannot be plugged on
     ├── StudyError        a study that cannot be used, or results that are not its own
+    ├── StoppedError      a command to a robot whose run is to end
     ├── MissingExtraError a part of khep_twin that needs a package which is not installed
     └── DivergedError     a simulation that left the bounds of physics
 
@@ -108,6 +109,10 @@ class FitError(KhepTwinError):
 
 class SensorTestError(KhepTwinError):
     """A sensor test that cannot be driven, or data that is none of one."""
+
+
+class StoppedError(KhepTwinError):
+    """A command that would move a robot whose run is to end."""
 
 
 class MissingExtraError(KhepTwinError):

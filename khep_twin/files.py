@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from khep_twin.errors import KhepTwinError
+from khep_twin.stopping import undisturbed
 
 
 def unusable(path: Path) -> str:
@@ -49,8 +50,9 @@ def put_whole(path: Path, data: bytes) -> None:
     """
     target = path.resolve()
     part = target.with_name(f".{target.name}.part")
-    try:
-        part.write_bytes(data)
-        os.replace(part, target)
-    finally:
-        part.unlink(missing_ok=True)
+    with undisturbed():
+        try:
+            part.write_bytes(data)
+            os.replace(part, target)
+        finally:
+            part.unlink(missing_ok=True)

@@ -169,7 +169,7 @@ def test_whatever_ends_it_the_motors_stop_and_the_terminal_is_as_it_was(
         terminal.type(b"\x03")
     else:
         terminal.process.send_signal(getattr(signal, how))
-    assert terminal.end() == (130 if how.startswith("SIG") else 0)
+    assert terminal.end() == (128 + getattr(signal, how) if how.startswith("SIG") else 0)
     assert terminal.restored()
     assert fake.requests[-1] == "D,0,0"
 

@@ -8,7 +8,17 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "khep_twin"
 
 FLOORS = [
-    ["errors", "files", "invocation", "status_line", "units", "randomness", "clock", "fitness"],
+    [
+        "errors",
+        "stopping",
+        "files",
+        "invocation",
+        "status_line",
+        "units",
+        "randomness",
+        "clock",
+        "fitness",
+    ],
     [
         "toml_lines",
         "toml_edit",
@@ -83,6 +93,7 @@ FLOORS = [
 
 WITHIN_A_FLOOR = {
     ("files", "errors"),
+    ("files", "stopping"),
     ("compiled_kernel", "kernel"),
     ("firmware", "bios"),
     ("gripper_body", "gripper"),

@@ -89,6 +89,14 @@ class Khepera:
         if not stopped and error is not None:
             error.add_note(f"{self.name}: {told}")
 
+    def hold(self) -> None:
+        """Stop the motors, from another thread than the one that drives, and refuse from now on to move.
+
+        Raises:
+            PortError: The motors could not be stopped.
+        """
+        self._line.hold()
+
     def close(self) -> None:
         """Stops the motors, if the robot still answers, and closes the port."""
         if self.port.is_open:

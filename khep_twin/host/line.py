@@ -5,6 +5,7 @@ that comes before its answer belongs to the past, and the last of it is the repl
 then is a command sent again, and only one that does no harm twice.
 """
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -14,13 +15,17 @@ from typing import Any, Literal
 import serial
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import PortError, PortTimeout, ProtocolError
+from khep_twin.errors import PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.host.commands import Command
 from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
 from khep_twin.ports.link import leads_to_ours
+from khep_twin.stopping import clear_at_end
 
 STOP_WAIT = 0.5
 """Longest wait for the answer to the last command, which stops the motors [s]."""
+
+_STOP = "D,0,0"
+"""Request that stops the motors."""
 
 _PATIENCE = 1.0
 """Wait for what comes where a port has no timeout of its own [s]."""
@@ -60,6 +65,8 @@ class Line:
         self._retries = retries
         self._unanswered: set[str] = set()
         self.listener: Callable[[str, str], None] | None = None
+        self._exchange = threading.RLock()
+        self._held = False
         self.name: str = url if isinstance(url, str) else str(url.name)
         speed = SPEEDS[0] if baudrate == "auto" else baudrate
         self.port: Any = open_port(url, speed, timeout) if isinstance(url, str) else url
@@ -69,6 +76,7 @@ class Line:
             except BaseException:
                 self.port.close()
                 raise
+        self._forget = clear_at_end(self._end)
 
     # Time ----------------------------------------------------------------------------------------------
 
@@ -80,7 +88,11 @@ class Line:
 
     def sleep(self, duration: float) -> None:
         """Waits in the port's own time [s]."""
-        getattr(self.port, "sleep", time.sleep)(duration)
+        if hasattr(self.port, "sleep"):
+            with self._exchange:
+                self.port.sleep(duration)
+        else:
+            time.sleep(duration)
 
     # Exchanges -----------------------------------------------------------------------------------------
 
@@ -91,7 +103,24 @@ class Line:
             PortTimeout: a reply did not come.
             PortError: the port failed or went away.
             ProtocolError: a reply is not what its command asks for.
+            StoppedError: a command would move a robot that is to stand.
         """
+        with self._exchange:
+            return self._carry_out(commands)
+
+    def ask(self, request: str) -> str:
+        """Sends any line, once, and returns the reply, both without their ending.
+
+        Raises:
+            PortTimeout: no whole reply came within the timeout.
+            PortError: the port failed or went away.
+        """
+        replies: list[str] = []
+        with self._exchange:
+            self._ask([request], replies)
+        return replies[0]
+
+    def _carry_out(self, commands: Sequence[Command[Any]]) -> list[Any]:
         tries = 1 + (self._retries if all(command.repeatable for command in commands) else 0)
         first: PortTimeout | ProtocolError | None = None
         while True:
@@ -115,19 +144,10 @@ class Line:
             if not tries:
                 raise first from None
 
-    def ask(self, request: str) -> str:
-        """Sends any line, once, and returns the reply, both without their ending.
-
-        Raises:
-            PortTimeout: no whole reply came within the timeout.
-            PortError: the port failed or went away.
-        """
-        replies: list[str] = []
-        self._ask([request], replies)
-        return replies[0]
-
     def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
         """Sends lines and appends the replies, each as it comes."""
+        if self._held and (moves := [each for each in requests if each[:1] in "CDP" and each != _STOP]):
+            raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
         if self._unanswered and self._settle() is None:
             raise self._silence(requests[0], b"")
         self._unanswered.update(request[:1] for request in requests)
@@ -210,6 +230,18 @@ class Line:
 
     # The end -------------------------------------------------------------------------------------------
 
+    def hold(self) -> None:
+        """Stops the motors after the exchange that another thread is at, and refuses from now on to move.
+
+        Raises:
+            PortError: they could not be stopped.
+        """
+        self._held = True
+        with self._exchange:
+            before = self.port.timeout
+            self._stop()
+            self.port.timeout = before
+
     def halt(self) -> tuple[bool, str]:
         """Stops the motors as far as that is possible, and closes the port.
 
@@ -218,6 +250,10 @@ class Line:
         Returns:
             Whether the robot has confirmed the stop, and in words what became of it.
         """
+        with self._exchange:
+            return self._halt()
+
+    def _halt(self) -> tuple[bool, str]:
         try:
             try:
                 self._stop()
@@ -245,20 +281,27 @@ class Line:
             if self.port.timeout is None or not 0 < self.port.timeout <= wait:
                 self.port.timeout = wait
         except (serial.SerialException, OSError) as error:
-            raise self._failed("D,0,0", error) from error
+            raise self._failed(_STOP, error) from error
         for _ in range(2):
-            self._write(b"\nD,0,0\n", "D,0,0")
+            self._write(f"\n{_STOP}\n".encode("ascii"), _STOP)
             end = self.time + wait
             line = b"\n"
             while line.endswith(b"\n") and self.time <= end:
-                line = self._read_line("D,0,0")
+                line = self._read_line(_STOP)
                 if _text(line) == "d":
                     return
-        raise PortTimeout(f"{self.name}: no reply to 'D,0,0' within {STOP_WAIT} s")
+        raise PortTimeout(f"{self.name}: no reply to {_STOP!r} within {STOP_WAIT} s")
 
     def _close(self) -> None:
+        self._forget()
         with suppress(serial.SerialException, OSError):
             self.port.close()
+
+    def _end(self) -> None:
+        """Stops the motors of a robot where the process is ended from outside, even amid an exchange."""
+        if not hasattr(self.port, "time_ns"):
+            with suppress(PortError):
+                self._stop()
 
     def _refuses_again(self) -> str:
         """Why the port is not opened once more; empty if it may be."""

@@ -109,6 +109,10 @@ class Bench(Protocol):
         """The robots for these runs, in their order."""
         ...
 
+    def hold(self) -> None:
+        """Stop the motors of the robot that runs, from another thread."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Session:
@@ -147,6 +151,10 @@ class OneRobot:
             self._record(twin)
         yield Session(numbers, nullcontext(self._robot))
 
+    def hold(self) -> None:
+        """Stop its motors, from another thread."""
+        self._robot.hold()
+
 
 class NewTwins:
     """A new twin for each run, in this process.
@@ -171,6 +179,7 @@ class NewTwins:
         if not starts:
             raise ControllerError("a series of new twins needs a start")
         self._playpen, self._options, self._starts, self._record = playpen, options, starts, record
+        self._robot: Khepera | None = None
 
     def first(self, kept: int, controller: AnyController) -> int:
         """The last run again, to see that it comes out the same; all of them for what may have learned."""
@@ -182,14 +191,19 @@ class NewTwins:
             start = self._starts[(number - 1) % len(self._starts)]
             yield Session(range(number, number + 1), self._twin(number, start), start)
 
+    def hold(self) -> None:
+        """Stop the motors of the twin that runs, from another thread."""
+        if self._robot is not None:
+            self._robot.hold()
+
     @contextmanager
     def _twin(self, number: int, start: Start) -> Generator[Khepera]:
         options = replace(self._options, seed=self._options.seed + number - 1)
         twin = open_twin(at_start(self._playpen, options.robot or 0, start), options)
         if self._record is not None:
             self._record(twin, number)
-        with Khepera(Serial.of(twin, timeout=1.0)) as khepera:
-            yield khepera
+        with Khepera(Serial.of(twin, timeout=1.0)) as self._robot:
+            yield self._robot
 
 
 def run_series(

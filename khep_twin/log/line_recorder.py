@@ -72,6 +72,7 @@ class LineRecorder:
         self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
         self._log.flush()
         self._log.tell = carry_on
+        self._log.complete = self.close
 
     @property
     def failure(self) -> LogError | None:

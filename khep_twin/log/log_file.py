@@ -19,7 +19,8 @@ from khep_twin.files import unusable
 from khep_twin.log import channels
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.channels import Level, Line
-from khep_twin.log.part_file import PartFile, set_aside, undisturbed
+from khep_twin.log.part_file import PartFile, set_aside
+from khep_twin.stopping import clear_at_end, undisturbed
 
 
 class LogFile:
@@ -36,6 +37,7 @@ class LogFile:
         open: whether it takes anything more.
         failure: what went wrong with it, None so far.
         tell: takes the line about a failure, after which the run goes on without a log; None raises it.
+        complete: is called where the process is ended from outside; at first it takes the file away.
 
     Raises:
         LogError: the file cannot be made.
@@ -52,9 +54,12 @@ class LogFile:
         self.open = True
         self.failure: LogError | None = None
         self.tell: Callable[[str], None] | None = None
+        self.complete = self.discard
         try:
-            self.kept = set_aside(self.part)
-            self._file = PartFile(self.part)
+            with undisturbed():
+                self.kept = set_aside(self.part)
+                self._file = PartFile(self.part)
+                self._forget = clear_at_end(lambda: self.complete())
         except OSError as error:
             raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
         with self.guarded():
@@ -105,8 +110,14 @@ class LogFile:
         with self.guarded():
             self._writer.finish()
             os.replace(self.part, self._target)
-            self.open = False
-            self._file.close()
+            self._close()
+
+    def discard(self) -> None:
+        """Takes the file away: of a run that has not begun, nothing is to be left."""
+        with undisturbed():
+            if self.open:
+                self._close()
+                self.part.unlink(missing_ok=True)
 
     @contextmanager
     def guarded(self) -> Generator[None, None, None]:
@@ -115,9 +126,10 @@ class LogFile:
             with undisturbed():
                 yield
         except OSError as error:
-            self.open = False
+            if not self.open:  # another thread has completed it meanwhile
+                return
             with suppress(OSError):
-                self._file.close()
+                self._close()
             self.failure = LogError(
                 f"{self.path}: the log cannot be written any more at {self._now() / NS_PER_S:.2f} s: "
                 f"{error.strerror}; what came before is kept in {self.part}"
@@ -125,6 +137,11 @@ class LogFile:
             if self.tell is None:
                 raise self.failure from error
             self.tell(f"{self.failure}; the run goes on without it")
+
+    def _close(self) -> None:
+        self.open = False
+        self._forget()
+        self._file.close()
 
     def _channel(self, topic: str, schema: str) -> int:
         return self._writer.channel(topic, schema, channels.SCHEMAS[schema])

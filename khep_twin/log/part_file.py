@@ -1,17 +1,13 @@
 """The file of a log while it grows: NAME.mcap.part, of which nothing that was written gets lost.
 
-A disk that fills up, a second run of the same name, what a crash left behind and Ctrl-C in the middle of a
-write each do no harm to what is there.
+A disk that fills up, a second run of the same name and what a crash left behind each do no harm to what is
+there.
 """
 
 import fcntl
 import os
-import signal
-import threading
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 
 from khep_twin.errors import LogError
 
@@ -69,20 +65,3 @@ def set_aside(part: Path) -> Path | None:
         number += 1
     os.rename(part, kept)
     return kept
-
-
-@contextmanager
-def undisturbed() -> Generator[None, None, None]:
-    """Holds Ctrl-C back for a moment: half a record would make what follows unreadable."""
-    handler = signal.getsignal(signal.SIGINT)
-    if not callable(handler) or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    held: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: held.append((number, frame)))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        if held:
-            handler(*held[0])

@@ -120,6 +120,7 @@ class Recorder:
         self._begin(settings, facts, attachments)
         # A log that fails at its very start is an error in any case.
         self._log.tell = carry_on
+        self._log.complete = self.close
 
     @property
     def failure(self) -> LogError | None:

@@ -11,11 +11,13 @@ import webbrowser
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 from urllib.parse import quote
 
 from khep_twin.errors import LogError
+from khep_twin.stopping import clear_at_end, undisturbed
 
 HERE = "127.0.0.1"
 """rerun takes data and serves pages on all of a machine's addresses, if it is not told otherwise."""
@@ -120,9 +122,11 @@ def open_viewer(
     command += ["--expect-data-soon"] if web is None else ["--serve-web", "--web-viewer-port", str(page)]
     # What it says goes into a file: a pipe that nobody reads would stop it.
     with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
-        )
+        with undisturbed():
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
+            )
+            forget = clear_at_end(partial(_end, process))
         viewer = Viewer(subject, process, said, port)
         try:
             if web is not None:
@@ -136,6 +140,7 @@ def open_viewer(
             yield viewer
         finally:
             _end(process)
+            forget()
 
 
 def free_ports(count: int) -> Sequence[int]:

@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 from khep_twin.errors import PortError
+from khep_twin.stopping import clear_at_end, undisturbed
 
 
 class Link:
@@ -37,23 +38,26 @@ class Link:
         self._lock_path = self.path.with_name(f".{self.path.name}.lock")
         if os.path.lexists(self.path) and not self.path.is_symlink():
             raise PortError(f"{wish}: there is something that is no link; name another path for --link")
-        try:
-            self._lock = os.open(
-                self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600
-            )
-        except OSError as error:
-            raise PortError(f"{wish}: cannot make this link: {error.strerror}") from error
-        try:
-            self._take(wish)
-        except BaseException:
-            os.close(self._lock)
-            raise
+        with undisturbed():
+            try:
+                self._lock = os.open(
+                    self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600
+                )
+            except OSError as error:
+                raise PortError(f"{wish}: cannot make this link: {error.strerror}") from error
+            try:
+                self._take(wish)
+            except BaseException:
+                os.close(self._lock)
+                raise
+            self._forget = clear_at_end(self.close)
 
     def close(self) -> None:
         """Takes the link away if it still is ours."""
         if self.path.is_symlink() and os.readlink(self.path) == self._target:
             self.path.unlink()
         self._lock_path.unlink(missing_ok=True)
+        self._forget()
         os.close(self._lock)
 
     def _take(self, wish: str | Path) -> None:

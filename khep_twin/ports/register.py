@@ -4,11 +4,13 @@ import fcntl
 import os
 import threading
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
 from khep_twin.errors import PortError
 from khep_twin.ports.link import private_folder
+from khep_twin.stopping import clear_at_end
 
 _ENDING = ".served"
 
@@ -31,18 +33,18 @@ def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
     # By its thread: a page whose last twin still hangs serves the next one, too.
     note = folder / f"{threading.get_native_id()}{_ENDING}"
     lines = [path if "://" in path else os.path.abspath(path) for path in paths]
-    try:
-        file = note.open("w", encoding="utf-8", errors="surrogateescape")
-    except OSError as error:
-        raise PortError(f"{note}: cannot be written: {error.strerror}") from error
-    with file:
+    with ExitStack() as stack:
+        remove = partial(note.unlink, missing_ok=True)
+        stack.callback(clear_at_end(remove))
+        stack.callback(remove)
+        try:
+            file = stack.enter_context(note.open("w", encoding="utf-8", errors="surrogateescape"))
+        except OSError as error:
+            raise PortError(f"{note}: cannot be written: {error.strerror}") from error
         fcntl.flock(file, fcntl.LOCK_EX)
         file.write("\n".join([" ".join(what.split()), *lines]))
         file.flush()
-        try:
-            yield
-        finally:
-            note.unlink(missing_ok=True)
+        yield
 
 
 def served() -> list[tuple[str, str]]:
