@@ -3,17 +3,24 @@
     python tests/pyserial_suite.py
 
 The scripts come out of pyserial's source archive, whose hash is pinned; they expect a plug that joins TX
-with RX, RTS with CTS and DTR with DSR. `khep-twin serve --through loop://` is that plug for the data wires.
+with RX, RTS with CTS and DTR with DSR. `khep-twin serve --through` a terminal that sends back what it gets is
+that plug for the data wires.
 What no pseudo-terminal can do is pinned in KNOWN; anything else that fails is an error, and so is anything in
 KNOWN that does not.
 """
 
 import importlib.util
+import os
 import subprocess
 import sys
 import tarfile
 import tempfile
+import threading
+import time
+import tty
 import unittest
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 SOURCE = "pyserial==3.5 --hash=sha256:3c77e014170dfffbd816e6ffc205e9842efb10be9f58ec16d3e8675b4925cddb\n"
@@ -65,12 +72,27 @@ def run(script: Path, port: str) -> tuple[int, set[str]]:
     return result.testsRun, {name.removeprefix("pyserial_") for name in bad}
 
 
+@contextmanager
+def plug() -> Generator[str]:
+    """Give the path of a terminal that sends back what it gets, after about a byte's time each way."""
+    far_end, near_end = os.openpty()
+    tty.setraw(near_end)
+
+    def echo() -> None:
+        while data := os.read(far_end, 4096):
+            time.sleep(0.002)
+            os.write(far_end, data)
+
+    threading.Thread(target=echo, daemon=True).start()
+    yield os.ttyname(near_end)
+
+
 def main() -> int:
     """Runs all scripts; 0 if they fail in nothing but what is known."""
     count, failed = 0, set[str]()
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, plug() as device:
         scripts = unpack(Path(folder))
-        command = [sys.executable, "-m", "khep_twin", "serve", "--through", "loop://"]
+        command = [sys.executable, "-m", "khep_twin", "serve", "--through", device]
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         ) as server:

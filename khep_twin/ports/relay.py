@@ -36,6 +36,9 @@ _PAUSE_S = 0.02
 _SILENCE_S = 0.5
 """Silence after which a robot that owes replies is taken not to send them (assumed) [s]."""
 
+_UNDERWAY_S = 1.0
+"""Longest that bytes sent are taken to be under way, in an adapter's buffer (assumed) [s]."""
+
 _SPOIL = b"?\n"
 """End of a line that a host has left unfinished: the robot answers an error and obeys no half of it."""
 
@@ -112,6 +115,14 @@ class Device:
         """
         try:
             return self._port.write(data) or 0
+        except (serial.SerialException, OSError) as error:
+            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
+
+    @property
+    def unsent(self) -> int:
+        """Number of bytes that the port has taken and not sent yet, where it can tell."""
+        try:
+            return self._port.out_waiting if isinstance(self._port, serial.Serial) else 0
         except (serial.SerialException, OSError) as error:
             raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
@@ -195,22 +206,21 @@ class _Dialogue:
         self.ended = False
         self._device = device
         self._due = 0
-        self._begun = b""
+        self._asked, self._replied = _Lines(), _Lines()
         self._quiet_since = 0.0
 
     def send(self, data: bytes) -> bytes:
         """Send to the robot; return what is still to be sent."""
         count = self._device.write(data[:_CHUNK])
-        *lines, begun = re.split(rb"[\r\n]", self._begun + data[:count])
-        self._due += sum(map(bool, lines))
-        self._begun = begun[:1]
+        self._due += self._asked.count(data[:count])
         busy_s = count * BITS_PER_BYTE / self._device.baud
-        self._quiet_since = max(self._quiet_since, time.monotonic()) + busy_s
+        now = time.monotonic()
+        self._quiet_since = min(max(self._quiet_since, now) + busy_s, now + _UNDERWAY_S)
         return data[count:]
 
     def heard(self, reply: bytes) -> None:
         """Count the replies that have come."""
-        self._due = max(self._due - reply.count(b"\n"), 0)
+        self._due = max(self._due - self._replied.count(reply), 0)
         self._quiet_since = max(self._quiet_since, time.monotonic())
 
     def end(self, waiting: bytes) -> bytes:
@@ -219,7 +229,7 @@ class _Dialogue:
         Args:
             waiting: Bytes of the host that have not been sent.
         """
-        begun = (self._begun + waiting)[-1:]
+        begun = (self._asked.begun + waiting)[-1:]
         if begun and begun not in b"\r\n":
             waiting += _SPOIL
         self.ended = self.ended or bool(waiting) or self._due > 0
@@ -228,13 +238,33 @@ class _Dialogue:
     @property
     def answered(self) -> bool:
         """Whether what was sent is answered, or will not be: the robot has been silent for long enough."""
-        return time.monotonic() - self._quiet_since > (_SILENCE_S if self._due else _PAUSE_S)
+        now = time.monotonic()
+        if self._device.unsent:
+            self._quiet_since = max(self._quiet_since, now)
+        return now - self._quiet_since > (_SILENCE_S if self._due else _PAUSE_S)
 
     def settling(self, waiting: bytes) -> bool:
         """Return whether replies to a host that has left may still come; `waiting` was not sent yet."""
         if self.ended and not waiting and self.answered:
             self.ended, self._due = False, 0
         return self.ended
+
+
+class _Lines:
+    """Lines of one direction, without empty ones.
+
+    Attributes:
+        begun: First byte of a line that has not ended.
+    """
+
+    def __init__(self) -> None:
+        self.begun = b""
+
+    def count(self, data: bytes) -> int:
+        """Return the number of lines that end in `data`."""
+        *lines, begun = re.split(rb"[\r\n]", self.begun + data)
+        self.begun = begun[:1]
+        return sum(map(bool, lines))
 
 
 def _wait(device: Device, cable: Cable, room: bool, waiting: bool) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from pyserial_suite import plug
 
 from khep_twin.log.reader import read
 from khep_twin.log.replay import view
@@ -82,6 +83,16 @@ def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
 
 
 # pyserial names its threads as Python did before 3.10.
+def test_bytes_at_a_slow_speed_that_a_host_has_left_hold_the_next_one_back_for_a_moment() -> None:
+    with plug() as device, served("--through", device) as (_, path):
+        with serial.Serial(path, 300, stopbits=2, timeout=20) as port:
+            port.write(b"\n\r" + b"x" * 2000)
+            assert port.read(10)  # the line is at its speed
+        with serial.Serial(path, 9600, stopbits=2, timeout=20) as port:
+            port.write(b"B\n")
+            assert port.readline().endswith(b"B\n")
+
+
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 @pytest.mark.parametrize("scheme", ["tcp", "rfc2217"])
 def test_a_robot_on_the_network_is_reached_and_served_on(scheme: str) -> None:
