@@ -145,7 +145,7 @@ def test_no_negotiation_ends_a_server_or_its_log(tmp_path: Path) -> None:
             assert all_of(host) == GREETING + answers + b"b,5.02,5.01\r\n"
         code, errors = stop(process)
     assert code == 0
-    told = [line.text for line in read(log).events]
+    told = [line.text for line in read(log).events if "cut off" in line.text]
     assert len(told) == len(TOO_SHORT)
     for wrong, line in zip(TOO_SHORT, told, strict=True):
         assert line.startswith(
