@@ -40,7 +40,7 @@ from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_run_logs import RunLogs, check_picture
 from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.invocation import command
-from khep_twin.stopping import stopping
+from khep_twin.stopping import answered, stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.series import Bench, Run
@@ -195,6 +195,8 @@ def run(
     logs.check_new(runs if start else None, force or resume)
     done: list[Run] = []
     with ExitStack() as stack:
+        # The robot is left, and its log completed, before what remains is cleared up.
+        stack.enter_context(answered())
         if port is not None:
             bench: Bench = OneRobot(stack.enter_context(Khepera(port)))
             settings: dict[str, Any] = {"port": port}

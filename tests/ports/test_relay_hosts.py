@@ -13,7 +13,7 @@ from khep_twin.uart import LineSettings
 class SlowRobot:
     """A robot at a port that takes a hundred bytes at a time, answers nothing, and remembers all."""
 
-    url, baud, descriptor = "robot", 9600, None
+    url, baud, descriptor, unsent = "robot", 9600, None, 0
 
     def __init__(self) -> None:
         self.heard = b""
