@@ -105,6 +105,7 @@ class Line:
             ProtocolError: a reply is not what its command asks for.
             StoppedError: a command would move a robot that is to stand.
         """
+        self._refuse_moves([command.request for command in commands])
         with self._exchange:
             return self._carry_out(commands)
 
@@ -116,6 +117,7 @@ class Line:
             PortError: the port failed or went away.
         """
         replies: list[str] = []
+        self._refuse_moves([request])
         with self._exchange:
             self._ask([request], replies)
         return replies[0]
@@ -144,10 +146,14 @@ class Line:
             if not tries:
                 raise first from None
 
-    def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
-        """Sends lines and appends the replies, each as it comes."""
+    def _refuse_moves(self, requests: Sequence[str]) -> None:
+        """Refuse what would move a robot that is to stand, outside an exchange, whose end the stop awaits."""
         if self._held and (moves := [each for each in requests if each[:1] in "CDP" and each != _STOP]):
             raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
+
+    def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
+        """Sends lines and appends the replies, each as it comes."""
+        self._refuse_moves(requests)
         if self._unanswered and self._settle() is None:
             raise self._silence(requests[0], b"")
         self._unanswered.update(request[:1] for request in requests)
