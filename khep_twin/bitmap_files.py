@@ -19,6 +19,7 @@ from PIL import Image, UnidentifiedImageError
 
 from khep_twin.bitmap import SIDE_LIMIT, Pixels
 from khep_twin.errors import BitmapError, MatError, choices
+from khep_twin.files import open_regular
 from khep_twin.mat_file import SIZE_LIMIT, Foreign, Variable, read_variables
 
 SCAN = "btmap1"
@@ -64,7 +65,7 @@ def read(path: str | os.PathLike[str], variable: str | None = None, solid: int |
         BitmapError: there is no such file, or no bitmap in it.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(Path(path)) as file:
             data = file.read(SIZE_LIMIT + 1)
     except (OSError, ValueError) as trouble:
         reason = trouble.strerror if isinstance(trouble, OSError) else trouble

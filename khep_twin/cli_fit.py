@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli_completion import calibrations
-from khep_twin.cli_options import Force, check_new
+from khep_twin.cli_options import Force, check_apart, check_new
 from khep_twin.errors import FitError
-from khep_twin.files import unusable, write_whole
+from khep_twin.files import is_same, unusable, write_whole
 
 
 def fit(
@@ -45,14 +45,15 @@ def fit(
     for path in filter(None, (output, picture)):
         if reason := unusable(path):
             raise FitError(f"{path}: cannot be written: {reason}")
-    if output is not None and picture is not None and output.resolve() == picture.resolve():
+    if output is not None and picture is not None and is_same(output, picture):
         raise FitError(f"{picture}: this is the calibration; right is a file of its own for the picture")
-    recorded = {Path(word.rpartition("=")[0]).resolve() for word in (*tests, *(check or ()))}
+    recorded = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
     for path in filter(None, (output, picture)):
-        if path.resolve() in recorded:
+        if any(is_same(path, each) for each in recorded):
             raise FitError(f"{path}: this is a recorded test; right is a file of its own")
     if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise FitError(f"{picture}: right is a name that ends in .png, .svg or .pdf")
+    check_apart([start], output, picture)
     check_new(force, output)
     data, unused = measured(tests), measured(check or [])
     if picture is not None and not (data.objects or data.lamps or data.motors):

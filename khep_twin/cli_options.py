@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from khep_twin.errors import choices
+from khep_twin.errors import KhepTwinError, choices
+from khep_twin.files import is_same
 from khep_twin.invocation import command
 
 if TYPE_CHECKING:
@@ -114,6 +115,13 @@ def check_new(force: bool, *paths: Path | None) -> None:
     for path in paths:
         if path is not None and not force and path.is_file() and path.stat().st_size:
             raise usage(f"{path}: is there already; expected another name, or --force to replace it")
+
+
+def check_apart(read: Iterable[str | Path], *written: Path | None) -> None:
+    """Refuse to replace what is read by what is written."""
+    for path in filter(None, written):
+        if any(is_same(path, Path(each)) for each in read):
+            raise KhepTwinError(f"{path}: this is what is read; expected a file of its own")
 
 
 def check_carry_on(carry_on: bool, log: Path | None) -> None:

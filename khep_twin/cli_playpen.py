@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin import cli_completion
-from khep_twin.cli_options import Commands, Force, check_new
+from khep_twin.cli_options import Commands, Force, check_apart, check_new
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import write_whole
 
@@ -83,7 +83,7 @@ def compile_playpen(
     from khep_twin import playpen as playpens
     from khep_twin.playpen_to_mjcf import to_mjcf
 
-    _check_not_input(output, playpen)
+    check_apart([playpen], output)
     check_new(force, output)
     mjcf = to_mjcf(_placed(playpens.load(playpen), seed))
     if output is None:
@@ -109,6 +109,7 @@ def draw(
 
     found = playpens.load(playpen)
     target = output or Path(f"{found.name}.png")
+    check_apart([playpen, *([] if log is None else [log])], target)
     if perspective:
         from khep_twin.perspective import render
 
@@ -175,12 +176,6 @@ def _placed(playpen: "Playpen", seed: int) -> "Playpen":
         raise KhepTwinError(f"--seed {seed}: {error}") from None
 
 
-def _check_not_input(output: Path | None, source: str | Path) -> None:
-    """Refuses to write over what is read."""
-    if output is not None and output.exists() and Path(source).exists() and output.samefile(source):
-        raise KhepTwinError(f"{output}: this is what is read; right is a file of its own")
-
-
 def _ways(log: Path) -> "list[Track]":
     """Where the robots of a log went."""
     from khep_twin.drawing import Track
@@ -234,7 +229,7 @@ def import_bitmap(
     from khep_twin import playpen as playpens
     from khep_twin.errors import BitmapError
 
-    _check_not_input(output, file)
+    check_apart([file], output)
     name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", file.stem)[:64].strip("-") or "imported"
     target = output or Path(f"{name}.toml")
     check_new(force, target)

@@ -8,7 +8,7 @@ import typer
 from khep_twin.cli_completion import logs
 from khep_twin.cli_options import Force, check_new
 from khep_twin.errors import LogError
-from khep_twin.files import unusable, write_whole
+from khep_twin.files import is_same, unusable, write_whole
 
 LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
 
@@ -89,7 +89,7 @@ def _check_outputs(log: Path, *outputs: Path) -> None:
     for path in outputs:
         if reason := unusable(path):
             raise LogError(f"{path}: cannot be written: {reason}")
-        if path.resolve() == log.resolve() or (path.exists() and log.exists() and path.samefile(log)):
+        if is_same(path, log):
             raise LogError(f"{path}: this is the log; right is a file of its own")
     if len({path.resolve() for path in outputs}) < len(outputs):
         raise LogError(f"{outputs[0]}: named twice; right is a file of its own for each")

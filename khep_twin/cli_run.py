@@ -30,6 +30,7 @@ from khep_twin.cli_options import (
     Spread,
     Switch,
     Viewer,
+    check_apart,
     check_body,
     check_carry_on,
     given,
@@ -152,6 +153,7 @@ def run(
         raise usage(f"--{option} is for a twin in this process, not for one behind --port")
     check_carry_on(carry_on, log)
     check_picture(picture, log, fast)
+    check_apart([playpen], picture)
     if (seconds is not None and not 0 < seconds < math.inf) or (cycles is not None and cycles < 1):
         raise usage("--seconds and --cycles are above 0 and finite")
     _check_save(save, resume, log)

@@ -8,7 +8,7 @@ import typer
 from khep_twin.cli_completion import logs as known_logs
 from khep_twin.cli_options import usage
 from khep_twin.errors import LogError
-from khep_twin.files import unusable
+from khep_twin.files import is_same, unusable
 from khep_twin.invocation import command
 from khep_twin.stopping import stopping
 
@@ -84,5 +84,5 @@ def _check(
             raise usage(f"--png {png}: right is a name that ends in .png")
         if reason := unusable(png):
             raise usage(f"--png {png}: cannot be written: {reason}")
-        if any(log.exists() and png.exists() and png.samefile(log) for log in logs):
+        if any(is_same(png, log) for log in logs):
             raise LogError(f"{png}: this is the log itself; right is a file of its own")

@@ -1,10 +1,48 @@
-"""Writing files so that each is there as a whole or not at all."""
+"""Files of users: what is read is a file indeed, what is written is there as a whole or not at all."""
 
+import errno
 import os
+import stat
 from pathlib import Path
+from typing import BinaryIO
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.stopping import undisturbed
+
+
+def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
+    """Open a file to read it; a pipe, which may be waited for for ever, or a device is refused at once.
+
+    Raises:
+        OSError: It cannot be opened, or is no regular file.
+    """
+    # Before it is opened, as that alone may move a device, and once more, as it may be another one by then.
+    _check_regular(os.stat(path))
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    try:
+        _check_regular(os.fstat(descriptor))
+    except OSError:
+        os.close(descriptor)
+        raise
+    return open(descriptor, "rb", buffering=buffering)
+
+
+def read_regular(path: Path) -> bytes:
+    """Return what is in a file, which is refused as by `open_regular`.
+
+    Raises:
+        OSError: It cannot be read, or is no regular file.
+    """
+    with open_regular(path) as file:
+        return file.read()
+
+
+def is_same(path: Path, other: Path) -> bool:
+    """Return whether two names are those of one file, which may still have to be made."""
+    try:
+        return path.resolve() == other.resolve() or path.samefile(other)
+    except (OSError, ValueError):  # one that is not there is no other's
+        return False
 
 
 def unusable(path: Path) -> str:
@@ -49,10 +87,34 @@ def put_whole(path: Path, data: bytes) -> None:
         OSError: that is not possible; what was there before is untouched.
     """
     target = path.resolve()
-    part = target.with_name(f".{target.name}.part")
     with undisturbed():
+        part = _new_part(target)
         try:
             part.write_bytes(data)
             os.replace(part, target)
         finally:
             part.unlink(missing_ok=True)
+
+
+def is_part(path: Path, whole: Path) -> bool:
+    """Return whether a name is that of `whole` while it is written."""
+    return path.parent == whole.parent and path.name.startswith(f".{whole.name}.part")
+
+
+def _new_part(target: Path) -> Path:
+    """Make an empty file beside another one, under a name that nothing else has."""
+    number = 0
+    while True:
+        part = target.with_name(f".{target.name}.part{number or ''}")
+        try:
+            part.touch(exist_ok=False)
+            return part
+        except FileExistsError:
+            number += 1
+
+
+def _check_regular(found: os.stat_result) -> None:
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "this is no regular file; expected the name of a file")

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from khep_twin.errors import KhepTwinError, choices
+from khep_twin.files import open_regular
 from khep_twin.toml_edit import change
 from khep_twin.toml_lines import Lines, Location
 
@@ -85,7 +86,7 @@ def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, 
     path = folder(kind) / f"{name}.toml" if str(name) in names(kind) else Path(name)
     source = str(name)
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             data = file.read(SIZE_LIMIT + 1)
     except FileNotFoundError:
         wish = f"right is the path of a file or a shipped name; {choices(name, names(kind))}"

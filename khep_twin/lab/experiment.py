@@ -314,7 +314,8 @@ def _offers_of(module: ModuleType) -> dict[str, Any]:
 def _module_of(path: Path) -> ModuleType:
     """A user's file, run as a module."""
     if not path.is_file():
-        raise ControllerError(f"{path}: no such file")
+        odd = "this is no regular file; expected the name of a file" if path.exists() else "no such file"
+        raise ControllerError(f"{path}: {odd}")
     name = f"khep_twin_controller_{path.stem}"
     # An absolute name, as the module keeps it wherever its controller goes.
     loader = ReadOnceLoader(name, str(path.absolute()))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from khep_twin import __version__
 from khep_twin.errors import LogError, SensorTestError
-from khep_twin.files import write_whole
+from khep_twin.files import read_regular, write_whole
 from khep_twin.lab.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_mat import read_mat
 from khep_twin.lab.sensor_test import SENSORS, SensorRun, SensorTest, What
@@ -69,7 +69,7 @@ def load(path: Path, what: What | None = None) -> SensorRun:
     """
     kind = checked_suffix(path)
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise SensorTestError(f"{path}: cannot be read: {error.strerror}") from error
     if not data:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from khep_twin.errors import ControllerError
-from khep_twin.files import write_whole
+from khep_twin.files import read_regular, write_whole
 from khep_twin.lab.mat_bytes import mat_bytes
 from khep_twin.lab.measures import UNITS
 from khep_twin.lab.series import Run
@@ -134,7 +134,7 @@ def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
     """
     file = path / _INDEX
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        found = json.loads(read_regular(file).decode("utf-8"))
         settings: dict[str, Any] = dict(found["settings"])
         rows: list[Row] = [dict(row) for row in found["runs"]]
         for number, row in enumerate(rows, 1):

@@ -17,6 +17,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
+from khep_twin.files import open_regular
 from khep_twin.invocation import command
 from khep_twin.log.reader import Label, read_label
 from khep_twin.log.record_bytes import HEAD, MESSAGE, RecordBytes, parsed, records_in
@@ -69,7 +70,7 @@ class GrowingLog:
         target = self.path.resolve()
         self.part = target.with_name(f"{target.name}.part")
         try:
-            self._file = self.part.open("rb", buffering=0)
+            self._file = open_regular(self.part, buffering=0)
         except FileNotFoundError:
             if not self.path.exists():
                 raise

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files import unusable
+from khep_twin.files import open_regular, unusable
 from khep_twin.log import channels
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.channels import Level, Line
@@ -152,11 +152,8 @@ def _no_log(path: Path) -> str:
     try:
         if not path.exists() or path.stat().st_size == 0:
             return ""
-        with path.open("rb") as file:
-            return (
-                ""
-                if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
-                else "this file is no log; right is another name"
-            )
+        with open_regular(path) as file:
+            begins_so = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        return "" if begins_so else "this file is no log; right is another name"
     except OSError as error:
         return error.strerror or str(error)

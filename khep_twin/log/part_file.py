@@ -9,7 +9,10 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from mcap.writer import MCAP0_MAGIC
+
 from khep_twin.errors import LogError
+from khep_twin.files import open_regular
 
 
 class PartFile:
@@ -52,14 +55,29 @@ class PartFile:
 
 
 def set_aside(part: Path) -> Path | None:
-    """Moves an unfinished log out of the way, so that nothing that could be rescued is lost."""
+    """Move an unfinished log out of the way, so that nothing that could be rescued is lost.
+
+    Returns:
+        Where it is now; None if there was none.
+
+    Raises:
+        LogError: Another run is writing it, or it is no log.
+        OSError: It cannot be moved.
+    """
     if not part.exists():
         return None
-    with part.open("rb") as file:
+    try:
+        found = open_regular(part)
+    except OSError as error:
+        raise LogError(f"{part}: this is no unfinished log: {error.strerror}") from error
+    with found as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise LogError(f"{part}: another run is writing it; right is another name for the log") from None
+        # It may be torn off early; anything else is somebody's, such as the playpen of this very run.
+        if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
+            raise LogError(f"{part}: this is no unfinished log; expected another name for the log")
     number = 1
     while (kept := part.with_name(f"{part.name}.{number}")).exists():
         number += 1

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from zstandard import ZstdError
 
 from khep_twin.errors import LogError
+from khep_twin.files import open_regular
 from khep_twin.log.channels import (
     FLOATS,
     INTEGERS,
@@ -259,7 +260,7 @@ def read_raw(
 def _opened(path: Path) -> Generator[McapReader, None, None]:
     """Opens a log; what goes wrong with its file and its content becomes one line."""
     try:
-        file = path.open("rb")
+        file = open_regular(path)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     with file:

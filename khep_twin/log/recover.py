@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files import unusable
+from khep_twin.files import open_regular, unusable
 from khep_twin.log.salvage import Salvage
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
@@ -71,7 +71,7 @@ def recover(path: Path) -> Rescue:
 
 def _content(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:

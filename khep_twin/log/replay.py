@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files import put_whole
+from khep_twin.files import is_same, put_whole
 from khep_twin.log.arena import Light, Rays, event_chunks, trail_chunks
 from khep_twin.log.gathered import Gatherer
 from khep_twin.log.khepbase import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
@@ -113,7 +113,7 @@ def _saved(paths: Sequence[Path], labels: Sequence[Label]) -> Generator[Path, No
 
 
 def _save(paths: Sequence[Path], labels: Sequence[Label], save: Path) -> None:
-    if save.is_dir() or (save.exists() and any(save.samefile(path) for path in paths)):
+    if save.is_dir() or any(is_same(save, path) for path in paths):
         what = "a directory" if save.is_dir() else "the log itself"
         raise LogError(f"{save}: this is {what}; right is the name of a file, such as {paths[0].stem}.rrd")
     recording = _recording(paths, labels)

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from khep_twin.files import read_regular
 from khep_twin.randomness import stream
 from khep_twin.scale.minds import Floats
 from khep_twin.scale.study import NetworkTable, StudyFile
@@ -42,7 +43,7 @@ def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int)
 
 def _read(path: Path) -> Floats:
     """A table of numbers; one row may stand alone."""
-    data = path.read_bytes()
+    data = read_regular(path)
     if path.suffix == ".npy":
         return np.atleast_2d(np.asarray(np.lib.format.read_array(io.BytesIO(data)), np.float64))
     if path.suffix == ".csv":

@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 
 from khep_twin import __version__
 from khep_twin.errors import StudyError
-from khep_twin.files import write_whole
+from khep_twin.files import is_part, open_regular, read_regular, write_whole
 from khep_twin.scale.study import COLUMNS
 from khep_twin.scale.sweep_tasks import Task, Work
 from khep_twin.scale.task_lives import Columns
@@ -128,7 +128,7 @@ class SweepFolder:
         file, work = self._path / "study.json", self._work
         known = _json(file)
         # A sweep that was killed at once may have left the beginning of its file.
-        found = sorted({*self._path.iterdir()} - {self._path / f".{file.name}.part"})
+        found = sorted(path for path in self._path.iterdir() if not is_part(path, file))
         if known is None and found:
             raise StudyError(f"{self._path}: holds {found[0].name} and no study.json; right is a new folder")
         # One that came to nothing, as with a program that does not compile, may be mended and begun anew.
@@ -165,7 +165,8 @@ class SweepFolder:
     def _holds(self, file: Path, lives: int, task: bytes | None = None) -> bool:
         """Whether a file ends as one does that was written as a whole, with lives of this study."""
         try:
-            known = pq.read_metadata(file)
+            with open_regular(file) as content:
+                known = pq.read_metadata(content)
         except (OSError, pa.ArrowInvalid):
             return False
         told = known.metadata or {}
@@ -224,7 +225,7 @@ def summary(table: Path) -> Iterator[str]:
 def _json(file: Path) -> dict[str, Any] | None:
     """What a file says; None where there is none."""
     try:
-        found = json.loads(file.read_text())
+        found = json.loads(read_regular(file))
     except FileNotFoundError:
         return None
     except (OSError, ValueError):

@@ -17,6 +17,7 @@ import numpy as np
 
 from khep_twin import __version__, calibration, playpen
 from khep_twin.errors import ControllerError, KhepTwinError
+from khep_twin.files import read_regular
 from khep_twin.lab import setting
 from khep_twin.playpen import Playpen
 from khep_twin.scale.genomes import genomes_of
@@ -178,7 +179,7 @@ def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0)
     path, _, function = name.rpartition(":")
     place, key = (kind, index, "file"), f'{kind} {index + 1}: file = "{name}"'
     try:
-        program = Program((file.folder / path).read_text("utf-8"), path, function, memory)
+        program = Program(read_regular(file.folder / path).decode("utf-8"), path, function, memory)
         function_of(program)
     except (OSError, UnicodeDecodeError) as trouble:
         reason = getattr(trouble, "strerror", None) or "no UTF-8 text"

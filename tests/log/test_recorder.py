@@ -226,13 +226,13 @@ def test_what_is_no_log_is_left_alone(tmp_path: Path, start: Start, kind: str) -
 
 def test_what_a_crash_left_behind_is_kept(tmp_path: Path, start: Start) -> None:
     path = tmp_path / "run.mcap"
-    (tmp_path / "run.mcap.part").write_text("crashed")
+    (tmp_path / "run.mcap.part").write_bytes(MCAP0_MAGIC + b"crashed")
     (tmp_path / "run.mcap.part.1").write_text("crashed before")
     with start(path) as twin:
         assert twin.recorder is not None
         assert twin.recorder.kept == tmp_path / "run.mcap.part.2"
     assert (tmp_path / "run.mcap.part.1").read_text() == "crashed before"
-    assert (tmp_path / "run.mcap.part.2").read_text() == "crashed"
+    assert (tmp_path / "run.mcap.part.2").read_bytes() == MCAP0_MAGIC + b"crashed"
     read(path)
 
 
