@@ -71,7 +71,7 @@ class RunLogs:
 def draw_logs(logs: Sequence[Path], picture: Path) -> None:
     """Draws the playpen and the driven paths of logs."""
     from khep_twin import drawing
-    from khep_twin import playpen as playpens
+    from khep_twin.log.attached import playpen_of
     from khep_twin.log.reader import read
 
     runs = [read(log) for log in logs]
@@ -80,7 +80,7 @@ def draw_logs(logs: Sequence[Path], picture: Path) -> None:
         for log, run in zip(logs, runs, strict=True)
         for name, track in run.robots.items()
     ]
-    found = playpens.parse(runs[0].attachments["playpen.toml"], f"{logs[0]}: playpen.toml")
+    found = playpen_of(runs[0].attachments, logs[0])
     drawing.save(drawing.draw(found, tracks), picture)
 
 

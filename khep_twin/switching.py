@@ -3,10 +3,11 @@
 import json
 import struct
 from collections.abc import Sequence
+from typing import Any, cast
 
 from khep_twin.errors import PlaypenError, choices
 from khep_twin.playpen import Lamp, Lighting, Playpen
-from khep_twin.toml_files import check, frozen
+from khep_twin.toml_files import Table, check, frozen
 from khep_twin.uart import Act, HostAct
 from khep_twin.world import World
 
@@ -62,7 +63,23 @@ def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
 
 
 def relight_again(world: World, act: HostAct) -> None:
-    """Sets up lamps as a log has it."""
-    wanted = frozen(json.loads(act.data))
-    lamps = [Lamp.model_validate(lamp) for lamp in wanted["lamp"]]
-    relight(world, lamps, Lighting.model_validate(wanted["lighting"]))
+    """Sets up lamps as a log has it.
+
+    Raises:
+        PlaypenError: its bytes are not as `relight` writes them.
+    """
+    try:
+        wanted = frozen(json.loads(act.data))
+        if not isinstance(wanted, dict):
+            raise TypeError
+    except (ValueError, TypeError, RecursionError):
+        raise PlaypenError(f"lamps = {act.data[:40]!r}: right is JSON with lamp and lighting") from None
+    checked = check(_Lamps, cast(dict[str, Any], wanted), "lamps", PlaypenError)
+    relight(world, checked.lamp, checked.lighting)
+
+
+class _Lamps(Table):
+    """What an act says of lamps."""
+
+    lamp: tuple[Lamp, ...]
+    lighting: Lighting

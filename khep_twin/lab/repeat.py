@@ -6,19 +6,21 @@ they stand there. Then every sample's state and every line of the transcript mus
 
 import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from khep_twin import __version__
-from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
-from khep_twin.log.channels import Line, read_line
+from khep_twin.log.attached import playpen_of
+from khep_twin.log.channels import Line
+from khep_twin.log.decoding import LATEST_NS, Misfit, first_line, read_line, shown
 from khep_twin.log.reader import Label, read_raw
 from khep_twin.log.recorder import versions
 from khep_twin.log.transcript import Transcript
@@ -81,24 +83,45 @@ def read_recorded(path: Path) -> Recorded:
         LogError: there is no log, it is not whole, or it does not hold what a repetition needs.
     """
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(("/wire", "/serial", "/state")))
-    try:
-        acts = [
-            (time_ns, index, act)
-            for index, name in enumerate(label.robots)
-            for _, data in found.get(f"/{name}/wire", [])
-            for time_ns, act in read_acts(data)
-        ]
-        states: list[int] = []
-        for time_ns, data in found.get("/state", []):
-            if time_ns != len(states) * SAMPLE_NS:
-                at_s = len(states) * SAMPLE_NS / NS_PER_S
-                raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
-            states += read_states(data)
-        lines = [[read_line(data) for _, data in found.get(f"/{name}/serial", [])] for name in label.robots]
-    except (ValueError, LookupError) as error:
-        raise LogError(f"{path}: no log of khep_twin: {error}") from error
+    states: list[int] = []
+    for time_ns, hashed in _decoded(path, found, "/state", read_states):
+        if time_ns != len(states) * SAMPLE_NS:
+            at_s = len(states) * SAMPLE_NS / NS_PER_S
+            raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
+        states += hashed
+    last_ns = (len(states) - 1) * SAMPLE_NS + _OVERTIME_NS if states and not recovered else LATEST_NS
+    acts: list[tuple[int, int, HostAct]] = []
+    lines: list[list[Line]] = [[] for _ in label.robots]
+    for index, name in enumerate(label.robots):
+        for _, done in _decoded(path, found, f"/{name}/wire", lambda data: list(read_acts(data))):
+            acts += [(at_ns, index, act) for at_ns, act in done]
+        lines[index] = [line for _, line in _decoded(path, found, f"/{name}/serial", read_line)]
+    for time_ns in (*(at_ns for at_ns, _, _ in acts), *(line.time_ns for each in lines for line in each)):
+        if time_ns > last_ns:
+            wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
+            raise Misfit(f"something at {time_ns / NS_PER_S:.2f} s", wish).at(path, "/wire and /serial")
     # Of several robots the acts of one time are in the order of the robots, which do not hear each other.
     return Recorded(path, label, sorted(acts, key=lambda each: each[0]), states, lines, recovered)
+
+
+_OVERTIME_NS = 10 * NS_PER_S
+"""So long after the last state something may have happened, at most [ns]."""
+
+_Decoded = TypeVar("_Decoded")
+
+
+def _decoded(
+    path: Path,
+    found: Mapping[str, Sequence[tuple[int, bytes]]],
+    topic: str,
+    decode: Callable[[bytes], _Decoded],
+) -> Iterator[tuple[int, _Decoded]]:
+    """Times [ns] and contents of a channel's messages."""
+    for time_ns, data in found.get(topic, ()):
+        try:
+            yield time_ns, decode(data)
+        except Misfit as misfit:
+            raise misfit.at(path, topic, time_ns) from None
 
 
 def elsewhere(recorded: Recorded) -> list[str]:
@@ -106,7 +129,7 @@ def elsewhere(recorded: Recorded) -> list[str]:
     here = versions()
     made = recorded.label.metadata
     return [
-        f"made with {key} {made.get(key, 'unknown')}, here is {value}"
+        f"made with {key} {shown(made.get(key, 'unknown'))}, here is {value}"
         for key, value in here.items()
         if made.get(key) != value
     ]
@@ -141,7 +164,7 @@ def repeat(recorded: Recorded, progress: Callable[[float], None] | None = None) 
     except LogError:
         raise
     except KhepTwinError as error:
-        raise LogError(f"{recorded.path}: cannot be repeated: {error}") from error
+        raise LogError(f"{recorded.path}: cannot be repeated: {first_line(error)}") from error
 
 
 def _twin(recorded: Recorded) -> Twin:
@@ -150,18 +173,44 @@ def _twin(recorded: Recorded) -> Twin:
     for name in ("playpen.toml", "configuration.json"):
         if name not in attached:
             raise LogError(f"{path}: cannot be repeated: its {name} is missing")
-    try:
-        settings: dict[str, Any] = json.loads(attached["configuration.json"])
-        settings["faults"] = tuple(settings.get("faults", ()))
-        # A log writes no file but its reader's own.
-        settings.pop("log", None)
-        options = TwinOptions(**settings)
-    except (ValueError, TypeError, AttributeError, KhepTwinError) as error:
-        known = ", ".join(each.name for each in fields(TwinOptions))
-        raise LogError(f"{path}: cannot be repeated: configuration.json: {error} (keys: {known})") from error
-    playpen = playpens.parse(attached["playpen.toml"], f"{path}: playpen.toml")
+    options = _options(path, attached["configuration.json"])
+    playpen = playpen_of(attached, path)
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-        return open_twin(_calibrated(recorded, playpen, Path(folder)), options)
+        twin = open_twin(_calibrated(recorded, playpen, Path(folder)), options)
+    there = tuple(robot.name for robot in twin.world.robots)
+    if there != recorded.label.robots:
+        found = f"robots = {shown(','.join(recorded.label.robots))}"
+        raise Misfit(found, f"{','.join(there)}, those of its playpen.toml").at(path, "metadata")
+    return twin
+
+
+def _options(path: Path, text: str) -> TwinOptions:
+    """The options of a log's twin."""
+    known = [each.name for each in fields(TwinOptions)]
+    try:
+        settings: object = json.loads(text)
+        if not isinstance(settings, dict):
+            raise Misfit(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
+        if unknown := [key for key in cast(dict[str, Any], settings) if key not in known]:
+            raise Misfit(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
+        # A log writes no file but its reader's own.
+        wanted = {**cast(dict[str, Any], settings), "log": None}
+        return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
+    except Misfit as misfit:
+        raise misfit.at(path, "configuration.json") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        misfit = Misfit(f"{key} = {shown(first['input'])}", first["msg"].removeprefix("Input should be "))
+        raise misfit.at(path, "configuration.json") from None
+    except KhepTwinError as error:
+        raise LogError(f"{path}: configuration.json: {error}") from None
+    except (ValueError, RecursionError) as error:
+        misfit = Misfit(f"{shown(text)} ({shown(error)})", "JSON")
+        raise misfit.at(path, "configuration.json") from None
+
+
+_OPTIONS = TypeAdapter(TwinOptions)
 
 
 def _calibrated(recorded: Recorded, playpen: Playpen, folder: Path) -> Playpen:
@@ -284,7 +333,9 @@ class _Watch:
 
 
 def _told(line: Line | None) -> str:
-    return "nothing" if line is None else f"{line.name}: {line.text} at {line.time_ns / NS_PER_S:.4f} s"
+    if line is None:
+        return "nothing"
+    return f"{shown(line.name)}: {shown(line.text)} at {line.time_ns / NS_PER_S:.4f} s"
 
 
 def _hexadecimal(state: int) -> str:

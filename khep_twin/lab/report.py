@@ -10,10 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from khep_twin import calibration, toml_files
-from khep_twin import playpen as playpens
 from khep_twin.drawing import Track
-from khep_twin.errors import CalibrationError
 from khep_twin.kernel import N_REGISTERS
 from khep_twin.lab import run_statistics as statistics
 from khep_twin.lab.report_rows import (
@@ -25,6 +22,7 @@ from khep_twin.lab.report_rows import (
     slip_rows,
     wire_rows,
 )
+from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.channels import Line
 from khep_twin.log.reader import Recording, Series
 from khep_twin.playpen import Playpen
@@ -91,11 +89,11 @@ def report(recording: Recording, source: str) -> Report:
         source: what to call its file in messages.
 
     Raises:
-        PlaypenError: the log's playpen cannot be used.
+        LogError: what is attached to the log cannot be used.
     """
     facts = recording.label.metadata
-    text = recording.label.attachments.get("playpen.toml")
-    playpen = None if text is None else playpens.parse(text, f"{source}: playpen.toml")
+    attachments = recording.label.attachments
+    playpen = playpen_of(attachments, source) if "playpen.toml" in attachments else None
     if playpen is not None:
         title = f"Run in the playpen {playpen.name}"
     else:
@@ -111,20 +109,21 @@ def report(recording: Recording, source: str) -> Report:
         title,
         playpen,
         tracks,
-        tuple(_robot(recording, playpen, index, name) for index, name in enumerate(names)),
+        tuple(_robot(recording, source, playpen, index, name) for index, name in enumerate(names)),
         tuple((f"{line.time_ns / 1e9:.2f} s, {line.name}", line.text) for line in _events(recording)),
         tuple((key.replace("_", " "), value) for key, value in facts.items() if value not in _UNSET),
     )
 
 
-def _robot(recording: Recording, playpen: Playpen | None, index: int, name: str) -> RobotReport:
+def _robot(recording: Recording, source: str, playpen: Playpen | None, index: int, name: str) -> RobotReport:
     pose, proximity, ambient, speed = (
         _series(recording, f"/{name}/{channel}", width)
         for channel, width in (("pose", 3), ("proximity", 8), ("ambient", 8), ("speed", 4))
     )
     registers = _series(recording, f"/{name}/registers", N_REGISTERS)
     lines = recording.lines.get(f"/{name}/serial", [])
-    dark = _dark(recording, name)
+    calibration = calibration_of(recording.label.attachments, name, source)
+    dark = None if calibration is None else calibration.ambient.dark_counts
     rows: list[Row] = [("Duration", f"{_duration_s(recording):.2f} s")]
     contact = np.zeros((0, 2))
     if pose is not None:
@@ -176,12 +175,3 @@ def _duration_s(recording: Recording) -> float:
 
 def _events(recording: Recording) -> Sequence[Line]:
     return recording.lines.get("/events", [])
-
-
-def _dark(recording: Recording, name: str) -> float | None:
-    """The dark level of a robot's calibration, None without."""
-    text = recording.label.attachments.get(f"calibration/{name}.toml")
-    if text is None:
-        return None
-    kind = calibration.Calibration
-    return toml_files.validate(kind, text, f"calibration/{name}.toml", CalibrationError).ambient.dark_counts

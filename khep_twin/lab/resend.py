@@ -20,6 +20,7 @@ from khep_twin.errors import LogError, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.repeat import Recorded
 from khep_twin.log.channels import Line
+from khep_twin.log.decoding import Misfit, shown
 from khep_twin.log.transcript import text_of
 from khep_twin.uart import Act, HostAct
 
@@ -119,7 +120,12 @@ def resend(recorded: Recorded, url: str, progress: Callable[[float], None] | Non
 def _baud(recorded: Recorded, acts: Sequence[HostAct]) -> int:
     """The speed that the host began with."""
     known = [act.host.baud for act in acts if act.host is not None and act.host.baud]
-    return known[0] if known else int(recorded.label.metadata.get("baud", "9600"))
+    if known:
+        return known[0]
+    text = recorded.label.metadata.get("baud", "9600")
+    if not re.fullmatch("[1-9][0-9]{0,8}", text):
+        raise Misfit(f"baud = {shown(text)}", "a whole number").at(recorded.path, "metadata")
+    return int(text)
 
 
 def _send(

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
+from khep_twin.errors import LogError
 from khep_twin.illumination import illumination
+from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.gathered import Gatherer, Poses, Samples
 from khep_twin.units import COUNTS_LIMIT, Sensor, metres
 
@@ -53,10 +55,14 @@ class Rays:
 
     Args:
         label: of the log, with its scene.
+        source: what to call the log in messages.
+
+    Raises:
+        LogError: the scene cannot be used.
     """
 
-    def __init__(self, label: "Label") -> None:
-        self._model = mujoco.MjModel.from_xml_string(label.attachments["scene.xml"])
+    def __init__(self, label: "Label", source: object) -> None:
+        self._model = shapes_of(label.attachments, label.robots, source)
         self._data = mujoco.MjData(self._model)
         self._free = {
             self._model.body(self._model.jnt_bodyid[joint]).name: int(self._model.jnt_qposadr[joint])
@@ -212,10 +218,15 @@ class Light:
 
     Args:
         label: of the log, with its playpen.
+        source: what to call the log in messages.
+
+    Raises:
+        LogError: the playpen cannot be used.
     """
 
-    def __init__(self, label: "Label") -> None:
-        self._playpen = playpens.parse(label.attachments["playpen.toml"], "playpen.toml")
+    def __init__(self, label: "Label", source: object) -> None:
+        self._source = source
+        self._playpen = playpen_of(label.attachments, source)
         self._full = np.array([lamp.power_w * lamp.dim for lamp in self._playpen.lamps])
         self._states: dict[tuple[bool, ...], str] = {}
         self._steady = not any((lamp.on_s or lamp.blink_period_s) for lamp in self._playpen.lamps)
@@ -229,6 +240,9 @@ class Light:
         times_ns, powers = gathered.lamps()
         if not self._full.any() or (powers is None and (self._states or not self._steady)):
             return
+        if powers is not None and powers.shape[1] != len(self._full):
+            found = f"{powers.shape[1]} powers in /lamps"
+            raise LogError(f"{self._source}: {found}; expected {len(self._full)}, as playpen.toml has lamps")
         on = np.ones((1, len(self._full)), bool) if powers is None else powers > self._full / 2
         changed = np.flatnonzero(np.any(on != np.roll(on, 1, axis=0), axis=1))
         changed = np.union1d(0, changed)

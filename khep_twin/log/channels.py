@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 
-_HEADER = b"\x00\x01\x00\x00"
+CDR_HEADER = b"\x00\x01\x00\x00"
 _RULE = "=" * 80
 _TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
 _ARRAY = """std_msgs/MultiArrayLayout layout
@@ -147,11 +147,11 @@ class Encoder:
     def align(self, size: int) -> int:
         """Goes on to a multiple of `size`; returns the place in the finished message."""
         self._data += bytes(-len(self._data) % size)
-        return len(_HEADER) + len(self._data)
+        return len(CDR_HEADER) + len(self._data)
 
     def message(self) -> bytes:
         """The finished message."""
-        return _HEADER + bytes(self._data)
+        return CDR_HEADER + bytes(self._data)
 
 
 class ArrayFrame:
@@ -250,94 +250,16 @@ class LineFrame:
     def __init__(self, name: str, level: int) -> None:
         frame = Encoder().time(0).put("B", level).text(name)
         frame.align(4)
-        self._middle = frame.message()[len(_HEADER) + _STAMP.size :]
+        self._middle = frame.message()[len(CDR_HEADER) + _STAMP.size :]
 
     def message(self, time_ns: int, text: bytes) -> bytes:
         """One line, `text` in UTF-8."""
         seconds, rest_ns = divmod(time_ns, NS_PER_S)
         size = len(text) + 1
         stamp, padding = _STAMP.pack(seconds, rest_ns), bytes(1 + -size % 4)
-        return b"".join((_HEADER, stamp, self._middle, _COUNT.pack(size), text, padding, _LINE_TAIL))
+        return b"".join((CDR_HEADER, stamp, self._middle, _COUNT.pack(size), text, padding, _LINE_TAIL))
 
 
 _STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
-_LINE_TAIL = Encoder().text("").text("").put("I", 0).message()[len(_HEADER) :]
-
-
-class Decoder:
-    """Reads values one after the other, as `Encoder` writes them."""
-
-    def __init__(self, message: bytes) -> None:
-        self._data = message[len(_HEADER) :]
-        self._place = 0
-
-    def get(self, kind: str, count: int = 1) -> tuple[float, ...]:
-        """Numbers in a row, `kind` as in `struct`."""
-        size = struct.calcsize(kind)
-        self._place += -self._place % size
-        values = struct.unpack_from(f"<{count}{kind}", self._data, self._place)
-        self._place += count * size
-        return values
-
-    def number(self) -> int:
-        """One uint32."""
-        return int(self.get("I")[0])
-
-    def text(self) -> str:
-        """A string."""
-        length = self.number()
-        data = self._data[self._place : self._place + length - 1]
-        self._place += length
-        return data.decode("utf-8")
-
-    def time(self) -> int:
-        """A time [ns]."""
-        return int(self.get("i")[0]) * NS_PER_S + self.number()
-
-
-def read_array(message: bytes, kind: str) -> tuple[float, ...]:
-    """The values of a Float64MultiArray ("d") or Int64MultiArray ("q")."""
-    decoder = Decoder(message)
-    for _ in range(decoder.number()):
-        decoder.text()
-        decoder.get("I", 2)
-    decoder.number()
-    return decoder.get(kind, decoder.number())
-
-
-def read_arrays_of(messages: Sequence[bytes], kind: str) -> NDArray[np.int64] | NDArray[np.float64]:
-    """The values of several messages of a channel (n, length), `kind` as for `read_array`.
-
-    Raises:
-        ValueError: they have several lengths.
-    """
-    length = len(read_array(messages[0], kind))
-    # Where all begin alike, as a log's writer makes them, the values lie at the same place in each.
-    head = messages[0][: len(messages[0]) - 8 * length]
-    if length and all(len(each) == len(messages[0]) and each.startswith(head) for each in messages):
-        whole = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
-        values = np.ascontiguousarray(whole[:, len(head) :])
-        return values.view("<i8") if kind == "q" else values.view("<f8")
-    rows = [read_array(each, kind) for each in messages]
-    return np.array(rows, np.int64) if kind == "q" else np.array(rows, np.float64)
-
-
-def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
-    """The poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w."""
-    decoder = Decoder(message)
-    poses: dict[str, tuple[float, ...]] = {}
-    for _ in range(decoder.number()):
-        decoder.time()
-        decoder.text()
-        name = decoder.text()
-        poses[name] = decoder.get("d", 7)
-    return poses
-
-
-def read_line(message: bytes) -> Line:
-    """A line of the transcript or of the events."""
-    decoder = Decoder(message)
-    time_ns = decoder.time()
-    (level,) = decoder.get("B")
-    return Line(time_ns, int(level), decoder.text(), decoder.text())
+_LINE_TAIL = Encoder().text("").text("").put("I", 0).message()[len(CDR_HEADER) :]

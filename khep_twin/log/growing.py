@@ -19,7 +19,8 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin.errors import LogError
 from khep_twin.files import open_regular
 from khep_twin.invocation import command
-from khep_twin.log.reader import Label, read_label
+from khep_twin.log.decoding import Misfit
+from khep_twin.log.reader import Label, read_label, robot_names
 from khep_twin.log.record_bytes import HEAD, MESSAGE, RecordBytes, parsed, records_in
 
 _BLOCK = 1 << 22
@@ -96,10 +97,17 @@ class GrowingLog:
         self._file.close()
 
     def label(self) -> Label | None:
-        """What the log says of itself; None as long as it has not said it."""
+        """What the log says of itself; None as long as it has not said it.
+
+        Raises:
+            LogError: it cannot be.
+        """
         if "robots" not in self._facts:
             return None
-        return Label(self._facts, self._attachments, tuple(self._facts["robots"].split(",")))
+        try:
+            return Label(self._facts, self._attachments, robot_names(self._facts["robots"]))
+        except Misfit as misfit:
+            raise misfit.at(self.part, "metadata") from None
 
     def new(self) -> list[Message]:
         """The messages of what was written since the last look, of a long log a part of them.

@@ -3,12 +3,12 @@
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from khep_twin.log.arena import EVENTS, trail
+from khep_twin.log.attached import playpen_of
 from khep_twin.log.khepbase import panel
 from khep_twin.log.reader import Label
 from khep_twin.units import Sensor
@@ -219,8 +219,8 @@ def _eye(label: Label) -> "rrb.EyeControls3D":
     """Looks at the arena's middle from before and above, from as far as its size asks."""
     import rerun.blueprint as rrb
 
-    arena = tomllib.loads(label.attachments["playpen.toml"])["arena"]
-    width, depth = arena["width_mm"] / 1000, arena["height_mm"] / 1000
+    arena = playpen_of(label.attachments, "log").arena
+    width, depth = arena.width_mm / 1000, arena.height_mm / 1000
     reach = max(width, depth)
     return rrb.EyeControls3D(
         position=(width / 2, depth / 2 - 0.75 * reach, 0.85 * reach),

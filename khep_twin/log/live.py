@@ -123,7 +123,7 @@ def follow(
     label: Label | None = None
     dealer = _Dealer()
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-        translator = _Translator(Path(folder))
+        translator = _Translator(Path(folder), log.path)
         while not stop() and not (log.finished and dealer.empty()):
             began, busy = time.monotonic(), time.process_time()
             messages, first = first or log.new(), ()
@@ -163,9 +163,11 @@ class _Translator:
 
     Args:
         folder: for pieces of the log: the reader takes files.
+        source: the log.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, source: Path) -> None:
+        self._source = source
         self._piece = folder / "piece.mcap"
         self._slots: dict[str, int] = {}
         self._described: set[str] = set()
@@ -204,7 +206,7 @@ class _Translator:
         """Yield what is shown of a piece besides what it holds itself."""
         poses = gatherer.poses()
         if poses is not None and self._rays is None:
-            self._rays, self._light = Rays(label), Light(label)
+            self._rays, self._light = Rays(label, self._source), Light(label, self._source)
         for robot in label.robots:
             if (samples := gatherer.samples(robot)) is not None:
                 yield from panel_chunks(robot, samples, TIMELINE)

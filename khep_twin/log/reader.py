@@ -1,7 +1,8 @@
 """Reading a log back: what was recorded as arrays, without ROS, rerun or the simulator."""
 
+import re
 import struct
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,15 +15,17 @@ from zstandard import ZstdError
 
 from khep_twin.errors import LogError
 from khep_twin.files import open_regular
-from khep_twin.log.channels import (
-    FLOATS,
-    INTEGERS,
-    Line,
+from khep_twin.log.channels import FLOATS, INTEGERS, Line
+from khep_twin.log.decoding import (
+    LATEST_NS,
+    Misfit,
     read_array,
     read_arrays_of,
     read_line,
     read_transforms,
+    shown,
 )
+from khep_twin.toml_files import NAME_WISH
 
 _DAMAGE = (
     McapError,
@@ -131,7 +134,7 @@ def read(path: Path) -> Run:
     """
     with _opened(path) as reader:
         label = _label(path, reader)
-        columns = _Columns()
+        columns = _Columns(path)
         for _, channel, message in reader.iter_messages():
             columns.add(channel.topic, message.log_time, message.data)
         robots = {name: columns.track(name) for name in label.robots}
@@ -159,6 +162,9 @@ def read_end_ns(path: Path) -> int:
         statistics = None if summary is None else summary.statistics
         if statistics is None:
             raise ValueError("no statistics")
+        if statistics.message_end_time > LATEST_NS:
+            found = f"message_end_time = {statistics.message_end_time}"
+            raise Misfit(found, f"at most {LATEST_NS}").at(path, "statistics")
         return statistics.message_end_time
 
 
@@ -168,19 +174,15 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
     Raises:
         LogError: there is none, or it is not whole.
     """
-    times: dict[str, list[int]] = {}
-    rows: dict[str, list[tuple[float, ...]]] = {}
+    messages = _Messages(path)
     with _opened(path) as reader:
         label = _label(path, reader)
         for schema, channel, message in reader.iter_messages():
             if schema is not None and schema.name == FLOATS:
-                times.setdefault(channel.topic, []).append(message.log_time)
-                rows.setdefault(channel.topic, []).append(read_array(message.data, "d"))
-        # In here, since rows of several lengths are damage, too.
-        return label, {
-            topic: (np.array(times[topic], np.int64), np.array(values, np.float64))
-            for topic, values in rows.items()
-        }
+                messages.add(channel.topic, "d", message.log_time, message.data)
+    return label, {
+        topic: (times_ns, values.astype(np.float64)) for topic, times_ns, values in messages.arrays()
+    }
 
 
 def read_series(path: Path) -> Recording:
@@ -189,9 +191,7 @@ def read_series(path: Path) -> Recording:
     Raises:
         LogError: there is none, or it is not whole.
     """
-    times: dict[tuple[str, str], list[int]] = {}
-    messages: dict[tuple[str, str], list[bytes]] = {}
-    columns = _Columns()
+    messages, columns = _Messages(path), _Columns(path)
     with _opened(path) as reader:
         label = _label(path, reader)
         # In the file's order, in which each channel is in order of time anyway: to sort all takes long.
@@ -202,24 +202,16 @@ def read_series(path: Path) -> Recording:
             if kind is None:
                 columns.add(channel.topic, message.log_time, message.data)
             else:
-                times.setdefault((channel.topic, kind), []).append(message.log_time)
-                messages.setdefault((channel.topic, kind), []).append(message.data)
-        # In here, since rows of several lengths are damage, too.
-        series = {
-            topic: _in_order(np.array(times[topic, kind], np.int64), read_arrays_of(found, kind))
-            for (topic, kind), found in messages.items()
-        }
-        for name in label.robots:
-            track = columns.track(name)
-            if len(track.pose):
-                series[f"/{name}/pose"] = _in_order(track.times_ns, track.pose)
+                messages.add(channel.topic, kind, message.log_time, message.data)
+    series = {topic: _in_order(times_ns, values) for topic, times_ns, values in messages.arrays()}
+    for name in label.robots:
+        if len(pose := columns.pose(name)):
+            series[f"/{name}/pose"] = _in_order(np.array(columns.times_ns, np.int64), pose)
     lines = {topic: sorted(found, key=lambda line: line.time_ns) for topic, found in columns.lines.items()}
     return Recording(label, series, lines)
 
 
 def _in_order(times_ns: NDArray[np.int64], values: NDArray[np.int64] | NDArray[np.float64]) -> Series:
-    if len(times_ns) != len(values):
-        raise ValueError(f"{len(values)} rows at {len(times_ns)} times")
     order = np.argsort(times_ns, kind="stable")
     return Series(times_ns[order], values[order])
 
@@ -252,6 +244,7 @@ def read_raw(
         recovered = any(record.name == "recovered" for record in reader.iter_metadata())
         for _, channel, message in reader.iter_messages(log_time_order=False):
             if wanted(channel.topic):
+                _check_time(path, channel.topic, message.log_time)
                 found.setdefault(channel.topic, []).append((message.log_time, message.data))
     return label, found, recovered
 
@@ -280,8 +273,39 @@ def _label(path: Path, reader: McapReader) -> Label:
     }
     if "robots" not in metadata:
         raise LogError(f"{path}: an MCAP file, but no log of khep_twin")
-    attachments = {each.name: each.data.decode("utf-8") for each in reader.iter_attachments()}
-    return Label(metadata, attachments, tuple(metadata["robots"].split(",")))
+    attachments: dict[str, str] = {}
+    for each in reader.iter_attachments():
+        try:
+            attachments[each.name] = each.data.decode("utf-8")
+        except UnicodeDecodeError as error:
+            misfit = Misfit(f"byte {each.data[error.start]:#04x} at {error.start}", "UTF-8")
+            raise misfit.at(path, each.name) from None
+    try:
+        return Label(metadata, attachments, robot_names(metadata["robots"]))
+    except Misfit as misfit:
+        raise misfit.at(path, "metadata") from None
+
+
+def robot_names(text: str) -> tuple[str, ...]:
+    """The names of a log's robots, as its metadata have them.
+
+    Raises:
+        Misfit: they cannot be.
+    """
+    if not _NAMES.fullmatch(text):
+        raise Misfit(f"robots = {shown(text)}", f"names with commas between, each {NAME_WISH}")
+    names = tuple(text.split(","))
+    if len(set(names)) < len(names):
+        raise Misfit(f"robots = {shown(text)}", "each name once")
+    return names
+
+
+_NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")
+
+
+def _check_time(path: Path, topic: str, time_ns: int) -> None:
+    if time_ns > LATEST_NS:
+        raise Misfit(f"time = {time_ns} ns", f"at most {LATEST_NS} ns").at(path, topic)
 
 
 class _Lines(dict[str, list[Line]]):
@@ -289,41 +313,95 @@ class _Lines(dict[str, list[Line]]):
         return self.setdefault(topic, [])
 
 
+class _Messages:
+    """Messages of numbers by topic, to be decoded many at once."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._found: dict[tuple[str, str], tuple[list[int], list[bytes]]] = {}
+
+    def add(self, topic: str, kind: str, time_ns: int, message: bytes) -> None:
+        _check_time(self._path, topic, time_ns)
+        times_ns, messages = self._found.setdefault((topic, kind), ([], []))
+        times_ns.append(time_ns)
+        messages.append(message)
+
+    def arrays(
+        self,
+    ) -> Iterator[tuple[str, NDArray[np.int64], NDArray[np.int64] | NDArray[np.float64]]]:
+        for (topic, kind), (times_ns, messages) in self._found.items():
+            try:
+                values = read_arrays_of(messages, kind)
+            except Misfit as misfit:
+                raise misfit.at(self._path, topic, times_ns[misfit.row]) from None
+            yield topic, np.array(times_ns, np.int64), values
+
+
 @dataclass
 class _Columns:
     """Messages sorted by topic, as they are read."""
 
+    path: Path
     times_ns: list[int] = field(default_factory=list[int])
     poses: dict[str, list[tuple[float, ...]]] = field(default_factory=dict[str, list[tuple[float, ...]]])
     arrays: dict[str, list[tuple[float, ...]]] = field(default_factory=dict[str, list[tuple[float, ...]]])
     lines: _Lines = field(default_factory=_Lines)
 
     def add(self, topic: str, time_ns: int, message: bytes) -> None:
-        kind = topic.rpartition("/")[2]
+        _check_time(self.path, topic, time_ns)
+        try:
+            self._add(topic, time_ns, message)
+        except Misfit as misfit:
+            raise misfit.at(self.path, topic, time_ns) from None
+
+    def _add(self, topic: str, time_ns: int, message: bytes) -> None:
+        _, name, kind = f"/{topic}".rsplit("/", 2)
         if topic == "/tf":
             self.times_ns.append(time_ns)
-            for name, pose in read_transforms(message).items():
-                self.poses.setdefault(name, []).append(pose)
+            for frame, pose in read_transforms(message).items():
+                self.poses.setdefault(frame, []).append(pose)
         elif kind in ("serial", "events"):
             self.lines[topic].append(read_line(message))
-        elif kind in ("proximity", "ambient", "speed", "duty", "registers"):
-            self.arrays.setdefault(topic, []).append(read_array(message, "q" if kind == "registers" else "d"))
+        elif name and kind in _WIDTHS:
+            row = read_array(message, "q" if kind == "registers" else "d")
+            rows = self.arrays.setdefault(topic, [])
+            width = _WIDTHS[kind] or len(rows[0] if rows else row)
+            if len(row) != width:
+                raise Misfit(f"{len(row)} values", f"{width} of {kind}")
+            if kind != "registers" and not all(-_LARGEST <= value <= _LARGEST for value in row):
+                raise Misfit(f"values {shown(row)}", f"numbers from -{_LARGEST} to {_LARGEST}")
+            rows.append(row)
 
-    def track(self, name: str) -> Track:
-        poses = np.array(self.poses.get(f"{name}/base", []), np.float64).reshape(-1, 7)
+    def pose(self, name: str) -> NDArray[np.float64]:
+        """x, y [m] and heading [rad] of a robot at `times_ns` (n, 3)."""
+        rows = self.poses.get(f"{name}/base", [])
+        if len(rows) != len(self.times_ns):
+            found = f"{name}/base in {len(rows)} of {len(self.times_ns)} messages"
+            raise Misfit(found, "it in each").at(self.path, "/tf")
+        poses = np.array(rows, np.float64).reshape(-1, 7)
         x, y, z, w = poses[:, 3:].T
         heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return np.column_stack([poses[:, :2], heading])
+
+    def track(self, name: str) -> Track:
         return Track(
             np.array(self.times_ns, np.int64),
-            np.column_stack([poses[:, :2], heading]),
-            self._integers(name, "proximity", 8),
-            self._integers(name, "ambient", 8),
-            self._integers(name, "speed", 4),
-            self._integers(name, "duty", 2),
-            self._integers(name, "registers", -1),
+            self.pose(name),
+            self._integers(name, "proximity"),
+            self._integers(name, "ambient"),
+            self._integers(name, "speed"),
+            self._integers(name, "duty"),
+            self._integers(name, "registers"),
             self.lines[f"/{name}/serial"],
         )
 
-    def _integers(self, name: str, kind: str, width: int) -> NDArray[np.int64]:
+    def _integers(self, name: str, kind: str) -> NDArray[np.int64]:
         rows = self.arrays.get(f"/{name}/{kind}", [])
-        return np.array(rows, np.int64).reshape(len(rows), width if rows or width > 0 else 0)
+        return np.array(rows, np.int64).reshape(len(rows), len(rows[0]) if rows else _WIDTHS[kind])
+
+
+_WIDTHS = {"proximity": 8, "ambient": 8, "speed": 4, "duty": 2, "registers": 0}
+"""Numbers of a message by channel; 0 for as many as the first one has."""
+
+_LARGEST = 2**62
+"""Largest number that is taken as a whole one."""

@@ -19,10 +19,11 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files import is_same, put_whole
 from khep_twin.log.arena import Light, Rays, event_chunks, trail_chunks
+from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.gathered import Gatherer
 from khep_twin.log.khepbase import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
 from khep_twin.log.layout import TIMELINE, Shown, layout
-from khep_twin.log.reader import Label, read_end_ns, read_label
+from khep_twin.log.reader import Label, read_end_ns, read_series
 from khep_twin.log.still import still
 from khep_twin.log.viewer import Web, open_viewer
 
@@ -55,7 +56,7 @@ def view(
     Raises:
         LogError: a log cannot be read, the recording cannot be written, or no window opens.
     """
-    labels = [read_label(path) for path in paths]
+    labels = [_checked(path) for path in paths]
     if save is not None:
         _save(paths, labels, save)
         return
@@ -74,7 +75,7 @@ def view_still(paths: Sequence[Path], target: Path, at_s: float | None = None) -
     Raises:
         LogError: a log cannot be read, or the viewer cannot be had.
     """
-    with _saved(paths, [read_label(path) for path in paths]) as recording:
+    with _saved(paths, [_checked(path) for path in paths]) as recording:
         end_s = max(map(read_end_ns, paths)) / NS_PER_S
         still(recording, TIMELINE, end_s if at_s is None else at_s, target)
 
@@ -101,6 +102,18 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
         seen[name] += 1
         distinct.append(name if names.count(name) == 1 else f"{name} {seen[name]}")
     return distinct
+
+
+def _checked(path: Path) -> Label:
+    """What a log says of itself, once all that is shown of it is known to be what it should be."""
+    recording = read_series(path)
+    label = recording.label
+    moves = any(f"/{robot}/pose" in recording.series for robot in label.robots)
+    if moves or "playpen.toml" in label.attachments:
+        playpen_of(label.attachments, path)
+    if moves:
+        shapes_of(label.attachments, label.robots, path)
+    return label
 
 
 @contextmanager
@@ -161,7 +174,7 @@ def _chunks(path: Path, label: Label) -> "Generator[Chunk, None, None]":
     yield from standing_chunks(label)
     yield from event_chunks(label, gatherer, TIMELINE)
     poses = gatherer.poses()
-    rays = None if poses is None else Rays(label)
+    rays = None if poses is None else Rays(label, path)
     for robot in label.robots:
         samples = gatherer.samples(robot)
         if samples is not None:
@@ -172,7 +185,7 @@ def _chunks(path: Path, label: Label) -> "Generator[Chunk, None, None]":
         if poses is not None:
             yield from trail_chunks(robot, poses, TIMELINE)
     if poses is not None:
-        yield from Light(label).chunks(gatherer, TIMELINE)
+        yield from Light(label, path).chunks(gatherer, TIMELINE)
 
 
 def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":

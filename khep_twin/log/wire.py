@@ -19,7 +19,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.log.channels import ArrayFrame, read_array
+from khep_twin.log.channels import ArrayFrame
+from khep_twin.log.decoding import LATEST_NS, Misfit, read_array
 from khep_twin.robot import Robot
 from khep_twin.uart import Act, HostAct, LineSettings
 
@@ -40,14 +41,54 @@ def read_acts(message: bytes) -> Iterator[tuple[int, HostAct]]:
     """Acts and their times [ns] from their message.
 
     Raises:
-        ValueError: it is none.
+        Misfit: it is none.
     """
-    numbers = list(map(int, read_array(message, "q")))
-    while numbers:
-        time_ns, kind, at_ns, baud, stop_bits, size = numbers[:6]
-        data, numbers = bytes(numbers[6 : 6 + size]), numbers[6 + size :]
+    numbers: tuple[int, ...] = read_array(message, "q")
+    place = 0
+    while place < len(numbers):
+        head = numbers[place : place + _HEAD]
+        if len(head) < _HEAD:
+            raise Misfit(f"{len(head)} numbers at {place}", f"{_HEAD} that begin an act")
+        time_ns, kind, at_ns, baud, stop_bits, size = head
+        place += _HEAD
+        for name, value, lowest, highest in (
+            ("time", time_ns, 0, LATEST_NS),
+            ("act", kind, 0, len(Act) - 1),
+            ("from", at_ns, 0, LATEST_NS),
+            ("baud", baud, -1, _FASTEST),
+            ("stop bits", stop_bits, -1, 2),
+            ("size", size, 0, len(numbers) - place),
+        ):
+            if not lowest <= value <= highest:
+                found = f"{name} = {value} at number {place - _HEAD}"
+                raise Misfit(found, f"{lowest} to {highest}")
+        values = numbers[place : place + size]
+        if wrong := next((each for each in values if not 0 <= each <= 255), None):
+            raise Misfit(f"byte = {wrong} after number {place - 1}", "0 to 255")
+        sizes = _SIZES.get(Act(kind))
+        if sizes is not None and size not in sizes:
+            wish = " or ".join(map(str, sizes))
+            raise Misfit(f"size = {size} of act {kind} at number {place - _HEAD}", f"{wish} bytes")
+        place += size
         host = None if baud < 0 else LineSettings(baud, stop_bits)
-        yield time_ns, HostAct(Act(kind), at_ns, host, data)
+        yield time_ns, HostAct(Act(kind), at_ns, host, bytes(values))
+
+
+_HEAD = 6
+"""Numbers before the bytes of an act."""
+
+_FASTEST = 10**9
+"""Highest speed of a line that is believed [baud]."""
+
+_SIZES = {
+    Act.HANG_UP: (0,),
+    Act.TAKE_BACK: (0,),
+    Act.SET: (0,),
+    Act.PUT: (24, 25),
+    Act.SWITCH: (5,),
+    Act.SCAN: (0,),
+}
+"""How many bytes acts may have, as `placing` and `switching` make them; others have any number."""
 
 
 def states_message(states: NDArray[np.int64]) -> bytes:
@@ -56,8 +97,12 @@ def states_message(states: NDArray[np.int64]) -> bytes:
 
 
 def read_states(message: bytes) -> list[int]:
-    """Hashes of consecutive samples from their message."""
-    return list(map(int, read_array(message, "q")))
+    """Hashes of consecutive samples from their message.
+
+    Raises:
+        Misfit: it is none.
+    """
+    return list(read_array(message, "q"))
 
 
 def _message(numbers: NDArray[np.int64], label: str) -> bytes:

@@ -59,6 +59,9 @@ class TwinOptions:
         """Refuses values that no playpen allows."""
         if not 0 <= self.seed < SEED_LIMIT:
             raise PortError(f"seed = {self.seed}: right is a whole number from 0 to 2**63-1")
+        used_min = self.battery_used_min
+        if used_min is not None and not 0 <= used_min <= 1000:
+            raise PortError(f"battery_used_min = {used_min}: right is 0 to 1000")
         if self.rom is not None and self.rom not in ROMS:
             raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
         if self.model is not None and self.model not in MODELS:

@@ -10,8 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
+from log_rewriting import rewritten
 
 from khep_twin import calibration, playpen
 from khep_twin.errors import LogError
@@ -19,7 +18,8 @@ from khep_twin.host import Gripper, Khepera
 from khep_twin.lab.controllers import braitenberg
 from khep_twin.lab.repeat import Difference, elsewhere, read_recorded, repeat
 from khep_twin.lab.together import run_together
-from khep_twin.log.channels import Line, line_message, read_line
+from khep_twin.log.channels import Line, line_message
+from khep_twin.log.decoding import read_line
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recover import recover
 from khep_twin.log.wire import acts_message, read_acts
@@ -28,7 +28,6 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.uart import Act, HostAct, LineSettings
 
 SECOND = 1_000_000_000
-Change = Callable[[str, int, bytes], bytes]
 
 
 def khep_twin(*words: object, seed: int = 1) -> subprocess.CompletedProcess[str]:
@@ -39,34 +38,6 @@ def khep_twin(*words: object, seed: int = 1) -> subprocess.CompletedProcess[str]
 
 def again(path: Path) -> Difference | None:
     return repeat(read_recorded(path))
-
-
-def rewritten(
-    path: Path,
-    target: Path,
-    message: Change = lambda topic, time_ns, data: data,
-    attachment: Callable[[str, bytes], bytes | None] = lambda name, data: data,
-    facts: dict[str, str] | None = None,
-) -> Path:
-    """A copy of a log with some of it changed."""
-    with path.open("rb") as file, target.open("wb") as copy:
-        reader, writer = make_reader(file), Writer(copy)
-        writer.start()
-        for each in reader.iter_attachments():
-            if (data := attachment(each.name, each.data)) is not None:
-                writer.add_attachment(0, 0, each.name, each.media_type, data)
-        for record in reader.iter_metadata():
-            writer.add_metadata(record.name, {**record.metadata, **(facts or {})})
-        channels: dict[str, int] = {}
-        for schema, channel, each in reader.iter_messages(log_time_order=False):
-            assert schema is not None
-            if channel.topic not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
-            data = message(channel.topic, each.log_time, each.data)
-            writer.add_message(channels[channel.topic], each.log_time, data, each.log_time)
-        writer.finish()
-    return target
 
 
 @pytest.fixture(scope="module")

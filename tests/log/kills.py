@@ -27,7 +27,8 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.log.channels import Line, read_line
+from khep_twin.log.channels import Line
+from khep_twin.log.decoding import read_line
 
 MOST_LOST = {"serve": 1.0, "run": 5.0}
 """What a log may lose: of `serve` wall time, of `run` simulated time [s]."""

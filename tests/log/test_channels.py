@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from khep_twin.log import channels
+from khep_twin.log import channels, decoding
 from khep_twin.log.channels import ArrayFrame, Level, Line, TransformFrame
 
 
@@ -89,24 +89,24 @@ def test_a_line_decodes_by_the_rules_of_cdr(name: str, text: str) -> None:
 
 def test_what_is_encoded_can_be_read_back() -> None:
     line = Line(5_000_000_123, Level.INFO, "robot", "n,1,2,3")
-    assert channels.read_line(channels.line_message(line)) == line
+    assert decoding.read_line(channels.line_message(line)) == line
     values = [[1.0, 2.5, -3.0]]
     (message,) = rows(ArrayFrame(3, "f8", "x").messages(np.array(values)))
-    assert list(channels.read_array(message, "d")) == values[0]
+    assert list(decoding.read_array(message, "d")) == values[0]
     (message,) = rows(
         TransformFrame(["a"]).messages(np.zeros(1, np.int64), np.ones((1, 1, 3)), np.eye(4)[None, :1])
     )
-    assert channels.read_transforms(message) == {"a": (1, 1, 1, 0, 0, 0, 1)}
+    assert decoding.read_transforms(message) == {"a": (1, 1, 1, 0, 0, 0, 1)}
 
 
 @pytest.mark.parametrize(("kind", "letter"), [("f8", "d"), ("i8", "q")])
 def test_many_arrays_are_read_at_once_as_one_by_one(kind: str, letter: str) -> None:
     values = np.arange(12).reshape(4, 3) - 5
     messages = rows(ArrayFrame(3, kind, "counts").messages(values))
-    found = channels.read_arrays_of(messages, letter)
+    found = decoding.read_arrays_of(messages, letter)
     assert found.dtype == np.dtype(kind)
     assert found.tolist() == values.tolist()
     other = rows(ArrayFrame(3, kind, "another label").messages(values))
-    assert channels.read_arrays_of(messages + other, letter).tolist() == [*values.tolist(), *values.tolist()]
-    with pytest.raises(ValueError, match="inhomogeneous"):
-        channels.read_arrays_of([*messages, *rows(ArrayFrame(2, kind, "").messages(values[:, :2]))], letter)
+    assert decoding.read_arrays_of(messages + other, letter).tolist() == [*values.tolist(), *values.tolist()]
+    with pytest.raises(ValueError, match="2 values; expected 3, as in the channel's first message"):
+        decoding.read_arrays_of([*messages, *rows(ArrayFrame(2, kind, "").messages(values[:, :2]))], letter)

@@ -13,7 +13,7 @@ from google.protobuf.message_factory import GetMessages
 from mcap.reader import make_reader
 
 from khep_twin import playpen as playpens
-from khep_twin.log.channels import read_transforms
+from khep_twin.log.decoding import read_transforms
 from khep_twin.log.foxglove_scene import descriptors, scene_update
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin

@@ -20,7 +20,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin import playpen
 from khep_twin.errors import LogError
-from khep_twin.log.channels import read_array
+from khep_twin.log.decoding import read_array
 from khep_twin.log.reader import read
 from khep_twin.log.recorder import Recorder
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin

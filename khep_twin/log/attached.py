@@ -1,0 +1,132 @@
+"""What is attached to a log, as what it stands for: the playpen, calibrations, and the scene for its shapes.
+
+A log may come from anywhere, so that an attachment is believed no more than a file that somebody wrote.
+"""
+
+# MuJoCo's types are partly unknown.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+
+import mujoco
+
+from khep_twin import playpen as playpens
+from khep_twin.calibration import Calibration
+from khep_twin.errors import CalibrationError, KhepTwinError, LogError
+from khep_twin.log.decoding import Misfit, first_line, shown
+from khep_twin.playpen import Playpen
+from khep_twin.toml_files import SIZE_LIMIT, validate
+from khep_twin.units import Sensor
+
+DEEPEST = 64
+"""Most elements of a scene within each other."""
+
+_KEPT = {"compiler", "default", "worldbody"}
+"""Parts of a scene that say where its shapes are."""
+
+_SHAPES = {"body", "frame", "inertial", "joint", "geom", "site", "camera", "light"}
+_ELEMENTS = {"worldbody", "compiler", "default", "general", *_SHAPES}
+"""What these parts may hold, as khep_twin writes them: nothing that names a file or multiplies itself."""
+
+
+def playpen_of(attachments: Mapping[str, str], source: object) -> Playpen:
+    """Return the playpen of a log.
+
+    Args:
+        attachments: texts by name, among them playpen.toml.
+        source: what to call the log in messages.
+
+    Raises:
+        LogError: it cannot be used; one line, however much is wrong.
+    """
+    try:
+        text = _text(attachments, "playpen.toml")
+        return playpens.parse(text, "playpen.toml")
+    except Misfit as misfit:
+        raise LogError(f"{source}: playpen.toml: {misfit}") from None
+    except KhepTwinError as error:
+        raise LogError(f"{source}: {first_line(error)}") from None
+
+
+def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -> Calibration | None:
+    """Return the calibration of a robot; None where the log has none.
+
+    Args:
+        attachments: texts by name.
+        robot: its name.
+        source: what to call the log in messages.
+
+    Raises:
+        LogError: it cannot be used.
+    """
+    name = f"calibration/{robot}.toml"
+    if name not in attachments:
+        return None
+    try:
+        return validate(Calibration, _text(attachments, name), name, CalibrationError)
+    except Misfit as misfit:
+        raise LogError(f"{source}: {name}: {misfit}") from None
+    except KhepTwinError as error:
+        raise LogError(f"{source}: {first_line(error)}") from None
+
+
+def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: object) -> mujoco.MjModel:
+    """Return the scene of a log with no more than its shapes.
+
+    Args:
+        attachments: texts by name, among them scene.xml.
+        robots: whose bodies and sensors are in it.
+        source: what to call the log in messages.
+
+    Raises:
+        LogError: it cannot be used.
+    """
+    try:
+        model = _model(_text(attachments, "scene.xml"))
+        there = {model.body(index).name for index in range(model.nbody)}
+        there |= {model.cam(index).name for index in range(model.ncam)}
+        for robot in robots:
+            for name in ("base", *(sensor.name.lower() for sensor in Sensor)):
+                if f"{robot}/{name}" not in there:
+                    raise Misfit(f"no {robot}/{name}", "it, as the log's robots have it")
+    except Misfit as misfit:
+        raise LogError(f"{source}: scene.xml: {misfit}") from None
+    return model
+
+
+def _text(attachments: Mapping[str, str], name: str) -> str:
+    text = attachments.get(name)
+    if text is None:
+        raise Misfit("missing", "it among the attachments")
+    if len(text) > SIZE_LIMIT:
+        raise Misfit(f"{len(text)} characters", f"at most {SIZE_LIMIT}")
+    return text
+
+
+def _model(text: str) -> mujoco.MjModel:
+    depth, root = 0, None
+    try:
+        for event, element in ElementTree.iterparse(BytesIO(text.encode("utf-8")), ("start", "end")):
+            depth += 1 if event == "start" else -1
+            if depth > DEEPEST:
+                raise Misfit(f"elements {depth} deep", f"at most {DEEPEST}")
+            root = element
+    except (ElementTree.ParseError, UnicodeEncodeError, ValueError) as error:
+        if isinstance(error, Misfit):
+            raise
+        raise Misfit(shown(error), "XML") from None
+    if root is None or root.tag != "mujoco":
+        raise Misfit("no element mujoco", "a scene in MJCF")
+    for part in list(root):
+        if part.tag not in _KEPT:
+            root.remove(part)
+    for element in root.iter():
+        if element is not root and element.tag not in _ELEMENTS:
+            raise Misfit(f"element {shown(element.tag)}", f"one of {', '.join(sorted(_ELEMENTS))}")
+    try:
+        return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, "unicode"))
+    except (ValueError, mujoco.FatalError) as error:
+        raise Misfit(shown(error), "a scene that MuJoCo compiles") from None

@@ -1,0 +1,190 @@
+"""Messages of a log as typed values: the border at which bytes of a file are believed or refused.
+
+Nobody knows who wrote a log. What is read here is in the message, in range and finite, or it is a `Misfit`,
+which says what was found and what was expected; whoever read it from a file adds the file and the place.
+"""
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import KhepTwinError, LogError
+from khep_twin.log.channels import CDR_HEADER, Line
+
+LATEST_NS = 2**63 - 1
+"""Last time that is believed [ns]: what fits where times are kept, 292 years."""
+
+SHOWN = 60
+"""Most characters of a value from a file that a message shows."""
+
+
+class Misfit(ValueError):
+    """What is in a log and does not belong there.
+
+    Args:
+        found: what and of which value.
+        expected: what would be right.
+
+    Attributes:
+        row: of several messages that were read at once, which one it is in.
+    """
+
+    def __init__(self, found: str, expected: str) -> None:
+        super().__init__(f"{found}; expected {expected}")
+        self.row = 0
+
+    def at(self, path: Path, place: str, time_ns: int | None = None) -> LogError:
+        """Return the error that names the file and the place in it."""
+        when = "" if time_ns is None else f" at {time_ns / NS_PER_S:.4f} s"
+        return LogError(f"{path}: {shown(place)}{when}: {self}")
+
+
+def shown(text: object) -> str:
+    """Return a text out of a file as a line shows it: short, and without what a terminal would obey."""
+    words = str(text)
+    short = words if len(words) <= SHOWN else f"{words[:SHOWN]}..."
+    return short if short.isprintable() else repr(short)
+
+
+def first_line(error: KhepTwinError) -> str:
+    """Return the first of an error's lines: of what is attached to a log, one problem is enough."""
+    lines = str(error).splitlines()
+    return lines[0] if len(lines) < 2 else f"{lines[0]} (and {len(lines) - 1} more)"
+
+
+class Decoder:
+    """Reads values one after the other, as `channels.Encoder` writes them.
+
+    Args:
+        message: in CDR.
+
+    Raises:
+        Misfit: here and in each method: it is none, or does not hold what is read.
+    """
+
+    def __init__(self, message: bytes) -> None:
+        if message[: len(CDR_HEADER)] != CDR_HEADER:
+            found = message[: len(CDR_HEADER)].hex() or "nothing"
+            raise Misfit(f"header {found}", f"{CDR_HEADER.hex()}, CDR in little-endian")
+        self._data = message[len(CDR_HEADER) :]
+        self._place = 0
+
+    def get(self, kind: str, count: int = 1) -> tuple[Any, ...]:
+        """Return numbers in a row, `kind` as in `struct`."""
+        size = struct.calcsize(kind)
+        self._place += -self._place % size
+        self._check(count, size)
+        values = struct.unpack_from(f"<{count}{kind}", self._data, self._place)
+        self._place += count * size
+        return values
+
+    def number(self) -> int:
+        """Return one uint32."""
+        return self.get("I")[0]
+
+    def text(self) -> str:
+        """Return a string."""
+        length = self.number()
+        self._check(length, 1)
+        data = self._data[self._place : self._place + max(length - 1, 0)]
+        self._place += length
+        try:
+            return data.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise Misfit(f"text with byte {data[error.start]:#04x}", "UTF-8") from None
+
+    def time(self) -> int:
+        """Return a time [ns]."""
+        seconds, rest_ns = self.get("i")[0], self.number()
+        if seconds < 0 or rest_ns >= NS_PER_S:
+            found = f"time of {seconds} s and {rest_ns} ns"
+            raise Misfit(found, f"0 s and later, with less than {NS_PER_S} ns")
+        return seconds * NS_PER_S + rest_ns
+
+    def end(self) -> None:
+        """Refuse bytes behind what was read."""
+        if self._place != len(self._data):
+            raise Misfit(f"{len(self._data)} bytes", f"{self._place}, as its lengths say")
+
+    def _check(self, count: int, size: int) -> None:
+        # Before anything of the size is asked for.
+        if count * size > len(self._data) - self._place:
+            there = max(len(self._data) - self._place, 0)
+            raise Misfit(f"{count} values of {size} bytes", f"at most the {there} bytes that are there")
+
+
+def read_array(message: bytes, kind: str) -> tuple[Any, ...]:
+    """Return the values of a Float64MultiArray ("d") or Int64MultiArray ("q").
+
+    Raises:
+        Misfit: it is none.
+    """
+    decoder = Decoder(message)
+    for _ in range(decoder.number()):
+        decoder.text()
+        decoder.get("I", 2)
+    decoder.number()
+    values = decoder.get(kind, decoder.number())
+    decoder.end()
+    return values
+
+
+def read_arrays_of(messages: Sequence[bytes], kind: str) -> NDArray[np.int64] | NDArray[np.float64]:
+    """Return the values of several messages of a channel (n, length), `kind` as for `read_array`.
+
+    Raises:
+        Misfit: one, at its `row`, is no such message, or has another length than the first.
+    """
+    rows: list[tuple[Any, ...]] = []
+    for row, message in enumerate(messages):
+        try:
+            rows.append(read_array(message, kind))
+            if len(rows[-1]) != len(rows[0]):
+                expected = f"{len(rows[0])}, as in the channel's first message"
+                raise Misfit(f"{len(rows[-1])} values", expected)
+        except Misfit as misfit:
+            misfit.row = row
+            raise
+        length = len(rows[0])
+        # Where all begin alike, as a log's writer makes them, the values lie at the same place in each.
+        head = message[: len(message) - 8 * length]
+        alike = (len(each) == len(message) and each.startswith(head) for each in messages)
+        if row == 0 and length and all(alike):
+            whole = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
+            values = np.ascontiguousarray(whole[:, len(head) :])
+            return values.view("<i8") if kind == "q" else values.view("<f8")
+    return np.array(rows, np.int64) if kind == "q" else np.array(rows, np.float64)
+
+
+def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
+    """Return the poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w.
+
+    Raises:
+        Misfit: it is none.
+    """
+    decoder = Decoder(message)
+    poses: dict[str, tuple[float, ...]] = {}
+    for _ in range(decoder.number()):
+        decoder.time()
+        decoder.text()
+        name = decoder.text()
+        poses[name] = decoder.get("d", 7)
+    decoder.end()
+    return poses
+
+
+def read_line(message: bytes) -> Line:
+    """Return a line of the transcript or of the events.
+
+    Raises:
+        Misfit: it is none.
+    """
+    decoder = Decoder(message)
+    time_ns = decoder.time()
+    (level,) = decoder.get("B")
+    return Line(time_ns, level, decoder.text(), decoder.text())

@@ -1,0 +1,324 @@
+"""Logs that somebody made up: one line that says where, what and what was expected, never a trace."""
+
+import json
+import re
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driving import SECOND
+from log_rewriting import rewritten
+
+from khep_twin.errors import KhepTwinError
+from khep_twin.lab.repeat import read_recorded, repeat
+from khep_twin.lab.report import report
+from khep_twin.lab.resend import resend
+from khep_twin.log.attached import shapes_of
+from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, Line, line_message
+from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
+from khep_twin.log.replay import view
+from khep_twin.log.wire import acts_message
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.uart import Act, HostAct, LineSettings
+
+TIME_NS = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of a fifth of a second."""
+    path = tmp_path_factory.mktemp("log") / "small.mcap"
+    with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
+        twin.robot.send(b"D,8,5\n")
+        twin.advance_to(SECOND // 5)
+    return path
+
+
+def integers(*numbers: int, label: str = "") -> bytes:
+    values = np.array([numbers], np.int64)
+    return ArrayFrame(len(numbers), "i8", label).messages(values)[0].tobytes()
+
+
+def floats(*numbers: float) -> bytes:
+    return ArrayFrame(len(numbers), "f8", "").messages(np.array([numbers]))[0].tobytes()
+
+
+def instead(topic: str, data: bytes) -> Callable[[str, int, bytes], bytes]:
+    return lambda each, time_ns, before: data if each == topic else before
+
+
+def told(use: Callable[[Path], object], path: Path) -> str:
+    """The one line that comes of using a log."""
+    with pytest.raises(KhepTwinError) as caught:
+        use(path)
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1, line
+    assert line.startswith(f"{path}: "), line
+    assert line.isprintable(), line
+    return line
+
+
+def again(path: Path) -> object:
+    return repeat(read_recorded(path))
+
+
+ACTS = {
+    "a negative size": ((0, 0, 0, -1, -1, -6), r"size = -6 at number 0; expected 0 to 0"),
+    "more bytes than there are": ((0, 0, 0, -1, -1, 3, 65, 10), r"size = 3 at number 0; expected 0 to 2"),
+    "a size beyond all bounds": ((0, 0, 0, -1, -1, 2**62), r"size = 4611686018427387904 .*expected 0 to 0"),
+    "half an act": ((0, 0, 0, -1, -1), "5 numbers at 0; expected 6 that begin an act"),
+    "no byte": ((0, 0, 0, -1, -1, 1, 256), "byte = 256 after number 5; expected 0 to 255"),
+    "a negative byte": ((0, 0, 0, -1, -1, 1, -1), "byte = -1 after number 5; expected 0 to 255"),
+    "an unknown act": ((0, 8, 0, -1, -1, 0), "act = 8 at number 0; expected 0 to 7"),
+    "a time before the run": ((-1, 0, 0, -1, -1, 0), "time = -1 at number 0; expected 0 to"),
+    "a place of two bytes": ((0, 4, 0, -1, -1, 2, 1, 2), "size = 2 of act 4 at number 0; expected 24 or 25"),
+    "a switch of a byte": ((0, 5, 0, -1, -1, 1, 1), "size = 1 of act 5 at number 0; expected 5 bytes"),
+    "a speed beyond all bounds": ((0, 3, 0, 2**40, 1, 0), "baud = 1099511627776 at number 0; expected -1 to"),
+    "three stop bits": ((0, 3, 0, 9600, 3, 0), "stop bits = 3 at number 0; expected -1 to 2"),
+    "an act after years": ((2**62, 0, 0, -1, -1, 0), r"something at .* s; expected at most 10.20 s"),
+}
+
+
+@pytest.mark.parametrize("name", ACTS)
+def test_acts_that_cannot_be_are_refused_with_their_place(small: Path, tmp_path: Path, name: str) -> None:
+    numbers, expected = ACTS[name]
+    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", integers(*numbers)))
+    line = told(again, path)
+    assert "/wire" in line
+    assert re.search(expected, line), line
+
+
+MESSAGES = {
+    "/khepera0/proximity": floats(1, 2),
+    "/khepera0/speed": floats(1, 2, 3, float("nan")),
+    "/khepera0/duty": floats(1e300, 2),
+    "/khepera0/registers": CDR_HEADER + struct.pack("<IIII", 0, 0, 2**32 - 1, 0),
+    "/khepera0/ambient": CDR_HEADER + struct.pack("<I", 2**32 - 1),
+    "/khepera0/serial": CDR_HEADER + struct.pack("<iIBxxxI", 0, 0, 20, 2**32 - 1),
+    "/events": line_message(Line(0, Level.INFO, "x", "y")).replace(b"x", b"\xff"),
+    "/khepera0/wire": CDR_HEADER,
+    "/state": b"",
+    "/tf": Encoder().put("I", 2**32 - 1).message(),
+}
+
+
+@pytest.mark.parametrize("topic", MESSAGES)
+def test_messages_of_a_wrong_shape_are_refused_with_their_place(
+    small: Path, tmp_path: Path, topic: str
+) -> None:
+    path = rewritten(small, tmp_path / "x.mcap", instead(topic, MESSAGES[topic]))
+    use = again if topic in ("/khepera0/wire", "/state") else read
+    if topic == "/events":
+        with open_twin("obstacles", TwinOptions(log=str(tmp_path / "event.mcap"))) as twin:
+            twin.world.tell(0, "taken away")
+        path = rewritten(tmp_path / "event.mcap", path, instead(topic, MESSAGES[topic]))
+    line = told(use, path)
+    assert line.startswith(f"{path}: {topic} at 0.0"), line
+    assert "; expected " in line
+
+
+@pytest.mark.parametrize("use", [read, read_series, read_recorded, read_arrays])
+@pytest.mark.parametrize("data", [b"", b"\0", CDR_HEADER, bytes(3), b"\xff" * 40, CDR_HEADER + b"\xff" * 40])
+def test_empty_and_foreign_messages_everywhere_are_one_line(
+    small: Path, tmp_path: Path, use: Callable[[Path], object], data: bytes
+) -> None:
+    line = told(use, rewritten(small, tmp_path / "x.mcap", lambda topic, time_ns, before: data))
+    assert "; expected " in line
+
+
+NAMES = {
+    "khepera0,khepera1": "khepera1/base in 0 of 11 messages; expected it in each",
+    "": "robots = ; expected names with commas between",
+    "khepera0,khepera0": "robots = khepera0,khepera0; expected each name once",
+    ",".join(f"a{number}" for number in range(5000)): "expected names with commas between",
+    "a\nb": r"robots = 'a\\nb'; expected",
+    "../../x": "robots = ../../x; expected",
+}
+
+
+@pytest.mark.parametrize("names", NAMES)
+def test_robots_that_are_not_there_are_refused(small: Path, tmp_path: Path, names: str) -> None:
+    path = rewritten(small, tmp_path / "x.mcap", facts={"robots": names})
+    for use in (read, read_series):
+        assert re.search(NAMES[names], told(use, path))
+    assert "robots = " in told(again, path)
+
+
+CONFIGURATIONS = {
+    "deep": b"[" * 100_000,
+    "deep keys": b'{"a":' * 50_000,
+    "no object": b"[]",
+    "a huge whole number": b'{"seed": ' + b"9" * 5000 + b"}",
+    "a negative seed": b'{"seed": -1}',
+    "a text for a number": b'{"seed": "x"}',
+    "a number for a choice": b'{"noise": 3}',
+    "a number for faults": b'{"faults": 7}',
+    "numbers for faults": b'{"faults": [7]}',
+    "an unknown fault": b'{"faults": ["explode"]}',
+    "a robot that there is not": b'{"robot": 1000000}',
+    "an unknown key": b'{"sneed": 1}',
+    "an unknown mode": b'{"mode": 99}',
+    "cells that last for ever": b'{"battery_used_min": Infinity}',
+    "no cells": b'{"battery_used_min": NaN}',
+    "used for years": b'{"battery_used_min": 1e300}',
+    "an unknown model": b'{"model": "khepera9"}',
+    "no JSON": b"seed = 1",
+    "an escape": b'{"\\u001b[2J": 1}',
+    "half a character": b'{"rom": "\\ud800"}',
+}
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_configurations_that_cannot_be_are_one_line(small: Path, tmp_path: Path, name: str) -> None:
+    def change(each: str, before: bytes) -> bytes:
+        return CONFIGURATIONS[name] if each == "configuration.json" else before
+
+    told(again, rewritten(small, tmp_path / "x.mcap", attachment=change))
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff", b"a = [" * 5000, b"x = 1\ny = 2\n", b"name = 3" + b" " * 2**20]
+)
+@pytest.mark.parametrize("name", ["playpen.toml", "calibration/khepera0.toml"])
+def test_attached_files_that_cannot_be_are_one_line(
+    small: Path, tmp_path: Path, name: str, content: bytes
+) -> None:
+    def change(each: str, before: bytes) -> bytes:
+        return content if each == name else before
+
+    path = rewritten(small, tmp_path / "x.mcap", attachment=change)
+    assert name in told(lambda path: report(read_series(path), str(path)), path)
+    told(again, path)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"[",
+        b"[]",
+        b"{}",
+        b'{"lamp": 3, "lighting": {}}',
+        b'{"lamp": [{"x_mm": 1e999}], "lighting": {"mode": 3}}',
+        b"[" * 50_000,
+        b'{"lamp": [], "lighting": {"mode": "all"}, "x": ' + b"9" * 5000 + b"}",
+    ],
+)
+def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: bytes) -> None:
+    message = acts_message([(0, HostAct(Act.RELIGHT, 0, None, data))])
+    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
+
+
+@pytest.mark.parametrize(
+    "place", [(float("nan"), 1, 1), (1e308, 1e308, 0), (-5, 3, 0), (100, 100, float("inf"))]
+)
+def test_places_that_cannot_be_are_one_line(
+    small: Path, tmp_path: Path, place: tuple[float, float, float]
+) -> None:
+    message = acts_message([(0, HostAct(Act.PUT, 0, None, struct.pack("<3d", *place)))])
+    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
+
+
+def test_a_lamp_that_there_is_not_is_one_line(small: Path, tmp_path: Path) -> None:
+    message = acts_message([(0, HostAct(Act.SWITCH, 0, None, struct.pack("<i?", -7, True)))])
+    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
+
+
+def test_a_robot_s_speed_that_is_no_number_is_one_line(small: Path, tmp_path: Path) -> None:
+    message = acts_message([(0, HostAct(Act.SEND, 0, None, b"B\n"))])
+    facts = {"baud": "9" * 5000}
+    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message), facts=facts)
+    line = told(lambda path: resend(read_recorded(path), "khep://obstacles"), path)
+    assert "baud = 9999" in line
+
+
+def test_a_host_that_set_its_line_is_still_believed(small: Path, tmp_path: Path) -> None:
+    acts = [
+        (0, HostAct(Act.SET, 0, LineSettings(3_000_000, 2))),
+        (5, HostAct(Act.SET, 0, LineSettings(0, 1))),
+        (5, HostAct(Act.HANG_UP, 0)),
+    ]
+    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", acts_message(acts)))
+    assert [(time_ns, act) for time_ns, _, act in read_recorded(path).acts] == acts
+
+
+def test_times_beyond_all_bounds_are_one_line(small: Path, tmp_path: Path) -> None:
+    late = rewritten(small, tmp_path / "late.mcap", time=lambda topic, time_ns: 2**64 - 1)
+    for use in (read, read_series, read_recorded, read_arrays, read_end_ns):
+        assert "expected at most" in told(use, late)
+    line = line_message(Line(2**31 * SECOND - SECOND, Level.INFO, "host", "N"))
+    path = rewritten(small, tmp_path / "line.mcap", instead("/khepera0/serial", line))
+    assert "expected at most 10.20 s" in told(again, path)
+
+
+def scene(text: str) -> Callable[[str, bytes], bytes]:
+    return lambda name, before: text.encode() if name == "scene.xml" else before
+
+
+SCENES = {
+    "many of one": "<mujoco><worldbody><replicate count='1000'/></worldbody></mujoco>",
+    "another file": "<mujoco><worldbody><include file='/etc/passwd'/></worldbody></mujoco>",
+    "deep": f"<mujoco><worldbody>{'<body>' * 5000}{'</body>' * 5000}</worldbody></mujoco>",
+    "no XML": "scene",
+    "nothing": "",
+    "another document": "<svg/>",
+    "no robot": "<mujoco><worldbody/></mujoco>",
+    "no size": "<mujoco><worldbody><geom size='nan'/></worldbody></mujoco>",
+    "laughs": "<!DOCTYPE x [<!ENTITY a 'ha'><!ENTITY b '&a;&a;'>]><mujoco>&b;&c;</mujoco>",
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_that_cannot_be_are_one_line(small: Path, tmp_path: Path, name: str) -> None:
+    path = rewritten(small, tmp_path / "x.mcap", attachment=scene(SCENES[name]))
+    assert "scene.xml: " in told(lambda path: view([path], tmp_path / "x.rrd"), path)
+
+
+def test_a_scene_of_a_run_has_all_its_shapes(small: Path) -> None:
+    label = read_label(small)
+    model = shapes_of(label.attachments, label.robots, small)
+    with open_twin("obstacles", TwinOptions(seed=3)) as twin:
+        whole = twin.world.model
+    assert (model.nbody, model.ngeom, model.ncam, model.nq) == (
+        whole.nbody,
+        whole.ngeom,
+        whole.ncam,
+        whole.nq,
+    )
+    assert np.allclose(model.geom_pos, whole.geom_pos, atol=1e-6)
+
+
+@pytest.mark.parametrize("topic", ["/tf", "/khepera0/proximity", "/events"])
+def test_a_view_of_a_foreign_message_is_one_line(small: Path, tmp_path: Path, topic: str) -> None:
+    path = rewritten(small, tmp_path / "x.mcap", instead(topic, CDR_HEADER + bytes(5)))
+    if topic != "/events":  # there is none
+        told(lambda path: view([path], tmp_path / "x.rrd"), path)
+
+
+def test_what_is_not_attached_is_one_line_or_not_needed(small: Path, tmp_path: Path) -> None:
+    def without(missing: str) -> Callable[[str, bytes], bytes | None]:
+        return lambda name, before: None if name == missing else before
+
+    for missing in ("playpen.toml", "scene.xml", "configuration.json", "calibration/khepera0.toml"):
+        path = rewritten(small, tmp_path / "x.mcap", attachment=without(missing))
+        recording: Recording = read_series(path)
+        report(recording, str(path))
+        if missing != "scene.xml":
+            assert missing in told(again, path)
+
+
+def test_an_answer_is_shown_without_what_a_terminal_would_obey(small: Path, tmp_path: Path) -> None:
+    line = line_message(Line(0, Level.INFO, "robot", "\x1b[2J\nx" + "y" * 500))
+    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/serial", line))
+    difference = repeat(read_recorded(path))
+    assert difference is not None
+    assert difference.recorded.isprintable()
+    assert len(difference.recorded) < 200
+
+
+def test_the_configuration_of_a_run_is_still_read(small: Path) -> None:
+    label = read_label(small)
+    assert json.loads(label.attachments["configuration.json"])["seed"] == 3
+    assert repeat(read_recorded(small)) is None
