@@ -7,8 +7,9 @@ import typer
 
 from khep_twin.cli_completion import logs
 from khep_twin.cli_options import Force, check_new
+from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.errors import LogError
-from khep_twin.files import is_same, unusable, write_whole
+from khep_twin.files import is_same, unusable, whole_file, write_whole
 
 LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
 
@@ -32,7 +33,7 @@ def export(
 ) -> None:
     """Writes what a log holds of a robot as tables for other programs."""
     from khep_twin.lab import export as tables
-    from khep_twin.log.reader import read_series
+    from khep_twin.log.reader import read_heads
 
     if output is None and transcript is None:
         raise LogError("nothing to write; right is -o FILE.csv, .parquet or .mat, or --transcript FILE.csv")
@@ -42,21 +43,24 @@ def export(
         raise LogError(f"--transcript {transcript}: right is a name that ends in .csv")
     check_new(force, output, transcript)
     wanted = None if channels is None else [name.strip() for name in channels.split(",")]
-    recording = read_series(log)
+    recording = read_heads(log)
     name = tables.chosen_robot(recording, robot)
     found = tables.chosen_channels(recording, name, wanted)
     if output is not None:
         if kind != ".mat" and not found:
             raise LogError(f"{log}: {name} has no samples; right is --transcript, or -o FILE.mat")
-        data = tables.matrices(recording, name, found) if kind == ".mat" else tables.table(found, kind)
-        write_whole(output, data)
-        rows = len({time_ns for channel in found for time_ns in channel.series.times_ns.tolist()})
+        with whole_file(output) as file, progress_bar() as progress:
+            if kind == ".mat":
+                data, n_rows = tables.matrices(log, name, found, progress)
+                file.write(data)
+            else:
+                n_rows = tables.write_table(log, found, kind, file, progress)
         what = ", ".join(channel.name for channel in found) or "no samples"
-        typer.echo(f"table       {output}: {name}: {what}; {rows} rows")
+        typer.echo(f"table       {output}: {name}: {what}; {n_rows} rows")
     if transcript is not None:
-        lines = recording.lines.get(f"/{name}/serial", [])
-        write_whole(transcript, tables.transcript(lines))
-        typer.echo(f"transcript  {transcript}: {name}: {len(lines)} lines")
+        with whole_file(transcript) as file, progress_bar() as progress:
+            n_lines = tables.write_transcript(log, name, file, progress)
+        typer.echo(f"transcript  {transcript}: {name}: {n_lines} lines")
 
 
 def report(

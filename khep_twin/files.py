@@ -3,11 +3,14 @@
 import errno
 import os
 import stat
+from collections.abc import Generator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.stopping import undisturbed
+from khep_twin.stopping import clear_at_end, undisturbed
 
 
 def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
@@ -67,33 +70,50 @@ def unusable(path: Path) -> str:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Writes a file beside `path` and gives it its name when it is whole; a link is followed.
+    """Write a file beside `path` and give it its name when it is whole; a link is followed.
 
     Raises:
-        KhepTwinError: that is not possible; what was there before is untouched.
+        KhepTwinError: That is not possible; what was there before is untouched.
+    """
+    with undisturbed(), whole_file(path) as file:
+        file.write(data)
+
+
+@contextmanager
+def whole_file(path: Path) -> Generator[BinaryIO]:
+    """Open a file for writing that gets its name when it is whole; a link is followed.
+
+    Raises:
+        KhepTwinError: That is not possible; what was there before is untouched.
     """
     if reason := unusable(path):
         raise KhepTwinError(f"{path}: cannot be written: {reason}")
     try:
-        put_whole(path, data)
+        with part_file(path) as file:
+            yield file
     except OSError as error:
         raise KhepTwinError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def put_whole(path: Path, data: bytes) -> None:
-    """What `write_whole` does, for those who tell of trouble in their own words.
+@contextmanager
+def part_file(path: Path) -> Generator[BinaryIO]:
+    """Do what `whole_file` does, for those who tell of trouble in their own words.
 
     Raises:
-        OSError: that is not possible; what was there before is untouched.
+        OSError: That is not possible; what was there before is untouched.
     """
     target = path.resolve()
     with undisturbed():
         part = _new_part(target)
-        try:
-            part.write_bytes(data)
-            os.replace(part, target)
-        finally:
-            part.unlink(missing_ok=True)
+        clear = partial(part.unlink, missing_ok=True)
+        forget = clear_at_end(clear)
+    try:
+        with part.open("w+b") as file:
+            yield file
+        os.replace(part, target)
+    finally:
+        clear()
+        forget()
 
 
 def is_part(path: Path, whole: Path) -> bool:

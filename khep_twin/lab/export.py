@@ -11,14 +11,16 @@ The same log gives the same bytes.
 
 # scipy and pyarrow are not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false
 
 import csv
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from io import BytesIO, StringIO
+from collections.abc import Callable, Collection, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +31,15 @@ from khep_twin.kernel import Board, Wheel
 from khep_twin.lab.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_test import SENSORS
 from khep_twin.log.channels import Line
-from khep_twin.log.reader import Recording, Series
+from khep_twin.log.reader import Recording, Series, read_pieces
 
 SUFFIXES = (".csv", ".parquet", ".mat")
+
+MAT_BYTES = 512 << 20
+"""Most bytes of numbers and text in a MAT file, which is made in memory, in several times as much."""
+
+LINE_BYTES = 100
+"""Bytes that a line of the transcript counts as."""
 
 _SIDES = ("left", "right")
 _SENSORS = tuple(name.replace(" ", "_") for name in SENSORS)
@@ -74,11 +82,13 @@ class Channel:
 
     Attributes:
         name: e.g. "proximity".
+        topic: its topic in the log, e.g. "/khepera0/proximity".
         columns: their names and units.
         series: times (n,) [ns] and values (n, columns).
     """
 
     name: str
+    topic: str
     columns: tuple[tuple[str, str], ...]
     series: Series
 
@@ -121,7 +131,7 @@ def chosen_channels(recording: Recording, robot: str, names: Sequence[str] | Non
     for topic, series in recording.series.items():
         owner, _, name = topic.removeprefix("/").rpartition("/")
         if owner == robot or (not owner and name.startswith("lamps")):
-            found[name] = Channel(name, _columns(name, series.values.shape[1]), series)
+            found[name] = Channel(name, topic, _columns(name, series.values.shape[1]), series)
     order = [*(name for name in _KNOWN if name not in _LAST), *sorted({*found} - {*_KNOWN, *_LAST}), *_LAST]
     there = [name for name in order if name in found]
     if names is None:
@@ -132,36 +142,102 @@ def chosen_channels(recording: Recording, robot: str, names: Sequence[str] | Non
     return [found[name] for name in dict.fromkeys(names)]
 
 
-def table(channels: Sequence[Channel], kind: str) -> bytes:
-    """Channels of one robot as the bytes of a file, by its suffix ".csv" or ".parquet"."""
-    times_ns = np.unique(np.concatenate([channel.series.times_ns for channel in channels]))
-    return (_csv if kind == ".csv" else _parquet)(times_ns, channels)
+def write_table(
+    log: Path,
+    channels: Sequence[Channel],
+    kind: str,
+    file: BinaryIO,
+    progress: Callable[[float], None] | None = None,
+) -> int:
+    """Write channels of one robot as a table, piece by piece; return the number of its rows.
+
+    Args:
+        log: Path of the log.
+        channels: Columns of the table, as `chosen_channels` found them; their series are not used.
+        kind: Suffix ".csv" or ".parquet".
+        file: File that is written, open for reading, too.
+        progress: Takes the share that is done, 0 to 1.
+
+    Raises:
+        LogError: The log is not whole.
+    """
+    # Counts are whole numbers, though messages carry them as floats, until one is found that is not.
+    fractional = {channel.name for channel in channels} & {"pose", "lamps"}
+    while True:
+        file.seek(0)
+        file.truncate()
+        writer = (_Csv if kind == ".csv" else _Parquet)(file, channels, fractional)
+        n_rows, found = 0, set[str]()
+        with closing(writer):
+            for piece in read_pieces(log, progress):
+                parts = [_part(log, channel, piece) for channel in channels]
+                found = {each.name for each in parts if each.name not in fractional and not _is_whole(each)}
+                if found:
+                    break
+                times_ns = np.unique(np.concatenate([part.series.times_ns for part in parts]))
+                writer.write(times_ns, parts)
+                n_rows += len(times_ns)
+        if not found:
+            return n_rows
+        fractional |= found
 
 
-def matrices(recording: Recording, robot: str, channels: Sequence[Channel]) -> bytes:
-    """Channels, transcript and events as the bytes of a MAT file."""
+def matrices(
+    log: Path, robot: str, channels: Sequence[Channel], progress: Callable[[float], None] | None = None
+) -> tuple[bytes, int]:
+    """Return channels, transcript and events as the bytes of a MAT file, and the number of distinct times.
+
+    Raises:
+        LogError: The log is not whole, or has more than a MAT file should.
+    """
+    parts: list[list[Series]] = [[] for _ in channels]
+    lines: dict[str, list[Line]] = {f"/{robot}/serial": [], "/events": []}
+    size = 0
+    for piece in read_pieces(log, progress):
+        for channel, found in zip(channels, parts, strict=True):
+            found.append(_part(log, channel, piece).series)
+            size += found[-1].values.size * 8
+        for topic, told in lines.items():
+            told += piece.lines.get(topic, [])
+            size += len(piece.lines.get(topic, ())) * LINE_BYTES
+        if size > MAT_BYTES:
+            raise LogError(
+                f"{log}: more than {MAT_BYTES >> 20} MiB of numbers and text, which is made in memory for a "
+                "MAT file; expected a shorter log, fewer --channels, or -o FILE.csv or .parquet"
+            )
     values: dict[str, Any] = {}
-    for channel in channels:
+    for channel, found in zip(channels, parts, strict=True):
         name = _identifier(channel.name)
-        values[name] = channel.series.values.astype(np.float64)
-        values[f"{name}_time_s"] = channel.series.times_ns.reshape(-1, 1) / 1e9
+        values[name] = np.concatenate([each.values for each in found]).astype(np.float64)
+        values[f"{name}_time_s"] = np.concatenate([each.times_ns for each in found]).reshape(-1, 1) / 1e9
         values[f"{name}_columns"] = _cells([column for column, _ in channel.columns])
         values[f"{name}_units"] = _cells([unit for _, unit in channel.columns])
-    for name, topic in (("serial", f"/{robot}/serial"), ("events", "/events")):
-        lines = recording.lines.get(topic, [])
-        values[f"{name}_time_s"] = np.array([line.time_ns / 1e9 for line in lines]).reshape(-1, 1)
-        values[f"{name}_from"] = _cells([line.name for line in lines])
-        values[f"{name}_text"] = _cells([line.text for line in lines])
-    return mat_bytes(values, "log")
+    for name, told in zip(("serial", "events"), lines.values(), strict=True):
+        values[f"{name}_time_s"] = np.array([line.time_ns / 1e9 for line in told]).reshape(-1, 1)
+        values[f"{name}_from"] = _cells([line.name for line in told])
+        values[f"{name}_text"] = _cells([line.text for line in told])
+    times_ns = [each.times_ns for found in parts for each in found]
+    return mat_bytes(values, "log"), len(np.unique(np.concatenate(times_ns))) if times_ns else 0
 
 
-def transcript(lines: Sequence[Line]) -> bytes:
-    """What was said on a serial line, as the bytes of a CSV file."""
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["time_s", "from", "text"])
-    writer.writerows([repr(line.time_ns / 1e9), line.name, line.text] for line in lines)
-    return text.getvalue().encode("utf-8")
+def write_transcript(
+    log: Path, robot: str, file: BinaryIO, progress: Callable[[float], None] | None = None
+) -> int:
+    """Write what was said on a robot's line as a CSV file, piece by piece; return the number of lines.
+
+    Raises:
+        LogError: The log is not whole.
+    """
+    n_lines = 0
+    file.write(b"time_s,from,text\n")
+    for piece in read_pieces(log, progress):
+        text = StringIO()
+        lines = piece.lines.get(f"/{robot}/serial", [])
+        rows = ([repr(line.time_ns / 1e9), line.name, line.text] for line in lines)
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        file.write(text.getvalue().encode("utf-8"))
+        n_lines += len(lines)
+    return n_lines
 
 
 def _columns(name: str, count: int) -> tuple[tuple[str, str], ...]:
@@ -187,46 +263,92 @@ def _rows(times_ns: NDArray[np.int64], channel: Channel) -> NDArray[np.int64]:
     return rows
 
 
-def _whole(values: NDArray[Any]) -> NDArray[Any]:
-    """Counts as whole numbers, as they are, though channels carry them as floats."""
-    if not (np.isfinite(values).all() and np.array_equal(np.rint(values), values)):
-        return values
-    return values.astype(np.int64)
+def _part(log: Path, channel: Channel, piece: Recording) -> Channel:
+    """Return a channel with what a piece of the log has of it.
+
+    Raises:
+        LogError: It has rows of another length there than at its begin.
+    """
+    series = piece.series.get(channel.topic, Series(np.zeros(0, np.int64), channel.series.values[:0]))
+    if series.values.shape[1:] != channel.series.values.shape[1:]:
+        raise LogError(
+            f"{log}: {channel.topic} has {series.values.shape[1]} values at {series.times_ns[0] / 1e9} s, "
+            f"expected {len(channel.columns)} as at its begin"
+        )
+    return replace(channel, series=series)
 
 
-def _csv(times_ns: NDArray[np.int64], channels: Sequence[Channel]) -> bytes:
-    columns: list[list[str]] = [[repr(time_ns / 1e9) for time_ns in times_ns.tolist()]]
-    for channel in channels:
-        rows = _rows(times_ns, channel).tolist()
-        for values in _whole_or_not(channel).T:
-            words = [*map(repr, values.tolist()), ""]  # the last is for the row -1
-            columns.append([words[row] for row in rows])
-    head = ",".join(["time_s", *(name for channel in channels for name, _ in channel.columns)])
-    return "\n".join([head, *map(",".join, zip(*columns, strict=True)), ""]).encode("utf-8")
-
-
-def _whole_or_not(channel: Channel) -> NDArray[Any]:
-    """A channel's values; metres, radians and watts stay floats even where they happen to be whole."""
+def _is_whole(channel: Channel) -> bool:
+    """Tell if all values are whole numbers."""
     values = channel.series.values
-    return values if channel.name in ("pose", "lamps") else _whole(values)
+    return bool(np.isfinite(values).all() and np.array_equal(np.rint(values), values))
 
 
-def _parquet(times_ns: NDArray[np.int64], channels: Sequence[Channel]) -> bytes:
-    import pyarrow as arrow
-    from pyarrow import parquet
+class _Csv:
+    """A CSV file that is written piece by piece.
 
-    fields: list[Any] = [arrow.field("time_s", arrow.float64(), metadata={"unit": "s"})]
-    columns: list[Any] = [arrow.array(times_ns / 1e9)]
-    for channel in channels:
-        rows = _rows(times_ns, channel)
-        for (name, unit), values in zip(channel.columns, _whole_or_not(channel).T, strict=True):
-            columns.append(arrow.array(values[rows], mask=rows < 0))
-            metadata = {"unit": unit, "channel": channel.name}
-            fields.append(arrow.field(name, columns[-1].type, metadata=metadata))
-    file = BytesIO()
-    whole: Any = arrow.Table.from_arrays(columns, schema=arrow.schema(fields))
-    parquet.write_table(whole, file)
-    return file.getvalue()
+    Args:
+        file: File.
+        channels: Channels that make its columns.
+        fractional: Names of those that are not whole numbers.
+    """
+
+    def __init__(self, file: BinaryIO, channels: Sequence[Channel], fractional: Collection[str]) -> None:
+        self._file, self._fractional = file, fractional
+        head = ",".join(["time_s", *(name for channel in channels for name, _ in channel.columns)])
+        file.write(f"{head}\n".encode())
+
+    def write(self, times_ns: NDArray[np.int64], channels: Sequence[Channel]) -> None:
+        """Write rows: those times, and what the channels have then."""
+        columns: list[list[str]] = [[repr(time_ns / 1e9) for time_ns in times_ns.tolist()]]
+        for channel in channels:
+            rows = _rows(times_ns, channel).tolist()
+            for values in _numbers(channel, self._fractional).T:
+                words = [*map(repr, values.tolist()), ""]  # the last is for the row -1
+                columns.append([words[row] for row in rows])
+        self._file.write("".join(f"{','.join(row)}\n" for row in zip(*columns, strict=True)).encode())
+
+    def close(self) -> None:
+        """End the file."""
+
+
+class _Parquet:
+    """A Parquet file that is written piece by piece, each a group of rows; arguments as for `_Csv`."""
+
+    def __init__(self, file: BinaryIO, channels: Sequence[Channel], fractional: Collection[str]) -> None:
+        import pyarrow as arrow
+        from pyarrow import parquet
+
+        self._fractional = fractional
+        fields: list[Any] = [arrow.field("time_s", arrow.float64(), metadata={"unit": "s"})]
+        for channel in channels:
+            kind = arrow.float64() if channel.name in fractional else arrow.int64()
+            for name, unit in channel.columns:
+                fields.append(arrow.field(name, kind, metadata={"unit": unit, "channel": channel.name}))
+        self._schema: Any = arrow.schema(fields)
+        self._writer: Any = parquet.ParquetWriter(file, self._schema)
+
+    def write(self, times_ns: NDArray[np.int64], channels: Sequence[Channel]) -> None:
+        """Write rows: those times, and what the channels have then."""
+        import pyarrow as arrow
+
+        columns: list[Any] = [arrow.array(times_ns / 1e9)]
+        for channel in channels:
+            rows = _rows(times_ns, channel)
+            for values in _numbers(channel, self._fractional).T:
+                # The last is for the row -1, which is no value.
+                columns.append(arrow.array(np.append(values, 0)[rows], mask=rows < 0))
+        self._writer.write_table(arrow.Table.from_arrays(columns, schema=self._schema))
+
+    def close(self) -> None:
+        """End the file."""
+        self._writer.close()
+
+
+def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[Any]:
+    """Return a channel's values, as whole numbers if they all are."""
+    values = channel.series.values
+    return values if channel.name in fractional else values.astype(np.int64)
 
 
 def _cells(texts: Sequence[str]) -> NDArray[np.object_]:

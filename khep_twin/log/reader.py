@@ -1,8 +1,9 @@
 """Reading a log back: what was recorded as arrays, without ROS, rerun or the simulator."""
 
+import itertools
 import re
 import struct
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
+from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 from zstandard import ZstdError
 
@@ -39,6 +41,10 @@ _DAMAGE = (
     MemoryError,
 )
 """What the mcap reader raises, depending on where a file is damaged."""
+
+
+PIECE = 32 << 20
+"""Most bytes of chunks, unpacked, that are read at a time by `read_pieces`, if no chunk has more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,18 +197,70 @@ def read_series(path: Path) -> Recording:
     Raises:
         LogError: there is none, or it is not whole.
     """
-    messages, columns = _Messages(path), _Columns(path)
+    with _opened(path) as reader:
+        # In the file's order, in which each channel is in order of time anyway: to sort all takes long.
+        return _recording(path, _label(path, reader), reader.iter_messages(log_time_order=False))
+
+
+def read_heads(path: Path) -> Recording:
+    """Return a log with the first message of each channel; quick however long the run was.
+
+    Raises:
+        LogError: there is none, or it is not whole.
+    """
+    with _opened(path) as reader:
+        summary = reader.get_summary()
+        topics = sorted({each.topic for each in summary.channels.values()} if summary is not None else ())
+        # In order of time chunks are unpacked one by one, in the file's order all before the first message.
+        firsts = (next(reader.iter_messages([topic]), None) for topic in topics)
+        return _recording(path, _label(path, reader), filter(None, firsts))
+
+
+def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> Iterator[Recording]:
+    """Yield a log in pieces that are short enough for the memory, in order of time.
+
+    Args:
+        path: Path of a finished log.
+        progress: Takes the share that has been read, 0 to 1.
+
+    Raises:
+        LogError: there is none, or it is not whole.
+    """
     with _opened(path) as reader:
         label = _label(path, reader)
-        # In the file's order, in which each channel is in order of time anyway: to sort all takes long.
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
-            kind = _KINDS.get("" if schema is None else schema.name)
-            if channel.topic.rpartition("/")[2] in _FOR_REPEAT:
-                continue
-            if kind is None:
-                columns.add(channel.topic, message.log_time, message.data)
-            else:
-                messages.add(channel.topic, kind, message.log_time, message.data)
+        summary = reader.get_summary()
+        chunks = [] if summary is None else sorted(summary.chunk_indexes, key=lambda c: c.message_start_time)
+        times_ns: list[int | None] = [None]
+        size = 0
+        for chunk in chunks:
+            later = chunk.message_start_time > (times_ns[-1] or 0)
+            if later and size + chunk.uncompressed_size > PIECE:
+                times_ns.append(chunk.message_start_time)
+                size = 0
+            size += chunk.uncompressed_size
+        count = itertools.count()
+        for index, (start, end) in enumerate(itertools.pairwise([*times_ns, None])):
+            found = reader.iter_messages(starting_at=start, ending_before=end, log_time_order=False)
+            yield _recording(path, label, (each for each, _ in zip(found, count, strict=False)))
+            if progress is not None:
+                progress((index + 1) / len(times_ns))
+        statistics = None if summary is None else summary.statistics
+        if statistics is not None and (number := next(count)) != statistics.message_count:
+            raise ValueError(f"{number} messages, {statistics.message_count} in its statistics")
+
+
+def _recording(
+    path: Path, label: Label, found: Iterable[tuple[Schema | None, Channel, Message]]
+) -> Recording:
+    messages, columns = _Messages(path), _Columns(path)
+    for schema, channel, message in found:
+        kind = _KINDS.get("" if schema is None else schema.name)
+        if channel.topic.rpartition("/")[2] in _FOR_REPEAT:
+            continue
+        if kind is None:
+            columns.add(channel.topic, message.log_time, message.data)
+        else:
+            messages.add(channel.topic, kind, message.log_time, message.data)
     series = {topic: _in_order(times_ns, values) for topic, times_ns, values in messages.arrays()}
     for name in label.robots:
         if len(pose := columns.pose(name)):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files import is_same, put_whole
+from khep_twin.files import is_same, part_file
 from khep_twin.log.arena import Light, Rays, event_chunks, trail_chunks
 from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.gathered import Gatherer
@@ -131,7 +131,8 @@ def _save(paths: Sequence[Path], labels: Sequence[Label], save: Path) -> None:
         raise LogError(f"{save}: this is {what}; right is the name of a file, such as {paths[0].stem}.rrd")
     recording = _recording(paths, labels)
     try:
-        put_whole(save, recording)
+        with part_file(save) as file:
+            file.write(recording)
     except OSError as error:
         raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
 

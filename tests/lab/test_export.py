@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from pyarrow import parquet  # pyright: ignore[reportMissingTypeStubs]
 from scipy.io import loadmat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 from typer.testing import CliRunner
 
 from khep_twin.cli import app
 from khep_twin.lab.export import SUFFIXES
+from khep_twin.log import reader
+from khep_twin.log.channels import FLOATS, SCHEMAS, ArrayFrame
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.reader import read
 from khep_twin.playpen import load
@@ -34,6 +37,19 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         twin.robots[1].send(b"D,4,-4\n")
         twin.advance_to(SECOND)
         twin.world.tell(0, "taken away")
+    return path
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished log of four seconds, given out at each, and so of several chunks."""
+    path = tmp_path_factory.mktemp("export") / "long.mcap"
+    with open_twin("two-lamps", TwinOptions(seed=3, log=str(path))) as twin:
+        for second in range(1, 5):
+            twin.robots[0].send(b"D,8,5\nN\n")
+            twin.advance_to(second * SECOND)
+            assert twin.recorder is not None
+            twin.recorder.flush()
     return path
 
 
@@ -140,6 +156,78 @@ def test_the_same_log_gives_the_same_bytes(suffix: str, run: Path, tmp_path: Pat
     for file in files:
         export(run, "-o", file)
     assert files[0].read_bytes() == files[1].read_bytes()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_long_log_is_written_piece_by_piece(
+    suffix: str, long: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [tmp_path / f"{name}{suffix}" for name in ("whole", "pieces")]
+    said = [tmp_path / f"{name}-said.csv" for name in ("whole", "pieces")]
+    for file, transcript, most in zip(files, said, (reader.PIECE, 1), strict=True):
+        monkeypatch.setattr(reader, "PIECE", most)
+        assert len([*reader.read_pieces(long)]) == (1 if most > 1 else 4)
+        assert "201 rows" in export(long, "-o", file, "--transcript", transcript)
+    assert said[0].read_bytes() == said[1].read_bytes()
+    if suffix == ".parquet":
+        one, other = map(parquet.read_table, files)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType, reportUnknownVariableType]
+        assert one.equals(other)
+    else:
+        assert files[0].read_bytes() == files[1].read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_count_that_is_no_whole_number_late_in_a_log_makes_its_channel_fractional(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, table = tmp_path / "run.mcap", tmp_path / f"table{suffix}"
+    write_speeds(log, [[1.0, 2.0], [3.0, 4.5]])
+    monkeypatch.setattr(reader, "PIECE", 1)
+    assert len([*reader.read_pieces(log)]) == 2
+    export(log, "-o", table)
+    if suffix == ".csv":
+        assert table.read_text().splitlines()[1:] == ["0.0,1.0,2.0", "1.0,3.0,4.5"]
+    else:
+        found: Any = parquet.read_table(table)  # pyright: ignore[reportUnknownMemberType]
+        assert found["speed_1"].to_pylist() == [2.0, 4.5]
+
+
+def test_rows_that_grow_within_a_log_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log, table = tmp_path / "run.mcap", tmp_path / "table.csv"
+    write_speeds(log, [[1.0, 2.0], [3.0, 4.0, 5.0]])
+    monkeypatch.setattr(reader, "PIECE", 1)
+    assert "/khepera0/speed has 3 values at 1.0 s, expected 2 as at its begin" in refusal(log, "-o", table)
+    assert [*tmp_path.iterdir()] == [log]
+
+
+def test_more_than_a_mat_file_should_hold_is_refused(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("khep_twin.lab.export.MAT_BYTES", 1000)
+    assert "fewer --channels, or -o FILE.csv or .parquet" in refusal(run, "-o", tmp_path / "run.mat")
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_log_whose_index_leaves_messages_out_is_refused(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    write_speeds(log, [[1.0, 2.0], [3.0, 4.0]], number_told=3)
+    assert "no whole log" in refusal(log, "-o", tmp_path / "table.csv")
+
+
+def write_speeds(path: Path, rows: list[list[float]], number_told: int | None = None) -> None:
+    """Write a log of speeds, a second and a chunk each, and how many there are."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1)
+        writer.start()
+        writer.add_metadata("run", {"robots": "khepera0"})
+        schema = writer.register_schema(FLOATS, "ros2msg", SCHEMAS[FLOATS].encode())
+        channel = writer.register_channel("/khepera0/speed", "cdr", schema)
+        for second, row in enumerate(rows):
+            (message,) = ArrayFrame(len(row), "f8", "speed").messages(np.array([row]))
+            writer.add_message(channel, second * SECOND, message.tobytes(), second * SECOND)
+        if number_told is not None:
+            writer._Writer__statistics.message_count = number_told  # pyright: ignore
+        writer.finish()
 
 
 def test_the_transcript_is_a_table(run: Path, tmp_path: Path) -> None:
