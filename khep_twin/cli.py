@@ -3,6 +3,7 @@
 What a command needs is imported inside it, so that `khep-twin --help` comes at once.
 """
 
+import errno
 import os
 import sys
 from pathlib import Path
@@ -26,6 +27,7 @@ from khep_twin.cli_run import run
 from khep_twin.cli_sense import sense
 from khep_twin.cli_series import new, series
 from khep_twin.cli_serve import serve
+from khep_twin.cli_streams import exit_code
 from khep_twin.cli_sweep import sweep
 from khep_twin.cli_view import view
 from khep_twin.errors import KhepTwinError
@@ -67,7 +69,7 @@ def main() -> None:
         complete_in_bash(lambda: app(prog_name="khep-twin"))
     code = _run()
     # Typer has one code for whatever was interrupted, shells have one for each signal.
-    leave(128 + asked_by() if code == 130 and asked_by() else code)
+    leave(exit_code(128 + asked_by() if code == 130 and asked_by() else code))
 
 
 def _run() -> int:
@@ -78,6 +80,10 @@ def _run() -> int:
         return 130
     except KhepTwinError as error:
         text, code = str(error), 1
+    except OSError as error:
+        if error.errno not in (errno.EMFILE, errno.ENFILE):
+            raise
+        text, code = f"{error.strerror}; expected fewer that are open, or more that may be: ulimit -n", 1
     except TyperException as error:
         text, code = error.format_message(), error.exit_code
         if text.startswith("Missing "):

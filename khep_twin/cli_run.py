@@ -39,6 +39,7 @@ from khep_twin.cli_options import (
 )
 from khep_twin.cli_progress import progress as progress_bar
 from khep_twin.cli_run_logs import RunLogs, check_picture
+from khep_twin.cli_streams import unread
 from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.invocation import command
 from khep_twin.stopping import answered, stopping
@@ -233,6 +234,8 @@ def run(
                 typer.echo(each.line(runs) + ("" if is_new else "  as before"))
                 if user_function is not None and is_new:
                     call_after(user_function, each)
+                if unread():
+                    break
             stopped = asked() and (not done or done[-1].number < runs)
         except (KeyboardInterrupt, StoppedError):
             stopped = True  # amid a cycle

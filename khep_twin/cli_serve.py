@@ -1,6 +1,8 @@
 """`khep-twin serve`: a twin, or a robot, behind pseudo-terminals or on the network."""
 
+import fcntl
 import math
+import os
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from enum import StrEnum
@@ -90,7 +92,7 @@ def serve(
         bool, typer.Option("--strict-line", help="Garble the bytes of a host at another speed.")
     ] = False,
     ready_fd: Annotated[
-        int | None, typer.Option(min=1, help="Write what hosts open to this descriptor, too, and close it.")
+        int | None, typer.Option(help="Write what hosts open to this descriptor, too, and close it.")
     ] = None,
     seed: Seed = 0,
     noise: Noise = Switch.ON,
@@ -120,6 +122,7 @@ def serve(
 
     check_carry_on(carry_on, log)
     check_new(force, log)
+    _check_ready_fd(ready_fd)
     where = partial(far_ends, link=link, tcp=tcp, rfc2217=rfc2217, expose=expose)
     if through is not None:
         if ignored := given(context) & (OF_A_TWIN | _OF_A_SERVED_TWIN) - {"mode", "log", "carry_on"}:
@@ -246,6 +249,23 @@ def _announce(cables: Sequence["Cable"], descriptor: int | None, what: str) -> N
             file.write(paths)
     except OSError as error:
         raise usage(f"--ready-fd {descriptor}: cannot be written: {error.strerror}") from None
+
+
+def _check_ready_fd(descriptor: int | None) -> None:
+    """Refuse a descriptor that nobody has given to write to."""
+    if descriptor is None:
+        return
+    wish = "expected 3 or above, of what is open for writing, such as --ready-fd 3 3>ready"
+    if not 3 <= descriptor < 2**31:
+        raise usage(f"--ready-fd {descriptor}: {wish}")
+    try:
+        # What this process has opened itself is not passed on to others.
+        given = os.get_inheritable(descriptor)
+        writable = fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE != os.O_RDONLY
+    except OSError:
+        given = writable = False
+    if not (given and writable):
+        raise usage(f"--ready-fd {descriptor}: is not open{' for writing' if given else ''}; {wish}")
 
 
 def _speed(text: str) -> float:

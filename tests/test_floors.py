@@ -68,7 +68,7 @@ FLOORS = [
     ["ports", "host", "log"],
     ["lab", "scale"],
     ["web"],
-    ["cli_completion", "cli_options", "cli_progress"],
+    ["cli_completion", "cli_options", "cli_progress", "cli_streams"],
     [
         "cli",
         "cli_design",

@@ -20,6 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from khep_twin.errors import PortError
 from khep_twin.ports.cable import Received
 from khep_twin.ports.event_sources import open_events
 from khep_twin.ports.link import Link
@@ -64,11 +65,16 @@ class PtyPort:
         occupied: whether a host has it open.
 
     Raises:
-        PortError: the link cannot be made.
+        PortError: there is no terminal, or the link cannot be made.
     """
 
     def __init__(self, link: str | Path | None = None, baud: int = 9600) -> None:
-        self.descriptor, host_side = os.openpty()
+        try:
+            self.descriptor, host_side = os.openpty()
+        except OSError as error:
+            raise PortError(
+                f"no pseudo-terminal can be had: {error.strerror}; expected a free one, or --tcp HOST:PORT"
+            ) from error
         self._baud = baud
         self._raw = self._make_raw(host_side)
         os.set_blocking(self.descriptor, False)

@@ -1,5 +1,6 @@
 """The pseudo-terminal by itself."""
 
+import errno
 import os
 import termios
 from pathlib import Path
@@ -17,6 +18,19 @@ def test_it_is_raw_and_silent_before_anybody_opens_it() -> None:
         assert port.receive(100).data == b""
         flags = termios.tcgetattr(port.descriptor)[3]
         assert not flags & (termios.ECHO | termios.ICANON)
+
+
+def test_no_free_terminal_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    for number in (errno.ENOSPC, errno.EMFILE):
+
+        def refuse(number: int = number) -> tuple[int, int]:
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(os, "openpty", refuse)
+        with pytest.raises(
+            PortError, match=rf"can be had: {os.strerror(number)}; expected a free one, or --tcp"
+        ):
+            PtyPort()
 
 
 def test_bytes_pass_unchanged_both_ways() -> None:

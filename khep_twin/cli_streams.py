@@ -1,0 +1,111 @@
+"""The command line's standard streams: nothing that goes wrong with one takes a run or its log along.
+
+A stream that cannot be written is told of once, in a line, and takes no more; the command goes on, and its
+exit code says it. A reader that has gone, as `head` does, is told to nobody, as the reader wanted that.
+Here, too: the number of descriptors that there may be.
+"""
+
+import errno
+import io
+import os
+import resource
+import select
+import signal
+import sys
+from typing import Any
+
+LEAST_OPEN = 64
+"""So many files have to be allowed to be open at once: some 20 are, and more with each robot (measured)."""
+
+
+class Told(io.FileIO):
+    """A standard stream's bytes on their way out.
+
+    Args:
+        descriptor: 1 or 2.
+
+    Attributes:
+        trouble: Why nothing can be written any more; None if it can.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor, "w", closefd=False)
+        self.trouble: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write, or drop what nobody takes."""
+        if self.trouble is None:
+            try:
+                while (done := super().write(data)) is None:  # as a program before this one has left it
+                    select.select([], [self], [])
+                return done
+            except OSError as error:
+                self.trouble = error
+                if self.fileno() == 1 and error.errno != errno.EPIPE:
+                    reason = "it is closed" if error.errno == errno.EBADF else error.strerror
+                    print(f"khep-twin: standard output: cannot be written: {reason}", file=sys.stderr)
+        return memoryview(data).nbytes
+
+
+class Open(io.TextIOWrapper):
+    """A standard stream that stays open when a controller closes it."""
+
+    def close(self) -> None:
+        """Write what is left."""
+        self.flush()
+
+
+_streams: list[Told] = []
+
+
+def guard() -> None:
+    """Have whatever is wrong with the standard streams told as above, from now on."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            # Else the next file that is opened, such as a log, would be taken for the stream that is closed.
+            # Output is not writable so, and is told of when it is written.
+            os.set_inheritable(os.open(os.devnull, os.O_RDONLY), True)
+    if sys.stdin is None:  # pyright: ignore[reportUnnecessaryComparison]
+        sys.stdin = open(0, closefd=False)
+    sys.stdout, sys.stderr = _guarded(1, sys.stdout), _guarded(2, sys.stderr)
+
+
+def check_descriptors() -> None:
+    """End the process in one line where too few files may be open at once to begin at all."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= soft < LEAST_OPEN:
+        most = LEAST_OPEN if hard == resource.RLIM_INFINITY else min(hard, LEAST_OPEN)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+        if most < LEAST_OPEN:
+            told = f"{hard} files may be open at once; expected {LEAST_OPEN} or more, see ulimit -n"
+            print(f"khep-twin: {told}", file=sys.stderr)
+            sys.exit(1)
+
+
+def unread() -> bool:
+    """Return whether standard output has no reader any more."""
+    return any(each.fileno() == 1 and each.trouble and each.trouble.errno == errno.EPIPE for each in _streams)
+
+
+def exit_code(code: int) -> int:
+    """Return a command's exit code, which a stream that could not be written makes one of failure."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    troubles = [each.trouble for each in _streams if each.trouble is not None]
+    if code or not troubles:
+        return code
+    return 128 + signal.SIGPIPE if all(each.errno == errno.EPIPE for each in troubles) else 1
+
+
+def _guarded(descriptor: int, stream: io.TextIOWrapper | Any) -> Open:
+    raw = Told(descriptor)
+    _streams.append(raw)
+    return Open(
+        io.BufferedWriter(raw),
+        encoding=getattr(stream, "encoding", "utf-8"),
+        errors=getattr(stream, "errors", "backslashreplace"),
+        line_buffering=getattr(stream, "line_buffering", True),
+        write_through=getattr(stream, "write_through", False),
+    )
