@@ -33,6 +33,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from khep_twin.log.chunk_index import COMPRESSION, ENTRY_BYTES, ChunkIndex
+from khep_twin.log.record_bytes import LARGEST_CHUNK
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _INDEX_HEAD = struct.Struct("<BQHI")
@@ -127,12 +128,14 @@ class BatchWriter:
 
     def add(self, channel: int, time_ns: int, message: bytes) -> None:
         """Adds one message."""
+        self._begin_anew()
         head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, 22 + len(message), channel, 0, time_ns, time_ns)
         self._note(channel, np.array([[time_ns, self._size]], np.uint64))
         self._append(head + message)
 
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Adds messages of different sizes, at these times in their order."""
+        self._begin_anew()
         places: list[tuple[int, int]] = []
         size = self._size
         pieces: list[bytes] = []
@@ -147,6 +150,7 @@ class BatchWriter:
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Adds messages of one size, a row each, at these times (n,), rising."""
+        self._begin_anew()
         size = messages.itemsize
         rows = np.zeros(
             len(messages),
@@ -245,6 +249,11 @@ class BatchWriter:
         crc = zlib.crc32(offsets + struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), crc)
         footer = Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc)
         self._sink.write(offsets + _record(footer) + MCAP0_MAGIC)
+
+    def _begin_anew(self) -> None:
+        """Write what was added where the next message would make a chunk that is too large to read."""
+        if self._size > LARGEST_CHUNK // 4:
+            self.flush()
 
     def _append(self, data: bytes) -> None:
         self._pieces.append(data)

@@ -1,23 +1,18 @@
 """Reading a log back: what was recorded as arrays, without ROS, rerun or the simulator."""
 
-import itertools
 import re
-import struct
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import McapReader, make_reader
-from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
-from zstandard import ZstdError
 
 from khep_twin.errors import LogError
 from khep_twin.files import open_regular
 from khep_twin.log.channels import FLOATS, INTEGERS, Line
+from khep_twin.log.content import Content, Entry
 from khep_twin.log.decoding import (
     LATEST_NS,
     Misfit,
@@ -29,22 +24,8 @@ from khep_twin.log.decoding import (
 )
 from khep_twin.toml_files import NAME_WISH
 
-_DAMAGE = (
-    McapError,
-    ZstdError,
-    struct.error,
-    OSError,
-    EOFError,
-    LookupError,
-    ValueError,
-    OverflowError,
-    MemoryError,
-)
-"""What the mcap reader raises, depending on where a file is damaged."""
-
-
 PIECE = 32 << 20
-"""Most bytes of chunks, unpacked, that are read at a time by `read_pieces`, if no chunk has more."""
+"""Most bytes of messages that are read at a time by `read_pieces`, besides a chunk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +119,11 @@ def read(path: Path) -> Run:
     Raises:
         LogError: there is none, or it is not whole.
     """
-    with _opened(path) as reader:
-        label = _label(path, reader)
+    with _opened(path) as content:
+        label = _label(path, content)
         columns = _Columns(path)
-        for _, channel, message in reader.iter_messages():
-            columns.add(channel.topic, message.log_time, message.data)
+        for topic, _, time_ns, data in content.messages():
+            columns.add(topic, time_ns, data)
         robots = {name: columns.track(name) for name in label.robots}
     return Run(label.metadata, label.attachments, robots, columns.lines["/events"])
 
@@ -153,8 +134,8 @@ def read_label(path: Path) -> Label:
     Raises:
         LogError: there is none, or it is not whole.
     """
-    with _opened(path) as reader:
-        return _label(path, reader)
+    with _opened(path) as content:
+        return _label(path, content)
 
 
 def read_end_ns(path: Path) -> int:
@@ -163,15 +144,8 @@ def read_end_ns(path: Path) -> int:
     Raises:
         LogError: there is none, or it is not whole.
     """
-    with _opened(path) as reader:
-        summary = reader.get_summary()
-        statistics = None if summary is None else summary.statistics
-        if statistics is None:
-            raise ValueError("no statistics")
-        if statistics.message_end_time > LATEST_NS:
-            found = f"message_end_time = {statistics.message_end_time}"
-            raise Misfit(found, f"at most {LATEST_NS}").at(path, "statistics")
-        return statistics.message_end_time
+    with _opened(path) as content:
+        return content.end_ns()
 
 
 def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
@@ -181,11 +155,11 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
         LogError: there is none, or it is not whole.
     """
     messages = _Messages(path)
-    with _opened(path) as reader:
-        label = _label(path, reader)
-        for schema, channel, message in reader.iter_messages():
-            if schema is not None and schema.name == FLOATS:
-                messages.add(channel.topic, "d", message.log_time, message.data)
+    with _opened(path) as content:
+        label = _label(path, content)
+        for topic, schema, time_ns, data in content.messages():
+            if schema == FLOATS:
+                messages.add(topic, "d", time_ns, data)
     return label, {
         topic: (times_ns, values.astype(np.float64)) for topic, times_ns, values in messages.arrays()
     }
@@ -197,9 +171,9 @@ def read_series(path: Path) -> Recording:
     Raises:
         LogError: there is none, or it is not whole.
     """
-    with _opened(path) as reader:
+    with _opened(path) as content:
         # In the file's order, in which each channel is in order of time anyway: to sort all takes long.
-        return _recording(path, _label(path, reader), reader.iter_messages(log_time_order=False))
+        return _recording(path, _label(path, content), content.messages(in_order=False))
 
 
 def read_heads(path: Path) -> Recording:
@@ -208,12 +182,8 @@ def read_heads(path: Path) -> Recording:
     Raises:
         LogError: there is none, or it is not whole.
     """
-    with _opened(path) as reader:
-        summary = reader.get_summary()
-        topics = sorted({each.topic for each in summary.channels.values()} if summary is not None else ())
-        # In order of time chunks are unpacked one by one, in the file's order all before the first message.
-        firsts = (next(reader.iter_messages([topic]), None) for topic in topics)
-        return _recording(path, _label(path, reader), filter(None, firsts))
+    with _opened(path) as content:
+        return _recording(path, _label(path, content), content.first_messages())
 
 
 def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> Iterator[Recording]:
@@ -226,41 +196,24 @@ def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> 
     Raises:
         LogError: there is none, or it is not whole.
     """
-    with _opened(path) as reader:
-        label = _label(path, reader)
-        summary = reader.get_summary()
-        chunks = [] if summary is None else sorted(summary.chunk_indexes, key=lambda c: c.message_start_time)
-        times_ns: list[int | None] = [None]
-        size = 0
-        for chunk in chunks:
-            later = chunk.message_start_time > (times_ns[-1] or 0)
-            if later and size + chunk.uncompressed_size > PIECE:
-                times_ns.append(chunk.message_start_time)
-                size = 0
-            size += chunk.uncompressed_size
-        count = itertools.count()
-        for index, (start, end) in enumerate(itertools.pairwise([*times_ns, None])):
-            found = reader.iter_messages(starting_at=start, ending_before=end, log_time_order=False)
-            yield _recording(path, label, (each for each, _ in zip(found, count, strict=False)))
+    with _opened(path) as content:
+        label = _label(path, content)
+        for share, messages in content.pieces(PIECE):
+            yield _recording(path, label, messages)
             if progress is not None:
-                progress((index + 1) / len(times_ns))
-        statistics = None if summary is None else summary.statistics
-        if statistics is not None and (number := next(count)) != statistics.message_count:
-            raise ValueError(f"{number} messages, {statistics.message_count} in its statistics")
+                progress(share)
 
 
-def _recording(
-    path: Path, label: Label, found: Iterable[tuple[Schema | None, Channel, Message]]
-) -> Recording:
+def _recording(path: Path, label: Label, found: Iterable[Entry]) -> Recording:
     messages, columns = _Messages(path), _Columns(path)
-    for schema, channel, message in found:
-        kind = _KINDS.get("" if schema is None else schema.name)
-        if channel.topic.rpartition("/")[2] in _FOR_REPEAT:
+    for topic, schema, time_ns, data in found:
+        kind = _KINDS.get(schema)
+        if topic.rpartition("/")[2] in _FOR_REPEAT:
             continue
         if kind is None:
-            columns.add(channel.topic, message.log_time, message.data)
+            columns.add(topic, time_ns, data)
         else:
-            messages.add(channel.topic, kind, message.log_time, message.data)
+            messages.add(topic, kind, time_ns, data)
     series = {topic: _in_order(times_ns, values) for topic, times_ns, values in messages.arrays()}
     for name in label.robots:
         if len(pose := columns.pose(name)):
@@ -297,18 +250,18 @@ def read_raw(
         LogError: there is none, or it is not whole.
     """
     found: dict[str, list[tuple[int, bytes]]] = {}
-    with _opened(path) as reader:
-        label = _label(path, reader)
-        recovered = any(record.name == "recovered" for record in reader.iter_metadata())
-        for _, channel, message in reader.iter_messages(log_time_order=False):
-            if wanted(channel.topic):
-                _check_time(path, channel.topic, message.log_time)
-                found.setdefault(channel.topic, []).append((message.log_time, message.data))
+    with _opened(path) as content:
+        label = _label(path, content)
+        recovered = any(record.name == "recovered" for record in content.metadata())
+        for topic, _, time_ns, data in content.messages(in_order=False):
+            if wanted(topic):
+                _check_time(path, topic, time_ns)
+                found.setdefault(topic, []).append((time_ns, data))
     return label, found, recovered
 
 
 @contextmanager
-def _opened(path: Path) -> Generator[McapReader, None, None]:
+def _opened(path: Path) -> Generator[Content, None, None]:
     """Opens a log; what goes wrong with its file and its content becomes one line."""
     try:
         file = open_regular(path)
@@ -316,23 +269,24 @@ def _opened(path: Path) -> Generator[McapReader, None, None]:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     with file:
         try:
-            yield make_reader(file, validate_crcs=True)
-        except _DAMAGE as error:
-            what = f"no whole log ({type(error).__name__})"
-            raise LogError(f"{path}: {what}; right is a finished .mcap file") from error
+            yield Content(file)
+        except Misfit as misfit:
+            raise LogError(f"{path}: no whole log: {misfit}") from None
+        except OSError as error:
+            raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _label(path: Path, reader: McapReader) -> Label:
+def _label(path: Path, content: Content) -> Label:
     metadata = {
         key: text
-        for record in reader.iter_metadata()
+        for record in content.metadata()
         if record.name == "run"
         for key, text in record.metadata.items()
     }
     if "robots" not in metadata:
         raise LogError(f"{path}: an MCAP file, but no log of khep_twin")
     attachments: dict[str, str] = {}
-    for each in reader.iter_attachments():
+    for each in content.attachments():
         try:
             attachments[each.name] = each.data.decode("utf-8")
         except UnicodeDecodeError as error:

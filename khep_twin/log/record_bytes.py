@@ -14,13 +14,16 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, McapRecord, MessageIndex, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, McapRecord, MessageIndex, Metadata, Schema, Statistics
 
 HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 MESSAGE = struct.Struct("<HIQQ")
 _DAMAGE = (McapError, struct.error, ValueError, EOFError, LookupError, OverflowError, MemoryError)
-_PIECE = 4096
+_PIECE = 1 << 16
+
+LARGEST_CHUNK = 64 << 20
+"""Most that a chunk unpacks to [bytes]; khep_twin begins another one at a quarter of it."""
 
 _START = re.compile(rb"(?=[\x01\x03-\x0f].{5}\x00\x00\x00)", re.DOTALL)
 """Opcode and the upper bytes of a length, where a record may begin."""
@@ -35,6 +38,7 @@ READERS: Mapping[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.MESSAGE_INDEX: MessageIndex.read,
     Opcode.METADATA: Metadata.read,
 }
+_READERS = {**READERS, Opcode.ATTACHMENT: Attachment.read, Opcode.STATISTICS: Statistics.read}
 
 PLACES = {
     Opcode.MESSAGE_INDEX,
@@ -93,6 +97,8 @@ class RecordBytes:
         if found is None:
             return None, None
         size, crc, compression, start, inner = found
+        if size > LARGEST_CHUNK:
+            return None, None
         for end in (self.head(place)[1], inner):
             if end is not None and start <= end <= len(self._data):
                 records = unpacked(compression, self._data[start:end], size)
@@ -142,7 +148,7 @@ def parsed(opcode: int, content: bytes) -> McapRecord | None:
     """A record of exactly these bytes; None if they are none."""
     stream = ReadDataStream(BytesIO(content))
     try:
-        record = READERS[opcode](stream)
+        record = _READERS[opcode](stream)
     except _DAMAGE:
         return None
     return record if stream.count == len(content) else None
@@ -161,18 +167,21 @@ def records_in(data: bytes) -> Generator[tuple[int, int, int], None, None]:
 
 
 def unpacked(compression: str, packed: bytes, limit: int) -> bytes:
-    """As much as can be unpacked, hardly more than `limit`."""
+    """As much as can be unpacked, at most one byte more than `limit`, which itself is bounded."""
+    limit = min(limit, LARGEST_CHUNK) + 1
     if not compression:
-        return packed
-    unpacker = zstandard.ZstdDecompressor().decompressobj()
+        return packed[:limit]
     pieces: list[bytes] = []
     size = 0
-    for place in range(0, len(packed), _PIECE):
-        try:
-            pieces.append(unpacker.decompress(packed[place : place + _PIECE]))
-        except (zstandard.ZstdError, MemoryError):
-            break
-        size += len(pieces[-1])
-        if size > limit or unpacker.eof:
-            break
+    unpacker = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+    with unpacker.stream_reader(packed) as stream:
+        while size < limit:
+            try:
+                piece = stream.read(min(_PIECE, limit - size))
+            except (zstandard.ZstdError, MemoryError):
+                break
+            if not piece:
+                break
+            pieces.append(piece)
+            size += len(piece)
     return b"".join(pieces)

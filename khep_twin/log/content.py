@@ -1,0 +1,333 @@
+"""The records of a finished log's file, each within bounds: nothing that a file declares is believed unseen.
+
+A size is compared with the bytes that are there before so much is read, and with a constant before so much is
+unpacked. What the index names lies in the file and does not overlap, so that no byte is read twice.
+"""
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import BinaryIO, NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
+
+from khep_twin.log.decoding import LATEST_NS, Misfit
+from khep_twin.log.record_bytes import (
+    HEAD,
+    LARGEST_CHUNK,
+    MESSAGE,
+    RecordBytes,
+    parsed,
+    records_in,
+    unpacked,
+)
+
+LARGEST_RECORD = LARGEST_CHUNK
+"""Largest record but a chunk's content that is read, such as an attachment [bytes]."""
+
+LARGEST_RATIO = 200
+"""Most that a log unpacks to, in sizes of its file, besides one chunk; of khep_twin's it is less than 40."""
+
+_FOOTER = struct.Struct("<QQI")
+_CHUNK_PLACE = struct.Struct("<QQQQI")
+_CHANNEL_PLACE = struct.Struct("<H8x")
+_PLACE = struct.Struct("<QQ")
+
+
+class Entry(NamedTuple):
+    """One message.
+
+    Attributes:
+        topic: of its channel.
+        schema: name of its type, empty without.
+        time_ns: when it was written [ns].
+        data: as it was written.
+    """
+
+    topic: str
+    schema: str
+    time_ns: int
+    data: bytes
+
+
+class Content:
+    """What a finished log's file holds.
+
+    Args:
+        file: that is open.
+
+    Raises:
+        Misfit: here and in each method: it is no whole MCAP file, or larger than it may be.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._size = os.fstat(file.fileno()).st_size
+        self._unpacked = 0
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, tuple[str, str]] = {}
+        self._end_ns: int | None = None
+        self._count: int | None = None
+        self._chunks: list[tuple[int, int, int]] = []
+        self._first: dict[int, tuple[int, int, int]] = {}
+        self._named: dict[int, list[tuple[int, int]]] = {Opcode.ATTACHMENT: [], Opcode.METADATA: []}
+        self._end = self._size - len(MCAP0_MAGIC) - HEAD.size - _FOOTER.size
+        self._indexed = self._read_summary()
+
+    def messages(self, in_order: bool = True) -> Iterator[Entry]:
+        """Yield the messages, in order of time or else of the file."""
+        if not in_order:
+            for _, pieces in self._pieces():
+                yield from pieces
+            return
+        held: list[Entry] = []
+        latest_ns = 0
+        for start_ns, pieces in self._pieces():
+            if start_ns > latest_ns:
+                yield from sorted(held, key=_time)
+                held.clear()
+            for entry in pieces:
+                held.append(entry)
+                latest_ns = max(latest_ns, entry.time_ns)
+        yield from sorted(held, key=_time)
+
+    def first_messages(self) -> Iterator[Entry]:
+        """Yield the first message of each channel, out of the chunks that the index says have them."""
+        seen: set[str] = set()
+        for start_ns, place, length in sorted(self._first.values()) or self._chunks:
+            for entry in sorted(self._entries(self._chunk(place, length), place, start_ns), key=_time):
+                if entry.topic not in seen:
+                    seen.add(entry.topic)
+                    yield entry
+        if not self._indexed:
+            for entry in sorted(self._unindexed(), key=_time):
+                if entry.topic not in seen:
+                    seen.add(entry.topic)
+                    yield entry
+
+    def pieces(self, length: int) -> Iterator[tuple[float, list[Entry]]]:
+        """Yield the messages in parts of some `length` bytes and a chunk, none earlier than those before it.
+
+        Each comes with the share of the log that has been read by then, 0 to 1.
+        """
+        held: list[Entry] = []
+        size, count, split_ns = 0, 0, 0
+        for number, (start_ns, entries) in enumerate(self._pieces()):
+            if size > length and start_ns > split_ns:
+                split_ns, size = start_ns, 0
+                yield number / len(self._chunks), [each for each in held if each.time_ns < split_ns]
+                held = [each for each in held if each.time_ns >= split_ns]
+            for entry in entries:
+                size += MESSAGE.size + len(entry.data)
+                count += 1
+                held.append(entry)
+        if self._count is not None and count != self._count:
+            raise Misfit(f"{count} messages", f"{self._count}, as its statistics say")
+        yield 1.0, held
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Yield the attachments."""
+        for place, content in self._records(Opcode.ATTACHMENT):
+            found = parsed(Opcode.ATTACHMENT, content)
+            crc = int.from_bytes(content[-4:], "little")
+            if not isinstance(found, Attachment) or (crc and zlib.crc32(content[:-4]) != crc):
+                raise Misfit(f"attachment at byte {place}", "one that holds what its checksum says")
+            yield found
+
+    def metadata(self) -> Iterator[Metadata]:
+        """Yield the tables of facts."""
+        for place, content in self._records(Opcode.METADATA):
+            found = parsed(Opcode.METADATA, content)
+            if not isinstance(found, Metadata):
+                raise Misfit(f"metadata at byte {place}", "texts of the lengths that they say")
+            yield found
+
+    def end_ns(self) -> int:
+        """Return the time of the last message, as the index has it [ns]."""
+        if self._end_ns is None:
+            raise Misfit("no statistics", "them in the index")
+        if self._end_ns > LATEST_NS:
+            raise Misfit(f"message_end_time = {self._end_ns} in the statistics", f"at most {LATEST_NS}")
+        return self._end_ns
+
+    def _read_summary(self) -> bool:
+        """Read the index; returns whether there is one of chunks."""
+        magic = len(MCAP0_MAGIC)
+        if self._end < magic or self._bytes(0, magic) != MCAP0_MAGIC:
+            raise Misfit("no MCAP file", "one that begins and ends as such")
+        if self._bytes(self._size - magic, magic) != MCAP0_MAGIC:
+            raise Misfit("no end", "a finished .mcap file")
+        opcode, length = HEAD.unpack(self._bytes(self._end, HEAD.size))
+        if (opcode, length) != (Opcode.FOOTER, _FOOTER.size):
+            raise Misfit(f"record {opcode} of {length} bytes at the end", "a footer")
+        start, _, _ = _FOOTER.unpack(self._bytes(self._end + HEAD.size, _FOOTER.size))
+        if start == 0:
+            return False
+        if not magic <= start <= self._end:
+            raise Misfit(f"index at byte {start}", f"it between {magic} and {self._end}")
+        lengths: dict[int, int] = {}
+        for opcode, place, size in self._walk(start, self._end):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+                self._define(opcode, self._content(place, size), place)
+                continue
+            if opcode == Opcode.CHUNK_INDEX:
+                content = self._content(place, size)
+                start_ns, _, *named, channels = _numbers(_CHUNK_PLACE, content, place)
+                self._chunks.append(chunk := (start_ns, named[0], named[1]))
+                if channels % _CHANNEL_PLACE.size or channels > len(content) - _CHUNK_PLACE.size:
+                    raise Misfit(f"{channels} bytes of channels at byte {place}", "those that are there")
+                ids = _CHANNEL_PLACE.iter_unpack(content[_CHUNK_PLACE.size :][:channels])
+                for (number,) in ids:
+                    self._first[number] = min(chunk, self._first.get(number, chunk))
+            elif opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
+                named = _numbers(_PLACE, self._content(place, size), place)
+                kind = Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA
+                self._named[kind].append((named[0], named[1]))
+            else:
+                continue
+            if named[0] in lengths:
+                raise Misfit(f"record at byte {named[0]} named twice in the index", "each once")
+            lengths[named[0]] = named[1]
+        free = magic
+        for place, length in sorted(lengths.items()):
+            if place < free or place + length > start:
+                found = f"record at byte {place} of {length} bytes in the index"
+                raise Misfit(found, f"it between {free} and {start}")
+            free = place + length
+        self._chunks.sort()
+        return bool(self._chunks)
+
+    def _pieces(self) -> Iterator[tuple[int, Iterator[Entry]]]:
+        """Yield the messages of each chunk, and from what time on there are none of an earlier chunk."""
+        if not self._indexed:
+            yield 0, self._unindexed()
+        for start_ns, place, length in self._chunks:
+            yield start_ns, self._entries(self._chunk(place, length), place, start_ns)
+
+    def _unindexed(self) -> Iterator[Entry]:
+        for opcode, place, size in self._walk(len(MCAP0_MAGIC), self._end):
+            if opcode == Opcode.DATA_END:
+                return
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._define(opcode, self._content(place, size), place)
+            elif opcode == Opcode.MESSAGE:
+                yield self._entry(self._content(place, size), 0, size, place)
+            elif opcode == Opcode.CHUNK:
+                yield from self._entries(self._chunk(place, HEAD.size + size), place, 0)
+
+    def _entries(self, records: bytes, place: int, start_ns: int) -> Iterator[Entry]:
+        """Yield the messages of a chunk, none of which is earlier than the index says."""
+        last = 0
+        for opcode, start, end in records_in(records):
+            last = end
+            if opcode == Opcode.MESSAGE:
+                entry = self._entry(records, start, end, place)
+                if entry.time_ns < start_ns:
+                    found = f"message at {entry.time_ns} ns in the chunk at byte {place}"
+                    raise Misfit(found, f"none before {start_ns} ns, as the index says")
+                yield entry
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._define(opcode, records[start:end], place)
+            else:
+                found = f"record {opcode} in the chunk at byte {place}"
+                raise Misfit(found, "schemas, channels and messages")
+        if last != len(records):
+            raise Misfit(f"chunk at byte {place} with half a record", "whole ones")
+
+    def _entry(self, records: bytes, start: int, end: int, place: int) -> Entry:
+        if end - start < MESSAGE.size:
+            raise Misfit(f"message of {end - start} bytes at byte {place}", f"at least {MESSAGE.size}")
+        number, _, time_ns, _ = MESSAGE.unpack_from(records, start)
+        known = self._channels.get(number)
+        if known is None:
+            raise Misfit(f"message of channel {number} at byte {place}", "a channel that is defined")
+        return Entry(*known, time_ns, records[start + MESSAGE.size : end])
+
+    def _chunk(self, place: int, length: int) -> bytes:
+        """Return the records of a chunk."""
+        opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
+        if opcode != Opcode.CHUNK or HEAD.size + size != length:
+            found = f"record {opcode} of {HEAD.size + size} bytes at byte {place}"
+            raise Misfit(found, f"a chunk of {length}, as the index says")
+        packed = self._bytes(place, length)
+        found = RecordBytes(packed).chunk_head(0)
+        if found is None:
+            raise Misfit(f"chunk at byte {place}", "one that is packed with zstd, or not at all")
+        size, crc, compression, start, end = found
+        if size > LARGEST_CHUNK:
+            raise Misfit(f"chunk at byte {place} unpacks to {size} bytes", f"at most {LARGEST_CHUNK}")
+        self._unpacked += size
+        if self._unpacked > (limit := LARGEST_CHUNK + LARGEST_RATIO * self._size):
+            raise Misfit(f"chunks unpack to {self._unpacked} bytes and more", f"at most {limit}")
+        records = unpacked(compression, packed[start:end], size)
+        if end != len(packed) or len(records) != size or (crc and zlib.crc32(records) != crc):
+            raise Misfit(f"chunk at byte {place}", "one that holds what its size and checksum say")
+        return records
+
+    def _define(self, opcode: int, content: bytes, place: int) -> None:
+        record = parsed(opcode, content)
+        match record:
+            case Schema():
+                self._schemas.setdefault(record.id, record)
+            case Channel():
+                schema = self._schemas.get(record.schema_id)
+                if record.schema_id and schema is None:
+                    found = f"channel {record.id} of schema {record.schema_id} at byte {place}"
+                    raise Misfit(found, "a schema that is defined")
+                name = "" if schema is None else schema.name
+                self._channels.setdefault(record.id, (record.topic, name))
+            case Statistics():
+                self._end_ns, self._count = record.message_end_time, record.message_count
+            case _:
+                raise Misfit(f"definition at byte {place}", "texts of the lengths that they say")
+
+    def _records(self, wanted: Opcode) -> Iterator[tuple[int, bytes]]:
+        """Yield places and records, heads included, of a kind."""
+        if not self._indexed:
+            for opcode, place, size in self._walk(len(MCAP0_MAGIC), self._end):
+                if opcode == wanted:
+                    yield place, self._content(place, size)
+                elif opcode == Opcode.DATA_END:
+                    return
+        for place, length in self._named[wanted]:
+            opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
+            if opcode != wanted or HEAD.size + size != length:
+                found = f"record {opcode} of {HEAD.size + size} bytes at byte {place}"
+                raise Misfit(found, f"record {wanted:d} of {length}, as the index says")
+            yield place, self._content(place, size)
+
+    def _walk(self, place: int, end: int) -> Iterator[tuple[int, int, int]]:
+        """Yield opcode, place and length of the content of the records that follow each other."""
+        while place < end:
+            opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
+            if size > end - place - HEAD.size:
+                found = f"record {opcode} of {size} bytes at byte {place}"
+                raise Misfit(found, f"at most the {max(end - place - HEAD.size, 0)} bytes that are there")
+            yield opcode, place, size
+            place += HEAD.size + size
+
+    def _content(self, place: int, size: int) -> bytes:
+        return self._bytes(place + HEAD.size, size)
+
+    def _bytes(self, place: int, size: int) -> bytes:
+        """Return so many bytes of the file."""
+        if size > LARGEST_RECORD:
+            raise Misfit(f"record of {size} bytes at byte {place}", f"at most {LARGEST_RECORD}")
+        self._file.seek(place)
+        data = self._file.read(size)
+        if len(data) < size:
+            raise Misfit(f"end of the file at byte {place + len(data)}", f"{size} bytes at {place}")
+        return data
+
+
+def _time(entry: Entry) -> int:
+    return entry.time_ns
+
+
+def _numbers(layout: struct.Struct, content: bytes, place: int) -> tuple[int, ...]:
+    if len(content) < layout.size:
+        raise Misfit(f"record of {len(content)} bytes at byte {place}", f"at least {layout.size}")
+    return layout.unpack_from(content)

@@ -1,0 +1,196 @@
+"""Files that declare more than they hold: refused in a line, in little memory and at once."""
+
+import re
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+import zstandard
+from driving import SECOND
+from log_mutations import HEAD, Record, bytes_of, put_together, taken_apart, with_packed
+from mcap.opcode import Opcode
+from mcap.records import Footer
+from mcap.writer import MCAP0_MAGIC
+
+from khep_twin.errors import LogError
+from khep_twin.log.reader import read, read_end_ns, read_label, read_series
+from khep_twin.log.record_bytes import LARGEST_CHUNK
+from khep_twin.log.recover import recover
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+SPARE = 400 << 20
+"""Memory that a child may take besides what it has when it begins [bytes]."""
+
+CHILD = f"""
+import resource, sys
+from pathlib import Path
+from khep_twin.errors import LogError
+from khep_twin.log.reader import read, read_label, read_series
+from khep_twin.log.recover import recover
+pages = int(Path("/proc/self/statm").read_text().split()[0])
+limit = pages * resource.getpagesize() + {SPARE}
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+for use in (read_label, read, read_series, recover):
+    try:
+        use(Path(sys.argv[1]))
+    except LogError as error:
+        print(error)
+"""
+"""Uses a log in little memory; tells what is wrong with it."""
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
+    """The records of a log of a tenth of a second."""
+    path = tmp_path_factory.mktemp("log") / "small.mcap"
+    with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
+        twin.advance_to(SECOND // 10)
+    return taken_apart(path.read_bytes())
+
+
+@pytest.fixture(scope="module")
+def bomb() -> bytes:
+    """Zstandard of 2 GiB, in some 65 kB, that does not say how much it is."""
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
+    zeros = bytes(1 << 24)
+    return b"".join([*(packer.compress(zeros) for _ in range(128)), packer.flush()])
+
+
+def said(path: Path) -> list[str]:
+    """The lines that come of using a log in little memory."""
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, str(path)], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr[-2000:]
+    lines = done.stdout.splitlines()
+    assert all(line.startswith(str(path.parent)) for line in lines), lines
+    return lines
+
+
+def test_a_log_put_together_again_is_the_log(parts: list[Record], tmp_path: Path) -> None:
+    path = tmp_path / "again.mcap"
+    path.write_bytes(put_together(parts))
+    assert len(read(path).robots["khepera0"].times_ns) == 6
+    assert read_end_ns(path) == SECOND // 10
+    assert said(path) == []
+
+
+def test_a_chunk_that_unpacks_to_gigabytes_is_refused_in_little_memory(
+    parts: list[Record], bomb: bytes, tmp_path: Path
+) -> None:
+    assert len(bomb) < 200_000
+    whole = zstandard.ZstdCompressor(level=1).compress(bytes(1 << 27))
+    lies = {"true": (bomb, 1 << 31), "small": (bomb, 1000), "vast": (bomb, 2**63), "known": (whole, 1000)}
+    for name, (packed, size) in lies.items():
+        path = tmp_path / f"{name}.mcap"
+        path.write_bytes(put_together(with_packed(parts, packed, size)))
+        lines = said(path)
+        assert len(lines) == 2, lines  # the label is whole, and so is what recover writes
+        expected = f"at most {LARGEST_CHUNK}" if size > LARGEST_CHUNK else "what its size and checksum say"
+        assert all(re.search(f"chunk at byte [0-9]+.*; expected .*{expected}", line) for line in lines)
+
+
+def test_many_chunks_that_unpack_to_much_are_refused_in_time(parts: list[Record], tmp_path: Path) -> None:
+    packed = zstandard.ZstdCompressor(level=1).compress(bytes(LARGEST_CHUNK))
+    chunks = [Record(Opcode.CHUNK, b"", (), packed, LARGEST_CHUNK) for _ in range(200)]
+    path = tmp_path / "many.mcap"
+    path.write_bytes(put_together([*parts, *chunks]))
+    began = time.process_time()
+    with pytest.raises(LogError, match=r"chunks? .* expected"):
+        read(path)
+    assert time.process_time() - began < 20
+
+
+def foot(data: bytes) -> tuple[int, int]:
+    """Where the index begins and where the footer is."""
+    place = len(data) - len(bytes_of(Footer(0, 0, 0))) - len(MCAP0_MAGIC)
+    (start,) = struct.unpack_from("<Q", data, place + HEAD.size)
+    return start, place
+
+
+def index(data: bytes, change: Callable[[list[tuple[int, bytes]]], Sequence[tuple[int, bytes]]]) -> bytes:
+    """A log with another index."""
+    start, end = foot(data)
+    place, records = start, list[tuple[int, bytes]]()
+    while place < end:
+        opcode, size = HEAD.unpack_from(data, place)
+        records.append((opcode, data[place + HEAD.size : place + HEAD.size + size]))
+        place += HEAD.size + size
+    changed = b"".join(HEAD.pack(opcode, len(content)) + content for opcode, content in change(records))
+    return data[:start] + changed + data[end:]
+
+
+def test_an_index_that_names_a_record_twice_is_refused(parts: list[Record], tmp_path: Path) -> None:
+    path = tmp_path / "twice.mcap"
+    path.write_bytes(index(put_together(parts), lambda records: [*records, *records]))
+    with pytest.raises(LogError, match=r"record at byte \d+ named twice in the index; expected each once"):
+        read_label(path)
+
+
+@pytest.mark.parametrize("opcode", [Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX])
+@pytest.mark.parametrize("shift", [-1, 1, 2**40])
+def test_an_index_that_names_records_across_each_other_is_refused(
+    parts: list[Record], tmp_path: Path, opcode: Opcode, shift: int
+) -> None:
+    at = 24 if opcode == Opcode.CHUNK_INDEX else 8
+
+    def longer(records: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+        return [
+            (
+                each,
+                content[:at]
+                + struct.pack("<Q", struct.unpack_from("<Q", content, at)[0] + shift)
+                + content[at + 8 :],
+            )
+            if each == opcode
+            else (each, content)
+            for each, content in records
+        ]
+
+    path = tmp_path / "across.mcap"
+    path.write_bytes(index(put_together(parts), longer))
+    with pytest.raises(LogError, match=r"no whole log: record .* expected"):
+        read(path)
+
+
+@pytest.mark.parametrize("size", [2**20, 2**31, 2**62, 2**64 - 1])
+def test_lengths_of_records_are_not_believed(parts: list[Record], tmp_path: Path, size: int) -> None:
+    data = put_together(parts)
+    start, end = foot(data)
+    first = len(MCAP0_MAGIC)
+    (header,) = struct.unpack_from("<Q", data, first + 1)
+    attachment = first + HEAD.size + header
+    for place in (start, end, attachment):
+        path = tmp_path / f"{place}.mcap"
+        path.write_bytes(data[: place + 1] + struct.pack("<Q", size) + data[place + 9 :])
+        with pytest.raises(LogError, match=r"no whole log: .* expected"):
+            read(path)
+
+
+def test_lengths_of_texts_and_counts_are_not_believed(parts: list[Record], tmp_path: Path) -> None:
+    for opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
+        for at in range(0, 40, 4):
+            changed = [
+                Record(each.opcode, each.content[:at] + b"\xff\xff\xff\x7f" + each.content[at + 4 :])
+                if each.opcode == opcode
+                else each
+                for each in parts
+            ]
+            path = tmp_path / "x.mcap"
+            path.write_bytes(put_together(changed))
+            try:
+                read_series(path)
+            except LogError as error:
+                assert len(str(error).splitlines()) == 1  # noqa: PT017
+
+
+def test_what_is_recovered_of_a_bomb_can_be_read(parts: list[Record], bomb: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(put_together(with_packed(parts, bomb, 1 << 31)))
+    found = recover(path)
+    assert found.damaged == 1
+    read(found.path)
