@@ -217,6 +217,8 @@ def test_a_hang_up_that_nohup_ignores_stays_ignored(tmp_path: Path) -> None:
 
 def test_a_signal_to_a_fork_is_the_forks_alone(tmp_path: Path) -> None:
     text = """
+        import warnings
+        warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside another thread, from 3.12 on
         with answered(), stopping() as stop:
             if not (child := os.fork()):
                 time.sleep(1000)
