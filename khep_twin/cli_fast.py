@@ -83,6 +83,7 @@ def run_fast(
     from khep_twin.scale.life import SPAN_NS, Ground, Life, is_compiled
     from khep_twin.scale.minds import Hold, Wander
 
+    target = None if picture is None else picture.absolute()  # a controller may go to another folder
     function = None
     if controller != "braitenberg":
         function = find_function(controller, "proximity and ambient light", 2)
@@ -117,11 +118,11 @@ def run_fast(
     for name, value in life.numbers().items():
         if not math.isnan(value):  # homing is no number without a home
             typer.echo(f"{name.replace('_', ' '):20}{value:.4g}")
-    if picture is not None:
+    if target is not None:
         from khep_twin.drawing import Track, draw, save
 
         times = np.arange(len(way)) * ground.period_ns / 1e9
-        save(draw(scene, [Track("khepera0", times, 1000 * np.array(way)[:, :2])]), picture)
+        save(draw(scene, [Track("khepera0", times, 1000 * np.array(way)[:, :2])]), target)
         typer.echo(f"picture  {picture}")
 
 

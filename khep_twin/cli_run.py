@@ -5,7 +5,7 @@ import os
 import select
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, chdir, closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -184,7 +184,10 @@ def run(
             picture=picture,
         )
         return
-    found = find_controller(controller)
+    # What was typed is seen from here, wherever a controller goes; during the runs it is where it went.
+    with chdir("."):
+        found = find_controller(controller)
+        gone_to = Path.cwd()
     user_function = None if after is None else find_after(after, found)
     if isinstance(found, LoopingController):
         # Its own loops count cycles; the toolbox's windows begin at 500.
@@ -227,6 +230,7 @@ def run(
             progress=stack.enter_context(progress_bar()),
             stop=stop,
         )
+        stack.enter_context(chdir(gone_to))
         try:
             for each in stack.enter_context(closing(series)):
                 done.append(each)

@@ -27,6 +27,7 @@ class RunLogs:
 
     def __init__(self, path: Path | None, picture: Path | None, carry_on: bool, source: "Source") -> None:
         self._path, self._picture, self._carry_on, self._source = path, picture, carry_on, source
+        self._folder = Path.cwd()  # a controller may go to another one
         self._recorders: list[Recorder] = []
 
     def record(self, twin: "Twin", number: int | None = None) -> None:
@@ -37,7 +38,9 @@ class RunLogs:
             return
         path = self._path if number is None else numbered(self._path, number)
         told = complain if self._carry_on else None
-        twin.record(path, facts=self._source.facts, attachments=self._source.attachments, carry_on=told)
+        twin.record(
+            self._folder / path, facts=self._source.facts, attachments=self._source.attachments, carry_on=told
+        )
         tell_kept(twin.recorder)
         if twin.recorder is not None:
             self._recorders.append(twin.recorder)
@@ -58,7 +61,8 @@ class RunLogs:
         """Says where the logs are and draws them; ends the command if one has failed."""
         for recorder in self._recorders:
             check_log(recorder, self._carry_on)
-        paths = [recorder.path for recorder in self._recorders]
+        typed = self._path is not None and self._path.is_absolute()
+        paths = [each.path if typed else each.path.relative_to(self._folder) for each in self._recorders]
         if not paths:
             return
         if self._picture is not None:

@@ -112,7 +112,8 @@ def sweep(
         forget()
     for line in summary(table):
         typer.echo(line)
-    typer.echo(f"results  {table}      read it: pyarrow.parquet.read_table({str(table)!r})")
+    typed = (study.parent / file.study.output if output is None else output) / table.name
+    typer.echo(f"results  {typed}      read it: pyarrow.parquet.read_table({str(typed)!r})")
 
 
 def _again(

@@ -138,6 +138,15 @@ def pip_install_extra(extra: str) -> str:
     return pip_install(*needed)
 
 
+def in_a_line(error: BaseException) -> str:
+    """Return what an exception of a user's program says, with its type, in one line."""
+    try:
+        text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+    except Exception as trouble:  # its own text may fail, too
+        text = f"(its text fails: {type(trouble).__name__})"
+    return f"{type(error).__name__}: {text}".removesuffix(": ")
+
+
 def choices(given: object, valid: Iterable[object]) -> str:
     """What could have been meant by `given`, as the tail of a message: the nearest choice, then all."""
     names = [str(name) for name in valid]

@@ -73,6 +73,14 @@ def answered() -> Generator[None]:
                 stack.callback(each)
 
 
+def is_interruption(error: BaseException) -> bool:
+    """Return whether an exception is an end that somebody has asked for, and not a program's own doing."""
+    if isinstance(error, Interrupted):
+        return True
+    # Where signals are not answered, Python's own answer to Ctrl-C is just this.
+    return isinstance(error, KeyboardInterrupt) and (bool(_ending.number) or not _ending.watched)
+
+
 def leave(code: int) -> NoReturn:
     """End the process, of which nothing is open any more.
 

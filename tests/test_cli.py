@@ -286,6 +286,8 @@ def test_a_run_that_is_asked_to_end_ends_with_its_log_whole(how: signal.Signals,
     [
         ("def controller(robot): raise ValueError('mine')", "mine.py:1: ValueError: mine"),
         ("def controller(robot): import sys; sys.exit(3)", "mine.py:1: SystemExit: 3"),
+        ("def controller(robot): raise KeyboardInterrupt", "mine.py:1: KeyboardInterrupt"),
+        ("raise KeyboardInterrupt", "mine.py:1: KeyboardInterrupt"),
         ("def controller(robot): pass", "a cycle lets no time pass"),
         ("def controller(robot): yield", "'controller' is no plain function"),
         ("async def controller(robot): ...", "'controller' is no plain function"),

@@ -19,6 +19,7 @@ from scipy.io import loadmat
 
 from khep_twin.cli import main
 from khep_twin.log.reader import read
+from khep_twin.playpen import dump, load
 
 PROGRAM = (sys.executable, "-m", "khep_twin")
 # Slow enough for a signal to come in between, and its own chance as the robot's.
@@ -524,3 +525,71 @@ def test_a_function_in_the_toolboxs_form_is_stopped_in_the_middle_of_its_run(tmp
 def test_a_template_in_the_toolboxs_form_runs_as_it_stands(tmp_path: Path) -> None:
     assert "--cycles 500" in good("new", "toolbox", "mine.py", folder=tmp_path)
     assert "30 cycles" in good("run", "mine.py:name", "--cycles", 30, folder=tmp_path)
+
+
+BAD_END = """
+class Own(BaseException):
+    def __str__(self):
+        return "first\\n  second" if self.args else 1 / 0
+
+def controller(robot):
+    robot.set_speed(5, 5)
+    if robot.time > 0.1:
+        {}
+
+def after(run):
+    {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("raise GeneratorExit", "GeneratorExit"),
+        ("raise GeneratorExit('mine')", "GeneratorExit: mine"),
+        ("raise SystemExit(0)", "SystemExit: 0"),
+        ("raise KeyboardInterrupt", "KeyboardInterrupt"),
+        ("raise StopIteration(3)", "StopIteration: 3"),
+        ("raise Own('mine')", "Own: first; second"),
+        ("raise Own", "Own: (its text fails: ZeroDivisionError)"),
+    ],
+)
+@pytest.mark.parametrize("where", ["cycle", "after"])
+def test_whatever_a_controller_raises_is_its_fault_and_its_log_is_whole(
+    text: str, told: str, where: str, tmp_path: Path
+) -> None:
+    parts = (text, "pass") if where == "cycle" else ("pass", text)
+    (tmp_path / "mine.py").write_text(BAD_END.format(*parts))
+    line = 9 if where == "cycle" else 12
+    words = ("run", "mine.py:controller", "--after", "mine.py", "--cycles", "20", "--log", "run.mcap")
+    result = run(*words, folder=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr == f"khep-twin: {tmp_path / 'mine.py'}:{line}: {told}\n"
+    assert [line.text for line in read(tmp_path / "run.mcap").robots["khepera0"].serial][-2:] == [
+        "D,0,0",
+        "d",
+    ]
+    assert {path.name for path in tmp_path.iterdir()} == {"mine.py", "run.mcap"}
+
+
+@pytest.mark.parametrize("when", ["import os; os.chdir('away')", ""])
+def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, tmp_path: Path) -> None:
+    (tmp_path / "here" / "away" / "away").mkdir(parents=True)
+    folder = tmp_path / "here"
+    (folder / "goes.py").write_text(
+        f"{when}\nimport os\n\ndef controller(robot):\n"
+        "    os.path.isdir('away') and os.chdir('away')\n    robot.set_speed(5, 5)\n"
+    )
+    (folder / "then.py").write_text("def after(run):\n    open('own', 'w').close()\n")
+    (folder / "arena.toml").write_text(dump(load("default")))
+    words = ("--playpen", "arena.toml", "--start", "playpen", "--runs", "2", "--cycles", "3")
+    files = ("--after", "then.py", "--log", "run.mcap", "--picture", "run.png", "--save", "series")
+    told = good("run", "goes.py", *words, *files, folder=folder)
+    assert told.splitlines()[-3].startswith("picture  run.png")
+    assert told.splitlines()[-2].startswith("log      run-001.mcap to run-002.mcap")
+    assert told.splitlines()[-1].startswith("series   series ")
+    made = {"run-001.mcap", "run-002.mcap", "run.png", "series"}
+    assert {path.name for path in folder.iterdir()} == {"goes.py", "then.py", "arena.toml", "away", *made}
+    assert len(rows(folder / "series")) == 2
+    assert (folder / "away" / "away" / "own").exists()
+    assert read(folder / "run-002.mcap").robots["khepera0"].serial

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from khep_twin.errors import ControllerError, KhepTwinError, choices
+from khep_twin.errors import ControllerError, KhepTwinError, choices, in_a_line
 from khep_twin.host import Khepera
 from khep_twin.lab.controller_source import ReadOnceLoader
 from khep_twin.lab.controllers import (
@@ -22,6 +22,7 @@ from khep_twin.lab.controllers import (
     defining,
     name_of,
 )
+from khep_twin.stopping import is_interruption
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,11 +132,11 @@ def call(place: Callable[..., Any], *given: Any) -> Any:
         return place(*given)
     except KhepTwinError:
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
+        if is_interruption(error):
+            raise
         file = _source_file(place)
-        raise ControllerError(
-            f"{file}{_line_in(error, Path(file))}: {type(error).__name__}: {error}"
-        ) from error
+        raise ControllerError(f"{file}{_line_in(error, Path(file))}: {in_a_line(error)}") from error
 
 
 def _source_file(controller: Any) -> str:
@@ -295,8 +296,10 @@ def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
     """An object of a user's class."""
     try:
         return kind()
-    except (Exception, SystemExit) as error:
-        reason = f"{type(error).__name__}: {error}"
+    except BaseException as error:
+        if is_interruption(error):
+            raise
+        reason = in_a_line(error)
         raise ControllerError(f"{path}{_line_in(error, path)}: {name}() failed: {reason}") from error
 
 
@@ -330,10 +333,11 @@ def _module_of(path: Path) -> ModuleType:
         sys.path.insert(0, folder)
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         # A user's file may fail in any way; the place and the reason are told.
-        line = _line_in(error, path)
-        raise ControllerError(f"{path}{line}: {type(error).__name__}: {error}") from error
+        if is_interruption(error):
+            raise
+        raise ControllerError(f"{path}{_line_in(error, path)}: {in_a_line(error)}") from error
     return module
 
 

@@ -59,6 +59,7 @@ class SeriesFolder:
 
     def __init__(self, path: Path, settings: Mapping[str, Any], *, resume: bool = False) -> None:
         self.path = path
+        self._place = path.absolute()  # a controller may go to another folder
         self.rows: list[Row] = []
         # As they come back from the file.
         self._settings: dict[str, Any] = json.loads(json.dumps(dict(settings)))
@@ -103,7 +104,7 @@ class SeriesFolder:
                     )
             return False
         self.rows.append(row)
-        write_whole(self.path / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
+        write_whole(self._place / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
         self._write()
         return True
 
@@ -121,9 +122,9 @@ class SeriesFolder:
     def _write(self) -> None:
         """Writes all but the runs' own files; first what a series goes on from."""
         text = json.dumps({"settings": self._settings, "runs": self.rows}, indent=1)
-        write_whole(self.path / _INDEX, text.encode("utf-8") + b"\n")
+        write_whole(self._place / _INDEX, text.encode("utf-8") + b"\n")
         for suffix, data in tables(self.rows).items() if self.rows else ():
-            write_whole(self.path / f"runs{suffix}", data)
+            write_whole(self._place / f"runs{suffix}", data)
 
 
 def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:

@@ -47,8 +47,8 @@ class LogFile:
         if reason := unusable(path) or _no_log(path):
             raise LogError(f"{path}: cannot write a log here: {reason}")
         self.path = path
-        # A link is followed, so that it stays a link.
-        self._target = path.resolve() if path.is_symlink() else path
+        # A link is followed, so that it stays a link; a controller may go to another folder meanwhile.
+        self._target = path.resolve() if path.is_symlink() else path.absolute()
         self.part = self._target.with_name(self._target.name + ".part")
         self._now = now
         self.open = True

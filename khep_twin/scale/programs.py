@@ -8,8 +8,9 @@ from functools import lru_cache
 from types import ModuleType
 from typing import Any
 
-from khep_twin.errors import ControllerError, choices
+from khep_twin.errors import ControllerError, choices, in_a_line
 from khep_twin.scale.minds import Driver, Function
+from khep_twin.stopping import is_interruption
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +58,10 @@ def function_of(program: Program) -> Callable[..., Any]:
     sys.modules[name] = module
     try:
         exec(compile(program.text, program.file, "exec"), vars(module))  # the user's own program
-    except (Exception, SystemExit) as error:
-        raise ControllerError(f"{program.file}: {type(error).__name__}: {error}") from error
+    except BaseException as error:
+        if is_interruption(error):
+            raise
+        raise ControllerError(f"{program.file}: {in_a_line(error)}") from error
     found: Any = vars(module).get(program.function)
     if not callable(found):
         offers = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]

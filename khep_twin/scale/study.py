@@ -216,7 +216,9 @@ def load(path: Path) -> StudyFile:
     if not path.exists():
         raise StudyError(f"{path}: no such file; right is the path of a study")
     text, source = toml_files.read("studies", path, StudyError)
-    return StudyFile(toml_files.validate(Study, text, source, StudyError), source, path.parent, Lines(text))
+    return StudyFile(
+        toml_files.validate(Study, text, source, StudyError), source, path.parent.absolute(), Lines(text)
+    )
 
 
 def checked(file: StudyFile, location: Location, key: str, error: KhepTwinError) -> StudyError:

@@ -61,8 +61,9 @@ def run_sweep(
         StudyError: the study or the folder cannot be used.
         KhepTwinError: the lives cannot be led; what was done is kept.
     """
+    place = (output or file.output).absolute()  # a program of the study may go to another folder
     work = work_of(file)
-    folder = SweepFolder(output or file.output, work)
+    folder = SweepFolder(place, work)
     with folder.opened(resume):
         missing = folder.missing()
         if begin is not None:

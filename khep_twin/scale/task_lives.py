@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from khep_twin import playpen
-from khep_twin.errors import ControllerError
+from khep_twin.errors import ControllerError, in_a_line
 from khep_twin.lab import setting
 from khep_twin.scale.batch import Lives, rollout
 from khep_twin.scale.life import Ground, Start
 from khep_twin.scale.minds import Floats
 from khep_twin.scale.programs import Program, driver_of, function_of
 from khep_twin.scale.sweep_tasks import Task, Work
+from khep_twin.stopping import is_interruption
 
 Columns = Mapping[str, Any]
 """Values of each life, by what they are called; None, or what is no number, for none."""
@@ -107,9 +108,11 @@ def measured(measure: Program, lives: Lives) -> Floats:
             found[life] = float(
                 function(numbers, lives.registers[life].copy(), tuple(lives.poses[life].tolist()))
             )
-        except (Exception, SystemExit) as error:  # the user's own function may raise anything
+        except BaseException as error:  # the user's own function may raise anything
+            if is_interruption(error):
+                raise
             where = f"{measure.file}:{measure.function}"
-            raise ControllerError(f"{where}: {type(error).__name__}: {error}") from error
+            raise ControllerError(f"{where}: {in_a_line(error)}") from error
     return found
 
 
