@@ -18,7 +18,9 @@ from khep_twin.log.decoding import LATEST_NS, Misfit
 from khep_twin.log.record_bytes import (
     HEAD,
     LARGEST_CHUNK,
+    LARGEST_RATIO,
     MESSAGE,
+    SLACK,
     RecordBytes,
     parsed,
     records_in,
@@ -27,9 +29,6 @@ from khep_twin.log.record_bytes import (
 
 LARGEST_RECORD = LARGEST_CHUNK
 """Largest record but a chunk's content that is read, such as an attachment [bytes]."""
-
-LARGEST_RATIO = 200
-"""Most that a log unpacks to, in sizes of its file, besides one chunk; of khep_twin's it is less than 40."""
 
 _FOOTER = struct.Struct("<QQI")
 _CHUNK_PLACE = struct.Struct("<QQQQI")
@@ -260,7 +259,7 @@ class Content:
         if size > LARGEST_CHUNK:
             raise Misfit(f"chunk at byte {place} unpacks to {size} bytes", f"at most {LARGEST_CHUNK}")
         self._unpacked += size
-        if self._unpacked > (limit := LARGEST_CHUNK + LARGEST_RATIO * self._size):
+        if self._unpacked > (limit := SLACK + LARGEST_RATIO * self._size):
             raise Misfit(f"chunks unpack to {self._unpacked} bytes and more", f"at most {limit}")
         records = unpacked(compression, packed[start:end], size)
         if end != len(packed) or len(records) != size or (crc and zlib.crc32(records) != crc):

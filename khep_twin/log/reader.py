@@ -1,7 +1,7 @@
 """Reading a log back: what was recorded as arrays, without ROS, rerun or the simulator."""
 
 import re
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +22,7 @@ from khep_twin.log.decoding import (
     read_transforms,
     shown,
 )
+from khep_twin.log.wire import read_acts, read_states
 from khep_twin.toml_files import NAME_WISH
 
 PIECE = 32 << 20
@@ -288,7 +289,9 @@ def _label(path: Path, content: Content) -> Label:
     attachments: dict[str, str] = {}
     for each in content.attachments():
         try:
-            attachments[each.name] = each.data.decode("utf-8")
+            # Of what was damaged, `recover` has kept what there is.
+            damaged = each.name.startswith("damaged/")
+            attachments[each.name] = each.data.decode("utf-8", "replace" if damaged else "strict")
         except UnicodeDecodeError as error:
             misfit = Misfit(f"byte {each.data[error.start]:#04x} at {error.start}", "UTF-8")
             raise misfit.at(path, each.name) from None
@@ -313,6 +316,46 @@ def robot_names(text: str) -> tuple[str, ...]:
 
 
 _NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")
+
+
+class Sieve:
+    """Messages as the reader takes them, for who writes a log out of what may be anything.
+
+    Args:
+        robots: names.
+    """
+
+    def __init__(self, robots: Sequence[str]) -> None:
+        self._bases = {f"{robot}/base" for robot in robots}
+        self._columns = _Columns(Path())
+        self._lengths: dict[tuple[str, str], int] = {}
+
+    def takes(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
+        """Tell if the reader takes a message after those that it was asked about before."""
+        try:
+            return self._fits(topic, schema, time_ns, message)
+        except (Misfit, LogError):
+            return False
+
+    def _fits(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
+        name = topic.rpartition("/")[2]
+        if name == "wire":
+            for _ in read_acts(message):
+                pass
+        if name == "state":
+            read_states(message)
+        kind = _KINDS.get(schema)
+        length = None if kind is None else len(read_array(message, kind))
+        columns = self._columns
+        for kept in (columns.times_ns, columns.poses, columns.lines):
+            kept.clear()
+        columns.add(topic, time_ns, message)
+        # One row is enough to know how long the others have to be.
+        del columns.arrays.get(topic, [])[1:]
+        if topic == "/tf" and not self._bases <= columns.poses.keys():
+            return False
+        free = name in _FOR_REPEAT and kind == "q"
+        return length is None or free or length == self._lengths.setdefault((topic, schema), length)
 
 
 def _check_time(path: Path, topic: str, time_ns: int) -> None:

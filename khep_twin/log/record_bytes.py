@@ -8,7 +8,9 @@ import struct
 import zlib
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import replace
+from heapq import merge
 from io import BytesIO
+from itertools import groupby
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -20,7 +22,18 @@ HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 MESSAGE = struct.Struct("<HIQQ")
 _DAMAGE = (McapError, struct.error, ValueError, EOFError, LookupError, OverflowError, MemoryError)
+LARGEST_RATIO = 200
+"""Most that a log unpacks to, in sizes of its file, besides `SLACK`; of khep_twin's it is less than 40."""
+
+SLACK = 4 << 20
+"""So much a log of any size may unpack to [bytes]."""
+
 _PIECE = 1 << 16
+_FRAME = 18
+"""Most that the head of a zstandard frame takes [bytes]."""
+
+_PATIENCE = 20
+"""So many bytes are looked at for each byte of a file, at most, to prove where records are."""
 
 LARGEST_CHUNK = 64 << 20
 """Most that a chunk unpacks to [bytes]; khep_twin begins another one at a quarter of it."""
@@ -62,10 +75,17 @@ class RecordBytes:
 
     def __init__(self, data: bytes) -> None:
         self._data = data
+        self._spent = 0
 
     def next_record(self, place: int) -> int | None:
-        """The first place from here on at which a record can be proved."""
-        return next((start for start in self._starts(place) if self.is_record(start)), None)
+        """The first place from here on at which a record can be proved, as long as there is patience left."""
+        limit = LARGEST_CHUNK + _PATIENCE * len(self._data)
+        for start in self._starts(place):
+            if self._spent > limit:
+                return None
+            if self.is_record(start):
+                return start
+        return None
 
     def head(self, place: int) -> tuple[int, int | None]:
         """Opcode of a record and where it ends, None if that is not in the file."""
@@ -99,16 +119,32 @@ class RecordBytes:
         size, crc, compression, start, inner = found
         if size > LARGEST_CHUNK:
             return None, None
-        for end in (self.head(place)[1], inner):
-            if end is not None and start <= end <= len(self._data):
+        for end in dict.fromkeys((self.head(place)[1], inner)):
+            if (
+                end is not None
+                and start <= end <= len(self._data)
+                and self._may_be(compression, start, end, size)
+            ):
                 records = unpacked(compression, self._data[start:end], size)
                 if len(records) == size and (not crc or zlib.crc32(records) == crc):
                     return records, end
+                self._spent += end - start + len(records)
         return None, None
+
+    def _may_be(self, compression: str, start: int, end: int, size: int) -> bool:
+        """Whether packed bytes say of themselves that they unpack to so many; costs nothing."""
+        if not compression:
+            return end - start == size
+        try:
+            says = zstandard.get_frame_parameters(self._data[start : min(start + _FRAME, end)]).content_size
+        except zstandard.ZstdError:
+            return False
+        return says in (size, zstandard.CONTENTSIZE_UNKNOWN)
 
     def attachment(self, place: int, end: int) -> Attachment | None:
         """An attachment; one that fails its checksum is called damaged/NAME."""
         content = self._data[place + HEAD.size : end]
+        self._spent += len(content)
         try:
             attachment = Attachment.read(ReadDataStream(BytesIO(content)))
         except _DAMAGE:
@@ -118,12 +154,12 @@ class RecordBytes:
         return replace(attachment, name=f"damaged/{attachment.name}")
 
     def _starts(self, place: int) -> Iterator[int]:
-        """Where a record may begin, from a place on."""
+        """Where a record may begin, from a place on; looked for one by one."""
         data = self._data
-        found = {match.start() for match in _START.finditer(data, place)}
         before_name = HEAD.size + _CHUNK_HEAD.size
-        found |= {match.start() - before_name for match in _PACKED.finditer(data, place + before_name)}
-        return iter(sorted(found))
+        starts = (match.start() for match in _START.finditer(data, place))
+        chunks = (match.start() - before_name for match in _PACKED.finditer(data, place + before_name))
+        return (start for start, _ in groupby(merge(starts, chunks)))
 
     def is_record(self, place: int) -> bool:
         """Whether a record at a place is proved by more than its opcode."""
@@ -135,6 +171,7 @@ class RecordBytes:
         if opcode == Opcode.ATTACHMENT:
             found = self.attachment(place, end)
             return found is not None and not found.name.startswith("damaged/")
+        self._spent += end - place
         if opcode in READERS and parsed(opcode, self._data[place + HEAD.size : end]) is None:
             return False
         if opcode not in READERS and opcode not in PLACES and opcode != Opcode.MESSAGE:

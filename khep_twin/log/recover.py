@@ -4,14 +4,19 @@ import fcntl
 import re
 import tempfile
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
-from mcap.writer import Writer
+from mcap.records import Attachment
+from mcap.writer import CompressionType, Writer
 
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files import open_regular, unusable
+from khep_twin.log.decoding import Misfit
+from khep_twin.log.reader import Sieve, robot_names
+from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
 from khep_twin.log.salvage import Salvage
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
@@ -28,6 +33,7 @@ class Rescue:
         attachments: how many it holds.
         damaged: how many places in the middle could not be read.
         torn: whether the end cut off something that carried content.
+        refused: how many messages and attachments were left out, as no reader of logs takes them.
     """
 
     path: Path
@@ -36,11 +42,12 @@ class Rescue:
     attachments: int
     damaged: int
     torn: bool
+    refused: int
 
     @property
     def whole(self) -> bool:
         """Whether nothing is known to be missing."""
-        return not (self.damaged or self.torn)
+        return not (self.damaged or self.torn or self.refused)
 
 
 def recover(path: Path) -> Rescue:
@@ -62,11 +69,22 @@ def recover(path: Path) -> Rescue:
         # Its own name comes only when it is whole, and a name that was taken meanwhile is an error.
         with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
             whole = Path(folder) / target.name
-            messages, until_ns = _write(salvage, whole)
+            written = _write(salvage, whole, CompressionType.ZSTD)
+            if written.size > whole.stat().st_size * _RATIO:
+                whole.unlink()
+                written = _write(salvage, whole, CompressionType.NONE)
             target.hardlink_to(whole)
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
-    return Rescue(target, messages, until_ns, len(salvage.attachments), salvage.damaged, salvage.torn)
+    return Rescue(
+        target,
+        written.messages,
+        written.until_ns,
+        written.attachments,
+        salvage.damaged,
+        salvage.torn,
+        written.refused,
+    )
 
 
 def _content(path: Path) -> bytes:
@@ -93,38 +111,95 @@ def _target(path: Path) -> Path:
     return found
 
 
-def _write(salvage: Salvage, path: Path) -> tuple[int, int]:
-    """Writes a whole file; returns how many messages it has and the time of the last [ns]."""
-    count, until_ns = 0, 0
+@dataclass(slots=True)
+class _Written:
+    """What a new log holds: messages, the time of the last [ns], attachments, what was refused, bytes."""
+
+    messages: int = 0
+    until_ns: int = 0
+    attachments: int = 0
+    refused: int = 0
+    size: int = 0
+
+
+def _write(salvage: Salvage, path: Path, compression: CompressionType) -> _Written:
+    """Writes a whole file that our reader takes."""
+    written, sieve = _Written(), _sieve(salvage)
     with path.open("xb") as file:
-        writer = Writer(file)
+        writer = Writer(file, compression=compression)
         writer.start(salvage.header.profile, salvage.header.library)
         for each in salvage.attachments:
+            if len(each.data) > _LARGEST or not _is_text(each):
+                written.refused += 1
+                continue
             writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
+            written.attachments += 1
         for record in salvage.metadata:
             writer.add_metadata(record.name, record.metadata)
         lost = {"damaged": str(salvage.damaged), "torn": str(salvage.torn).lower()}
         writer.add_metadata("recovered", {"khep_twin": __version__, **lost})
-        schemas = {0: 0} | {
-            number: writer.register_schema(each.name, each.encoding, each.data)
-            for number, each in salvage.schemas.items()
-        }
-        channels = {
-            number: writer.register_channel(
-                each.topic, each.message_encoding, schemas[each.schema_id], each.metadata
-            )
-            for number, each in salvage.channels.items()
-            if each.schema_id in schemas
-        }
+        schemas, channels, written.size = _defined(salvage, writer)
         for message in salvage.messages():
-            if message.channel_id in channels:
-                channel = channels[message.channel_id]
-                writer.add_message(
-                    channel, message.log_time, message.data, message.publish_time, message.sequence
-                )
-                count, until_ns = count + 1, max(until_ns, message.log_time)
+            if message.channel_id not in channels:
+                continue
+            channel = salvage.channels[message.channel_id]
+            schema = schemas.get(channel.schema_id, "")
+            fits = len(message.data) <= _LARGEST
+            if not fits or not (
+                sieve is None or sieve.takes(channel.topic, schema, message.log_time, message.data)
+            ):
+                written.refused += 1
+                continue
+            number = channels[message.channel_id]
+            writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+            written.messages += 1
+            written.until_ns = max(written.until_ns, message.log_time)
+            written.size += HEAD.size + MESSAGE.size + len(message.data)
         writer.finish()
-    return count, until_ns
+    return written
+
+
+_LARGEST = LARGEST_CHUNK // 4
+"""Most bytes of a message, of an attachment and of all definitions that are kept."""
+
+_RATIO = LARGEST_RATIO // 4
+"""What would be packed more than so many times is kept as it is: the reader takes it for a trap."""
+
+
+def _sieve(salvage: Salvage) -> Sieve | None:
+    """What our reader takes; None where it takes nothing, as this is no log of khep_twin."""
+    facts = {
+        key: text for each in salvage.metadata if each.name == "run" for key, text in each.metadata.items()
+    }
+    try:
+        return Sieve(robot_names(facts["robots"]))
+    except (KeyError, Misfit):
+        return None
+
+
+def _is_text(attachment: Attachment) -> bool:
+    try:
+        attachment.data.decode("utf-8")
+    except UnicodeDecodeError:
+        return attachment.name.startswith("damaged/")
+    return True
+
+
+def _defined(salvage: Salvage, writer: Writer) -> tuple[dict[int, str], dict[int, int], int]:
+    """Defines schemas and channels; returns names of schemas, channels by their old numbers, and a size."""
+    numbers, names, channels, size = {0: 0}, {0: ""}, dict[int, int](), 0
+    for number, schema in salvage.schemas.items():
+        size += len(schema.data)
+        if number and size <= _LARGEST:
+            numbers[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            names[number] = schema.name
+    for number, each in salvage.channels.items():
+        size += len(each.topic) + sum(map(len, chain.from_iterable(each.metadata.items())))
+        if each.schema_id in numbers and size <= _LARGEST:
+            channels[number] = writer.register_channel(
+                each.topic, each.message_encoding, numbers[each.schema_id], each.metadata
+            )
+    return names, channels, size
 
 
 def summary(path: Path, rescue: Rescue) -> str:
@@ -132,5 +207,6 @@ def summary(path: Path, rescue: Rescue) -> str:
     kept = f"{rescue.messages} messages until {rescue.until_ns / NS_PER_S:.2f} s"
     reasons = [f"{rescue.damaged} damaged places skipped"] * bool(rescue.damaged)
     reasons += ["the end is torn off"] * rescue.torn
+    reasons += [f"{rescue.refused} left out that no log has"] * bool(rescue.refused)
     how = f"part: {', '.join(reasons)}" if reasons else "all that was written"
     return f"{path}: {kept}, {rescue.attachments} attachments ({how})"

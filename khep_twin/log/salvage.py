@@ -15,14 +15,18 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.log.record_bytes import (
     HEAD,
+    LARGEST_RATIO,
     MESSAGE,
     PLACES,
     READERS,
+    SLACK,
     RecordBytes,
     parsed,
     records_in,
     unpacked,
 )
+
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 
 class Salvage:
@@ -52,6 +56,7 @@ class Salvage:
         self.damaged = 0
         self.torn = False
         self._pieces: list[int | bytes] = []
+        self._unpacked = 0
         # A few wrong bytes there are damage like any other.
         if sum(a == b for a, b in zip(data, MCAP0_MAGIC, strict=False)) >= 5:
             self._walk()
@@ -61,6 +66,8 @@ class Salvage:
         for piece in self._pieces:
             records = piece if isinstance(piece, bytes) else self._bytes.chunk(piece)[0]
             for opcode, start, end in records_in(records or b""):
+                if opcode not in _IN_CHUNKS:
+                    break
                 if opcode == Opcode.MESSAGE and end - start >= MESSAGE.size:
                     channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records or b"", start)
                     if channel in self.channels:
@@ -91,6 +98,10 @@ class Salvage:
             records, end = self._bytes.chunk(place)
             if records is None:
                 return None
+            self._unpacked += len(records)
+            if self._unpacked > SLACK + LARGEST_RATIO * len(self._data):
+                self.damaged += 1  # no run's, but a trap: all else of it may be one, too
+                return len(self._data)
             self._define(records)
             self._pieces.append(place)
             return end
@@ -128,8 +139,10 @@ class Salvage:
 
     def _define(self, records: bytes) -> None:
         for opcode, start, end in records_in(records):
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._keep(parsed(opcode, records[start:end]), end)
+            if opcode not in _IN_CHUNKS:
+                break
+            if opcode != Opcode.MESSAGE and self._keep(parsed(opcode, records[start:end]), end) is None:
+                break
 
     def _is_torn(self, place: int) -> bool:
         """Whether the file ends within the record at a place; what can be had of it is kept."""

@@ -4,21 +4,25 @@ import os
 import random
 import re
 import signal
+import struct
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+import zstandard
 from driving import COMMANDS, SECOND
+from log_rewriting import rewritten
 from mcap.reader import make_reader
 from mcap.records import Message
-from mcap.writer import Writer
+from mcap.writer import MCAP0_MAGIC, Writer
 
 from khep_twin.errors import LogError
+from khep_twin.log.channels import CDR_HEADER
 from khep_twin.log.part_file import PartFile
-from khep_twin.log.reader import read
-from khep_twin.log.recover import Rescue, recover
+from khep_twin.log.reader import read, read_series
+from khep_twin.log.recover import Rescue, recover, summary
 from khep_twin.log.salvage import Salvage
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -239,3 +243,56 @@ def test_a_killed_run_is_rescued_and_the_next_one_says_how(tmp_path: Path) -> No
     assert list(run.attachments) == [*ATTACHMENTS, "controller/controllers.py"]
     # In lock-step what was written up to every fifth simulated second is there.
     assert run.robots["khepera0"].times_ns[-1] >= 4 * SECOND
+
+
+def test_a_file_of_fake_chunks_takes_time_by_its_size_alone(tmp_path: Path) -> None:
+    packed = zstandard.ZstdCompressor(level=1).compress(bytes(range(256)) * 4096)
+    fakes = {
+        "no checksum": struct.pack("<BQQQQII4sQ", 6, 2**40, 0, 0, 1 << 20, 1, 4, b"zstd", 2**20)
+        + packed[:18],
+        "not packed": struct.pack("<BQQQQIIQ", 6, 3_000_000, 0, 0, 1_000_000, 1, 0, 1_000_000),
+        "texts": struct.pack("<BQI", 12, 1_000_000, 900_000),
+        "zeros": b"\x06" + bytes(8),
+    }
+    for name, fake in fakes.items():
+        data = MCAP0_MAGIC + fake * (3_000_000 // len(fake))
+        began = time.process_time()
+        assert rescued(tmp_path, data) is None
+        assert time.process_time() - began < 8, name
+
+
+def test_what_reads_no_log_is_left_out_and_said(tmp_path: Path, long_log: Path) -> None:
+    proximity = CDR_HEADER + bytes(3)
+
+    def change(topic: str, time_ns: int, data: bytes) -> bytes:
+        return proximity if topic == "/khepera0/proximity" and time_ns == SECOND else data
+
+    path = rewritten(long_log, tmp_path / "wrong.mcap", change)
+    with pytest.raises(LogError, match=r"/khepera0/proximity at 1\.0000 s"):
+        read(path)
+    found = recover(path)
+    assert (found.refused, found.damaged, found.whole) == (1, 0, False)
+    assert "1 left out" in summary(path, found)
+    assert (
+        len(read(found.path).robots["khepera0"].proximity)
+        == len(read(long_log).robots["khepera0"].proximity) - 1
+    )
+
+
+def test_what_is_rescued_of_random_damage_can_be_read(tmp_path: Path, long_log: Path) -> None:
+    data, chance = long_log.read_bytes(), random.Random(5)
+    opened = 0
+    for _ in range(12):
+        damaged = bytearray(data)
+        for _ in range(chance.randrange(1, 30)):
+            place, size = chance.randrange(len(data)), chance.choice((1, 1, 8, 100, 5000))
+            damaged[place : place + size] = chance.choice((chance.randbytes(size), bytes(size), b""))
+        if (found := rescued(tmp_path, bytes(damaged))) is None:
+            continue
+        try:
+            read(found.path)
+            read_series(found.path)
+            opened += 1
+        except LogError as error:
+            assert "no log of khep_twin" in str(error)  # noqa: PT017
+    assert opened > 5
