@@ -7,6 +7,8 @@ import typer
 
 from khep_twin.cli_completion import logs as known_logs
 from khep_twin.cli_options import usage
+from khep_twin.cli_progress import clock, progress
+from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files import is_same, unusable
 from khep_twin.invocation import command
@@ -41,16 +43,18 @@ def view(
 ) -> None:
     """Shows a log in rerun, or several side by side: arena, robots from above, curves and transcript."""
     _check(logs, save, png, live, web, no_browser)
+    if not live:
+        _tell_of_long_ones(logs)
     if png is not None:
         from khep_twin.log.replay import view_still
 
-        view_still(logs, png, at)
+        view_still(logs, png, at, progress)
         typer.echo(f"picture  {png}")
         return
     from khep_twin.log.replay import view as view_logs
 
     if save is not None:
-        view_logs(logs, save)
+        view_logs(logs, save, bar=progress)
         typer.echo(f"recording  {save}      look at it: {command(save, program='rerun')}")
         return
     from khep_twin.log.viewer import Web
@@ -62,7 +66,22 @@ def view(
 
             view_live(logs[0], page, stop, lambda text: typer.echo(f"khep-twin: {text}", err=True))
         else:
-            view_logs(logs, web=page, stop=stop)
+            view_logs(logs, web=page, stop=stop, bar=progress)
+
+
+def _tell_of_long_ones(logs: list[Path]) -> None:
+    """Say which logs are shown with fewer samples than they have."""
+    from khep_twin.log.reader import read_end_ns
+    from khep_twin.log.thinning import interval_ns
+
+    for log in logs:
+        end_ns = read_end_ns(log)
+        if step_ns := interval_ns(end_ns):
+            typer.echo(
+                f"khep-twin: {log}: one sample in {step_ns / NS_PER_S:.2f} s is shown, as it lasts "
+                f"{clock(end_ns / NS_PER_S)}; khep-twin export writes all",
+                err=True,
+            )
 
 
 def _check(

@@ -11,7 +11,7 @@ run instead of dates in 1970; both go into a rerun recording, which is kept or s
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,12 +23,19 @@ from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.gathered import Gatherer
 from khep_twin.log.khepbase import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
 from khep_twin.log.layout import TIMELINE, Shown, layout
-from khep_twin.log.reader import Label, read_end_ns, read_series
+from khep_twin.log.reader import Label, read_end_ns, read_pieces
 from khep_twin.log.still import still
+from khep_twin.log.thinning import Thinner, interval_ns, last_ns
 from khep_twin.log.viewer import Web, open_viewer
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
+
+Progress = Callable[[float], None] | None
+"""Takes the share that is done, 0 to 1."""
+
+Bar = Callable[[], AbstractContextManager[Progress]]
+"""Makes a context in which progress is shown."""
 
 UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
 """Topics, as patterns, that no view shows: they are for programs, or said by the views themselves."""
@@ -44,6 +51,7 @@ def view(
     save: Path | None = None,
     web: Web | None = None,
     stop: Callable[[], bool] = lambda: False,
+    bar: Bar = nullcontext,
 ) -> None:
     """Shows logs in rerun's viewer until its window is closed, or saves them as one rerun recording.
 
@@ -52,30 +60,33 @@ def view(
         save: of the recording, by custom NAME.rrd; None opens the viewer.
         web: where the viewer is to be had in a browser; None opens a window.
         stop: asked now and then whether to end.
+        bar: Shows how far it is, as `cli_progress.progress` does.
 
     Raises:
         LogError: a log cannot be read, the recording cannot be written, or no window opens.
     """
-    labels = [_checked(path) for path in paths]
     if save is not None:
-        _save(paths, labels, save)
+        _save(paths, save, bar)
         return
-    with _saved(paths, labels) as recording, open_viewer(str(paths[0]), web, recording) as viewer:
+    with _saved(paths, bar) as recording, open_viewer(str(paths[0]), web, recording) as viewer:
         viewer.wait(stop)
 
 
-def view_still(paths: Sequence[Path], target: Path, at_s: float | None = None) -> None:
+def view_still(
+    paths: Sequence[Path], target: Path, at_s: float | None = None, bar: Bar = nullcontext
+) -> None:
     """Writes what the viewer shows of logs at a time, as PNG, without a screen.
 
     Args:
         paths: of finished logs, from left to right.
         target: the PNG file.
         at_s: simulated time [s]; None for the end, where the whole run is seen.
+        bar: Shows how far it is, as `cli_progress.progress` does.
 
     Raises:
         LogError: a log cannot be read, or the viewer cannot be had.
     """
-    with _saved(paths, [_checked(path) for path in paths]) as recording:
+    with _saved(paths, bar) as recording:
         end_s = max(map(read_end_ns, paths)) / NS_PER_S
         still(recording, TIMELINE, end_s if at_s is None else at_s, target)
 
@@ -104,11 +115,13 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     return distinct
 
 
-def _checked(path: Path) -> Label:
+def _checked(path: Path, progress: Progress) -> Label:
     """What a log says of itself, once all that is shown of it is known to be what it should be."""
-    recording = read_series(path)
-    label = recording.label
-    moves = any(f"/{robot}/pose" in recording.series for robot in label.robots)
+    label, moves = None, False
+    for recording in read_pieces(path, progress):
+        label = recording.label
+        moves |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
+    assert label is not None  # there is at least one piece
     if moves or "playpen.toml" in label.attachments:
         playpen_of(label.attachments, path)
     if moves:
@@ -117,19 +130,23 @@ def _checked(path: Path) -> Label:
 
 
 @contextmanager
-def _saved(paths: Sequence[Path], labels: Sequence[Label]) -> Generator[Path, None, None]:
+def _saved(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
     """A recording as long as it is looked at."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         recording = Path(folder) / f"{paths[0].stem}.rrd"
-        _save(paths, labels, recording)
+        _save(paths, recording, bar)
         yield recording
 
 
-def _save(paths: Sequence[Path], labels: Sequence[Label], save: Path) -> None:
+def _save(paths: Sequence[Path], save: Path, bar: Bar) -> None:
     if save.is_dir() or any(is_same(save, path) for path in paths):
         what = "a directory" if save.is_dir() else "the log itself"
         raise LogError(f"{save}: this is {what}; right is the name of a file, such as {paths[0].stem}.rrd")
-    recording = _recording(paths, labels)
+    with bar() as progress:
+        # Each log is read twice: to be checked, and by rerun.
+        shares = [_share_of(progress, number, 2 * len(paths)) for number in range(2 * len(paths))]
+        labels = [_checked(path, share) for path, share in zip(paths, shares, strict=False)]
+        recording = _recording(paths, labels, shares[len(paths) :])
     try:
         with part_file(save) as file:
             file.write(recording)
@@ -137,7 +154,12 @@ def _save(paths: Sequence[Path], labels: Sequence[Label], save: Path) -> None:
         raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
 
 
-def _recording(paths: Sequence[Path], labels: Sequence[Label]) -> bytes:
+def _share_of(progress: Progress, number: int, count: int) -> Progress:
+    """Return what takes the progress of one of `count` parts."""
+    return None if progress is None else lambda share: progress((number + share) / count)
+
+
+def _recording(paths: Sequence[Path], labels: Sequence[Label], shares: Sequence[Progress]) -> bytes:
     """The logs and their layout as rerun has them in a file.
 
     Made in memory, because rerun itself may wait for ever for a disk that is full.
@@ -150,7 +172,7 @@ def _recording(paths: Sequence[Path], labels: Sequence[Label]) -> bytes:
         stream = recording.binary_stream()
         if len(paths) == 1:
             recording.send_blueprint(layout([Shown(labels[0], end_ns=read_end_ns(paths[0]))]))
-            rr.send_chunks(_chunks(paths[0], labels[0]), recording=recording)
+            rr.send_chunks(_chunks(paths[0], labels[0], shares[0]), recording=recording)
         else:
             end_ns = max(map(read_end_ns, paths))
             shown = [
@@ -158,20 +180,24 @@ def _recording(paths: Sequence[Path], labels: Sequence[Label]) -> bytes:
                 for label, name in zip(labels, names, strict=True)
             ]
             recording.send_blueprint(layout(shown))
-            for path, log in zip(paths, shown, strict=True):
-                rr.send_chunks(_moved(_chunks(path, log.label), log), recording=recording)
+            for path, log, progress in zip(paths, shown, shares, strict=True):
+                rr.send_chunks(_moved(_chunks(path, log.label, progress), log), recording=recording)
         recording.send_recording_name(title)
         # Read once: each reading ends the file.
         return stream.read() or b""
 
 
-def _chunks(path: Path, label: Label) -> "Generator[Chunk, None, None]":
+def _chunks(path: Path, label: Label, progress: Progress) -> "Generator[Chunk, None, None]":
     """All that is shown of a log."""
     from rerun.chunk import McapReader
 
-    gatherer = Gatherer()
+    gatherer, end_ns = Gatherer(), read_end_ns(path)
+    thinner = Thinner(interval_ns(end_ns), TIMELINE)
     chunks = McapReader(path, timeline_type="duration_ns", exclude_topic_regex=UNSEEN).stream()
-    yield from gatherer.passing(chunks, TIMELINE)
+    for chunk in gatherer.passing(thinner.passing(chunks), TIMELINE):
+        yield chunk
+        if progress is not None and not chunk.is_static and end_ns:
+            progress(min(last_ns(chunk, TIMELINE) / end_ns, 1.0))
     yield from standing_chunks(label)
     yield from event_chunks(label, gatherer, TIMELINE)
     poses = gatherer.poses()

@@ -1,0 +1,94 @@
+"""Long logs are shown with fewer samples: the same times of every channel, and whole exchanges."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rerun.chunk import McapReader, RrdReader
+from typer.testing import CliRunner
+
+from khep_twin.cli import app
+from khep_twin.log import thinning
+from khep_twin.log.gathered import Gatherer
+from khep_twin.log.layout import TIMELINE
+from khep_twin.log.thinning import Thinner, interval_ns
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+SECOND = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of six seconds in several chunks, with a host that asks ten times a second, and an event."""
+    path = tmp_path_factory.mktemp("thinning") / "run.mcap"
+    with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
+        assert twin.recorder is not None
+        for tenth in range(1, 61):
+            twin.robot.send(b"N\n")
+            twin.advance_to(tenth * SECOND // 10)
+            if tenth % 13 == 0:
+                twin.recorder.flush()
+        twin.world.tell(0, "taken away")
+    return path
+
+
+def gathered(log: Path, step_ns: int) -> tuple[Gatherer, list[int], list[str]]:
+    """What passes: what views are made of, times of the transcript [ns] and its texts."""
+    gatherer, times_ns, texts = Gatherer(), list[int](), list[str]()
+    chunks = McapReader(log, timeline_type="duration_ns").stream()
+    for chunk in gatherer.passing(Thinner(step_ns, TIMELINE).passing(chunks), TIMELINE):
+        if chunk.entity_path == "/khepera0/serial" and not chunk.is_static:
+            batch: Any = chunk.to_record_batch()
+            names = batch.schema.names
+            times_ns += batch.column(names.index(TIMELINE)).to_numpy(zero_copy_only=False).tolist()
+            texts += batch.column(names.index("TextLog:text")).flatten().to_pylist()
+    return gatherer, [int(each) for each in times_ns], texts
+
+
+def test_an_hour_is_shown_whole_and_a_day_is_thinned() -> None:
+    assert interval_ns(3600 * SECOND) == 0
+    assert interval_ns(24 * 3600 * SECOND) == 480_000_000
+
+
+def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path) -> None:
+    whole, thin = gathered(log, 0)[0], gathered(log, SECOND)[0]
+    all_samples, samples, poses = whole.samples("khepera0"), thin.samples("khepera0"), thin.poses()
+    assert all_samples is not None
+    assert samples is not None
+    assert poses is not None
+    assert len(all_samples.times_ns) == 301
+    _, first = np.unique(all_samples.times_ns // SECOND, return_index=True)
+    assert samples.times_ns.tolist() == all_samples.times_ns[first].tolist()
+    assert samples.proximity.tolist() == all_samples.proximity[first].tolist()
+    assert poses.rows_at(samples.times_ns) is not None
+    assert thin.events()[1] == whole.events()[1] == ["[khepera0] taken away"]
+
+
+def test_of_the_transcript_a_command_and_its_reply_are_kept(log: Path) -> None:
+    _, times_ns, texts = gathered(log, SECOND)
+    assert len({time_ns // SECOND for time_ns in times_ns}) == 6
+    assert texts[0] == "[host] N"
+    assert texts[1].startswith("[robot] n,")
+    assert len(texts) <= 14
+
+
+def test_a_long_log_is_told_and_saved_with_fewer_samples(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(thinning, "SAMPLES", 12)
+    result = CliRunner().invoke(app, ["view", str(log), "--save", str(tmp_path / "run.rrd")])
+    assert "one sample in 0.50 s is shown, as it lasts 0:00:06" in result.stderr
+    times_ns = [
+        int(time_ns)
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.entity_path == "/khepera0/proximity" and not chunk.is_static
+        for time_ns in _times(chunk)
+    ]
+    assert len(times_ns) == 13
+
+
+def _times(chunk: Any) -> Any:
+    batch = chunk.to_record_batch()
+    column = batch.column(batch.schema.names.index(TIMELINE))
+    return column.to_numpy(zero_copy_only=False).astype(np.int64)
