@@ -12,6 +12,7 @@ TESTS :=
 BENCH :=
 BROWSER :=
 SIGNALS := 1000
+EDGES := 2000
 
 # An environment that is there stays what it is.
 ifneq ($(and $(PYTHON),$(wildcard $(BIN)/python)),)
@@ -20,7 +21,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run test wheels check format fuzz fuzz-files fuzz-rfc2217 soak determinism kills day worker-kills signals pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test wheels check format fuzz fuzz-files fuzz-rfc2217 edges soak determinism kills day worker-kills signals pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -57,6 +58,9 @@ fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 milli
 
 fuzz-rfc2217: $(VENV)/dev.stamp ## a million connections that negotiate by RFC 2217, well or not; a quarter of an hour
 	@$(BIN)/python tests/fuzz_rfc2217.py -runs=1000000
+
+edges: $(VENV)/dev.stamp ## 2,000 random playpens at the edge of what the check lets pass, driven through at full speed; about an hour
+	@$(BIN)/python tests/edge_playpens.py $(EDGES)
 
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each, 2,000 that come and go, 2,000 that leave a network port
 	@KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000 $(BIN)/python -m pytest tests/ports/test_chaos.py tests/ports/test_random_hosts.py

@@ -365,6 +365,16 @@ WRONG = {
     "from 0 to 600",
     HEAD + ARENA + WALL + ROBOT.replace("250", "120"): "robot 1 at (300, 120) overlaps wall 1 at (200, 100); "
     "right is a place clear of it",
+    HEAD
+    + ARENA
+    + "wall_height_mm = 14\n"
+    + ROBOT: "arena: wall_height_mm = 14: a robot drives over it at full speed; right is 15 or more",
+    HEAD
+    + ARENA
+    + "wall_height_mm = 20\n"
+    + ROBOT
+    + 'turrets = ["gripper"]\n': "arena: wall_height_mm = 20: a "
+    "robot with a turret topples over it at full speed; right is 30 or more",
     HEAD + ARENA + WALL + 'surface = "velvet"\n': f'wall 1: surface = "velvet": unknown; {SURFACES}',
     HEAD
     + ARENA
