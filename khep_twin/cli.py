@@ -81,9 +81,13 @@ def _run() -> int:
     except KhepTwinError as error:
         text, code = str(error), 1
     except OSError as error:
-        if error.errno not in (errno.EMFILE, errno.ENFILE):
+        code = 1
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            text = f"{error.strerror}; expected fewer that are open, or more that may be: ulimit -n"
+        elif _is_nowhere():
+            text = "the current directory is not there any more; expected one that is"
+        else:
             raise
-        text, code = f"{error.strerror}; expected fewer that are open, or more that may be: ulimit -n", 1
     except TyperException as error:
         text, code = error.format_message(), error.exit_code
         if text.startswith("Missing "):
@@ -94,6 +98,14 @@ def _run() -> int:
     for line in text.splitlines():
         print(f"khep-twin: {line}", file=sys.stderr)
     return code
+
+
+def _is_nowhere() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False
 
 
 def _show_version(wanted: bool) -> None:

@@ -180,6 +180,21 @@ def test_a_descriptor_that_runs_out_later_is_one_line(
     assert capsys.readouterr() == ("", f"khep-twin: Too many open files; {expected}\n")
 
 
+@pytest.mark.parametrize("words", ["run --cycles 3", "design --no-browser"])
+def test_a_current_directory_that_is_gone_is_one_line(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    monkeypatch.setattr(sys, "argv", ["khep-twin", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 1
+    told = "khep-twin: the current directory is not there any more; expected one that is\n"
+    assert capsys.readouterr() == ("", told)
+
+
 @pytest.mark.parametrize("kind", ["-1", "0", "1", "2", "2147483648", "9" * 30, "shut", "read", "own"])
 def test_a_ready_fd_that_was_not_given_to_write_to_is_refused(kind: str) -> None:
     reader, writer = os.pipe()
