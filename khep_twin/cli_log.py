@@ -17,7 +17,8 @@ def recover(
     from khep_twin.log.recover import recover as rescue
     from khep_twin.log.recover import summary
 
-    found = rescue(log)
+    with progress_bar() as progress:
+        found = rescue(log, progress)
     typer.echo(summary(log, found))
     typer.echo(f"log      {found.path}")
     if not found.whole:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from heapq import merge
 from io import BytesIO
 from itertools import groupby
+from mmap import mmap
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -73,7 +74,7 @@ class RecordBytes:
         data: the file.
     """
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes | mmap) -> None:
         self._data = data
         self._spent = 0
 

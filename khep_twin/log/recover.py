@@ -1,10 +1,12 @@
 """Rescuing an interrupted log: all that is whole in it becomes a log that opens everywhere."""
 
 import fcntl
+import os
 import re
 import tempfile
 from dataclasses import dataclass
 from itertools import chain
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from mcap.records import Attachment
@@ -17,7 +19,7 @@ from khep_twin.files import open_regular, unusable
 from khep_twin.log.decoding import Misfit
 from khep_twin.log.reader import Sieve, robot_names
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
-from khep_twin.log.salvage import Salvage
+from khep_twin.log.salvage import Progress, Salvage
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
 
@@ -50,16 +52,18 @@ class Rescue:
         return not (self.damaged or self.torn or self.refused)
 
 
-def recover(path: Path) -> Rescue:
+def recover(path: Path, progress: Progress = None) -> Rescue:
     """Writes what is whole in a log beside it, as NAME.mcap or, where that is taken, NAME.recovered.mcap.
 
     Args:
         path: of an interrupted log, NAME.mcap.part, or of a damaged one. It is left as it is.
+        progress: takes the share that is done, 0 to 1.
 
     Raises:
         LogError: there is nothing to rescue, or the new log cannot be written.
     """
-    salvage = Salvage(_content(path))
+    # To look through a file takes about as long as to write it anew.
+    salvage = Salvage(_content(path), progress and (lambda share: progress(share / 2)))
     if not (salvage.attachments or salvage.metadata or any(True for _ in salvage.messages())):
         raise LogError(f"{path}: nothing to rescue: no record of an MCAP file is whole")
     target = _target(path)
@@ -69,10 +73,10 @@ def recover(path: Path) -> Rescue:
         # Its own name comes only when it is whole, and a name that was taken meanwhile is an error.
         with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
             whole = Path(folder) / target.name
-            written = _write(salvage, whole, CompressionType.ZSTD)
+            written = _write(salvage, whole, CompressionType.ZSTD, progress)
             if written.size > whole.stat().st_size * _RATIO:
                 whole.unlink()
-                written = _write(salvage, whole, CompressionType.NONE)
+                written = _write(salvage, whole, CompressionType.NONE, progress)
             target.hardlink_to(whole)
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
@@ -87,7 +91,8 @@ def recover(path: Path) -> Rescue:
     )
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path) -> bytes | mmap:
+    """Return a file without reading it into memory."""
     try:
         with open_regular(path) as file:
             try:
@@ -96,7 +101,7 @@ def _content(path: Path) -> bytes:
                 raise LogError(f"{path}: a run is writing it; right is to wait for its end") from None
             except OSError:
                 pass  # some network file systems know no locks
-            return file.read()
+            return mmap(file.fileno(), 0, access=ACCESS_READ) if os.fstat(file.fileno()).st_size else b""
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
@@ -122,7 +127,7 @@ class _Written:
     size: int = 0
 
 
-def _write(salvage: Salvage, path: Path, compression: CompressionType) -> _Written:
+def _write(salvage: Salvage, path: Path, compression: CompressionType, progress: Progress) -> _Written:
     """Writes a whole file that our reader takes."""
     written, sieve = _Written(), _sieve(salvage)
     with path.open("xb") as file:
@@ -139,7 +144,7 @@ def _write(salvage: Salvage, path: Path, compression: CompressionType) -> _Writt
         lost = {"damaged": str(salvage.damaged), "torn": str(salvage.torn).lower()}
         writer.add_metadata("recovered", {"khep_twin": __version__, **lost})
         schemas, channels, written.size = _defined(salvage, writer)
-        for message in salvage.messages():
+        for message in salvage.messages(progress and (lambda share: progress((1 + share) / 2))):
             if message.channel_id not in channels:
                 continue
             channel = salvage.channels[message.channel_id]

@@ -7,7 +7,8 @@ A chunk that the end of the file cuts off is unpacked as far as it goes. One dam
 checksum and is left out as a whole: nobody can tell which of its values are still those of the run.
 """
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from mmap import mmap
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
@@ -15,6 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.log.record_bytes import (
     HEAD,
+    LARGEST_CHUNK,
     LARGEST_RATIO,
     MESSAGE,
     PLACES,
@@ -29,11 +31,16 @@ from khep_twin.log.record_bytes import (
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 
+Progress = Callable[[float], None] | None
+"""Takes the share that is done, 0 to 1."""
+
+
 class Salvage:
     """Looks through a file for what is whole in it.
 
     Args:
         data: the file.
+        progress: takes the share of the file that has been looked through, 0 to 1.
 
     Attributes:
         header: of the file.
@@ -45,8 +52,8 @@ class Salvage:
         torn: whether the end of the file cuts off something that carried content.
     """
 
-    def __init__(self, data: bytes) -> None:
-        self._data = data
+    def __init__(self, data: bytes | mmap, progress: Progress = None) -> None:
+        self._data, self._progress = data, progress
         self._bytes = RecordBytes(data)
         self.header = Header("", "")
         self.schemas: dict[int, Schema] = {}
@@ -58,12 +65,14 @@ class Salvage:
         self._pieces: list[int | bytes] = []
         self._unpacked = 0
         # A few wrong bytes there are damage like any other.
-        if sum(a == b for a, b in zip(data, MCAP0_MAGIC, strict=False)) >= 5:
+        if sum(a == b for a, b in zip(data[: len(MCAP0_MAGIC)], MCAP0_MAGIC, strict=False)) >= 5:
             self._walk()
 
-    def messages(self) -> Generator[Message, None, None]:
-        """The messages whose channels are known, in the order of the file."""
-        for piece in self._pieces:
+    def messages(self, progress: Progress = None) -> Generator[Message, None, None]:
+        """The messages whose channels are known, in the order of the file; `progress` as above."""
+        for number, piece in enumerate(self._pieces):
+            if progress is not None:
+                progress(number / len(self._pieces))
             records = piece if isinstance(piece, bytes) else self._bytes.chunk(piece)[0]
             for opcode, start, end in records_in(records or b""):
                 if opcode not in _IN_CHUNKS:
@@ -79,8 +88,10 @@ class Salvage:
         if self._data[:place] != MCAP0_MAGIC:
             self.damaged += 1
         while place < len(self._data):
-            if self._data.startswith(MCAP0_MAGIC, place):
+            if self._data[place : place + len(MCAP0_MAGIC)] == MCAP0_MAGIC:
                 return
+            if self._progress is not None:
+                self._progress(place / len(self._data))
             end = self._take(place)
             if end is None:
                 if self._is_torn(place):
@@ -159,7 +170,7 @@ class Salvage:
             size, _, compression, start, inner = found
             if inner != place + HEAD.size + HEAD.unpack_from(data, place)[1]:
                 return False
-            records = unpacked(compression, data[start:], size)
+            records = unpacked(compression, data[start : start + LARGEST_CHUNK], size)
             self._define(records)
             self._pieces.append(records)
         elif self._bytes.next_record(place + 1) is not None:
