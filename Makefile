@@ -21,7 +21,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run test wheels check format fuzz fuzz-files fuzz-rfc2217 edges soak determinism kills day worker-kills signals pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges soak determinism kills day worker-kills signals pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -55,6 +55,9 @@ fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 milli
 	@$(BIN)/python tests/fuzz_files.py mat 200000 --jobs 2
 	@$(BIN)/python tests/fuzz_files.py png 200000 --jobs 2
 	@$(BIN)/python tests/fuzz_files.py toml 1000000 --jobs 2
+
+fuzz-logs: $(VENV)/dev.stamp ## a million changed logs, read, exported and recovered; half an hour
+	@$(BIN)/python tests/fuzz_logs.py -runs=1000000
 
 fuzz-rfc2217: $(VENV)/dev.stamp ## a million connections that negotiate by RFC 2217, well or not; a quarter of an hour
 	@$(BIN)/python tests/fuzz_rfc2217.py -runs=1000000

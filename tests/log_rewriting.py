@@ -17,8 +17,9 @@ def rewritten(
     attachment: Callable[[str, bytes], bytes | None] = lambda name, data: data,
     facts: Mapping[str, str] | None = None,
     time: Callable[[str, int], int] = lambda topic, time_ns: time_ns,
+    rename: Callable[[str], str] = lambda topic: topic,
 ) -> Path:
-    """Write a copy of a log with other messages, attachments, metadata or times, and return its path."""
+    """Write a copy of a log with other messages, attachments, metadata, times or topics; return its path."""
     with path.open("rb") as file, target.open("wb") as copy:
         reader, writer = make_reader(file), Writer(copy)
         writer.start()
@@ -32,7 +33,7 @@ def rewritten(
             assert schema is not None
             if channel.topic not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
+                channels[channel.topic] = writer.register_channel(rename(channel.topic), "cdr", number)
             data = message(channel.topic, each.log_time, each.data)
             time_ns = time(channel.topic, each.log_time)
             writer.add_message(channels[channel.topic], time_ns, data, time_ns)

@@ -410,7 +410,7 @@ class _Columns:
             raise misfit.at(self.path, topic, time_ns) from None
 
     def _add(self, topic: str, time_ns: int, message: bytes) -> None:
-        _, name, kind = f"/{topic}".rsplit("/", 2)
+        _, name, kind = f"//{topic}".rsplit("/", 2)
         if topic == "/tf":
             self.times_ns.append(time_ns)
             for frame, pose in read_transforms(message).items():

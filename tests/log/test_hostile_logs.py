@@ -322,3 +322,12 @@ def test_the_configuration_of_a_run_is_still_read(small: Path) -> None:
     label = read_label(small)
     assert json.loads(label.attachments["configuration.json"])["seed"] == 3
     assert repeat(read_recorded(small)) is None
+
+
+@pytest.mark.parametrize("topic", ["tf", "x", "", "/", "//tf", "proximity", "a/b/c/registers"])
+def test_topics_of_any_form_are_read_over(small: Path, tmp_path: Path, topic: str) -> None:
+    path = rewritten(
+        small, tmp_path / "x.mcap", rename=lambda each: topic if each == "/khepera0/leds" else each
+    )
+    for use in (read, read_series, read_recorded, read_arrays):
+        use(path)

@@ -1,0 +1,51 @@
+"""A share of `make fuzz-logs`: a changed log ends in a result or in one line."""
+
+import random
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from fuzz_logs import STEP, base, check, cooked, seeds
+
+from khep_twin.log.reader import read, read_series
+
+SHARE = 2_000
+
+
+@pytest.mark.skipif(find_spec("atheris") is None, reason="atheris is not installed")
+def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
+    program = Path(__file__).with_name("fuzz_logs.py")
+    done = subprocess.run(
+        [sys.executable, str(program), f"-runs={SHARE}", "-seed=1"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert f"Done {SHARE} runs" in done.stderr
+
+
+def test_random_changes_end_in_a_result_or_a_line() -> None:
+    chance = random.Random(1)
+    for _ in range(1000):
+        check(bytes([chance.randrange(256)]) + chance.randbytes(STEP * chance.randrange(1, 7)))
+
+
+def test_the_seeds_do_not_fail(tmp_path: Path) -> None:
+    seeds(tmp_path)
+    inputs = [path.read_bytes() for path in tmp_path.iterdir()]
+    assert len(inputs) > 80
+    for data in inputs:
+        check(data)
+
+
+def test_the_log_to_begin_with_is_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "base.mcap"
+    path.write_bytes(cooked(b""))
+    assert len(base()) > 5
+    assert len(read(path).robots["khepera0"].proximity) == 2
+    assert read_series(path).lines["/events"][0].text == "x"
