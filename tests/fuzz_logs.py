@@ -7,6 +7,8 @@ others are steps of six bytes: what to do to which record, where, and with what.
 `check`.
 """
 
+import atexit
+import shutil
 import struct
 import sys
 import tempfile
@@ -164,9 +166,11 @@ def whole_steps(data: bytes) -> bytes:
 
 @cache
 def folder() -> Path:
-    """Return a folder for the logs, in memory where there is one."""
+    """Return a folder for the logs, in memory where there is one, which goes with the process."""
     shared = Path("/dev/shm")
-    return Path(tempfile.mkdtemp(prefix="khep-fuzz-", dir=shared if shared.is_dir() else None))
+    made = Path(tempfile.mkdtemp(prefix="khep-fuzz-", dir=shared if shared.is_dir() else None))
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    return made
 
 
 def check(data: bytes) -> None:
