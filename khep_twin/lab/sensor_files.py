@@ -121,7 +121,7 @@ def _test(words: Mapping[str, str]) -> SensorTest:
     if what is None:
         raise SensorTestError("what is missing; right is proximity or light")
     if what != "proximity" and what != "light":
-        raise SensorTestError(f"what = {what[:40]}: right is proximity or light")
+        raise SensorTestError(f"what = {what[:40]!r}: right is proximity or light")
     test = SensorTest(
         what,
         number("linear_cm"),
@@ -131,7 +131,7 @@ def _test(words: Mapping[str, str]) -> SensorTest:
         bool(whole("return_to_zero")),
     )
     if words.get("motion") != test.motion:
-        raise SensorTestError(f"motion = {words.get('motion', '')[:40]}: right is {test.motion} here")
+        raise SensorTestError(f"motion = {words.get('motion', '')[:40]!r}: right is {test.motion} here")
     return test
 
 
