@@ -27,6 +27,7 @@ from khep_twin.lab.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_mat import read_mat
 from khep_twin.lab.sensor_test import SENSORS, SensorRun, SensorTest, What
 from khep_twin.log.channels import FLOATS, ArrayFrame
+from khep_twin.log.decoding import shown
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
 from khep_twin.units import COUNTS_LIMIT
@@ -121,7 +122,7 @@ def _test(words: Mapping[str, str]) -> SensorTest:
     if what is None:
         raise SensorTestError("what is missing; right is proximity or light")
     if what != "proximity" and what != "light":
-        raise SensorTestError(f"what = {what[:40]!r}: right is proximity or light")
+        raise SensorTestError(f"what = {shown(what)}: right is proximity or light")
     test = SensorTest(
         what,
         number("linear_cm"),
@@ -131,7 +132,7 @@ def _test(words: Mapping[str, str]) -> SensorTest:
         bool(whole("return_to_zero")),
     )
     if words.get("motion") != test.motion:
-        raise SensorTestError(f"motion = {words.get('motion', '')[:40]!r}: right is {test.motion} here")
+        raise SensorTestError(f"motion = {shown(words.get('motion', ''))}: right is {test.motion} here")
     return test
 
 
