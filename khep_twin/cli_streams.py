@@ -12,6 +12,7 @@ import resource
 import select
 import signal
 import sys
+from contextlib import suppress
 from typing import Any
 
 LEAST_OPEN = 64
@@ -57,6 +58,7 @@ class Open(io.TextIOWrapper):
 
 
 _streams: list[Told] = []
+_guards: list[Open] = []
 
 
 def guard() -> None:
@@ -92,8 +94,12 @@ def unread() -> bool:
 
 def exit_code(code: int) -> int:
     """Return a command's exit code, which a stream that could not be written makes one of failure."""
-    for stream in (sys.stdout, sys.stderr):
+    for stream in _guards:
         stream.flush()
+    for stream in (sys.stdout, sys.stderr):
+        # A program may have put anything in their place, closed it, or left nothing there.
+        with suppress(AttributeError, ValueError, OSError):
+            stream.flush()
     troubles = [each.trouble for each in _streams if each.trouble is not None]
     if code or not troubles:
         return code
@@ -103,10 +109,12 @@ def exit_code(code: int) -> int:
 def _guarded(descriptor: int, stream: io.TextIOWrapper | Any) -> Open:
     raw = Told(descriptor)
     _streams.append(raw)
-    return Open(
+    guarded = Open(
         io.BufferedWriter(raw),
         encoding=getattr(stream, "encoding", "utf-8"),
         errors=getattr(stream, "errors", "backslashreplace"),
         line_buffering=getattr(stream, "line_buffering", True),
         write_through=getattr(stream, "write_through", False),
     )
+    _guards.append(guarded)
+    return guarded

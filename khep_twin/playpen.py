@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, ValidationInfo, model_serializer, model_validator
 
 from khep_twin import toml_files
 from khep_twin.errors import PlaypenError
@@ -93,8 +93,9 @@ class Playpen(Table):
         return completed(data) if isinstance(data, dict) else data  # pyright: ignore
 
     @model_validator(mode="after")
-    def _is_a_place(self) -> Self:
-        problems = list(islice(playpen_problems(self), PROBLEM_LIMIT + 1))
+    def _is_a_place(self, info: ValidationInfo) -> Self:
+        recorded = bool(info.context and info.context.get("recorded"))
+        problems = list(islice(playpen_problems(self, recorded), PROBLEM_LIMIT + 1))
         if problems:
             raise Problems(problems)
         return self
@@ -110,17 +111,18 @@ def load(path_or_name: str | os.PathLike[str]) -> Playpen:
     return parse(text, source)
 
 
-def parse(text: str, source: str) -> Playpen:
+def parse(text: str, source: str, recorded: bool = False) -> Playpen:
     """The text of a playpen file.
 
     Args:
         text: in TOML.
         source: what to call the file in messages.
+        recorded: whether a run took place in it, so that robots need not be kept from leaving it any more.
 
     Raises:
         PlaypenError: it cannot be used; one line per problem.
     """
-    return toml_files.validate(Playpen, text, source, PlaypenError)
+    return toml_files.validate(Playpen, text, source, PlaypenError, {"recorded": recorded})
 
 
 def dump(playpen: Playpen) -> str:

@@ -19,13 +19,18 @@ if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
 
 
-def playpen_problems(playpen: "Playpen") -> Iterator[Problem]:
-    """What is wrong with a playpen whose keys are right, each by itself."""
+def playpen_problems(playpen: "Playpen", recorded: bool = False) -> Iterator[Problem]:
+    """What is wrong with a playpen whose keys are right, each by itself.
+
+    Args:
+        playpen: to be checked.
+        recorded: whether a run took place in it: how low its walls are does not matter any more.
+    """
     outline = [Problem(("arena", "outline_mm"), text) for text in playpen.arena.outline_problems()]
     if outline:
         return iter(outline)
     return chain(
-        _arena_problems(playpen),
+        () if recorded else _arena_problems(playpen),
         _surface_problems(playpen),
         _wall_problems(playpen),
         _patch_problems(playpen),

@@ -102,8 +102,14 @@ def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, 
         raise error(f"{source}: byte {trouble.start} is no UTF-8 text") from None
 
 
-def validate(model: type[Model], text: str, source: str, error: type[KhepTwinError]) -> Model:
-    """The text of a file as `model`.
+def validate(
+    model: type[Model],
+    text: str,
+    source: str,
+    error: type[KhepTwinError],
+    context: Mapping[str, Any] | None = None,
+) -> Model:
+    """The text of a file as `model`, whose validators are given `context`.
 
     Raises:
         error: the text is no TOML, or not what the model asks for; one line per problem.
@@ -118,11 +124,16 @@ def validate(model: type[Model], text: str, source: str, error: type[KhepTwinErr
         raise error(f"{source}: not TOML that can be read: a number has thousands of digits") from None
     except RecursionError:
         raise error(f"{source}: not TOML that can be read: nested too deeply") from None
-    return check(model, data, source, error, text)
+    return check(model, data, source, error, text, context)
 
 
 def check(
-    model: type[Model], data: Mapping[str, Any], source: str, error: type[KhepTwinError], text: str = ""
+    model: type[Model],
+    data: Mapping[str, Any],
+    source: str,
+    error: type[KhepTwinError],
+    text: str = "",
+    context: Mapping[str, Any] | None = None,
 ) -> Model:
     """The tables of a file, arrays as tuples, as `model`; its text tells the lines where they stand.
 
@@ -130,7 +141,7 @@ def check(
         error: they are not what the model asks for; one line per problem.
     """
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context=context)
     except ValidationError as trouble:
         problems = list(islice(_problems(model, trouble), PROBLEM_LIMIT + 1))
         if len(problems) > PROBLEM_LIMIT:

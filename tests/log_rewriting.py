@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 Change = Callable[[str, int, bytes], bytes]
 """What a message of a topic at a time [ns] becomes."""
@@ -18,10 +18,11 @@ def rewritten(
     facts: Mapping[str, str] | None = None,
     time: Callable[[str, int], int] = lambda topic, time_ns: time_ns,
     rename: Callable[[str], str] = lambda topic: topic,
+    compression: CompressionType = CompressionType.ZSTD,
 ) -> Path:
     """Write a copy of a log with other messages, attachments, metadata, times or topics; return its path."""
     with path.open("rb") as file, target.open("wb") as copy:
-        reader, writer = make_reader(file), Writer(copy)
+        reader, writer = make_reader(file), Writer(copy, compression=compression)
         writer.start()
         for each in reader.iter_attachments():
             if (data := attachment(each.name, each.data)) is not None:

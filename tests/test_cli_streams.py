@@ -109,6 +109,21 @@ def test_a_run_that_cannot_print_keeps_its_log_and_its_picture(
     assert not [*tmp_path.glob("*.part")]
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        "sys.stdout.close()",
+        "sys.stdout = None",
+        "sys.stderr = None",
+    ],
+)
+def test_a_program_may_put_anything_in_a_streams_place(change: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(f"import sys\n\ndef after(run):\n    {change}\n")
+    words = "run braitenberg --cycles 3 --after mine.py --log run.mcap"
+    assert run(words, tmp_path, "pipe") == (0, "")
+    assert read(tmp_path / "run.mcap").robots["khepera0"].serial
+
+
 def test_a_series_whose_reader_has_gone_ends_after_its_run(tmp_path: Path) -> None:
     words = "run --cycles 2 --runs 90000 --save series"
     assert run(words, tmp_path, "unread") == (128 + signal.SIGPIPE, "")

@@ -44,7 +44,7 @@ def playpen_of(attachments: Mapping[str, str], source: object) -> Playpen:
     """
     try:
         text = _text(attachments, "playpen.toml")
-        return playpens.parse(text, "playpen.toml")
+        return playpens.parse(text, "playpen.toml", recorded=True)
     except Misfit as misfit:
         raise LogError(f"{source}: playpen.toml: {misfit}") from None
     except KhepTwinError as error:

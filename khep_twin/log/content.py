@@ -96,7 +96,7 @@ class Content:
     def first_messages(self) -> Iterator[Entry]:
         """Yield the first message of each channel, out of the chunks that the index says have them."""
         seen: set[str] = set()
-        for start_ns, place, length in sorted(self._first.values()) or self._chunks:
+        for start_ns, place, length in sorted(set(self._first.values())) or self._chunks:
             for entry in sorted(self._entries(self._chunk(place, length), place, start_ns), key=_time):
                 if entry.topic not in seen:
                     seen.add(entry.topic)
@@ -254,7 +254,7 @@ class Content:
         packed = self._bytes(place, length)
         found = RecordBytes(packed).chunk_head(0)
         if found is None:
-            raise Misfit(f"chunk at byte {place}", "one that is packed with zstd, or not at all")
+            raise Misfit(f"chunk at byte {place}", "one that is packed with zstd or lz4, or not at all")
         size, crc, compression, start, end = found
         if size > LARGEST_CHUNK:
             raise Misfit(f"chunk at byte {place} unpacks to {size} bytes", f"at most {LARGEST_CHUNK}")

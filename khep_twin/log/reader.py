@@ -122,7 +122,7 @@ def read(path: Path) -> Run:
     """
     with _opened(path) as content:
         label = _label(path, content)
-        columns = _Columns(path)
+        columns = _Columns(path, label.robots)
         for topic, _, time_ns, data in content.messages():
             columns.add(topic, time_ns, data)
         robots = {name: columns.track(name) for name in label.robots}
@@ -206,7 +206,7 @@ def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> 
 
 
 def _recording(path: Path, label: Label, found: Iterable[Entry]) -> Recording:
-    messages, columns = _Messages(path), _Columns(path)
+    messages, columns = _Messages(path), _Columns(path, label.robots)
     for topic, schema, time_ns, data in found:
         kind = _KINDS.get(schema)
         if topic.rpartition("/")[2] in _FOR_REPEAT:
@@ -327,7 +327,7 @@ class Sieve:
 
     def __init__(self, robots: Sequence[str]) -> None:
         self._bases = {f"{robot}/base" for robot in robots}
-        self._columns = _Columns(Path())
+        self._columns = _Columns(Path(), robots)
         self._lengths: dict[tuple[str, str], int] = {}
 
     def takes(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
@@ -397,6 +397,7 @@ class _Columns:
     """Messages sorted by topic, as they are read."""
 
     path: Path
+    robots: Sequence[str]
     times_ns: list[int] = field(default_factory=list[int])
     poses: dict[str, list[tuple[float, ...]]] = field(default_factory=dict[str, list[tuple[float, ...]]])
     arrays: dict[str, list[tuple[float, ...]]] = field(default_factory=dict[str, list[tuple[float, ...]]])
@@ -415,9 +416,9 @@ class _Columns:
             self.times_ns.append(time_ns)
             for frame, pose in read_transforms(message).items():
                 self.poses.setdefault(frame, []).append(pose)
-        elif kind in ("serial", "events"):
+        elif topic == "/events" or (kind == "serial" and name in self.robots):
             self.lines[topic].append(read_line(message))
-        elif name and kind in _WIDTHS:
+        elif kind in _WIDTHS and name in self.robots:
             row = read_array(message, "q" if kind == "registers" else "d")
             rows = self.arrays.setdefault(topic, [])
             width = _WIDTHS[kind] or len(rows[0] if rows else row)

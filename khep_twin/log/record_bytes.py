@@ -3,6 +3,9 @@
 No length is believed before the bytes are there.
 """
 
+# lz4 is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+
 import re
 import struct
 import zlib
@@ -14,6 +17,7 @@ from itertools import groupby
 from mmap import mmap
 
 import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -30,6 +34,9 @@ SLACK = 4 << 20
 """So much a log of any size may unpack to [bytes]."""
 
 _PIECE = 1 << 16
+_LZ4 = b"\x04\x22\x4d\x18"
+"""Beginning of an lz4 frame."""
+
 _FRAME = 18
 """Most that the head of a zstandard frame takes [bytes]."""
 
@@ -42,7 +49,7 @@ LARGEST_CHUNK = 64 << 20
 _START = re.compile(rb"(?=[\x01\x03-\x0f].{5}\x00\x00\x00)", re.DOTALL)
 """Opcode and the upper bytes of a length, where a record may begin."""
 
-_PACKED = re.compile(rb"(?=\x04\x00\x00\x00zstd)")
+_PACKED = re.compile(rb"(?=\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4)")
 """In the middle of a chunk's head."""
 
 READERS: Mapping[int, Callable[[ReadDataStream], McapRecord]] = {
@@ -107,7 +114,7 @@ class RecordBytes:
             (packed,) = struct.unpack_from("<Q", self._data, name + min(length, 5))
         except struct.error:
             return None
-        if compression not in ("", "zstd"):
+        if compression not in ("", "lz4", "zstd"):
             return None
         first = name + len(compression) + 8
         return size, crc, compression, first, first + packed
@@ -136,6 +143,8 @@ class RecordBytes:
         """Whether packed bytes say of themselves that they unpack to so many; costs nothing."""
         if not compression:
             return end - start == size
+        if compression == "lz4":
+            return self._data[start : start + len(_LZ4)] == _LZ4
         try:
             says = zstandard.get_frame_parameters(self._data[start : min(start + _FRAME, end)]).content_size
         except zstandard.ZstdError:
@@ -209,6 +218,11 @@ def unpacked(compression: str, packed: bytes, limit: int) -> bytes:
     limit = min(limit, LARGEST_CHUNK) + 1
     if not compression:
         return packed[:limit]
+    if compression == "lz4":
+        try:
+            return LZ4FrameDecompressor().decompress(packed, max_length=limit)
+        except (RuntimeError, MemoryError):
+            return b""
     pieces: list[bytes] = []
     size = 0
     unpacker = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)

@@ -1,14 +1,21 @@
 """A log read back: the same values as in the world, and one line for what is no log."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
+from log_rewriting import rewritten
+from mcap.writer import CompressionType, Writer
 
-from khep_twin.errors import LogError
+from khep_twin import playpen
+from khep_twin.errors import LogError, PlaypenError
 from khep_twin.kernel import AMBIENT, PROXIMITY
-from khep_twin.log.reader import read, read_label, read_series
+from khep_twin.log.attached import playpen_of
+from khep_twin.log.channels import ArrayFrame
+from khep_twin.log.content import Content
+from khep_twin.log.reader import read, read_heads, read_label, read_series
+from khep_twin.log.recover import recover
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 SCAN_NS = 20_000_000
@@ -122,3 +129,50 @@ def test_damage_anywhere_is_one_line_or_harmless(log: Path, tmp_path: Path) -> N
         assert len((reading(path) or "").splitlines()) == 1
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
         assert len((reading(path) or "").splitlines()) <= 1
+
+
+def test_a_log_packed_with_lz4_is_read_and_recovered(log: Path, tmp_path: Path) -> None:
+    copy = rewritten(log, tmp_path / "lz4.mcap", compression=CompressionType.LZ4)
+    assert read_series(copy).lines == read_series(log).lines
+    (tmp_path / "torn.mcap").write_bytes(copy.read_bytes()[:-9])
+    found = recover(tmp_path / "torn.mcap")
+    assert found.messages == recover(copy).messages > 300
+    assert read(found.path).robots["khepera0"].pose.tolist() == read(log).robots["khepera0"].pose.tolist()
+
+
+def test_channels_of_others_may_have_names_like_a_robots(log: Path, tmp_path: Path) -> None:
+    one = ArrayFrame(1, "f8", "").messages(np.array([[1.5]]))[0].tobytes()
+    copy = rewritten(
+        log,
+        tmp_path / "foreign.mcap",
+        message=lambda topic, _, data: one if topic.endswith(("/duty", "/serial")) else data,
+        rename=lambda topic: topic.replace("/khepera0/duty", "/lidar/speed").replace(
+            "khepera0/serial", "gps/serial"
+        ),
+    )
+    assert len(read(copy).robots["khepera0"].speed) == len(read(log).robots["khepera0"].speed)
+    assert read_series(copy).series["/lidar/speed"].values[0] == 1.5
+
+
+def test_walls_that_are_too_low_now_do_not_matter_in_a_log(log: Path, tmp_path: Path) -> None:
+    low = rewritten(
+        log,
+        tmp_path / "low.mcap",
+        attachment=lambda name, data: re.sub(rb"(wall_height_mm = )\S+", rb"\g<1>9.0", data),
+    )
+    assert playpen_of(read_label(low).attachments, low).arena.wall_height_mm == 9.0
+    with pytest.raises(PlaypenError, match="right is 15 or more"):
+        playpen.parse(read_label(low).attachments["playpen.toml"], "now")
+
+
+def test_the_first_messages_unpack_each_chunk_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    places: list[int] = []
+    unpack = Content._chunk
+
+    def noted(content: Content, place: int, length: int) -> bytes:
+        places.append(place)
+        return unpack(content, place, length)
+
+    monkeypatch.setattr(Content, "_chunk", noted)
+    assert "/khepera0/proximity" in read_heads(log).series
+    assert len(places) == len(set(places))
