@@ -1,4 +1,4 @@
-"""Samples of a long log, thinned while rerun reads it: in full, three hours took 4 GB of memory (measured)."""
+"""Samples of a long log, thinned while rerun reads it: three hours in full took 4 GB of memory (measured)."""
 
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
