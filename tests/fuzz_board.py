@@ -6,9 +6,9 @@ The first byte chooses the board, 0xFE lets a control tick pass, 0xFD cuts the b
 goes over the line. What must hold stands in `check`.
 """
 
-import sys
-import tempfile
 from pathlib import Path
+
+from fuzzing import fuzz
 
 TRANSCRIPTS = Path(__file__).parent / "data" / "transcripts"
 TICK, CUT = 0xFE, 0xFD
@@ -67,16 +67,9 @@ def seeds(folder: Path) -> None:
 
 
 def main() -> None:
-    """Runs libFuzzer with its own options."""
-    import atheris
-
-    with atheris.instrument_imports(include=["khep_twin"]):
-        import khep_twin.firmware
-        import khep_twin.gripper_body  # noqa: F401
-    with tempfile.TemporaryDirectory() as corpus:
-        seeds(Path(corpus))
-        atheris.Setup([*sys.argv, "-max_len=512", "-timeout=10", corpus], check)
-        atheris.Fuzz()
+    """Run libFuzzer with its own options."""
+    modules = ("khep_twin", "khep_twin.firmware", "khep_twin.gripper_body")
+    fuzz(check, seeds, modules, "-max_len=512")
 
 
 if __name__ == "__main__":

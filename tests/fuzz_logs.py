@@ -8,18 +8,16 @@ others are steps of six bytes: what to do to which record, where, and with what.
 """
 
 import atexit
-import os
 import shutil
 import struct
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 
+from fuzzing import fuzz
 from log_mutations import Record, put_together, taken_apart
 from mcap.opcode import Opcode
 
@@ -262,24 +260,10 @@ def seeds(target: Path) -> None:
 
 def main() -> None:
     """Run libFuzzer with its own options."""
-    corpus = folder() / "corpus"
-    corpus.mkdir()
-    # libFuzzer ends its process without a farewell: another one clears up.
-    if child := os.fork():
-        sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-    atheris = import_module("atheris")
+    folder()
     base()
     names = [f"khep_twin.log.{name}" for name in MODULES]
-    for name in [*sys.modules]:
-        if name in names or name in ("khep_twin.log", "khep_twin.lab.repeat", "khep_twin.lab.export"):
-            del sys.modules[name]
-    with atheris.instrument_imports(include=names):
-        for name in names:
-            import_module(name)
-    seeds(corpus)
-    options = ["-max_len=61", "-len_control=0", "-timeout=10", "-rss_limit_mb=2000"]
-    atheris.Setup([*sys.argv, *options, str(corpus)], check)
-    atheris.Fuzz()
+    fuzz(check, seeds, names, "-max_len=61", "-len_control=0", "-rss_limit_mb=2000")
 
 
 if __name__ == "__main__":

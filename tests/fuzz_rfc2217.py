@@ -7,10 +7,9 @@ them: negotiations with any command and any length of value, options, escapes, d
 `check`.
 """
 
-import sys
-import tempfile
-from importlib import import_module
 from pathlib import Path
+
+from fuzzing import fuzz
 
 IAC, SE, SB, WILL, DONT, OPTION = 0xFF, 0xF0, 0xFA, 0xFB, 0xFE, 0x2C
 BEGIN = b"\xff\xfa\x2c"
@@ -159,13 +158,7 @@ def seeds(folder: Path) -> None:
 
 def main() -> None:
     """Run libFuzzer with its own options."""
-    atheris = import_module("atheris")
-    with atheris.instrument_imports(include=["serial.rfc2217", "khep_twin.ports.negotiation"]):
-        import_module("khep_twin.ports.negotiation")
-    with tempfile.TemporaryDirectory() as corpus:
-        seeds(Path(corpus))
-        atheris.Setup([*sys.argv, "-max_len=48", "-timeout=10", corpus], check)
-        atheris.Fuzz()
+    fuzz(check, seeds, ("serial.rfc2217", "khep_twin.ports.negotiation"), "-max_len=48")
 
 
 if __name__ == "__main__":

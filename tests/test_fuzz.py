@@ -1,12 +1,10 @@
 """A share of `make fuzz`: arbitrary bytes never crash, hang or confuse the board."""
 
-import subprocess
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from fuzz_board import check, seeds
+from fuzzing import run_libfuzzer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,19 +13,8 @@ from khep_twin.firmware import Firmware
 SHARE = 8_000
 
 
-@pytest.mark.skipif(find_spec("atheris") is None, reason="atheris is not installed")
 def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
-    program = Path(__file__).with_name("fuzz_board.py")
-    done = subprocess.run(
-        [sys.executable, str(program), f"-runs={SHARE}", "-seed=1"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert f"Done {SHARE} runs" in done.stderr
+    run_libfuzzer("fuzz_board.py", SHARE, tmp_path)
 
 
 @settings(max_examples=500, derandomize=True, database=None)

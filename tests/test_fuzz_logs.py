@@ -1,32 +1,18 @@
 """A share of `make fuzz-logs`: a changed log ends in a result or in one line."""
 
 import random
-import subprocess
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
-import pytest
 from fuzz_logs import STEP, base, check, cooked, seeds
+from fuzzing import run_libfuzzer
 
 from khep_twin.log.reader import read, read_series
 
 SHARE = 2_000
 
 
-@pytest.mark.skipif(find_spec("atheris") is None, reason="atheris is not installed")
 def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
-    program = Path(__file__).with_name("fuzz_logs.py")
-    done = subprocess.run(
-        [sys.executable, str(program), f"-runs={SHARE}", "-seed=1"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert f"Done {SHARE} runs" in done.stderr
+    run_libfuzzer("fuzz_logs.py", SHARE, tmp_path)
 
 
 def test_random_changes_end_in_a_result_or_a_line() -> None:

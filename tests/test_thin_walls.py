@@ -5,6 +5,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from edge_playpens import COMMANDS
 
 from khep_twin import playpen, units
 from khep_twin.clock import NS_PER_S
@@ -68,16 +69,6 @@ width_mm = 40
 height_mm = {h}
 angle_deg = 30
 """
-COMMANDS = [
-    (127, 127),
-    (-127, -127),
-    (127, -127),
-    (127, 60),
-    (60, 127),
-    (-127, -60),
-    (-60, -127),
-    (-127, 127),
-]
 
 
 @pytest.mark.parametrize(("thickness_mm", "height_mm", "seed"), CASES)

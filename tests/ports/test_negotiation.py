@@ -1,13 +1,11 @@
 """RFC 2217: what a host may send as a negotiation, and what comes of it."""
 
 import socket
-import subprocess
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from fuzz_rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
+from fuzzing import run_libfuzzer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -89,19 +87,8 @@ def test_what_has_no_answer_is_passed_over(harmless: str) -> None:
     assert (taken, answers, negotiator.fault) == (b"B\n", b"", "")
 
 
-@pytest.mark.skipif(find_spec("atheris") is None, reason="atheris is not installed")
 def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
-    program = Path(__file__).parents[1] / "fuzz_rfc2217.py"
-    done = subprocess.run(
-        [sys.executable, str(program), f"-runs={SHARE}", "-seed=1"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert f"Done {SHARE} runs" in done.stderr
+    run_libfuzzer("fuzz_rfc2217.py", SHARE, tmp_path)
 
 
 @settings(max_examples=300, derandomize=True, database=None, deadline=None)
