@@ -67,6 +67,7 @@ class Line:
         self.listener: Callable[[str, str], None] | None = None
         self._exchange = threading.RLock()
         self._held = False
+        self._stood = threading.Event()
         self.name: str = url if isinstance(url, str) else str(url.name)
         speed = SPEEDS[0] if baudrate == "auto" else baudrate
         self.port: Any = open_port(url, speed, timeout) if isinstance(url, str) else url
@@ -89,6 +90,7 @@ class Line:
     def sleep(self, duration: float) -> None:
         """Waits in the port's own time [s]."""
         if hasattr(self.port, "sleep"):
+            self._give_way()
             with self._exchange:
                 self.port.sleep(duration)
         else:
@@ -105,7 +107,7 @@ class Line:
             ProtocolError: a reply is not what its command asks for.
             StoppedError: a command would move a robot that is to stand.
         """
-        self._refuse_moves([command.request for command in commands])
+        self._give_way()
         with self._exchange:
             return self._carry_out(commands)
 
@@ -117,7 +119,7 @@ class Line:
             PortError: the port failed or went away.
         """
         replies: list[str] = []
-        self._refuse_moves([request])
+        self._give_way()
         with self._exchange:
             self._ask([request], replies)
         return replies[0]
@@ -146,14 +148,15 @@ class Line:
             if not tries:
                 raise first from None
 
-    def _refuse_moves(self, requests: Sequence[str]) -> None:
-        """Refuse what would move a robot that is to stand, outside an exchange, whose end the stop awaits."""
-        if self._held and (moves := [each for each in requests if each[:1] in "CDP" and each != _STOP]):
-            raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
+    def _give_way(self) -> None:
+        """Let a stop come first that waits for the line: a lock alone may go to the same thread for ever."""
+        if self._held:
+            self._stood.wait(STOP_WAIT)
 
     def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
         """Sends lines and appends the replies, each as it comes."""
-        self._refuse_moves(requests)
+        if self._held and (moves := [each for each in requests if each[:1] in "CDP" and each != _STOP]):
+            raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
         if self._unanswered and self._settle() is None:
             raise self._silence(requests[0], b"")
         self._unanswered.update(request[:1] for request in requests)
@@ -243,10 +246,13 @@ class Line:
             PortError: they could not be stopped.
         """
         self._held = True
-        with self._exchange:
-            before = self.port.timeout
-            self._stop()
-            self.port.timeout = before
+        try:
+            with self._exchange:
+                before = self.port.timeout
+                self._stop()
+                self.port.timeout = before
+        finally:
+            self._stood.set()
 
     def halt(self) -> tuple[bool, str]:
         """Stops the motors as far as that is possible, and closes the port.
@@ -290,6 +296,10 @@ class Line:
             raise self._failed(_STOP, error) from error
         for _ in range(2):
             self._write(f"\n{_STOP}\n".encode("ascii"), _STOP)
+            if _STOP[0] in self._unanswered:  # a speed whose answer, to come yet, is the same
+                if (before := self._settle()) and before[-1] == "d":
+                    return
+                continue
             end = self.time + wait
             line = b"\n"
             while line.endswith(b"\n") and self.time <= end:

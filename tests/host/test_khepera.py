@@ -69,6 +69,25 @@ def test_after_a_broken_exchange_the_next_one_is_right(robot: Khepera) -> None:
     assert robot.position() == (5, 6)
 
 
+def test_a_stop_does_not_take_the_answer_to_a_broken_command_for_its_own() -> None:
+    robot = Khepera("khep://default")
+    twin = robot.port.twin
+    robot.set_speed(10, 10)
+    write = robot.port.write
+
+    def interrupted(data: bytes) -> None:
+        write(data)
+        raise KeyboardInterrupt
+
+    robot.port.write = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        robot.set_speed(5, 5)
+    del robot.port.write
+    robot.hold()
+    assert twin.robot.registers[[4, 18]].tolist() == [0, 0]
+    robot.close()
+
+
 def test_reads_get_through_a_line_that_loses_bytes() -> None:
     with Khepera("khep://default?noise=off&seed=3&fault=drop:0.003@0.1", retries=4) as robot:
         robot.sleep(0.2)
