@@ -14,7 +14,6 @@ with everything by MuJoCo's own filter.
 """
 
 import math
-from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
@@ -44,11 +43,6 @@ _SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
 _SOLIMP = [0.95, 0.99, 0.0005, 0.5, 2]
 """Harder than MuJoCo's default, so that the robot's weight presses its tyres in by some micrometres only."""
 
-_THIN_MM = 10.0
-"""Below it contacts are found singly and exactly, without MuJoCo's `multiccd`, which is wrong by up to 7.6 mm
-in 17 to 29 of 100 places around a box's edges (measured, MuJoCo 3.17.0): a robot sinks into the end of a wall
-and is flung out of it. Thicker things keep the contacts that published runs were made with."""
-
 _PATCH_HEIGHT = 0.0002
 """Of what is drawn on the floor [m]: as thin as paint."""
 
@@ -76,8 +70,6 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10
         spec.option.noslip_iterations = 5
-    if min(_thicknesses_mm(playpen)) < _THIN_MM:
-        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     obstacles = _add_arena(spec, playpen)
     for index, block in merged(playpen.blocks):
         obstacles.append(_add_block(spec, playpen, f"block{index}", block))
@@ -147,6 +139,9 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A diverged simulation must stop the run, not begin anew in silence.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    # With it, contacts are wrong by up to 7.6 mm in 17 to 29 of 100 places around a box's edges (measured,
+    # MuJoCo 3.17.0): a robot sinks into the edge and is flung out of it.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     if movable:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
     else:
@@ -158,15 +153,6 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
     spec.visual.rgba.rangefinder = [1, 1, 0.1, 0]
     spec.visual.global_.offwidth = 1280
     spec.visual.global_.offheight = 960
-
-
-def _thicknesses_mm(playpen: Playpen) -> Iterator[float]:
-    """All sides of all that has edges; a wall's length is none of them."""
-    yield from (playpen.arena.wall_thickness_mm, playpen.arena.wall_height_mm)
-    for wall in playpen.walls:
-        yield from (wall.thickness_mm, wall.height_mm)
-    for block in playpen.blocks:
-        yield from (block.length_mm, block.width_mm, block.height_mm)
 
 
 def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
