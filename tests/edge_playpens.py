@@ -6,7 +6,7 @@ Each playpen is made by its number alone, so that what is found is found again: 
 It is a find if the simulation diverges, or if a robot leaves the arena, exceeds 1.1 m/s (full speed is 1.02),
 comes 15 mm off the floor or tilts by 30 degrees, or if something movable leaves the arena through a wall. A
 robot with a gripper is top-heavy and has an arm that pushes: where it falls over, its drive ends, and that is
-no find. The outer walls of all are thinner than 10 mm.
+no find; nor is it where there are movable things, as a robot may climb on a loose board.
 """
 
 import argparse
@@ -52,7 +52,7 @@ def text_of(number: int) -> str:
     width, height = chance.uniform(250, 500), chance.uniform(200, 400)
     lines = ['version = 1\nname = "edge"\n[arena]', f"width_mm = {width:.0f}", f"height_mm = {height:.0f}"]
     lines += [
-        f"wall_thickness_mm = {_thin(chance)}",
+        f"wall_thickness_mm = {chance.choice((1, 2, 3, 5, 8, *[10] * 5))}",
         f"wall_height_mm = {chance.choice((15, 20, 30, 50, 100))}",
     ]
     if chance.random() < 0.3:
@@ -86,7 +86,7 @@ def text_of(number: int) -> str:
             lines.append(f"angle_deg = {chance.choice((0, 0, 45, chance.uniform(0, 90)))}")
         lines.append(f"height_mm = {_low(chance)}")
         if chance.random() < 0.6:
-            lines += ["movable = true", f"mass_g = {chance.choice((1, 5, 20, 100, 1000, 10_000))}"]
+            lines += ["movable = true", f"mass_g = {chance.choice((5, 5, 20, 100, 1000, 10_000))}"]
     for _ in range(chance.choice((1, 1, 2))):
         lines += ["[[robot]]", *_place(chance, width, height), f"heading_deg = {chance.uniform(0, 360)}"]
         if chance.random() < 0.2:
@@ -155,7 +155,8 @@ def _off_its_wheels(world: World, body: int, number: int) -> Iterator[str]:
     upright = max(-1.0, min(1.0, float(world.data.xmat[body][8])))
     tilt_deg, height = math.degrees(math.acos(upright)), abs(float(world.data.xpos[body][2]))
     start = int(world.model.body(body).dofadr[0])
-    if world.playpen.robots[number].turrets:
+    things = (*world.playpen.blocks, *world.playpen.cylinders)
+    if world.playpen.robots[number].turrets or any(thing.movable for thing in things):
         if tilt_deg > STEEPEST_DEG:
             yield TOPPLED
     elif tilt_deg > STEEPEST_DEG:

@@ -375,6 +375,17 @@ WRONG = {
     + ROBOT
     + 'turrets = ["gripper"]\n': "arena: wall_height_mm = 20: a "
     "robot with a turret topples over it at full speed; right is 30 or more",
+    HEAD
+    + ARENA
+    + "wall_thickness_mm = 9\n"
+    + CYLINDER
+    + "movable = true\n"
+    + ROBOT: "arena: wall_thickness_mm = 9: a robot presses movable things through it; right is 10 or more",
+    HEAD
+    + ARENA
+    + CYLINDER
+    + "movable = true\nmass_g = 4\n"
+    + ROBOT: "cylinder 1: mass_g = 4: a robot presses it through walls; right is 5 or more",
     HEAD + ARENA + WALL + 'surface = "velvet"\n': f'wall 1: surface = "velvet": unknown; {SURFACES}',
     HEAD
     + ARENA

@@ -1,0 +1,142 @@
+"""A record of results, to see that a change of names, files or sentences changes nothing else.
+
+    python tools/record.py              compare with tools/record.json: prints "same", or each difference
+    python tools/record.py --write      write tools/record.json anew
+
+Each shipped playpen, two seeds: a run of the Braitenberg vehicle and one of random commands, with replies,
+hashes of the state and the samples of each channel of the log; rollouts in MuJoCo and in the plane; the scene
+as MJCF. Names of channels and of files are left out. The record holds for the versions and the kind of machine
+that stand in it.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+
+from khep_twin import playpen
+from khep_twin.errors import KhepTwinError
+from khep_twin.playpen_to_mjcf import to_mjcf
+from khep_twin.scale.batch import rollout
+from khep_twin.scale.minds import Network, Wander
+
+RECORD = Path(__file__).with_suffix(".json")
+SEEDS = (1, 2)
+SECONDS = "10"
+PACKAGES = ("mujoco", "numpy", "numba")
+
+DRIVER = """
+import random
+
+chance = random.Random({seed})
+
+
+def drive(robot):
+    for _ in range(4):
+        robot.ask(chance.choice("N O E H K I,3 B R,3 T,1,F".split()))
+    speeds = (chance.randrange(-20, 21), chance.randrange(-20, 21))
+    robot.ask(chance.choice(["D,%d,%d", "D,%d,%d", "C,%d,%d", "G,%d,%d"]) % speeds)
+    robot.ask("L,%d,2" % chance.randrange(2))
+    robot.sleep(chance.uniform(0, 0.2))
+"""
+
+
+def names() -> list[str]:
+    """Return the shipped playpens."""
+    folder = Path(playpen.__file__).parent
+    while not (folder / "assets").is_dir():
+        folder = folder.parent
+    return sorted(path.stem for path in (folder / "assets" / "playpens").glob("*.toml"))
+
+
+def digest(*parts: bytes) -> str:
+    """Return a short hash of bytes, borders included."""
+    whole = hashlib.sha256()
+    for part in parts:
+        whole.update(len(part).to_bytes(8, "little") + part)
+    return whole.hexdigest()[:16]
+
+
+def run(name: str, seed: int, controller: str, folder: Path) -> list[str]:
+    """Run a controller; return the hashes of its log's channels, sorted, as their names are left out."""
+    program = folder / f"driver{seed}.py"
+    program.write_text(DRIVER.format(seed=seed))
+    log = folder / f"{name}-{seed}-{controller}.mcap"
+    what = f"{program}:drive" if controller == "driver" else controller
+    words = ["run", what, "--playpen", name, "--seed", str(seed), "--seconds", SECONDS, "--log", str(log)]
+    subprocess.run([sys.executable, "-m", "khep_twin", *words], check=True, stdout=subprocess.DEVNULL)
+    with log.open("rb") as file:
+        found: dict[str, list[bytes]] = defaultdict(list)
+        for schema, channel, message in make_reader(file).iter_messages():
+            # What names things to a reader, and sentences.
+            if channel.topic in ("/channel_names", "/robot_description", "/events", "/scene"):
+                continue
+            kind = schema.name if schema else ""
+            found[channel.topic] += [kind.encode(), message.log_time.to_bytes(8, "little"), message.data]
+    log.unlink()
+    return sorted(digest(*parts) for parts in found.values())
+
+
+def rolled(name: str, planar: bool) -> list[str]:
+    """Return the hashes of what rollouts end with; none where the playpen cannot be rolled out in."""
+    scene = playpen.load(name)
+    network = Network(hidden=(6,), recurrent=True, ambient=True)
+    genes = np.random.default_rng(1).normal(size=(8, network.n_genes))
+    hashes: list[str] = []
+    for controller, given in ((Wander(), None), (network, genes)):
+        try:
+            done = rollout(scene, controller, range(8), float(SECONDS), genes=given, planar=planar)
+        except (KhepTwinError, ValueError):
+            return []
+        values = [np.asarray(done.numbers[key]).tobytes() for key in done.numbers]
+        hashes.append(digest(done.registers.tobytes(), done.poses.tobytes(), *values))
+    return hashes
+
+
+def record() -> Iterator[tuple[str, list[str]]]:
+    """Yield each thing's name and hashes."""
+    for name in names():
+        yield f"{name}: MJCF", [digest(to_mjcf(playpen.load(name)).encode())]
+        for planar in (False, True):
+            yield f"{name}: rollout{' in the plane' if planar else ''}", rolled(name, planar)
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        tasks = [(name, seed, who) for name in names() for seed in SEEDS for who in ("braitenberg", "driver")]
+        for task, hashes in zip(tasks, pool.map(lambda task: run(*task, Path(folder)), tasks), strict=True):
+            yield "{}: seed {}, {}".format(*task), hashes
+
+
+def main() -> int:
+    """Compare with the record, or write it; return 1 if something differs."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="write the record anew")
+    write = parser.parse_args().write
+    made_with = {"machine": platform.machine(), **{name: version(name) for name in PACKAGES}}
+    found = {"made with": made_with, "results": dict(record())}
+    if write:
+        RECORD.write_text(json.dumps(found, indent=1) + "\n")
+        print(f"{RECORD.name}: {len(found['results'])} results")
+        return 0
+    before = json.loads(RECORD.read_text())
+    if before["made with"] != made_with:
+        print(f"the record was made with {before['made with']}; expected {made_with}")
+        return 1
+    kinds = before["results"].keys() | found["results"].keys()
+    differing = [kind for kind in sorted(kinds) if before["results"].get(kind) != found["results"].get(kind)]
+    print("\n".join(f"differs: {kind}" for kind in differing) or "same")
+    return 1 if differing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
