@@ -5,8 +5,8 @@
 
 Each shipped playpen, two seeds: a run of the Braitenberg vehicle and one of random commands, with replies,
 hashes of the state and the samples of each channel of the log; rollouts in MuJoCo and in the plane; the scene
-as MJCF. Names of channels and of files are left out. The record holds for the versions and the kind of machine
-that stand in it.
+as MJCF. Names of channels and of files are left out. The record holds for the versions and the machine that
+stand in it.
 """
 
 import argparse
