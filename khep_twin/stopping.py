@@ -67,6 +67,10 @@ def answered() -> Generator[None]:
         _ending.begin(stack)
         try:
             yield
+        except Exception as error:
+            if is_interruption(error):
+                raise Interrupted from error
+            raise
         finally:
             _ending.held += 1
             for each in [*_leftovers.values()]:
@@ -75,8 +79,12 @@ def answered() -> Generator[None]:
 
 def is_interruption(error: BaseException) -> bool:
     """Return whether an exception is an end that somebody has asked for, and not a program's own doing."""
-    if isinstance(error, Interrupted):
-        return True
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, Interrupted):
+            return True
+        # Some libraries, as pydantic, make an exception of their own of any other.
+        cause = cause.__cause__ or cause.__context__
     # Where signals are not answered, Python's own answer to Ctrl-C is just this.
     return isinstance(error, KeyboardInterrupt) and (bool(_ending.number) or not _ending.watched)
 

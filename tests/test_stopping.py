@@ -123,6 +123,21 @@ def test_a_second_signal_ends_a_run_whose_controller_never_returns(
     assert [line for line in lines if line.startswith("D")][-1] == "D,0,0"
 
 
+def test_an_interruption_that_a_library_makes_an_error_of_is_still_one(tmp_path: Path) -> None:
+    text = """
+        try:
+            with answered():
+                try:
+                    here()
+                    time.sleep(1000)
+                except BaseException as error:
+                    raise ValueError("an error of the library's own") from error
+        except KeyboardInterrupt:
+            print("ended by", asked_by(), file=sys.stderr)
+    """
+    assert ended(started(script(text), tmp_path), signal.SIGTERM) == (0, "ended by 15\n")
+
+
 def test_what_does_not_end_is_ended_without_a_second_signal(tmp_path: Path) -> None:
     text = """
         clear = lambda: open("cleared", "w").close()
