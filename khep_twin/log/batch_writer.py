@@ -42,7 +42,7 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 class Sink(Protocol):
     """Where the bytes go."""
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytes, /) -> int:
         """Appends bytes, all or none."""
         ...
 

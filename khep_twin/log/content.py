@@ -144,6 +144,13 @@ class Content:
                 raise Misfit(f"metadata at byte {place}", "texts of the lengths that they say")
             yield found
 
+    def definition(self, name: str) -> str | bytes | None:
+        """Return the definition of a message type: text for ROS 2, bytes for protobuf, None for others."""
+        schema = next((each for each in self._schemas.values() if each.name == name), None)
+        if schema is None or schema.encoding not in ("ros2msg", "protobuf"):
+            return None
+        return schema.data.decode("ascii", "ignore") if schema.encoding == "ros2msg" else schema.data
+
     def end_ns(self) -> int:
         """Return the time of the last message, as the index has it [ns]."""
         if self._end_ns is None:

@@ -197,10 +197,17 @@ def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> 
     Raises:
         LogError: there is none, or it is not whole.
     """
+    return (recording for recording, _, _ in read_with_messages(path, progress))
+
+
+def read_with_messages(
+    path: Path, progress: Callable[[float], None] | None = None
+) -> Iterator[tuple[Recording, list[Entry], Callable[[str], str | bytes | None]]]:
+    """Yield pieces as `read_pieces` does, with their messages and what gives the definition of a type."""
     with _opened(path) as content:
         label = _label(path, content)
         for share, messages in content.pieces(PIECE):
-            yield _recording(path, label, messages)
+            yield _recording(path, label, messages), messages, content.definition
             if progress is not None:
                 progress(share)
 

@@ -23,9 +23,9 @@ from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.gathered import Gatherer
 from khep_twin.log.khepbase import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
 from khep_twin.log.layout import TIMELINE, Shown, layout
-from khep_twin.log.reader import Label, read_end_ns, read_pieces
+from khep_twin.log.reader import Label, read_end_ns, read_with_messages
 from khep_twin.log.still import still
-from khep_twin.log.thinning import Thinner, interval_ns, last_ns
+from khep_twin.log.thinning import Copy, interval_ns
 from khep_twin.log.viewer import Web, open_viewer
 
 if TYPE_CHECKING:
@@ -115,13 +115,17 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     return distinct
 
 
-def _checked(path: Path, progress: Progress) -> Label:
-    """What a log says of itself, once all that is shown of it is known to be what it should be."""
+def _checked(path: Path, copy: Path, progress: Progress) -> Label:
+    """Copy what is shown of a log that is what it should be; return what it says of itself."""
     label, moves = None, False
-    for recording in read_pieces(path, progress):
-        label = recording.label
-        moves |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
-    assert label is not None  # there is at least one piece
+    with copy.open("xb") as file:
+        writer = Copy(file, interval_ns(read_end_ns(path)), UNSEEN)
+        for recording, messages, definition in read_with_messages(path, progress):
+            label = recording.label
+            writer.add(messages, definition)
+            moves |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
+        assert label is not None  # there is at least one piece
+        writer.finish(label)
     if moves or "playpen.toml" in label.attachments:
         playpen_of(label.attachments, path)
     if moves:
@@ -142,12 +146,14 @@ def _save(paths: Sequence[Path], save: Path, bar: Bar) -> None:
     if save.is_dir() or any(is_same(save, path) for path in paths):
         what = "a directory" if save.is_dir() else "the log itself"
         raise LogError(f"{save}: this is {what}; right is the name of a file, such as {paths[0].stem}.rrd")
-    with bar() as progress:
-        # Each log is read twice: to be checked, and by rerun.
-        shares = [_share_of(progress, number, 2 * len(paths)) for number in range(2 * len(paths))]
-        labels = [_checked(path, share) for path, share in zip(paths, shares, strict=False)]
-        recording = _recording(paths, labels, shares[len(paths) :])
+    # Each log is read twice: to be checked and copied, and by rerun.
+    count = 2 * len(paths)
     try:
+        with bar() as progress, tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+            shares = [_share_of(progress, number, count) for number in range(count)]
+            copies = [Path(folder) / f"{number}.mcap" for number in range(len(paths))]
+            labels = [_checked(*each) for each in zip(paths, copies, shares, strict=False)]
+            recording = _recording(paths, copies, labels, shares[len(paths) :])
         with part_file(save) as file:
             file.write(recording)
     except OSError as error:
@@ -159,7 +165,9 @@ def _share_of(progress: Progress, number: int, count: int) -> Progress:
     return None if progress is None else lambda share: progress((number + share) / count)
 
 
-def _recording(paths: Sequence[Path], labels: Sequence[Label], shares: Sequence[Progress]) -> bytes:
+def _recording(
+    paths: Sequence[Path], copies: Sequence[Path], labels: Sequence[Label], shares: Sequence[Progress]
+) -> bytes:
     """The logs and their layout as rerun has them in a file.
 
     Made in memory, because rerun itself may wait for ever for a disk that is full.
@@ -172,7 +180,7 @@ def _recording(paths: Sequence[Path], labels: Sequence[Label], shares: Sequence[
         stream = recording.binary_stream()
         if len(paths) == 1:
             recording.send_blueprint(layout([Shown(labels[0], end_ns=read_end_ns(paths[0]))]))
-            rr.send_chunks(_chunks(paths[0], labels[0], shares[0]), recording=recording)
+            rr.send_chunks(_chunks(paths[0], copies[0], labels[0], shares[0]), recording=recording)
         else:
             end_ns = max(map(read_end_ns, paths))
             shown = [
@@ -180,24 +188,22 @@ def _recording(paths: Sequence[Path], labels: Sequence[Label], shares: Sequence[
                 for label, name in zip(labels, names, strict=True)
             ]
             recording.send_blueprint(layout(shown))
-            for path, log, progress in zip(paths, shown, shares, strict=True):
-                rr.send_chunks(_moved(_chunks(path, log.label, progress), log), recording=recording)
+            for path, copy, log, progress in zip(paths, copies, shown, shares, strict=True):
+                rr.send_chunks(_moved(_chunks(path, copy, log.label, progress), log), recording=recording)
         recording.send_recording_name(title)
         # Read once: each reading ends the file.
         return stream.read() or b""
 
 
-def _chunks(path: Path, label: Label, progress: Progress) -> "Generator[Chunk, None, None]":
+def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> "Generator[Chunk, None, None]":
     """All that is shown of a log."""
     from rerun.chunk import McapReader
 
     gatherer, end_ns = Gatherer(), read_end_ns(path)
-    thinner = Thinner(interval_ns(end_ns), TIMELINE)
-    chunks = McapReader(path, timeline_type="duration_ns", exclude_topic_regex=UNSEEN).stream()
-    for chunk in gatherer.passing(thinner.passing(chunks), TIMELINE):
+    for chunk in gatherer.passing(McapReader(copy, timeline_type="duration_ns").stream(), TIMELINE):
         yield chunk
         if progress is not None and not chunk.is_static and end_ns:
-            progress(min(last_ns(chunk, TIMELINE) / end_ns, 1.0))
+            progress(min(_last_ns(chunk) / end_ns, 1.0))
     yield from standing_chunks(label)
     yield from event_chunks(label, gatherer, TIMELINE)
     poses = gatherer.poses()
@@ -213,6 +219,13 @@ def _chunks(path: Path, label: Label, progress: Progress) -> "Generator[Chunk, N
             yield from trail_chunks(robot, poses, TIMELINE)
     if poses is not None:
         yield from Light(label, path).chunks(gatherer, TIMELINE)
+
+
+def _last_ns(chunk: "Chunk") -> int:
+    """Return the latest time of a chunk [ns]."""
+    batch: Any = chunk.to_record_batch()
+    times_ns = batch.column(batch.schema.get_field_index(TIMELINE)).to_numpy(zero_copy_only=False)
+    return int(times_ns.astype("int64").max(initial=0))
 
 
 def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":

@@ -1,19 +1,26 @@
-"""Samples of a long log, thinned while rerun reads it: three hours in full took 4 GB of memory (measured)."""
+"""Copies of logs for rerun: what is shown of them, with fewer samples where they are long, in large chunks.
 
-# rerun's types are partly unknown.
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+rerun takes some 10 kB for each channel in each chunk of a file, and `serve` begins a chunk every half second:
+a log of a day took more than 23 GB of memory (measured).
+"""
 
-from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+import math
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
 
-import numpy as np
-from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from rerun.chunk import Chunk
+from khep_twin import __version__
+from khep_twin.log.batch_writer import BatchWriter, Sink
+from khep_twin.log.content import Entry
+from khep_twin.log.reader import Label
 
 SAMPLES = 180_000
-"""Most samples of a channel that are shown: an hour at 50 a second, which take 1 GB of memory (measured)."""
+"""Most samples of a channel that are shown: an hour at 50 a second."""
+
+_SAMPLE_NS = 20_000_000
+"""Interval of a run's samples in its log [ns]."""
 
 _LINES = 2
 """Lines of the transcript that are shown where others are left out: a command and its reply."""
@@ -21,63 +28,76 @@ _LINES = 2
 
 def interval_ns(end_ns: int) -> int:
     """Return the interval of the samples that are shown of a log that ends at a time [ns]; 0 for all."""
-    return 0 if end_ns <= SAMPLES * _SAMPLE_NS else end_ns // SAMPLES
+    # A run of an hour ends some moments later.
+    every = math.ceil(end_ns / (SAMPLES * _SAMPLE_NS) - 0.01)
+    return every * _SAMPLE_NS if every > 1 else 0
 
 
-_SAMPLE_NS = 20_000_000
-"""Interval of a run's samples in its log [ns]."""
+@dataclass(slots=True)
+class _Channel:
+    """Channel of the copy; of each interval the first `n_times` distinct times are kept, of 0 all."""
+
+    number: int
+    n_times: int
+    slot: int = -1
+    time_ns: int = -1
+    rank: int = 0
+
+    def keeps(self, time_ns: int, interval_ns: int) -> bool:
+        if time_ns // interval_ns != self.slot:
+            self.slot, self.rank = time_ns // interval_ns, 1
+        elif time_ns != self.time_ns:
+            self.rank += 1
+        self.time_ns = time_ns
+        return not self.n_times or self.rank <= self.n_times
 
 
-class Thinner:
-    """Chunks of a log with fewer rows: of each channel the first time in each interval.
+class Copy:
+    """Copy of a log in the making.
 
     Args:
-        interval_ns: Interval [ns]; 0 to leave all as it is.
-        timeline: Name of the column of times.
+        sink: File of the copy.
+        interval_ns: Interval of the samples that are kept [ns]; 0 for all. Events are all kept.
+        hidden: Patterns of topics that are left out.
     """
 
-    def __init__(self, interval_ns: int, timeline: str) -> None:
-        self._interval_ns, self._timeline = interval_ns, timeline
-        self._last: dict[str, tuple[int, int, int]] = {}
+    def __init__(self, sink: Sink, interval_ns: int, hidden: Iterable[str]) -> None:
+        self._writer = BatchWriter(sink, "ros2", f"khep_twin {__version__}")
+        self._interval_ns, self._hidden = interval_ns, re.compile("|".join(hidden))
+        self._channels: dict[str, _Channel | None] = {}
 
-    def passing(self, chunks: "Iterable[Chunk]") -> "Iterator[Chunk]":
-        """Yield the chunks with the rows that are kept; events and what has no time are kept whole."""
-        from rerun.chunk import Chunk
+    def add(self, entries: Iterable[Entry], definition: Callable[[str], str | bytes | None]) -> None:
+        """Copy what is shown of a piece of the log.
 
-        for chunk in chunks:
-            if chunk.is_static or not self._interval_ns or chunk.entity_path == "/events":
-                yield chunk
+        Args:
+            entries: Messages, none earlier than those added before.
+            definition: Gives the definition of a message type; None for one that rerun does not show.
+        """
+        for topic, found in groupby(sorted(entries, key=attrgetter("topic", "time_ns")), attrgetter("topic")):
+            messages = list(found)
+            if topic not in self._channels:
+                self._channels[topic] = self._channel(topic, messages[0].schema, definition)
+            channel = self._channels[topic]
+            if channel is None:
                 continue
-            batch, times_ns = _times_ns(chunk, self._timeline)
-            is_text = "TextLog:text" in batch.schema.names
-            kept = self._kept(chunk.entity_path, times_ns, _LINES if is_text else 1)
-            if len(kept) == len(times_ns):
-                yield chunk
-            elif len(kept):
-                yield from Chunk.from_record_batch(batch.take(kept))
+            if self._interval_ns:
+                messages = [each for each in messages if channel.keeps(each.time_ns, self._interval_ns)]
+            self._writer.add_lines(
+                channel.number, [each.time_ns for each in messages], [each.data for each in messages]
+            )
 
-    def _kept(self, path: str, times_ns: NDArray[np.int64], n_times: int) -> NDArray[np.intp]:
-        """Return the rows at the first `n_times` distinct times of each interval, in their order."""
-        order = np.argsort(times_ns, kind="stable")
-        rising = times_ns[order]
-        slots = rising // self._interval_ns
-        number = np.cumsum(np.diff(rising, prepend=rising[0]) > 0)
-        first = np.maximum.accumulate(np.where(np.diff(slots, prepend=slots[0] - 1) > 0, number, 0))
-        rank = number - first + 1
-        # The first interval may have begun in an earlier chunk.
-        slot, time_ns, n_before = self._last.get(path, (-1, -1, 0))
-        if slots[0] == slot:
-            rank[slots == slot] += n_before - (rising[0] == time_ns)
-        self._last[path] = int(slots[-1]), int(rising[-1]), int(rank[-1])
-        return np.sort(order[rank <= n_times])
+    def finish(self, label: Label) -> None:
+        """Complete the copy with what the log says of itself."""
+        for name, text in label.attachments.items():
+            self._writer.attach(name, text)
+        self._writer.describe("run", label.metadata)
+        self._writer.finish()
 
-
-def last_ns(chunk: "Chunk", timeline: str) -> int:
-    """Return the latest time of a chunk [ns]."""
-    return int(_times_ns(chunk, timeline)[1].max(initial=0))
-
-
-def _times_ns(chunk: "Chunk", timeline: str) -> tuple[Any, NDArray[np.int64]]:
-    batch: Any = chunk.to_record_batch()
-    column = batch.column(batch.schema.get_field_index(timeline))
-    return batch, column.to_numpy(zero_copy_only=False).astype(np.int64)
+    def _channel(
+        self, topic: str, schema: str, definition: Callable[[str], str | bytes | None]
+    ) -> _Channel | None:
+        known = None if self._hidden.search(topic) else definition(schema)
+        if known is None:
+            return None
+        n_times = 0 if topic == "/events" else _LINES if schema.endswith("/Log") else 1
+        return _Channel(self._writer.channel(topic, schema, known), n_times)

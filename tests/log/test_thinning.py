@@ -12,7 +12,8 @@ from khep_twin.cli import app
 from khep_twin.log import thinning
 from khep_twin.log.gathered import Gatherer
 from khep_twin.log.layout import TIMELINE
-from khep_twin.log.thinning import Thinner, interval_ns
+from khep_twin.log.reader import read_with_messages
+from khep_twin.log.thinning import Copy, interval_ns
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 SECOND = 1_000_000_000
@@ -33,11 +34,18 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def gathered(log: Path, step_ns: int) -> tuple[Gatherer, list[int], list[str]]:
-    """What passes: what views are made of, times of the transcript [ns] and its texts."""
+def gathered(log: Path, step_ns: int, folder: Path) -> tuple[Gatherer, list[int], list[str]]:
+    """What views are made of, times of the transcript [ns] and its texts, in a copy."""
     gatherer, times_ns, texts = Gatherer(), list[int](), list[str]()
-    chunks = McapReader(log, timeline_type="duration_ns").stream()
-    for chunk in gatherer.passing(Thinner(step_ns, TIMELINE).passing(chunks), TIMELINE):
+    copy = folder / f"{step_ns}.mcap"
+    with copy.open("wb") as file:
+        writer = Copy(file, step_ns, ["^/state$"])
+        for recording, messages, definition in read_with_messages(log):
+            writer.add(messages, definition)
+            label = recording.label
+        writer.finish(label)
+    for chunk in gatherer.passing(McapReader(copy, timeline_type="duration_ns").stream(), TIMELINE):
+        assert chunk.entity_path != "/state"
         if chunk.entity_path == "/khepera0/serial" and not chunk.is_static:
             batch: Any = chunk.to_record_batch()
             names = batch.schema.names
@@ -47,12 +55,13 @@ def gathered(log: Path, step_ns: int) -> tuple[Gatherer, list[int], list[str]]:
 
 
 def test_an_hour_is_shown_whole_and_a_day_is_thinned() -> None:
-    assert interval_ns(3600 * SECOND) == 0
+    assert interval_ns(3600 * SECOND) == interval_ns(3605 * SECOND) == 0
+    assert interval_ns(2 * 3600 * SECOND) == 40_000_000
     assert interval_ns(24 * 3600 * SECOND) == 480_000_000
 
 
-def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path) -> None:
-    whole, thin = gathered(log, 0)[0], gathered(log, SECOND)[0]
+def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path, tmp_path: Path) -> None:
+    whole, thin = gathered(log, 0, tmp_path)[0], gathered(log, SECOND, tmp_path)[0]
     all_samples, samples, poses = whole.samples("khepera0"), thin.samples("khepera0"), thin.poses()
     assert all_samples is not None
     assert samples is not None
@@ -65,8 +74,8 @@ def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path) -
     assert thin.events()[1] == whole.events()[1] == ["[khepera0] taken away"]
 
 
-def test_of_the_transcript_a_command_and_its_reply_are_kept(log: Path) -> None:
-    _, times_ns, texts = gathered(log, SECOND)
+def test_of_the_transcript_a_command_and_its_reply_are_kept(log: Path, tmp_path: Path) -> None:
+    _, times_ns, texts = gathered(log, SECOND, tmp_path)
     assert len({time_ns // SECOND for time_ns in times_ns}) == 6
     assert texts[0] == "[host] N"
     assert texts[1].startswith("[robot] n,")
