@@ -18,6 +18,8 @@ from functools import partial
 from types import FrameType
 from typing import NoReturn
 
+from khep_twin.errors import KhepTwinError
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 GRACE = 0.3
@@ -67,8 +69,11 @@ def answered() -> Generator[None]:
         _ending.begin(stack)
         try:
             yield
+        except KhepTwinError:
+            raise
         except Exception as error:
-            if is_interruption(error):
+            # Some libraries make an error of their own of any exception; MuJoCo's tells not even of which.
+            if _ending.interrupted:
                 raise Interrupted from error
             raise
         finally:
@@ -83,7 +88,7 @@ def is_interruption(error: BaseException) -> bool:
     while cause is not None:
         if isinstance(cause, Interrupted):
             return True
-        # Some libraries, as pydantic, make an exception of their own of any other.
+        # Some libraries, as pydantic, make an error of their own of any exception.
         cause = cause.__cause__ or cause.__context__
     # Where signals are not answered, Python's own answer to Ctrl-C is just this.
     return isinstance(error, KeyboardInterrupt) and (bool(_ending.number) or not _ending.watched)
@@ -171,6 +176,7 @@ class _Ending:
         waits: What is stopping, the innermost last: what to tell of it, and what stops the motors.
         held: How many sections are not to be disturbed.
         watched: Whether signals are answered.
+        interrupted: Whether the main thread has been interrupted.
     """
 
     def __init__(self) -> None:
@@ -183,7 +189,7 @@ class _Ending:
     def reset(self) -> None:
         """Be as before anything was answered, but for the signal that it was asked by."""
         self.held = 0
-        self.watched = self._noticed = self._due = self._urgent = self._is_held = False
+        self.interrupted = self.watched = self._noticed = self._due = self._urgent = self._is_held = False
         self._reader = self._writer = -1
 
     def begin(self, stack: ExitStack) -> None:
@@ -217,6 +223,7 @@ class _Ending:
         """Raise KeyboardInterrupt in the main thread if it is due, and nothing stands against it."""
         if self._due and not self.held and (self._urgent or not _is_importing(frame)):
             self._due = False
+            self.interrupted = True
             raise Interrupted
 
     def _handle(self, number: int, frame: FrameType | None) -> None:

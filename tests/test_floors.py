@@ -94,6 +94,7 @@ FLOORS = [
 WITHIN_A_FLOOR = {
     ("files", "errors"),
     ("files", "stopping"),
+    ("stopping", "errors"),
     ("compiled_kernel", "kernel"),
     ("firmware", "bios"),
     ("gripper_body", "gripper"),

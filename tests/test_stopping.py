@@ -123,15 +123,17 @@ def test_a_second_signal_ends_a_run_whose_controller_never_returns(
     assert [line for line in lines if line.startswith("D")][-1] == "D,0,0"
 
 
-def test_an_interruption_that_a_library_makes_an_error_of_is_still_one(tmp_path: Path) -> None:
-    text = """
+@pytest.mark.parametrize("cause", ["error", "None"])
+def test_an_interruption_that_a_library_makes_an_error_of_is_still_one(cause: str, tmp_path: Path) -> None:
+    text = f"""
         try:
             with answered():
                 try:
                     here()
                     time.sleep(1000)
                 except BaseException as error:
-                    raise ValueError("an error of the library's own") from error
+                    raised = {cause}
+                raise ValueError("an error of the library's own") from raised
         except KeyboardInterrupt:
             print("ended by", asked_by(), file=sys.stderr)
     """
