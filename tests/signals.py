@@ -151,7 +151,7 @@ def end(name: str, seed: int, *, begun: bool | None = None) -> End:
         faults: list[str] = []
         if took > LONGEST:
             faults.append(f"took {took:.2f} s")
-        if process.returncode not in (128 + number, -number, kind.good):
+        if not early and process.returncode not in (128 + number, -number, kind.good):
             faults.append(f"status {process.returncode} of signal {number}: {told}")
         if not early and any(word in told for word in ("Traceback", "Exception", "Error")):
             faults.append(told)
