@@ -13,6 +13,7 @@ import fcntl
 import os
 import select
 import termios
+import time
 from dataclasses import dataclass
 
 from khep_twin.ports.event_sources import Event, OpenEvents
@@ -20,6 +21,9 @@ from khep_twin.ports.holders import count_descriptors
 
 _ROUNDS = 4
 """Times that a look asks the terminal before it leaves the rest to the next look."""
+
+_CLOSING_S = 1.0
+"""Longest that a closing is taken to be under way (assumed) [s]."""
 
 _TIOCGEXCL = getattr(termios, "TIOCGEXCL", 0x80045440)
 """Request for the state of a terminal's lock, which Python 3.11 does not name; the number is Linux's."""
@@ -60,6 +64,7 @@ class Presence:
         self._events = events
         self._own: list[Event] = []
         self._later: list[Event] = []
+        self._ask_until: float | None = None
         self._poll = select.poll()
         self._poll.register(terminal, 0)
 
@@ -93,18 +98,29 @@ class Presence:
                 change = _followed(hosts, change, seen)[1]
                 hosts, change, seen = 0, _gone(change), []
         self._later = events
-        self.hosts, after = _followed(hosts, change, seen)
-        if Event.CLOSED in seen:
-            # The kernel says that somebody is here; events that were merged may tell another story.
-            if Event.OPENED in seen[seen.index(Event.CLOSED) :]:
-                n_counted, n_open = self.hosts, count_descriptors(self._name) - 1
-                self._later += self._drain(self._events)
-                if n_open > 0 and not self._later:
-                    self.hosts, after = _followed(hosts + n_open - n_counted, change, seen)
-            elif self.hosts == 0:
-                after = _followed(len(seen) + 1, change, seen)[1]
-            self.hosts = max(self.hosts, 1)
+        n_followed, after = _followed(hosts, change, seen)
+        ask_until, self._ask_until = self._ask_until, None
+        # The kernel says that somebody is here after the last closing.
+        if Event.CLOSED in seen and n_followed == 0:
+            # It tells of a closing before that is done, so ask again; or events were merged.
+            self._ask_until = ask_until or time.monotonic() + _CLOSING_S
+            if time.monotonic() < self._ask_until:
+                self._later = seen + self._later
+                self.hosts = max(hosts, 1)
+                return change
+        if Event.CLOSED in seen and (n_followed == 0 or Event.OPENED in seen[seen.index(Event.CLOSED) :]):
+            n_open = count_descriptors(self._name) - 1 or max(n_followed, 1)
+            self._later += self._drain(self._events)
+            if n_followed == 0 or not self._later:
+                n_followed, after = _followed(hosts + n_open - n_followed, change, seen)
+        self.hosts = max(n_followed, 1) if Event.CLOSED in seen else n_followed
         return after
+
+    def is_quiet(self) -> bool:
+        """Tell whether nobody has come, written or gone since the last look."""
+        if self._events is None:
+            return self.hosts == int(self._held())
+        return not self._later and not select.select([self._events.descriptor], [], [], 0)[0]
 
     def recount(self) -> int:
         """Count the hosts anew, as events that the kernel merged are missed; return their number, at least 1.

@@ -40,6 +40,9 @@ _MOST_KEPT = 65536
 _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 """Line with its end, or what there is of it."""
 
+_TEXT = re.compile(rb"[\t\r\n -~]*")
+"""Bytes that the robot's protocol consists of."""
+
 _UNFINISHED = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
 """Line that another one follows without an end between: commands begin with a capital letter."""
 
@@ -124,7 +127,8 @@ class PtyPort:
         data, given = self._read(limit), self._given
         self._given = 0
         change = self._presence.look(bool(data))
-        n_before, self._early = change.writes_before - self._early, bool(data) and not change.writes_before
+        n_before = change.writes_before - self._early
+        self._early = (self._early or bool(data)) and not change.writes_before
         if not change.left:
             # The writes that were just told of are counted with this call, so their bytes come with it, too.
             if change.writes_before:
@@ -182,12 +186,16 @@ class PtyPort:
         return data
 
     def _clear(self) -> None:
-        """Put the terminal back to how the first host found it, with no replies on the way."""
+        """Put the terminal back to how the first host found it, with no replies on the way.
+
+        A host that comes meanwhile keeps the settings that it has made.
+        """
         host_side = self._presence.host_side
-        fcntl.ioctl(host_side, termios.TIOCNXCL)
+        if termios.tcgetattr(host_side) != self._raw and self._presence.is_quiet():
+            termios.tcsetattr(host_side, termios.TCSANOW, self._raw)
+        if self._presence.is_quiet():
+            fcntl.ioctl(host_side, termios.TIOCNXCL)
         termios.tcflow(host_side, termios.TCOON)
-        if termios.tcgetattr(host_side) != self._raw:
-            self._make_raw(host_side)
         self._drop_replies()
 
     def _drop_replies(self) -> int:
@@ -231,15 +239,18 @@ def _divided(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
     """Divide bytes into those of hosts that have left and those of hosts that are here.
 
     The kernel keeps no border between them. Where both have written, a host that has just come is taken to
-    have written a line at a time.
+    have written a line at a time. What is no text has no lines; all of it is taken for that host's, whose
+    write may not have been told of yet.
 
     Args:
         data: Bytes of both.
         n_before: Runs of writes of hosts that have left.
         n_writes: Runs of writes of hosts that are here.
     """
-    if n_before <= 0 or n_writes <= 0:
-        return (b"", data) if n_before <= 0 else (data, b"")
+    if n_before <= 0 or not _TEXT.fullmatch(data):
+        return b"", data
+    if n_writes <= 0:
+        return data, b""
     lines = _LINE.findall(data)
     last, rest = b"".join(lines[:-n_writes]), b"".join(lines[-n_writes:])
     if unfinished := _UNFINISHED.match(rest):

@@ -11,6 +11,7 @@ import termios
 import pytest
 
 from khep_twin.ports import pty as pty_module
+from khep_twin.ports.presence import Change, Presence
 from khep_twin.ports.pty import PtyPort
 
 
@@ -110,18 +111,76 @@ def test_replies_that_nobody_read_are_taken_back_when_the_next_host_is_here_alre
         (b"D,0,0\n", b""),
         (b"N\n", b"B"),
         (b"B\nC,12", b"T,1,B\n"),
+        # A host that has taken back what it wrote, and one that speaks another protocol through a relay.
+        (None, bytes(range(256))),
     ],
 )
-def test_lines_of_the_next_host_are_told_from_those_of_the_one_before(before: bytes, after: bytes) -> None:
+def test_lines_of_the_next_host_are_told_from_those_of_the_one_before(
+    before: bytes | None, after: bytes
+) -> None:
     with PtyPort() as port:
         host = opened(port)
         port.receive(100)
-        os.write(host, before)
+        os.write(host, b"N\n" if before is None else before)
+        if before is None:
+            termios.tcflush(host, termios.TCOFLUSH)
         os.close(host)
         host = opened(port)
         os.write(host, after)
         received = port.receive(1)
-        assert (received.left, received.last, received.data) == (True, before, after)
+        assert (received.left, received.last, received.data) == (True, before or b"", after)
+        os.close(host)
+
+
+def test_settings_that_a_host_makes_as_another_leaves_are_its_own(
+    port: PtyPort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, later = opened(port), list[int]()
+    set_speed(first, termios.B19200)
+    port.receive(100)
+    os.close(first)
+
+    look = Presence.look
+
+    def come_after_the_last_look(presence: Presence, wrote: bool) -> Change:
+        change = look(presence, wrote)
+        if not wrote and not change.left:
+            later.append(opened(port))
+            set_speed(later[0], termios.B57600)
+        return change
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Presence, "look", come_after_the_last_look)
+        assert port.receive(100).left
+    assert termios.tcgetattr(later[0])[5] == termios.B57600
+    os.close(later[0])
+
+
+def set_speed(host: int, speed: int) -> None:
+    flags = termios.tcgetattr(host)
+    flags[4] = flags[5] = speed
+    termios.tcsetattr(host, termios.TCSANOW, flags)
+
+
+def is_held(presence: Presence) -> bool:
+    return True
+
+
+def test_a_host_that_is_still_closing_has_left_when_the_next_one_comes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with PtyPort() as port:
+        host = opened(port)
+        port.receive(100)
+        with monkeypatch.context() as patch:
+            # The kernel tells of a closing before the terminal is hung up.
+            patch.setattr(Presence, "_held", is_held)
+            os.close(host)
+            assert not port.receive(100).left
+        host = opened(port)
+        os.write(host, b"B\n")
+        received = port.receive(100)
+        assert (received.left, received.data) == (True, b"B\n")
         os.close(host)
 
 

@@ -15,6 +15,8 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
+from khep_twin.ports.holders import count_descriptors
+
 from test_serve import served, stop  # isort: skip
 
 OPENINGS = int(os.environ.get("KHEP_OPENINGS", "120"))
@@ -98,14 +100,14 @@ def shell_and_stty(path: str) -> None:
 def cat_and_printf(path: str) -> None:
     with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as cat:
         assert cat.stdout is not None
-        target = os.path.realpath(path)
-        while target not in [
-            os.path.realpath(f"/proc/{cat.pid}/fd/{fd}") for fd in os.listdir(f"/proc/{cat.pid}/fd")
-        ]:
-            time.sleep(0.001)
-        subprocess.run(["sh", "-c", 'printf "B\\n" > "$0"', path], check=True)
-        assert cat.stdout.readline() == b"b,5.02,5.01\r\n"
-        cat.kill()
+        try:
+            while count_descriptors(path) < 2:
+                time.sleep(0.001)
+            subprocess.run(["sh", "-c", 'printf "B\\n" > "$0"', path], check=True)
+            assert select.select([cat.stdout], [], [], PATIENCE_S)[0]
+            assert cat.stdout.readline() == b"b,5.02,5.01\r\n"
+        finally:
+            cat.kill()
 
 
 def socat(path: str) -> None:
