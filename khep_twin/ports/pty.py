@@ -135,18 +135,22 @@ class PtyPort:
                 data += self._read(limit - len(data))
             return Received(data, notices=self._crowd())
         self._crowded_since, self._early = None, False
-        data += self._read_all()
+        read, data = data, self._read_all()
         later = self._presence.look(False)
         if later.left:
-            n_before, n_writes = n_before + change.writes + later.writes_before, later.writes
+            # Whoever wrote what was read first has left, too, and with it that run of writes, unless cut off.
+            n_before += change.writes + later.writes_before - (0 < len(read) < limit)
+            n_writes = later.writes
         else:
+            read, data = b"", read + data
             n_writes = change.writes + later.writes_before
         if not self.occupied:
             self._clear()
-            return Received(left=True, last=data)
+            return Received(left=True, last=read + data)
         # The next host is here already, and may have been given replies that nobody had read.
         unread = self._drop_replies()
         last, data = _divided(data, n_before, n_writes)
+        last = read + last
         notices = [_IN_A_MOMENT] if unread or given or (last and data) else []
         return Received(data, left=True, last=last, notices=notices)
 

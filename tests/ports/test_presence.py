@@ -156,6 +156,31 @@ def test_settings_that_a_host_makes_as_another_leaves_are_its_own(
     os.close(later[0])
 
 
+def test_bytes_that_were_read_before_a_host_left_are_not_the_next_one_s(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with PtyPort() as port:
+        hosts = [opened(port)]
+        port.receive(100)
+        os.close(hosts.pop())
+        hosts.append(opened(port))
+        os.write(hosts[0], b"N\n")
+        look = Presence.look
+
+        def look_and_be_followed(presence: Presence, wrote: bool) -> Change:
+            change = look(presence, wrote)
+            if len(hosts) == 1:
+                os.close(hosts[0])
+                hosts.append(opened(port))
+                os.write(hosts[1], b"B\nO\n")
+            return change
+
+        monkeypatch.setattr(Presence, "look", look_and_be_followed)
+        received = port.receive(100)
+        assert (received.left, received.last, received.data) == (True, b"N\n", b"B\nO\n")
+        os.close(hosts[1])
+
+
 def set_speed(host: int, speed: int) -> None:
     flags = termios.tcgetattr(host)
     flags[4] = flags[5] = speed
