@@ -65,6 +65,7 @@ class Presence:
         self._own: list[Event] = []
         self._later: list[Event] = []
         self._ask_until: float | None = None
+        self._crowded = False  # several hosts were here at once since the terminal was free
         self._poll = select.poll()
         self._poll.register(terminal, 0)
 
@@ -96,7 +97,7 @@ class Presence:
             held, events = self._held(), self._drain(self._events)
             if not held:
                 change = _followed(hosts, change, seen)[1]
-                hosts, change, seen = 0, _gone(change), []
+                hosts, change, seen, self._crowded = 0, _gone(change), [], False
         self._later = events
         n_followed, after = _followed(hosts, change, seen)
         ask_until, self._ask_until = self._ask_until, None
@@ -108,7 +109,9 @@ class Presence:
                 self._later = seen + self._later
                 self.hosts = max(hosts, 1)
                 return change
-        if Event.CLOSED in seen and (n_followed == 0 or Event.OPENED in seen[seen.index(Event.CLOSED) :]):
+        self._crowded |= max(hosts, n_followed, seen.count(Event.OPENED)) > 1
+        # One host after another is taken as told, as counting takes milliseconds, in which more may happen.
+        if Event.CLOSED in seen and (n_followed == 0 or (self._crowded and Event.OPENED in seen)):
             n_open = count_descriptors(self._name) - 1 or max(n_followed, 1)
             self._later += self._drain(self._events)
             if n_followed == 0 or not self._later:
