@@ -21,7 +21,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges soak determinism kills day worker-kills signals pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges record soak determinism kills day worker-kills signals pyserial browser schemas reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -36,7 +36,7 @@ test: $(VENV)/dev.stamp ## the whole test suite
 	@$(BIN)/python -m pytest -n auto $(TESTS)
 
 wheels: $(VENV)/dev.stamp ## which locked packages have a wheel for Python 3.11 to 3.14, as pip says; a few minutes
-	@$(BIN)/python tests/wheels.py
+	@$(BIN)/python tools/wheels.py
 
 check: $(VENV)/dev.stamp ## style and types
 	@$(BIN)/ruff check .
@@ -48,60 +48,63 @@ format: $(VENV)/dev.stamp ## put the code into its layout
 	@$(BIN)/ruff format .
 
 fuzz: $(VENV)/dev.stamp ## a million inputs for the board, and 50,000 commands against its model; a quarter of an hour
-	@$(BIN)/python tests/fuzz_board.py -runs=1000000
-	@KHEP_COMMANDS=50000 $(BIN)/python -m pytest -q tests/test_board_against_model.py
+	@$(BIN)/python tools/fuzz_board.py -runs=1000000
+	@KHEP_COMMANDS=50000 $(BIN)/python -m pytest -q tests/board/test_board_against_model.py
 
 fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 million; about ten minutes
-	@$(BIN)/python tests/fuzz_files.py mat 200000 --jobs 2
-	@$(BIN)/python tests/fuzz_files.py png 200000 --jobs 2
-	@$(BIN)/python tests/fuzz_files.py toml 1000000 --jobs 2
+	@$(BIN)/python tools/fuzz_files.py mat 200000 --jobs 2
+	@$(BIN)/python tools/fuzz_files.py png 200000 --jobs 2
+	@$(BIN)/python tools/fuzz_files.py toml 1000000 --jobs 2
 
 fuzz-logs: $(VENV)/dev.stamp ## a million changed logs, read, exported and recovered; half an hour
-	@$(BIN)/python tests/fuzz_logs.py -runs=1000000
+	@$(BIN)/python tools/fuzz_logs.py -runs=1000000
 
 fuzz-rfc2217: $(VENV)/dev.stamp ## a million connections that negotiate by RFC 2217, well or not; a quarter of an hour
-	@$(BIN)/python tests/fuzz_rfc2217.py -runs=1000000
+	@$(BIN)/python tools/fuzz_rfc2217.py -runs=1000000
 
 edges: $(VENV)/dev.stamp ## 2,000 random playpens at the edge of what the check lets pass, driven through at full speed; about an hour
-	@$(BIN)/python tests/edge_playpens.py $(EDGES)
+	@$(BIN)/python tools/edge_playpens.py $(EDGES)
 
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each, 2,000 that come and go, 2,000 that leave a network port
 	@KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000 $(BIN)/python -m pytest tests/ports/test_chaos.py tests/ports/test_random_hosts.py
 	@KHEP_LEAVINGS=1000 $(BIN)/python -m pytest -s tests/ports/test_leaving_hosts.py -k stale
 
+record: $(VENV)/dev.stamp ## whether results are still those of tools/record.json; two minutes
+	@$(BIN)/python tools/record.py
+
 determinism: $(VENV)/dev.stamp ## 100,000 steps of an environment, the same bit for bit; a few minutes
-	@$(BIN)/python tests/scale/long_determinism.py
+	@$(BIN)/python tools/long_determinism.py
 
 kills: $(VENV)/dev.stamp ## 200 served twins and 40 runs killed at random times, and what their logs lost; about ten minutes
-	@$(BIN)/python tests/log/kills.py serve 200 --jobs 3
-	@$(BIN)/python tests/log/kills.py run 40 --jobs 2
+	@$(BIN)/python tools/kills.py serve 200 --jobs 3
+	@$(BIN)/python tools/kills.py run 40 --jobs 2
 
 day: $(VENV)/dev.stamp ## 24 simulated hours of serve --log with a host that never stops asking, and what memory they take; about two hours
-	@$(BIN)/python tests/log/day.py 24
+	@$(BIN)/python tools/day.py 24
 
 worker-kills: $(VENV)/dev.stamp ## 100 of Ray's workers killed in a sweep of 200 tasks; needs ray; about five minutes
-	@$(BIN)/python tests/scale/worker_kills.py --tasks 200 --kills 100
+	@$(BIN)/python tools/worker_kills.py --tasks 200 --kills 100
 
 signals: $(VENV)/dev.stamp ## 1,000 signals at random moments of run, serve, design, sweep and sense; SIGNALS=100 for fewer; an hour
-	@$(BIN)/python tests/signals.py $(SIGNALS) --jobs 2
+	@$(BIN)/python tools/signals.py $(SIGNALS) --jobs 2
 
 pyserial: $(VENV)/dev.stamp ## pyserial's own test scripts against a looped-back line
-	@$(BIN)/python tests/pyserial_suite.py
+	@$(BIN)/python tools/pyserial_suite.py
 
 browser: $(VENV)/dev.stamp ## the designer's page in Chromium, which has to be installed; leaves pictures in out/browser
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements-browser.lock
 	@$(BIN)/python -m pytest -n 0 $(BROWSER) tests/web/test_browser_*.py
 
 schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
-	@$(BIN)/python tests/log/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin
+	@$(BIN)/python tools/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin
 
 reference: $(VENV)/dev.stamp ## pages of every public function and class, docs/reference/index.html
-	@$(BIN)/python tests/reference.py docs/reference
+	@$(BIN)/python tools/reference.py docs/reference
 	@echo "reference  docs/reference/index.html"
 
 tutorial: $(VENV)/dev.stamp ## the tutorial's numbers and the docs' pictures anew, by their own commands; needs Vulkan
-	@$(BIN)/python tests/tutorial.py
-	@PYTHONPATH=. $(BIN)/python tests/pictures.py
+	@$(BIN)/python tools/tutorial.py
+	@PYTHONPATH=. $(BIN)/python tools/pictures.py
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run; three minutes, BENCH=--quick for a short one
 	@$(BIN)/python -m benchmarks $(BENCH)

@@ -20,7 +20,7 @@ from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, life_row, wor
 from benchmarks.table import LEGEND, Table, measure, text
 from khep_twin import playpen, units
 from khep_twin.errors import KhepTwinError
-from khep_twin.scale.life import Ground
+from khep_twin.rollout.life import Ground
 
 PLAYPEN = "obstacles"
 PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")

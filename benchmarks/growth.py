@@ -18,7 +18,7 @@ from benchmarks.scale import bare_row, batch_row, life_row, world_row
 from benchmarks.table import COST, LEGEND, Row, Table, measure, text
 from khep_twin import playpen, playpen_to_mjcf
 from khep_twin.playpen import Arena, Block, Playpen, Robot
-from khep_twin.scale.life import Ground
+from khep_twin.rollout.life import Ground
 
 BLOCKS = (0, 20, 100, 1000)
 ROBOTS = (1, 2, 8)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin.lab.infrared import TANGENTS, Bench, Optics, Table, proximity
+from khep_twin.lab.fit.infrared import TANGENTS, Bench, Optics, Table, proximity
 from khep_twin.units import N_SENSORS, SENSOR_HEADINGS
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.infrared_fits import reference, rms, sampled
-from khep_twin import calibration
-from khep_twin.lab.infrared import TANGENTS, Optics, proximity
+from khep_twin.lab.fit.infrared import TANGENTS, Optics, proximity
+from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 
 PEERS = {

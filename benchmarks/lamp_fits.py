@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.infrared_fits import reference
-from khep_twin import calibration
-from khep_twin.calibration import AmbientCalibration
-from khep_twin.lab.lamp_fit import LampTable, ambient_counts, fit_lamps
+from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts, fit_lamps
+from khep_twin.sensing import calibration
+from khep_twin.sensing.calibration import AmbientCalibration
 from khep_twin.units import BODY_RADIUS, BULB_RADIUS, N_SENSORS
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.infrared_fits import reference
 from benchmarks.lamp_fits import sampled_lamp
-from khep_twin import calibration
-from khep_twin.lab.lamp_fit import ambient_counts
+from khep_twin.lab.fit.lamp_fit import ambient_counts
+from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 
 _INK, _RED, _GREY = "#1b4965", "#e4572e", "#9a9a9a"

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from khep_twin import drawing, playpen
+from khep_twin import playpen
+from khep_twin.drawing import map as drawing
 
 COLUMNS, DPI = 3, 130
 _LONGER_SIDE = 3.3

@@ -17,10 +17,12 @@ from typing import Any
 
 from benchmarks.scale import generation
 from benchmarks.table import Row, Taken
-from khep_twin import calibration, kernel, units
+from khep_twin import units
+from khep_twin.board import kernel
 from khep_twin.errors import KhepTwinError
-from khep_twin.footprint import Circle, Footprint
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.footprint import Circle, Footprint
+from khep_twin.sensing import calibration
 
 REACH_MM = 50.0
 """Beyond the body, how far Kheperax's lasers see: about as far as the sensors do [mm]."""

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from benchmarks.table import LEGEND, Row, Taken, measure, text, timed
 from khep_twin.host import Khepera
-from khep_twin.lab.controllers import braitenberg
-from khep_twin.lab.experiment import run
+from khep_twin.lab.experiment.controllers import braitenberg
+from khep_twin.lab.experiment.experiment import run
 
 ROUNDS = 5
 TRIPS = 1000

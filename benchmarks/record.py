@@ -18,7 +18,7 @@ import tomlkit
 from benchmarks.table import Result, Table
 from khep_twin import __version__
 from khep_twin.errors import KhepTwinError
-from khep_twin.files import write_whole
+from khep_twin.files.atomic import write_whole
 
 FOLDER = Path(__file__).parent / "results"
 PACKAGES = ("mujoco", "numba", "numpy")

@@ -11,11 +11,12 @@ import mujoco
 import numpy as np
 
 from benchmarks.table import LEGEND, Row, measure, text, timed
-from khep_twin import kernel, playpen, units
+from khep_twin import playpen, units
+from khep_twin.board import kernel
 from khep_twin.playpen import Playpen
-from khep_twin.scale.batch import rollout
-from khep_twin.scale.life import Ground, Life
-from khep_twin.scale.minds import Driver, Floats, Network, Policy, Wander
+from khep_twin.rollout.batch import rollout
+from khep_twin.rollout.life import Ground, Life
+from khep_twin.rollout.minds import Driver, Floats, Network, Policy, Wander
 from khep_twin.world import World
 
 PLAYPENS = ("default", "obstacles", "looping-maze")

@@ -19,10 +19,10 @@ from benchmarks.growth import TWENTY_BLOCKS, twenty_blocks
 from benchmarks.scale import NETWORK, random_genes
 from khep_twin import playpen
 from khep_twin.playpen import Arena, Playpen, Robot
-from khep_twin.scale.batch import rollout
-from khep_twin.scale.life import Ground, Life
-from khep_twin.scale.minds import Driver, Hold, Network, Wander
-from khep_twin.scale.screening import best_first
+from khep_twin.rollout.batch import rollout
+from khep_twin.rollout.life import Ground, Life
+from khep_twin.rollout.minds import Driver, Hold, Network, Wander
+from khep_twin.rollout.screening import best_first
 
 GENOMES, SEEDS, LIFE_S, ELITE = 200, 3, 30.0, 20
 TIMES_S = (1.0, 6.0, 60.0)

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from khep_twin.drawing import Track, save
-from khep_twin.drawing import draw as drawing
+from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
+from khep_twin.drawing.map import Track, save
+from khep_twin.drawing.map import draw as drawing
+from khep_twin.envs.trial import Course
 from khep_twin.errors import pip_install
-from khep_twin.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
-from khep_twin.scale.trial import Course
 
 try:
     import gymnasium
@@ -34,7 +34,7 @@ except ImportError as error:
     needed = pip_install("gymnasium", "stable-baselines3")
     sys.exit(f"{error.name} is not installed; to install what this example needs: {needed}")
 
-import khep_twin.scale.gymnasium_environment  # noqa: F401  (teaches Gymnasium the names)
+import khep_twin.envs.gymnasium  # noqa: F401  (teaches Gymnasium the names)
 
 NAME = "khep_twin/ObstacleAvoidance-v0"
 TRIALS = 20

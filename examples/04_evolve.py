@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin import playpen
-from khep_twin.drawing import Track, draw, save
+from khep_twin.drawing.map import Track, draw, save
 from khep_twin.errors import pip_install
-from khep_twin.files import unusable
-from khep_twin.lab import run_statistics
-from khep_twin.scale.batch import rollout
-from khep_twin.scale.life import Ground, Life
-from khep_twin.scale.minds import Network
+from khep_twin.files.atomic import unusable
+from khep_twin.lab.experiment import run_statistics
+from khep_twin.rollout.batch import rollout
+from khep_twin.rollout.life import Ground, Life
+from khep_twin.rollout.minds import Network
 from khep_twin.units import BODY_RADIUS
 
 try:

@@ -18,9 +18,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from khep_twin import bios, kernel
-from khep_twin.kernel import LEFT, RIGHT, Board, Wheel
-from khep_twin.protocol import (
+from khep_twin.board import bios, kernel
+from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
+from khep_twin.board.protocol import (
     END,
     PROTOCOL_ERROR,
     TURRET_REFUSAL,
@@ -33,8 +33,8 @@ from khep_twin.protocol import (
     parse,
     reply,
 )
-from khep_twin.rom import DEMO, ROMS, SELF_TEST, Rom
-from khep_twin.turrets import Turret, TurretKind
+from khep_twin.board.rom import DEMO, ROMS, SELF_TEST, Rom
+from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.units import DUTY_LIMIT, N_SENSORS
 
 SPEED_LIMIT_PULSES = 127

@@ -19,9 +19,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from khep_twin.board.uart import HostAct
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError
-from khep_twin.uart import HostAct
 from khep_twin.world import World
 
 FRAME_NS = NS_PER_S // 30

@@ -13,12 +13,12 @@ from typing import Any
 
 import mujoco
 
+from khep_twin.board.uart import Act, HostAct
 from khep_twin.errors import PlaypenError
-from khep_twin.footprint import Circle
-from khep_twin.placement import Thing, placement_problems
 from khep_twin.playpen import Playpen
-from khep_twin.playpen_checks import things
-from khep_twin.uart import Act, HostAct
+from khep_twin.playpen.checks import things
+from khep_twin.playpen.footprint import Circle
+from khep_twin.playpen.overlap import Thing, placement_problems
 from khep_twin.units import BODY_HEIGHT
 from khep_twin.world import World
 

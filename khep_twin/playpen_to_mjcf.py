@@ -19,12 +19,13 @@ from pathlib import Path
 
 import mujoco
 
-from khep_twin import calibration, units
-from khep_twin.footprint import Circle, Footprint
-from khep_twin.merging import merged
-from khep_twin.outline import walls_around
+from khep_twin import units
+from khep_twin.board.turrets import find
 from khep_twin.playpen import Block, Cylinder, Patch, Playpen, Robot, Wall
-from khep_twin.turrets import find
+from khep_twin.playpen.footprint import Circle, Footprint
+from khep_twin.playpen.merge import merged
+from khep_twin.playpen.polygon import walls_around
+from khep_twin.sensing import calibration
 
 ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
 

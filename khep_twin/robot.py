@@ -9,21 +9,23 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import calibration, kernel, units
-from khep_twin.ambient import Receivers
-from khep_twin.casting import scene_of
-from khep_twin.faults import Fault, Injector
+from khep_twin import units
+from khep_twin.board import kernel
+from khep_twin.board.battery import Supply
+from khep_twin.board.fault_injection import Fault, Injector
+from khep_twin.board.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
+from khep_twin.board.protocol import LINE_ENDS
+from khep_twin.board.rom import ROMS
+from khep_twin.board.turrets import find
+from khep_twin.board.uart import Act, HostAct, LineSettings, Uart
 from khep_twin.firmware import Firmware
-from khep_twin.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
-from khep_twin.lamps import Lamps
 from khep_twin.playpen import Lighting, Playpen
-from khep_twin.protocol import LINE_ENDS
 from khep_twin.randomness import stream
-from khep_twin.rom import ROMS
+from khep_twin.sensing import calibration
+from khep_twin.sensing.ambient import Receivers
+from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.raycast import scene_of
 from khep_twin.sensors import InfraredScan
-from khep_twin.supply import Supply
-from khep_twin.turrets import find
-from khep_twin.uart import Act, HostAct, LineSettings, Uart
 
 REPLY_LIMIT = 256
 """Bytes of replies that wait to be sent before the firmware takes no more commands (assumed)."""

@@ -25,11 +25,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import optics
-from khep_twin.ambient import Receivers
-from khep_twin.calibration import Calibration
-from khep_twin.casting import LENGTH_AND_NORMAL, Scene, ray_slices
-from khep_twin.optics import Proximity
+from khep_twin.sensing import optics
+from khep_twin.sensing.ambient import Receivers
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.optics import Proximity
+from khep_twin.sensing.raycast import LENGTH_AND_NORMAL, Scene, ray_slices
 from khep_twin.units import Sensor
 
 

@@ -5,10 +5,10 @@ import struct
 from collections.abc import Sequence
 from typing import Any, cast
 
+from khep_twin.board.uart import Act, HostAct
 from khep_twin.errors import PlaypenError, choices
+from khep_twin.files.toml_files import Table, check, frozen
 from khep_twin.playpen import Lamp, Lighting, Playpen
-from khep_twin.toml_files import Table, check, frozen
-from khep_twin.uart import Act, HostAct
 from khep_twin.world import World
 
 _SWITCH = struct.Struct("<i?")

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
+from khep_twin.board.fault_injection import Fault
+from khep_twin.board.uart import HostAct
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
-from khep_twin.faults import Fault
-from khep_twin.lamps import Lamps
 from khep_twin.playpen import Playpen, placed
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot
-from khep_twin.uart import HostAct
+from khep_twin.sensing.lamps import Lamps
 
 SAMPLE_NS = units.SCAN_NS
 """How often taps are shown the world [ns]."""

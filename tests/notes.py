@@ -1,6 +1,6 @@
 """A tap that keeps the events of a world."""
 
-from khep_twin.uart import HostAct
+from khep_twin.board.uart import HostAct
 from khep_twin.world import World
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 LISTS_PORTS = (
     *(sys.executable, "-c"),
     "from serial.tools import list_ports; list_ports.comports = lambda: []\n"
-    "from khep_twin.cli import main; main()",
+    "from khep_twin.cli.app import main; main()",
     "ports",
 )
 """`khep-twin ports` on a machine without serial ports, whatever is plugged into this one."""

@@ -16,9 +16,9 @@ from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import bare_row, life_row, world_row
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
 from khep_twin import playpen
-from khep_twin.casting import ray_slices
 from khep_twin.errors import KhepTwinError
-from khep_twin.scale.life import Ground
+from khep_twin.rollout.life import Ground
+from khep_twin.sensing.raycast import ray_slices
 from khep_twin.sensors import proximity_optics
 
 FOLDER = Path(benchmarks.__file__).parent

@@ -24,7 +24,7 @@ def test_a_number_is_always_the_same_playpen_and_some_pass_the_check() -> None:
 def test_an_arena_that_a_robot_would_drive_over_is_seen_by_the_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("khep_twin.playpen_checks.LOWEST_WALL_MM", 0.0)
+    monkeypatch.setattr("khep_twin.playpen.checks.LOWEST_WALL_MM", 0.0)
     low = playpen.parse(
         'version = 1\nname = "low"\n[arena]\nwidth_mm = 250\nheight_mm = 200\nwall_height_mm = 3\n'
         "[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 0\n",

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
+from khep_twin.board.rom import ROMS
 from khep_twin.firmware import Firmware
-from khep_twin.kernel import LEFT, RIGHT, Board, Wheel
-from khep_twin.rom import ROMS
 
 
 @pytest.fixture

@@ -3,12 +3,12 @@
 import pytest
 
 from khep_twin import playpen as playpens
+from khep_twin.files.toml_files import folder
 from khep_twin.host import Khepera
-from khep_twin.lab.controllers import BUILT_IN
-from khep_twin.lab.experiment import run
+from khep_twin.lab.experiment.controllers import BUILT_IN
+from khep_twin.lab.experiment.experiment import run
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
-from khep_twin.toml_files import folder
 from khep_twin.world import World
 
 NAMES = [

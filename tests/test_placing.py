@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from khep_twin.board.kernel import Wheel
 from khep_twin.errors import PlaypenError
 from khep_twin.host import Khepera
-from khep_twin.kernel import Wheel
-from khep_twin.lab.controllers import braitenberg
-from khep_twin.lab.repeat import read_recorded, repeat
+from khep_twin.lab.experiment.controllers import braitenberg
+from khep_twin.lab.experiment.repeat import read_recorded, repeat
 from khep_twin.log.reader import read
 from khep_twin.placing import as_it_stands, put
 from khep_twin.playpen import Playpen, parse

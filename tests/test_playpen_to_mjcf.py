@@ -7,9 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from khep_twin import calibration, playpen, units
-from khep_twin.kernel import PROXIMITY
+from khep_twin import playpen, units
+from khep_twin.board.kernel import PROXIMITY
 from khep_twin.playpen_to_mjcf import ROBOT_FILE, to_mjcf, to_spec
+from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 from khep_twin.world import World
 

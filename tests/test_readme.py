@@ -11,7 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from khep_twin import playpen
-from khep_twin.cli import app
+from khep_twin.cli.app import app
 from khep_twin.host import Khepera
 
 README = (Path(__file__).parents[1] / "README.md").read_text()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-REFERENCE = Path(__file__).with_name("reference.py")
+REFERENCE = Path(__file__).parents[1] / "tools" / "reference.py"
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +39,10 @@ def test_a_page_has_methods_with_their_units_and_arguments(folder: Path) -> None
     [
         ("host/results", "SensorCounts"),
         ("playpen", "Playpen"),
-        ("lab/controllers", "Controller"),
-        ("lab/experiment", "find_controller"),
-        ("lab/series", "run_series"),
-        ("lab/run_statistics", "collisions"),
+        ("lab/experiment/controllers", "Controller"),
+        ("lab/experiment/experiment", "find_controller"),
+        ("lab/experiment/series", "run_series"),
+        ("lab/experiment/run_statistics", "collisions"),
         ("log/reader", "read"),
         ("ports/protocol_khep", "Serial"),
     ],

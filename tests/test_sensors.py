@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from khep_twin import calibration, playpen, sensors
-from khep_twin.kernel import AMBIENT, DEMO_SPEED_PULSES, DEMO_WEIGHTS, PROXIMITY
-from khep_twin.optics import reflected
+from khep_twin import playpen, sensors
+from khep_twin.board.kernel import AMBIENT, DEMO_SPEED_PULSES, DEMO_WEIGHTS, PROXIMITY
+from khep_twin.files.toml_files import dump
+from khep_twin.sensing import calibration
+from khep_twin.sensing.optics import reflected
 from khep_twin.sensors import lobe_weights
-from khep_twin.toml_files import dump
 from khep_twin.units import BODY_RADIUS
 from khep_twin.world import World
 

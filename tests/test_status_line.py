@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from khep_twin.cli_progress import progress
+from khep_twin.cli.progress import progress
 from khep_twin.status_line import announced, status_line
 
 
@@ -122,7 +122,8 @@ def test_the_compilation_of_an_episode_is_announced_and_no_other_one(
     from numba import njit
     from numba.core import event
 
-    from khep_twin.scale import compiled, compiled_planar
+    from khep_twin.rollout import compiled
+    from khep_twin.rollout.planar import compiled as compiled_planar
 
     for function in (compiled.advance, compiled_planar.advance):
         with event.trigger_event("numba:compile", data={"dispatcher": function}):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen, units
+from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, SETPOINTS, SPEEDS, Wheel
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import DivergedError
-from khep_twin.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, SETPOINTS, SPEEDS, Wheel
 from khep_twin.playpen import Playpen
 from khep_twin.robot import Robot
 from khep_twin.world import World

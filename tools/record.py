@@ -29,8 +29,8 @@ from mcap.reader import make_reader
 from khep_twin import playpen
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen_to_mjcf import to_mjcf
-from khep_twin.scale.batch import rollout
-from khep_twin.scale.minds import Network, Wander
+from khep_twin.rollout.batch import rollout
+from khep_twin.rollout.minds import Network, Wander
 
 RECORD = Path(__file__).with_suffix(".json")
 SEEDS = (1, 2)
@@ -55,10 +55,7 @@ def drive(robot):
 
 def names() -> list[str]:
     """Return the shipped playpens."""
-    folder = Path(playpen.__file__).parent
-    while not (folder / "assets").is_dir():
-        folder = folder.parent
-    return sorted(path.stem for path in (folder / "assets" / "playpens").glob("*.toml"))
+    return sorted(path.stem for path in Path("khep_twin/assets/playpens").glob("*.toml"))
 
 
 def digest(*parts: bytes) -> str:

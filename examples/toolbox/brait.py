@@ -11,7 +11,7 @@ It drives until Ctrl-C.
 
 from numpy import array
 
-from khep_twin.host.toolbox import *
+from khep_twin.toolbox.serial_commands import *
 
 loopvar = 0
 Intercon = array([[4, -5], [4, -15], [6, -18], [-18, 6], [-15, 4], [-5, 4], [5, 3], [3, 5]])

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from khep_twin.board.rom import ROMS
 from khep_twin.host.results import (
     MotionStatus,
     MotorMode,
@@ -18,7 +19,6 @@ from khep_twin.host.results import (
     Versions,
     WheelStatus,
 )
-from khep_twin.rom import ROMS
 from khep_twin.units import N_SENSORS
 
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from khep_twin.errors import PortError, PortInUse, PortTimeout
 from khep_twin.host import commands
 from khep_twin.host.opening import find_speed, open_port
 from khep_twin.ports.holders import holder
-from khep_twin.ports.register import served
+from khep_twin.ports.service_registry import served
 
 _WAIT = 0.3
 """For an answer to B [s]."""

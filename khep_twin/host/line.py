@@ -19,7 +19,7 @@ from khep_twin.errors import PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.host.commands import Command
 from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
 from khep_twin.ports.link import leads_to_ours
-from khep_twin.stopping import clear_at_end
+from khep_twin.signals import clear_at_end
 
 STOP_WAIT = 0.5
 """Longest wait for the answer to the last command, which stops the motors [s]."""

@@ -12,7 +12,7 @@ import serial
 
 from khep_twin.errors import PortError, PortInUse, PortTimeout
 from khep_twin.invocation import command
-from khep_twin.ports.register import served
+from khep_twin.ports.service_registry import served
 
 SPEEDS = (9600, 19200, 38400, 57600, 115200)
 """Of the line in the robots' running modes, tried in this order [baud] (manual, appendix E; manual II)."""

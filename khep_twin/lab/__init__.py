@@ -1,1 +1,1 @@
-"""The workbench: controllers and experiments on any port."""
+"""Experiments with a robot or a twin, on any port."""

@@ -14,11 +14,11 @@ from io import BytesIO
 import mujoco
 
 from khep_twin import playpen as playpens
-from khep_twin.calibration import Calibration
 from khep_twin.errors import CalibrationError, KhepTwinError, LogError
+from khep_twin.files.toml_files import SIZE_LIMIT, validate
 from khep_twin.log.decoding import Misfit, first_line, shown
 from khep_twin.playpen import Playpen
-from khep_twin.toml_files import SIZE_LIMIT, validate
+from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import Sensor
 
 DEEPEST = 64

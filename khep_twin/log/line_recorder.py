@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin import __version__
+from khep_twin.board.protocol import Command, LineReader, parse
+from khep_twin.board.uart import Act, HostAct
 from khep_twin.errors import LogError
 from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED, channel_names
 from khep_twin.log.transcript import Transcript
 from khep_twin.log.wire import acts_message
-from khep_twin.protocol import Command, LineReader, parse
-from khep_twin.uart import Act, HostAct
 
 ROBOT = "khepera0"
 """Name that the robot has in the log."""

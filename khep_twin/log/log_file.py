@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files import open_regular, unusable
+from khep_twin.files.atomic import open_regular, unusable
 from khep_twin.log import channels
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.channels import Level, Line
 from khep_twin.log.part_file import PartFile, set_aside
-from khep_twin.stopping import clear_at_end, undisturbed
+from khep_twin.signals import clear_at_end, undisturbed
 
 
 class LogFile:

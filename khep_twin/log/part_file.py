@@ -12,7 +12,7 @@ from pathlib import Path
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
-from khep_twin.files import open_regular
+from khep_twin.files.atomic import open_regular
 
 
 class PartFile:

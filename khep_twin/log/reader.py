@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
-from khep_twin.files import open_regular
+from khep_twin.files.atomic import open_regular
+from khep_twin.files.toml_files import NAME_WISH
 from khep_twin.log.channels import FLOATS, INTEGERS, Line
 from khep_twin.log.content import Content, Entry
 from khep_twin.log.decoding import (
@@ -23,7 +24,6 @@ from khep_twin.log.decoding import (
     shown,
 )
 from khep_twin.log.wire import read_acts, read_states
-from khep_twin.toml_files import NAME_WISH
 
 PIECE = 32 << 20
 """Most bytes of messages that are read at a time by `read_pieces`, besides a chunk."""

@@ -17,11 +17,20 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import __version__, calibration
+from khep_twin import __version__
 from khep_twin import playpen as playpens
+from khep_twin.board.kernel import (
+    AMBIENT,
+    DUTIES,
+    N_REGISTERS,
+    PROXIMITY,
+    SETPOINTS,
+    SPEEDS,
+    Board,
+)
+from khep_twin.board.uart import HostAct
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS, Board
 from khep_twin.log import channels, foxglove_scene
 from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
@@ -29,7 +38,7 @@ from khep_twin.log.log_file import LogFile
 from khep_twin.log.transcript import Transcript
 from khep_twin.log.wire import Answered, acts_message, boards, hashes, states_message
 from khep_twin.robot import Robot
-from khep_twin.uart import HostAct
+from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 from khep_twin.world import SAMPLE_NS, World
 

@@ -15,11 +15,11 @@ from mcap.writer import CompressionType, Writer
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files import open_regular, unusable
+from khep_twin.files.atomic import open_regular, unusable
 from khep_twin.log.decoding import Misfit
+from khep_twin.log.mcap_recovery import Progress, Salvage
 from khep_twin.log.reader import Sieve, robot_names
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
-from khep_twin.log.salvage import Progress, Salvage
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
 

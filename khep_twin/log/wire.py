@@ -19,10 +19,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.board.uart import Act, HostAct, LineSettings
 from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.decoding import LATEST_NS, Misfit, read_array
 from khep_twin.robot import Robot
-from khep_twin.uart import Act, HostAct, LineSettings
 
 _LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from khep_twin.ports.cable import Cable
+from khep_twin.ports.host_connection import Cable
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
 

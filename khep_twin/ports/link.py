@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from khep_twin.errors import PortError
-from khep_twin.stopping import clear_at_end, undisturbed
+from khep_twin.signals import clear_at_end, undisturbed
 
 
 class Link:

@@ -15,7 +15,7 @@ from typing import Any
 import serial
 from serial.rfc2217 import PortManager
 
-from khep_twin.uart import LineSettings
+from khep_twin.board.uart import LineSettings
 
 LOWEST_BAUD, HIGHEST_BAUD = 50, 4_000_000
 """Speeds that a host may set: as Linux has constants for."""

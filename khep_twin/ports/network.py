@@ -8,11 +8,11 @@ import ipaddress
 import socket
 from collections.abc import Sequence
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
-from khep_twin.ports.cable import Received
+from khep_twin.ports.host_connection import Received
 from khep_twin.ports.network_host import WAITING_LIMIT, NetworkHost
 from khep_twin.ports.ration import Ration
-from khep_twin.uart import LineSettings
 
 _BACKLOG = 8
 

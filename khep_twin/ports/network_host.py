@@ -13,8 +13,8 @@ until another one comes.
 import socket
 import time
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.ports.negotiation import Negotiator
-from khep_twin.uart import LineSettings
 
 QUEUE_LIMIT = 4096
 """Most bytes of replies that wait for a host that does not read; the rest is dropped and counted."""

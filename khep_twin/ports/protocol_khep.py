@@ -21,10 +21,10 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from serial import PortNotOpenError, SerialException, SerialTimeoutException
 from serial.serialutil import SerialBase
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.clock import to_ns
 from khep_twin.errors import KhepTwinError, PortError, choices
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.uart import LineSettings
 
 _POLL_NS = 1_000_000
 """What a poll costs on a line that takes no time [ns]."""

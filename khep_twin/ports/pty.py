@@ -20,12 +20,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
-from khep_twin.ports.cable import Received
 from khep_twin.ports.event_sources import open_events
+from khep_twin.ports.host_connection import Received
 from khep_twin.ports.link import Link
 from khep_twin.ports.presence import Presence
-from khep_twin.uart import LineSettings
 
 _SPEEDS: dict[int, int] = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()

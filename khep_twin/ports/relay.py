@@ -16,12 +16,12 @@ from typing import Any
 
 import serial
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.log.line_recorder import LineRecorder
-from khep_twin.ports.cable import Cable
+from khep_twin.ports.host_connection import Cable
 from khep_twin.ports.ration import Ration
 from khep_twin.ports.serve import LONGEST_WAIT, Flush
-from khep_twin.uart import LineSettings
 from khep_twin.units import BITS_PER_BYTE
 
 _CHUNK = 1024

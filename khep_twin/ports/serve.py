@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from khep_twin.clock import NS_PER_S, Pacer
-from khep_twin.ports.cable import Cable
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.event_sources import Timer
+from khep_twin.ports.host_connection import Cable
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
 

@@ -11,15 +11,15 @@ from types import TracebackType
 from typing import Self
 
 from khep_twin import playpen as playpens
+from khep_twin.board.fault_injection import parse
+from khep_twin.board.rom import ROMS
 from khep_twin.errors import PortError, choices
-from khep_twin.faults import parse
 from khep_twin.log.recorder import Recorder
 from khep_twin.playpen import Playpen
-from khep_twin.playpen_checks import playpen_problems
-from khep_twin.playpen_parts import MODELS
+from khep_twin.playpen.checks import playpen_problems
+from khep_twin.playpen.parts import MODELS
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.robot import Robot
-from khep_twin.rom import ROMS
 from khep_twin.world import World
 
 
@@ -37,7 +37,7 @@ class TwinOptions:
         battery_used_min: minutes that it has run on its cells at start [min].
         unpaced: lets bytes cross the line in no time.
         strict_line: garbles the bytes of a host whose line is set to another speed than the robot's.
-        faults: that happen to the robots, in the words of `khep_twin.faults`.
+        faults: that happen to the robots, in the words of `khep_twin.board.fault_injection`.
         log: file to record the run in.
         model: the robot's body, with its sensors and, unless `rom` is given, its firmware.
     """

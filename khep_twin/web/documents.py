@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from khep_twin import playpen as playpens
-from khep_twin import toml_files
 from khep_twin.errors import KhepTwinError, PlaypenError
-from khep_twin.files import unusable, write_whole
-from khep_twin.toml_files import SIZE_LIMIT
+from khep_twin.files import toml_files
+from khep_twin.files.atomic import unusable, write_whole
+from khep_twin.files.toml_files import SIZE_LIMIT
 from khep_twin.web.drafts import Draft, blank, draft_of, text_of
 from khep_twin.web.requests import RequestError, object_of, sendable
 

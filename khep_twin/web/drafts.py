@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from khep_twin import playpen as playpens
-from khep_twin import toml_files
 from khep_twin.errors import PlaypenError
+from khep_twin.files import toml_files
 from khep_twin.playpen import Playpen
-from khep_twin.surfaces import BUILT_IN_SURFACES
+from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 
 Draft = dict[str, Any]
 

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from khep_twin.host import Khepera
-from khep_twin.lab.controllers import BUILT_IN, AnyController
-from khep_twin.lab.experiment import find_controller
-from khep_twin.lab.sensor_test import SensorRun, SensorTest, sense
-from khep_twin.lab.series import OneRobot, Plan, run_series
-from khep_twin.lab.series import Run as DoneRun
-from khep_twin.lab.series_files import SeriesFolder
+from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController
+from khep_twin.lab.experiment.experiment import find_controller
+from khep_twin.lab.experiment.series import OneRobot, Plan, run_series
+from khep_twin.lab.experiment.series import Run as DoneRun
+from khep_twin.lab.experiment.series_files import SeriesFolder
+from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
+from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.web.documents import Documents
 from khep_twin.web.requests import Run, Sense
 
@@ -118,11 +119,11 @@ def series(asked: Run, documents: Documents) -> Series:
     """
     name = asked.controller
     if name in BUILT_IN:
-        found = find_controller(name)
+        found = find_controller(name, as_toolbox_form)
     else:
         file, _, function = name.partition(":")
         path = documents.path(file, ".py")
-        found = find_controller(f"{path}:{function}" if function else str(path))
+        found = find_controller(f"{path}:{function}" if function else str(path), as_toolbox_form)
     plan = Plan(asked.runs, asked.cycles, asked.seconds, asked.pause)
     return Series(name, found, plan, documents.path(asked.folder, "") if asked.folder else None)
 
@@ -149,7 +150,7 @@ def figure(run: SensorRun, sensor: str | None, y_min: int, grid: bool) -> bytes:
     Raises:
         SensorTestError: there is no such sensor.
     """
-    from khep_twin.lab.sensor_figure import draw
+    from khep_twin.lab.sensor_test.sensor_figure import draw
 
     picture = BytesIO()
     draw([run], sensor=sensor, y_min=y_min, grid=grid).savefig(picture, format="png", dpi=100)

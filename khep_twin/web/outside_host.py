@@ -7,10 +7,10 @@ would on one cable.
 
 from collections.abc import Callable, Sequence
 
-from khep_twin.ports.cable import Cable
+from khep_twin.board.protocol import LINE_ENDS
 from khep_twin.ports.connection import Connection
+from khep_twin.ports.host_connection import Cable
 from khep_twin.ports.twin import Twin
-from khep_twin.protocol import LINE_ENDS
 from khep_twin.robot import Robot
 
 _LINE_LIMIT = 1024

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field
 
-from khep_twin import toml_files
 from khep_twin.errors import KhepTwinError
+from khep_twin.files import toml_files
+from khep_twin.files.toml_files import Table
 from khep_twin.randomness import SEED_LIMIT
-from khep_twin.toml_files import Table
 from khep_twin.units import COUNTS_LIMIT
 
 _DEPTH = 32

@@ -18,18 +18,19 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 
-from khep_twin import __version__, bitmap, bitmap_files
+from khep_twin import __version__
 from khep_twin import playpen as playpens
+from khep_twin.board.turrets import installed
+from khep_twin.drawing.render import render
 from khep_twin.errors import KhepTwinError, PortError, choices
 from khep_twin.host.discovery import found_ports
-from khep_twin.lab import sensor_files
-from khep_twin.lab.controllers import BUILT_IN
-from khep_twin.lab.sensor_test import SensorRun
-from khep_twin.perspective import render
+from khep_twin.lab.experiment.controllers import BUILT_IN
+from khep_twin.lab.sensor_test import sensor_files
+from khep_twin.lab.sensor_test.sensor_test import SensorRun
+from khep_twin.playpen import bitmap, bitmap_files
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.randomness import stream
-from khep_twin.sensor_bars import BARS
-from khep_twin.turrets import installed
+from khep_twin.sensing.bars import BARS
 from khep_twin.web import drafts, jobs, requests
 from khep_twin.web.audience import Audience
 from khep_twin.web.documents import ConflictError, Documents, OutsideError

@@ -12,15 +12,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from khep_twin import calibration
+from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera, commands
-from khep_twin.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.placing import as_it_stands, no_room, put
 from khep_twin.playpen import Playpen
 from khep_twin.ports.pty import PtyPort
-from khep_twin.ports.register import registered
+from khep_twin.ports.service_registry import registered
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.sensing import calibration
 from khep_twin.switching import switch
 from khep_twin.units import BODIES
 from khep_twin.web.jobs import Job, Tell

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.board.turrets import installed
 from khep_twin.errors import TurretError
-from khep_twin.turrets import installed
 from khep_twin.world import World
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ import pytest
 from serial.tools import list_ports
 from served_twin import LISTS_PORTS, served
 
-from khep_twin import cli_completion
+from khep_twin.cli import completion
 from khep_twin.errors import PortInUse
 from khep_twin.host import Khepera
 from khep_twin.host.discovery import found_ports, who_answers
@@ -83,13 +83,13 @@ def test_looking_for_ports_opens_none_of_them() -> None:
         if events is None:
             pytest.skip("there is no inotify here")
         subprocess.run(LISTS_PORTS, capture_output=True, check=True)
-        assert path in dict(cli_completion.ports())
+        assert path in dict(completion.ports())
         assert path in twins()
         assert events.drain() == []
         with Khepera(path):
             events.drain()
             subprocess.run([*LISTS_PORTS, "--ask"], capture_output=True, check=True)
-            assert path in dict(cli_completion.ports())
+            assert path in dict(completion.ports())
             assert Event.OPENED not in events.drain()
         events.close()
 

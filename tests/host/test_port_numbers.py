@@ -3,7 +3,7 @@
 import pytest
 from typer.testing import CliRunner
 
-from khep_twin.cli import app
+from khep_twin.cli.app import app
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
 from khep_twin.host.opening import numbered

@@ -19,7 +19,7 @@ from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 SHIPPED = sorted(
-    path.stem for path in (Path(playpens.__file__).parent / "assets" / "playpens").glob("*.toml")
+    path.stem for path in (Path(playpens.__file__).parents[1] / "assets" / "playpens").glob("*.toml")
 )
 
 PLAYPEN = """

@@ -16,7 +16,7 @@ from driving import SECOND, drive
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
-from khep_twin.cli import app
+from khep_twin.cli.app import app
 from khep_twin.errors import LogError
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.line_recorder import LineRecorder

@@ -11,17 +11,17 @@ import pytest
 from driving import SECOND
 from log_rewriting import rewritten
 
+from khep_twin.board.uart import Act, HostAct, LineSettings
 from khep_twin.errors import KhepTwinError
-from khep_twin.lab.repeat import read_recorded, repeat
-from khep_twin.lab.report import report
-from khep_twin.lab.resend import resend
+from khep_twin.lab.experiment.repeat import read_recorded, repeat
+from khep_twin.lab.experiment.replay_to_port import resend
+from khep_twin.lab.report.report import report
 from khep_twin.log.attached import shapes_of
 from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, Line, line_message
 from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
-from khep_twin.log.replay import view
+from khep_twin.log.viewer.replay import view
 from khep_twin.log.wire import acts_message
 from khep_twin.ports.twin import TwinOptions, open_twin
-from khep_twin.uart import Act, HostAct, LineSettings
 
 TIME_NS = 1_000_000_000
 

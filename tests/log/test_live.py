@@ -21,8 +21,8 @@ from mcap.writer import MCAP0_MAGIC
 from rerun.chunk import Chunk, RrdReader
 
 from khep_twin.errors import LogError
-from khep_twin.log.growing import GrowingLog, Message
-from khep_twin.log.live import SAMPLE_NS, _Dealer, follow
+from khep_twin.log.tail import GrowingLog, Message
+from khep_twin.log.viewer.live import SAMPLE_NS, _Dealer, follow
 from khep_twin.ports.twin import Twin
 
 
@@ -118,7 +118,7 @@ def _end_of_data(data: bytes) -> int:
 
 
 def test_a_run_that_was_killed_is_noticed(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("khep_twin.log.growing._SILENCE", 0.0)
+    monkeypatch.setattr("khep_twin.log.tail._SILENCE", 0.0)
     data = log.read_bytes()
     # All but what the end of a run writes.
     with _growing(tmp_path, data[: _end_of_data(data)]) as growing:
@@ -130,7 +130,7 @@ def test_a_run_that_was_killed_is_noticed(log: Path, tmp_path: Path, monkeypatch
 def test_a_run_that_only_pauses_is_waited_for(
     start: Callable[[Path], Twin], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("khep_twin.log.growing._SILENCE", 0.0)
+    monkeypatch.setattr("khep_twin.log.tail._SILENCE", 0.0)
     with start(tmp_path / "run.mcap"), GrowingLog(tmp_path / "run.mcap") as log:
         all_of(log)
         assert log.new() == []

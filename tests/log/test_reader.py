@@ -9,8 +9,8 @@ from log_rewriting import rewritten
 from mcap.writer import CompressionType, Writer
 
 from khep_twin import playpen
+from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.errors import LogError, PlaypenError
-from khep_twin.kernel import AMBIENT, PROXIMITY
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.content import Content

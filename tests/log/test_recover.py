@@ -20,10 +20,10 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from khep_twin.errors import LogError
 from khep_twin.log.channels import CDR_HEADER
+from khep_twin.log.mcap_recovery import Salvage
 from khep_twin.log.part_file import PartFile
 from khep_twin.log.reader import read, read_series
 from khep_twin.log.recover import Rescue, recover, summary
-from khep_twin.log.salvage import Salvage
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 ATTACHMENTS = ["playpen.toml", "scene.xml", "configuration.json", "calibration/khepera0.toml"]

@@ -15,12 +15,12 @@ from PIL import Image
 from rerun.chunk import Chunk, McapReader, RrdReader
 from typer.testing import CliRunner
 
-from khep_twin.cli import app
+from khep_twin.cli.app import app
 from khep_twin.errors import LogError
-from khep_twin.log import khepbase, replay
-from khep_twin.log.arena import REACH
 from khep_twin.log.reader import read_end_ns
-from khep_twin.log.replay import distinct_names, view, view_still
+from khep_twin.log.viewer import replay, robot_panel
+from khep_twin.log.viewer.arena import REACH
+from khep_twin.log.viewer.replay import distinct_names, view, view_still
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 
@@ -123,7 +123,7 @@ def test_the_log_itself_is_not_overwritten(log: Path) -> None:
 @pytest.mark.parametrize("size", [0, 30_000, 100_000])
 def test_a_recording_that_fills_the_disk_is_an_error(log: Path, tmp_path: Path, size: int) -> None:
     program = (
-        "import resource, sys; from pathlib import Path; from khep_twin.log.replay import view\n"
+        "import resource, sys; from pathlib import Path; from khep_twin.log.viewer.replay import view\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]),) * 2)\n"
         "view([Path(sys.argv[1])], Path(sys.argv[2]))\n"
     )
@@ -194,15 +194,15 @@ def test_bars_are_filled_and_as_long_as_what_they_tell() -> None:
     values = np.array([[0.0, 0.5], [1.0, -1.0]])
     columns = {
         str(each.component_descriptor()): each.as_arrow_array()
-        for each in khepbase._bars(rr, values, np.zeros((2, 2)), (1, 2, 3))
+        for each in robot_panel._bars(rr, values, np.zeros((2, 2)), (1, 2, 3))
     }
     (strips,) = (column for name, column in columns.items() if "strips" in name)
     points = np.array(strips.flatten().to_pylist())  # of each bar eight corners
-    radius = khepbase._LINE
+    radius = robot_panel._LINE
     tall = points[..., 1].max(axis=1) - points[..., 1].min(axis=1) + 2 * radius
     np.testing.assert_allclose(tall, [2 * radius, 0.006, 0.012, 0.012], rtol=1e-5)
     wide = points[..., 0].max(axis=1) - points[..., 0].min(axis=1) + 2 * radius
-    np.testing.assert_allclose(wide, 2 * khepbase._HALF_WIDTH, rtol=1e-5)
+    np.testing.assert_allclose(wide, 2 * robot_panel._HALF_WIDTH, rtol=1e-5)
     lines = np.unique(np.round(points[1, :, 0] / radius))
     assert np.diff(lines).tolist() == [2, 2, 2]  # no gap between them
     (colours,) = (column for name, column in columns.items() if "colors" in name)

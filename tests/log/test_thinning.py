@@ -8,12 +8,12 @@ import pytest
 from rerun.chunk import McapReader, RrdReader
 from typer.testing import CliRunner
 
-from khep_twin.cli import app
-from khep_twin.log import thinning
-from khep_twin.log.gathered import Gatherer
-from khep_twin.log.layout import TIMELINE
+from khep_twin.cli.app import app
 from khep_twin.log.reader import read_with_messages
-from khep_twin.log.thinning import Copy, interval_ns
+from khep_twin.log.viewer import thinning
+from khep_twin.log.viewer.gathered import Gatherer
+from khep_twin.log.viewer.layout import TIMELINE
+from khep_twin.log.viewer.thinning import Copy, interval_ns
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 SECOND = 1_000_000_000

@@ -127,7 +127,7 @@ RUBBISH_SECONDS = float(os.environ.get("KHEP_RUBBISH_SECONDS", "5"))
 
 WITHOUT_INOTIFY = (
     "import khep_twin.ports.pty\nkhep_twin.ports.pty.open_events = lambda path: None\n"
-    "from khep_twin.cli import main\nmain()"
+    "from khep_twin.cli.app import main\nmain()"
 )
 """A program that serves as on a system that has none."""
 

@@ -9,9 +9,9 @@ from fuzzing import run_libfuzzer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.log.reader import read
 from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD, Negotiator
-from khep_twin.uart import LineSettings
 
 from test_serve import served, stop  # isort: skip
 

@@ -13,7 +13,7 @@ import serial
 
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
-from khep_twin.lab.conformance import Line, checks, run_check
+from khep_twin.lab.conformance.conformance import Line, checks, run_check
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
 from khep_twin.ports.network_host import LONGEST_LINE, SILENCE
 

@@ -12,7 +12,7 @@ import serial
 from pyserial_suite import plug
 
 from khep_twin.log.reader import read
-from khep_twin.log.replay import view
+from khep_twin.log.viewer.replay import view
 
 from test_serve import served, stop  # isort: skip
 

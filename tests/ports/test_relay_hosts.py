@@ -5,9 +5,9 @@ from typing import cast
 
 import pytest
 
-from khep_twin.ports.cable import Received
+from khep_twin.board.uart import LineSettings
+from khep_twin.ports.host_connection import Received
 from khep_twin.ports.relay import Device, relay
-from khep_twin.uart import LineSettings
 
 
 class SlowRobot:

@@ -2,10 +2,10 @@
 
 import pytest
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.playpen import load, parse
 from khep_twin.ports.twin import TwinOptions, equipped, open_twin
-from khep_twin.uart import LineSettings
 
 OWN_SENSORS = """version = 1
 name = "own"

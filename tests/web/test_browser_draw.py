@@ -14,7 +14,7 @@ from PIL import Image
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from khep_twin import playpen as playpens
-from khep_twin.playpen_parts import Block
+from khep_twin.playpen.parts import Block
 from khep_twin.web.server import Server
 from tests.drawn_bitmap import drawn
 from tests.web.conftest import Asker

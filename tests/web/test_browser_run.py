@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from khep_twin import playpen as playpens
+from khep_twin.board.uart import Act
 from khep_twin.host import Khepera
-from khep_twin.lab.repeat import read_recorded, repeat
-from khep_twin.uart import Act
+from khep_twin.lab.experiment.repeat import read_recorded, repeat
 from tests.served_twin import served
 from tests.web.visit import BROWSED, Visit, need_a_browser
 

@@ -1,0 +1,1 @@
+"""The robot's electronics without input or output: protocol, kernel, ROMs, serial controller, turrets."""

@@ -1,0 +1,170 @@
+"""The BIOS tools: lower-case words on the serial line, beside the protocol's commands (manual, 3.2).
+
+Of their answers only the banner is known; the other texts are this project's own, in plain lines.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from khep_twin.board.protocol import COMMAND_NOT_FOUND, END, Tool, refusal
+from khep_twin.board.rom import BAUD_RATES, DEMO, SELF_TEST, Rom
+from khep_twin.board.turrets import TurretKind
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """What tools can tell of a board.
+
+    Attributes:
+        rom: the version of the firmware.
+        running: function of the ROM that runs, empty for none.
+        turrets: what is plugged on top.
+    """
+
+    rom: Rom
+    running: str
+    turrets: tuple[TurretKind, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a tool answers and does.
+
+    Attributes:
+        reply: what goes back on the line.
+        restart: whether the board is reset.
+        baud: speed that the line takes on behind the reply; 0 leaves it.
+        function: of the ROM to start; empty for none.
+    """
+
+    reply: bytes = b""
+    restart: bool = False
+    baud: int = 0
+    function: str = ""
+
+
+COMMANDS: Mapping[str, str] = {
+    "A": "configure the speed controller",
+    "B": "read the software versions",
+    "C": "set a position to be reached",
+    "D": "set the speed",
+    "E": "read the speed",
+    "F": "configure the position controller",
+    "G": "set the position counters",
+    "H": "read the position counters",
+    "I": "read an A/D input",
+    "J": "configure the speed profile",
+    "K": "read the status of the motion controller",
+    "L": "change the LED state",
+    "N": "read the proximity sensors",
+    "O": "read the ambient light sensors",
+    "P": "set the PWM",
+    "R": "read a byte on the extension bus",
+    "T": "send a message to a turret",
+    "W": "write a byte on the extension bus",
+}
+"""The protocol's commands and what they do, as `help` and `list` tell it."""
+
+
+def use(tool: Tool, board: Board) -> Outcome:
+    """Carries out a tool: the word and what follows it."""
+    entry = _TOOLS.get(tool.word.decode("ascii"))
+    if entry is None:
+        return Outcome(COMMAND_NOT_FOUND)
+    arguments = tuple(argument.decode("latin-1") for argument in tool.arguments)
+    return entry[1](arguments, board)
+
+
+def self_test(sensors_alive: bool) -> bytes:
+    """The report of running mode 7 on what the board can test by itself."""
+    return _lines(
+        "Self test",
+        f"sensors     {'ok' if sensors_alive else 'no conversion'}",
+        "registers   ok",
+        "end of test",
+    )
+
+
+def _lines(*lines: str) -> bytes:
+    return b"".join(line.encode("ascii", "backslashreplace") + END for line in lines)
+
+
+def _help(arguments: tuple[str, ...], board: Board) -> Outcome:
+    if not arguments:
+        return Outcome(
+            _lines(
+                "help NAME tells more of a tool or command",
+                f"tools     {' '.join(_TOOLS)}",
+                f"commands  {' '.join(COMMANDS)}",
+            )
+        )
+    name = arguments[0]
+    text = COMMANDS.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
+    return Outcome(_lines(f"{name}  {text}") if text else refusal("No such item"))
+
+
+def _list(arguments: tuple[str, ...], board: Board) -> Outcome:
+    tools = [f"TO  {name:8}  {text}  {board.rom.bios}" for name, (text, _) in _TOOLS.items()]
+    functions = [f"FU  {name:8}  ROM function  {board.rom.bios}" for name in (DEMO, SELF_TEST)]
+    commands = [f"PR  {name:8}  {text}  {board.rom.protocol}" for name, text in COMMANDS.items()]
+    return Outcome(_lines(*tools, *functions, *commands))
+
+
+def _k_team(arguments: tuple[str, ...], board: Board) -> Outcome:
+    return Outcome(_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
+
+
+def _net(arguments: tuple[str, ...], board: Board) -> Outcome:
+    turrets = [
+        f"{kind.number}  {kind.name}  {kind.description}  revision {kind.revision}" for kind in board.turrets
+    ]
+    return Outcome(_lines(*(turrets or ["no intelligent turret"])))
+
+
+def _memory(arguments: tuple[str, ...], board: Board) -> Outcome:
+    return Outcome(_lines(f"RAM  {board.rom.memory} bytes", "used by loaded programs  0 bytes"))
+
+
+def _process(arguments: tuple[str, ...], board: Board) -> Outcome:
+    processes = ["serial communication protocol", "motor controllers", "sensor scan"]
+    return Outcome(_lines(*processes, *([board.running] if board.running else [])))
+
+
+def _restart(arguments: tuple[str, ...], board: Board) -> Outcome:
+    return Outcome(restart=True)
+
+
+def _run(arguments: tuple[str, ...], board: Board) -> Outcome:
+    if arguments == (DEMO,):
+        return Outcome(_lines(f"run {DEMO}"), function=DEMO)
+    if arguments == (SELF_TEST,):
+        return Outcome(function=SELF_TEST)
+    if arguments == ("sloader",):
+        return _sfill(arguments, board)
+    return Outcome(refusal(f"Function not found, right is {DEMO} or {SELF_TEST}"))
+
+
+def _serial(arguments: tuple[str, ...], board: Board) -> Outcome:
+    speeds = {str(baud): baud for baud in BAUD_RATES}
+    if len(arguments) != 1 or arguments[0] not in speeds:
+        return Outcome(refusal(f"Baud rate not possible, right is one of {' '.join(speeds)}"))
+    return Outcome(_lines(f"serial {arguments[0]}"), baud=speeds[arguments[0]])
+
+
+def _sfill(arguments: tuple[str, ...], board: Board) -> Outcome:
+    return Outcome(refusal("No S-record loader, the twin runs no machine code"))
+
+
+_Handler = Callable[[tuple[str, ...], Board], Outcome]
+_TOOLS: dict[str, tuple[str, _Handler]] = {
+    "help": ("shows what a tool or command does", _help),
+    "k-team": ("shows the members of K-Team", _k_team),
+    "list": ("shows all modules of the ROM", _list),
+    "memory": ("shows the use of the memory", _memory),
+    "net": ("shows the intelligent turrets", _net),
+    "process": ("shows what is running", _process),
+    "restart": ("resets the robot", _restart),
+    "run": ("starts a function of the ROM", _run),
+    "serial": ("sets the speed of the serial line", _serial),
+    "sfill": ("loads a program in S-records", _sfill),
+}

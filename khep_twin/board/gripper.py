@@ -1,0 +1,111 @@
+"""The gripper turret's electronics: orders of the T bus and the registers that they set and read.
+
+    B        versions                              b,1,0
+    D,state  opens (0) or closes (1) the fingers   d
+    E,place  sends the arm to 152 (up) … 255       e
+    F        resistivity of what is gripped        f,255 for an insulator … 0 for a short circuit
+    G        light barrier between the fingers     g,0 for free … 255 for dark
+    H,0      where the fingers are, 0 … 200 open   h,…
+    H,1      where the arm is, 152 … 255           h,…
+    J        jumpers                               j,0
+
+Orders and places as public host programs and simulators have them; its own manual is not at hand. Fingers
+and arm run at a fixed speed towards where they are sent; an order beyond 152 to 255 sends the arm to the
+nearer end. A reset leaves them where they are.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+from khep_twin.board.kernel import clip
+from khep_twin.board.protocol import PROTOCOL_ERROR, Malformed, parse_turret_order, turret_reply
+from khep_twin.units import ARM_DOWN, ARM_UP, FINGERS_OPEN, GRIPPER_NUMBER
+
+VERSION, REVISION = 1, 0
+"""Version and revision in the reply to B (assumed), integers because hosts parse them as integers."""
+
+FRACTION = 256
+"""Parts of a place in which setpoints move."""
+
+ARM_SPEED = 320
+"""Of the arm [places/256 per 10 ms]: from up to down in 0.82 s (assumed)."""
+
+FINGER_SPEED = 512
+"""Of the fingers [places/256 per 10 ms]: from open to closed in a second (assumed)."""
+
+_ORDERS = {"B": 0, "D": 1, "E": 1, "F": 0, "G": 0, "H": 1, "J": 0}
+
+
+class Register(IntEnum):
+    """Registers of the gripper."""
+
+    ARM_TARGET = 0  # where the arm is sent [places]
+    ARM_SETPOINT = 1  # on the way there [places/256]
+    ARM_PLACE = 2  # where it is [places]
+    FINGER_TARGET = 3
+    FINGER_SETPOINT = 4
+    FINGER_PLACE = 5
+    BARRIER = 6  # 0 free to 255 dark
+    RESISTIVITY = 7  # 255 for an insulator
+
+
+class Gripper:
+    """A `Turret`: the gripper's electronics.
+
+    Attributes:
+        registers: its state (8,).
+    """
+
+    def __init__(self) -> None:
+        self.registers = np.zeros(len(Register), np.int64)
+        self.registers[[Register.ARM_PLACE, Register.FINGER_PLACE]] = ARM_UP, FINGERS_OPEN
+        self.registers[Register.RESISTIVITY] = 255
+        self._cells = self.registers.data
+        self.reset()
+
+    def receive(self, message: bytes) -> bytes:
+        """Carries out an order; returns its reply."""
+        order = parse_turret_order(message, _ORDERS)
+        if isinstance(order, Malformed):
+            return order.reply
+        cells = self._cells
+        match order.letter, order.arguments:
+            case "B", ():
+                return self._reply("B", VERSION, REVISION)
+            case "D", (0 | 1 as closed,):
+                cells[Register.FINGER_TARGET] = 0 if closed else FINGERS_OPEN
+                return self._reply("D")
+            case "E", (place,):
+                cells[Register.ARM_TARGET] = min(max(place, ARM_UP), ARM_DOWN)
+                return self._reply("E")
+            case "F", ():
+                return self._reply("F", cells[Register.RESISTIVITY])
+            case "G", ():
+                return self._reply("G", cells[Register.BARRIER])
+            case "H", (0 | 1 as arm,):
+                return self._reply("H", cells[Register.ARM_PLACE if arm else Register.FINGER_PLACE])
+            case "J", ():
+                return self._reply("J", 0)
+            case _:
+                return PROTOCOL_ERROR
+
+    def tick(self) -> None:
+        """Moves both setpoints on towards where they are sent."""
+        self._approach(Register.ARM_SETPOINT, Register.ARM_TARGET, ARM_SPEED)
+        self._approach(Register.FINGER_SETPOINT, Register.FINGER_TARGET, FINGER_SPEED)
+
+    def reset(self) -> None:
+        """Stops arm and fingers where they are."""
+        cells = self._cells
+        for place in (Register.ARM_PLACE, Register.FINGER_PLACE):
+            target, setpoint = place - 2, place - 1
+            cells[target] = cells[place]
+            cells[setpoint] = cells[place] * FRACTION
+
+    def _approach(self, setpoint: Register, target: Register, speed: int) -> None:
+        cells = self._cells
+        cells[setpoint] += clip(cells[target] * FRACTION - cells[setpoint], speed)
+
+    def _reply(self, letter: str, *values: int) -> bytes:
+        return turret_reply(GRIPPER_NUMBER, letter, *values)

@@ -1,0 +1,111 @@
+"""The gripper in the physics: places of arm and fingers, light barrier, resistivity, and its two motors."""
+
+import math
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.board.gripper import FRACTION, REVISION, VERSION, Gripper, Register
+from khep_twin.board.turrets import TurretKind
+from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
+
+ARM_DEGREES_PER_PLACE = 200 / 255
+"""Of the arm, whose place 255 is 10 degrees below level: elevation = 190 - 200 place / 255 [deg] (a
+simulator's model of the turret)."""
+
+ARM_LEVEL_PLACE_DEG = 190.0
+"""Elevation that place 0 would have [deg] (likewise)."""
+
+GAP_CLOSED, GAP_OPEN = 0.0005, 0.0275
+"""Half of the gap between the fingers at places 0 and 200 [m] (likewise)."""
+
+SERIES_RESISTANCE = 10_000.0
+"""In series with what is gripped, to measure its resistance [ohm] (assumed)."""
+
+FINGER_THICKNESS = 0.003
+"""Of assets/gripper.xml [m]: the light barrier's rays begin behind the left finger's face."""
+
+N_RAYS = 3
+"""Of the light barrier in assets/gripper.xml."""
+
+_SLACK = 0.0005
+"""A ray that ends so near the right finger has met it [m]."""
+
+
+class GripperBody:
+    """A `TurretBody`: the gripper of one robot in a compiled scene.
+
+    Args:
+        model: the scene.
+        data: its state.
+        prefix: of the turret's names in the scene, e.g. "khepera0/gripper/".
+        registers: of the gripper's electronics.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, prefix: str, registers: NDArray[np.int64]
+    ) -> None:
+        self._data = data
+        self._cells = registers.data
+        self._shoulder, self._slide = (
+            int(model.joint(prefix + name).qposadr[0]) for name in ("shoulder", "left_slide")
+        )
+        self._arm_motor, self._finger_motor = (
+            model.actuator(prefix + name).id for name in ("shoulder_motor", "finger_motor")
+        )
+        self._rays = [int(model.sensor(f"{prefix}beam_{ray}").adr[0]) for ray in range(N_RAYS)]
+        self._pads = [model.geom(prefix + name).id for name in ("left_pad", "right_pad")]
+        self._conductances: NDArray[np.float64] = model.geom_user[:, 1]
+        self.drive()
+
+    def sense(self) -> None:
+        """Reads places, light barrier and resistivity into the registers."""
+        qpos, cells = self._data.qpos, self._cells
+        elevation_deg = math.degrees(qpos[self._shoulder])
+        half_gap = float(qpos[self._slide])
+        cells[Register.ARM_PLACE] = round((ARM_LEVEL_PLACE_DEG - elevation_deg) / ARM_DEGREES_PER_PLACE)
+        place = (half_gap - GAP_CLOSED) / (GAP_OPEN - GAP_CLOSED) * FINGERS_OPEN
+        cells[Register.FINGER_PLACE] = min(max(round(place), 0), FINGERS_OPEN)
+        free_way = 2 * half_gap + FINGER_THICKNESS - _SLACK
+        dark = sum(0 <= self._data.sensordata[ray] < free_way for ray in self._rays)
+        cells[Register.BARRIER] = dark * 255 // N_RAYS
+        cells[Register.RESISTIVITY] = resistivity(self._conductance())
+
+    def drive(self) -> None:
+        """Lets arm and fingers follow the setpoints."""
+        arm = self._cells[Register.ARM_SETPOINT] / FRACTION
+        fingers = self._cells[Register.FINGER_SETPOINT] / FRACTION
+        elevation_deg = ARM_LEVEL_PLACE_DEG - ARM_DEGREES_PER_PLACE * arm
+        self._data.ctrl[self._arm_motor] = math.radians(elevation_deg)
+        self._data.ctrl[self._finger_motor] = GAP_CLOSED + (GAP_OPEN - GAP_CLOSED) * fingers / FINGERS_OPEN
+
+    def _conductance(self) -> float:
+        """Between the fingers, through what both of them touch [S]."""
+        pairs: NDArray[np.int32] = self._data.contact.geom
+        if not len(pairs):
+            return 0.0
+        left, right = (
+            {int(geom) for geom in pairs[(pairs == pad).any(axis=1)].ravel()} - {pad} for pad in self._pads
+        )
+        return max((float(self._conductances[geom]) for geom in left & right), default=0.0)
+
+
+def resistivity(conductance: float) -> int:
+    """What the gripper tells of a conductance [S]: the part of R / (R + series resistance), 0 to 255."""
+    return round(255 / (1 + SERIES_RESISTANCE * conductance))
+
+
+GRIPPER = TurretKind(
+    name="gripper",
+    number=GRIPPER_NUMBER,
+    description="arm with two fingers",
+    revision=f"{VERSION}.{REVISION}",
+    make=Gripper,
+    scene=Path(str(files("khep_twin"))) / "assets" / "gripper.xml",
+    fit=GripperBody,
+    reach=0.034,
+)
+"""The gripper, as the entry point "khep_twin.turrets" offers it."""

@@ -1,0 +1,131 @@
+"""Turrets: boards that are plugged on top of the robot and answer on its T bus.
+
+A turret has electronics, which hear orders and hold registers, and may have a body in the physics, which
+senses into those registers and is driven from them. Each is known to the twin by a `TurretKind` that some
+package offers under the entry point "khep_twin.turrets"; the gripper comes with the twin itself.
+
+    [project.entry-points."khep_twin.turrets"]
+    gripper = "khep_twin.board.gripper_body:GRIPPER"
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import TurretError, choices
+
+if TYPE_CHECKING:
+    import mujoco
+
+GROUP = "khep_twin.turrets"
+"""Entry point under which packages offer their turrets."""
+
+NUMBERS = range(32)
+"""Of turrets on the T bus: 0 to 23 are K-Team's, 24 to 31 the users' (public host programs)."""
+
+
+class Turret(Protocol):
+    """The electronics of a turret: bytes in, bytes out; no clock, file or thread."""
+
+    registers: NDArray[np.int64]
+    """Its whole state, shared with its body (n,)."""
+
+    def receive(self, message: bytes) -> bytes:
+        """The reply line to a message on the T bus; made by `protocol.turret_reply` or `refusal`."""
+        ...
+
+    def tick(self) -> None:
+        """One control period of 10 ms."""
+        ...
+
+    def reset(self) -> None:
+        """Puts the registers to their reset values."""
+        ...
+
+
+class TurretBody(Protocol):
+    """A turret in the physics."""
+
+    def sense(self) -> None:
+        """Stores in the registers what the turret's converters read now; before each control period."""
+        ...
+
+    def drive(self) -> None:
+        """Lets the turret's motors follow the registers; after each control period."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TurretKind:
+    """What a turret is.
+
+    Attributes:
+        name: in playpen files.
+        number: on the T bus.
+        description: in a few words, for the tool `net`.
+        revision: of its own ROM.
+        make: builds its electronics.
+        scene: its MJCF, placed with its origin on the floor under the robot's centre; None without a body.
+            Its keyframe "home" has what its motors hold at the start.
+        fit: joins the electronics and the compiled scene; given the model, its data, the prefix of the
+            turret's names in it and the registers.
+        reach: radius of the floor around the robot's centre that it covers with the robot at start [m].
+    """
+
+    name: str
+    number: int
+    description: str
+    revision: str
+    make: Callable[[], Turret]
+    scene: Path | None = None
+    fit: "Callable[[mujoco.MjModel, mujoco.MjData, str, NDArray[np.int64]], TurretBody] | None" = None
+    reach: float = 0.0
+
+
+@cache
+def installed() -> Mapping[str, TurretKind]:
+    """All turrets that installed packages offer, by name.
+
+    Raises:
+        TurretError: a package offers what is no turret, or a name that another one has.
+    """
+    kinds: dict[str, TurretKind] = {}
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
+        try:
+            kind: object = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise TurretError(f"turret {entry.name}: {entry.value} cannot be loaded: {error}") from error
+        if not isinstance(kind, TurretKind) or kind.name != entry.name or kind.number not in NUMBERS:
+            raise TurretError(
+                f"turret {entry.name}: {entry.value} is {kind!r}; right is a TurretKind of this name "
+                "with a number from 0 to 31"
+            )
+        if kinds.setdefault(kind.name, kind) is not kind:
+            raise TurretError(f"turret {entry.name}: {entry.value}: the name is taken by another package")
+    return kinds
+
+
+def find(names: Sequence[str]) -> tuple[TurretKind, ...]:
+    """The turrets of these names, in their order.
+
+    Raises:
+        TurretError: one is unknown, or two have the same number on the bus.
+    """
+    known = installed()
+    by_number: dict[int, TurretKind] = {}
+    for name in names:
+        if name not in known:
+            raise TurretError(f"unknown turret {name!r}; {choices(name, known)}")
+        kind = known[name]
+        if by_number.get(kind.number) is kind:
+            raise TurretError(f"turret {name!r} is named twice")
+        if other := by_number.get(kind.number):
+            raise TurretError(f"turret {name!r} and {other.name!r} are both number {kind.number}")
+        by_number[kind.number] = kind
+    return tuple(by_number.values())

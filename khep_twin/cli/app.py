@@ -1,0 +1,152 @@
+"""The command line: `khep-twin COMMAND`. Thin: each command calls into the package and prints.
+
+What a command needs is imported inside it, so that `khep-twin --help` comes at once.
+"""
+
+import errno
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer.exceptions import TyperException
+
+from khep_twin import __version__
+from khep_twin.cli.completion import complete_in_bash, missing
+from khep_twin.cli.completion import ports as known_ports
+from khep_twin.cli.design import design
+from khep_twin.cli.drive import drive
+from khep_twin.cli.fit import fit
+from khep_twin.cli.log import recover, repeat
+from khep_twin.cli.options import Commands, Force, check_new, usage
+from khep_twin.cli.playpen import playpen_app
+from khep_twin.cli.ports import ports
+from khep_twin.cli.report import export, report
+from khep_twin.cli.run import run
+from khep_twin.cli.sense import sense
+from khep_twin.cli.series import new, series
+from khep_twin.cli.serve import serve
+from khep_twin.cli.streams import exit_code
+from khep_twin.cli.sweep import sweep
+from khep_twin.cli.view import view
+from khep_twin.errors import KhepTwinError
+from khep_twin.files.atomic import unusable, write_whole
+from khep_twin.signals import answered, asked_by, leave
+
+app = typer.Typer(
+    name="khep-twin",
+    help="A physics-based digital twin of the Khepera miniature robot.",
+    cls=Commands,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.add_typer(playpen_app, name="playpen")
+for command in (
+    run,
+    series,
+    sweep,
+    new,
+    design,
+    serve,
+    ports,
+    drive,
+    view,
+    report,
+    export,
+    recover,
+    repeat,
+    sense,
+    fit,
+):
+    app.command()(command)
+
+
+def main() -> None:
+    """Runs the command line; a user's mistake ends in one line, not in a trace."""
+    if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
+        complete_in_bash(lambda: app(prog_name="khep-twin"))
+    code = _run()
+    # Typer has one code for whatever was interrupted, shells have one for each signal.
+    leave(exit_code(128 + asked_by() if code == 130 and asked_by() else code))
+
+
+def _run() -> int:
+    try:
+        with answered():
+            return app(prog_name="khep-twin", standalone_mode=False) or 0
+    except KeyboardInterrupt:
+        return 130
+    except KhepTwinError as error:
+        text, code = str(error), 1
+    except OSError as error:
+        code = 1
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            text = f"{error.strerror}; expected fewer that are open, or more that may be: ulimit -n"
+        elif _is_nowhere():
+            text = "the current directory is not there any more; expected one that is"
+        else:
+            raise
+    except TyperException as error:
+        text, code = error.format_message(), error.exit_code
+        if text.startswith("Missing "):
+            text = missing(error)
+        if "\n" in text:  # the help, where nothing was typed
+            print(text, file=sys.stderr)
+            return code
+    for line in text.splitlines():
+        print(f"khep-twin: {line}", file=sys.stderr)
+    return code
+
+
+def _is_nowhere() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"khep-twin {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Show the version and end.", callback=_show_version, is_eager=True),
+    ] = False,
+) -> None:
+    """A physics-based digital twin of the Khepera miniature robot."""
+
+
+@app.command()
+def conform(
+    port: Annotated[
+        str,
+        typer.Argument(help="Port of a robot or a twin, such as khep://default.", autocompletion=known_ports),
+    ],
+    move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
+    baudrate: Annotated[int, typer.Option(help="Speed of the line.")] = 9600,
+    report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
+    force: Force = False,
+) -> None:
+    """Checks whether what is at a port speaks the robot's protocol; ends with 1 if it does not."""
+    from khep_twin.lab.conformance import conformance
+
+    if report is not None and (reason := unusable(report)):
+        raise usage(f"--report {report}: cannot be written: {reason}")
+    check_new(force, report)
+    if move:
+        ways = dict.fromkeys(check.moves for check in conformance.checks(True) if check.moves)
+        typer.echo(f"the robot {', '.join(ways)}", err=True)
+    outcome = conformance.conform(port, move=move, baudrate=baudrate)
+    typer.echo(outcome.text())
+    if report is not None:
+        write_whole(report, outcome.json().encode("utf-8"))
+    if not outcome.passed:
+        raise typer.Exit(1)

@@ -1,0 +1,123 @@
+"""What the shell completes, and what a message offers where an argument is missing."""
+
+import os
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from khep_twin.errors import KhepTwinError, choices
+
+Offer = tuple[str, str]
+"""A value and what it is."""
+
+_MOST_CHOICES = 20
+"""Longest list of choices in a message."""
+
+
+def playpens() -> list[Offer]:
+    """Return the shipped playpens and the TOML files of the current folder."""
+    from khep_twin.files.toml_files import names
+
+    return [(name, summary(name)) for name in names("playpens")] + _files(".toml")
+
+
+def calibrations() -> list[Offer]:
+    """Return the shipped calibrations and the TOML files of the current folder."""
+    from khep_twin.files.toml_files import names
+
+    return [(name, "") for name in names("calibration")] + _files(".toml")
+
+
+def controllers() -> list[Offer]:
+    """Return the built-in controllers and the Python files of the current folder."""
+    from khep_twin.lab.experiment.controllers import BUILT_IN
+
+    return [(name, "built in") for name in BUILT_IN] + _files(".py")
+
+
+def ports() -> list[Offer]:
+    """Return the ports that robots and twins may be at, and twins in this process."""
+    from khep_twin.files.toml_files import names
+    from khep_twin.host.discovery import found_ports
+
+    try:
+        found = [(port.url, port.what) for port in found_ports()]
+    except KhepTwinError:  # their folder is not this user's
+        found = []
+    return found + [(f"khep://{name}", summary(name)) for name in names("playpens")]
+
+
+def logs() -> list[Offer]:
+    """Return the logs of the current folder."""
+    return _files(".mcap")
+
+
+def studies() -> list[Offer]:
+    """Return the TOML files of the current folder."""
+    return _files(".toml")
+
+
+def summary(playpen: str) -> str:
+    """Return the first sentence of a shipped playpen's file, in its first line."""
+    from khep_twin.files.toml_files import folder
+
+    with (folder("playpens") / f"{playpen}.toml").open(encoding="utf-8") as file:
+        return file.readline().removeprefix("# ").strip().partition(". ")[0].removesuffix(".")
+
+
+def missing(error: Any) -> str:
+    """Return the message about a missing argument or option, with its choices.
+
+    Args:
+        error: Typer's error, which knows the parameter.
+    """
+    parameter, context = error.param, error.ctx
+    offers = [item.value for item in parameter.shell_complete(context, "")]
+    told = f"Missing {parameter.param_type_name} {parameter.get_error_hint()}: {parameter.help or ''}".strip()
+    if not offers:
+        return told
+    more = ["..."] if len(offers) > _MOST_CHOICES else []
+    return f"{told} {choices('', offers[:_MOST_CHOICES] + more)}"
+
+
+def complete_in_bash(complete: Callable[[], object]) -> None:
+    """Print bash's completions of a word with colons, such as khep://default.
+
+    Bash takes each colon for a word of its own: the words come joined here, and what stands before the last
+    colon of the completed one is left out of the answer.
+
+    Args:
+        complete: Prints the completions of the words in the environment.
+    """
+    words, index = _rejoined(os.environ["COMP_WORDS"].split("\n"), int(os.environ["COMP_CWORD"]))
+    os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(words), str(index)
+    word = words[index] if index < len(words) else ""
+    shown = StringIO()
+    try:
+        with redirect_stdout(shown):
+            complete()
+    finally:
+        before = word.rpartition(":")[0]
+        for line in shown.getvalue().splitlines():
+            print(line.removeprefix(f"{before}:") if before else line, file=sys.stdout)
+
+
+def _rejoined(words: list[str], index: int) -> tuple[list[str], int]:
+    """Return words whose parts at colons are one again, and where the word at `index` is now."""
+    joined: list[str] = []
+    now = index
+    for place, word in enumerate(words):
+        if joined and place and (word.startswith(":") or joined[-1].endswith(":")):
+            joined[-1] += word
+            now -= place <= index
+        else:
+            joined.append(word)
+    return joined, now
+
+
+def _files(ending: str) -> list[Offer]:
+    """Return the files of the current folder that end so; the shell completes those elsewhere."""
+    return [(path.name, "") for path in sorted(Path().glob(f"*{ending}"))]

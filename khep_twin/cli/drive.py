@@ -1,0 +1,202 @@
+"""`khep-twin drive`: a robot or a twin driven by the keys of a terminal."""
+
+import os
+import select
+import signal
+import sys
+import threading
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli.completion import ports
+from khep_twin.cli.options import Force, check_new
+from khep_twin.errors import KhepTwinError
+from khep_twin.signals import clear_at_end, stopping
+
+if TYPE_CHECKING:
+    import curses
+
+    from khep_twin.lab.experiment.teleoperation import Teleoperation
+
+_LOOK_MS = 50
+"""The screen is drawn this often, and with each key [ms]."""
+
+_CTRL_C, _ESCAPE = 3, 27
+
+
+def drive(
+    port: Annotated[
+        str, typer.Argument(help="Port of a robot or a twin, such as khep://obstacles.", autocompletion=ports)
+    ],
+    speed: Annotated[
+        int, typer.Option(min=1, max=40, help="Speed to begin with [pulses/10 ms = 8 mm/s].")
+    ] = 5,
+    baudrate: Annotated[
+        int, typer.Option(min=0, help="Speed of the line; 0 tries all that the robots have.")
+    ] = 9600,
+    log: Annotated[
+        Path | None, typer.Option(help="Record the drive in this MCAP file; for a twin at khep:// only.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Drives a robot by the terminal's keys, and shows its sensors.
+
+    Arrows or WASD drive while they are held, space stops, + - and 1 to 9 choose the speed, L switches the
+    LEDs, q ends. The motors stop when no key has come for a moment, and at the end, whatever ends it.
+    """
+    from khep_twin.host import Khepera
+    from khep_twin.lab.experiment.teleoperation import TIMEOUT, Teleoperation
+
+    check_new(force, log)
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise KhepTwinError("drive: there is no terminal to drive from; right is to start it in one")
+    with (
+        stopping(awaited=None) as stop,
+        Khepera(_with_log(port, log), TIMEOUT, baudrate or "auto") as robot,
+    ):
+        versions = robot.versions()
+        operation = Teleoperation(robot, speed)
+        with _running(operation, stop) as (ended, failures):
+            _on_screen(lambda window: _show(window, operation, f"{port}  BIOS {versions.bios}", ended))
+        if failures:
+            raise failures[0]
+        stopped = stop()
+    typer.echo("the motors were stopped")
+    if log is not None:
+        typer.echo(f"log      {log}")
+    if stopped:
+        raise typer.Exit(130)
+
+
+def _with_log(port: str, log: Path | None) -> str:
+    """The port that records itself."""
+    from urllib.parse import quote
+
+    from khep_twin.host.opening import numbered
+
+    if log is None:
+        return port
+    port = numbered(port)
+    if not port.startswith("khep://"):
+        raise KhepTwinError(
+            f"--log {log}: is for a twin at khep://; right is serve --log, or serve --through {port} --log"
+        )
+    return f"{port}{'&' if '?' in port else '?'}log={quote(str(log))}"
+
+
+@contextmanager
+def _running(
+    operation: "Teleoperation", stop: Callable[[], bool]
+) -> Generator[tuple[Callable[[], bool], list[BaseException]], None, None]:
+    """Drives in a thread of its own; yields whether it has ended, and what it has failed with."""
+    quits = threading.Event()
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            operation.run(lambda: quits.is_set() or stop())
+        except BaseException as error:  # told by whoever waits for the thread
+            failures.append(error)
+
+    thread = threading.Thread(target=run, name="robot")
+    thread.start()
+    try:
+        yield lambda: not thread.is_alive(), failures
+    finally:
+        quits.set()
+        thread.join()
+
+
+def _on_screen(show: Callable[["curses.window"], None]) -> None:
+    """Gives the terminal's screen away, and has it as it was afterwards."""
+    import curses
+
+    # Suspended, nobody would hold the dead-man's switch; so Ctrl-Z is a key without meaning.
+    before = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
+    os.environ.setdefault("ESCDELAY", "25")
+    forget = clear_at_end(curses.endwin)
+    try:
+        curses.setupterm()
+        curses.wrapper(show)
+    except curses.error as error:
+        kind = os.environ.get("TERM", "")
+        raise KhepTwinError(
+            f"TERM={kind}: this terminal cannot be drawn on ({error}); right is TERM=xterm"
+        ) from None
+    finally:
+        forget()
+        signal.signal(signal.SIGTSTP, before)
+
+
+def _show(window: "curses.window", operation: "Teleoperation", name: str, ended: Callable[[], bool]) -> None:
+    """Passes keys on and draws what comes of them, until q or the end of the drive."""
+    import curses
+
+    from khep_twin.lab.experiment.drive_screen import draw
+
+    # Raw: Ctrl-S would hold up the screen, Ctrl-C the line.
+    curses.raw()
+    try:
+        curses.curs_set(0)
+    except curses.error:
+        pass  # a terminal whose cursor is always there
+    window.timeout(_LOOK_MS)
+    hung_up = select.poll()
+    hung_up.register(sys.stdin.fileno(), select.POLLHUP)
+    while not ended() and not hung_up.poll(0):
+        key = window.getch()
+        window.nodelay(True)
+        while key != -1:
+            if key in (_CTRL_C, ord("q"), ord("Q")):
+                return
+            _press(operation, _arrow(window) if key == _ESCAPE else key)
+            key = window.getch()
+        window.timeout(_LOOK_MS)
+        height, width = window.getmaxyx()
+        window.erase()
+        for row, line in enumerate(draw(operation.view, name, width, height)):
+            window.addstr(row, 0, line)
+        window.refresh()
+
+
+def _arrow(window: "curses.window") -> int:
+    """The arrow key of a terminal that sends it otherwise than TERM says; 0 for anything else."""
+    import curses
+
+    arrows = {"A": curses.KEY_UP, "B": curses.KEY_DOWN, "C": curses.KEY_RIGHT, "D": curses.KEY_LEFT}
+    if window.getch() not in (ord("["), ord("O")):
+        return 0
+    letter = window.getch()
+    return arrows.get(chr(letter), 0) if 0 < letter < 128 else 0
+
+
+def _press(operation: "Teleoperation", key: int) -> None:
+    """What a key does."""
+    import curses
+
+    from khep_twin.lab.experiment.teleoperation import Way
+
+    ways = {
+        curses.KEY_UP: Way.FORWARD,
+        curses.KEY_DOWN: Way.BACK,
+        curses.KEY_LEFT: Way.LEFT,
+        curses.KEY_RIGHT: Way.RIGHT,
+        ord("w"): Way.FORWARD,
+        ord("s"): Way.BACK,
+        ord("a"): Way.LEFT,
+        ord("d"): Way.RIGHT,
+        ord(" "): Way.STOP,
+    }
+    letter = ord(chr(key).lower()) if key < 128 else key
+    if letter in ways:
+        operation.press(ways[letter])
+    elif letter in (ord("+"), ord("-")):
+        operation.choose(operation.view.speed + (1 if letter == ord("+") else -1))
+    elif ord("1") <= letter <= ord("9"):
+        operation.choose(letter - ord("0"))
+    elif letter == ord("l"):
+        operation.switch_leds()

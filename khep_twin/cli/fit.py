@@ -1,0 +1,77 @@
+"""The command line's part for fits: `khep-twin fit`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from khep_twin.cli.completion import calibrations
+from khep_twin.cli.options import Force, check_apart, check_new
+from khep_twin.errors import FitError
+from khep_twin.files.atomic import is_same, unusable, write_whole
+
+
+def fit(
+    tests: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE=MEASURED...",
+            help="Recorded tests, each with what a person has measured: straight.mcap=998mm, "
+            "spin.mcap=5turns (counter-clockwise), steps.mcap=duty (steps of command P), and tests of "
+            "`khep-twin sense` that began with an object straight ahead: run.csv=wall@22mm, "
+            "run.csv=cylinder:27mm@15mm (its radius), run.csv=lamp:2W@150mm or, so high, lamp:2W:60mm@150mm.",
+        ),
+    ],
+    check: Annotated[
+        list[str] | None,
+        typer.Option(help="A test like these that is not used, but told how well it is met."),
+    ] = None,
+    start: Annotated[
+        str, typer.Option(help="Calibration that the rest is taken from.", autocompletion=calibrations)
+    ] = "khepera1",
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Calibration file to write.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the fit over the data in this PNG, SVG or PDF file.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Finds one robot's wheels, motors and sensors from recorded tests and a ruler."""
+    from khep_twin.drawing import map as drawing
+    from khep_twin.files.toml_files import dump
+    from khep_twin.lab.fit.fit_figure import draw_fit
+    from khep_twin.lab.fit.fit_inputs import measured
+    from khep_twin.lab.fit.robot_fit import fit_robot, met, named
+    from khep_twin.sensing import calibration
+
+    for path in filter(None, (output, picture)):
+        if reason := unusable(path):
+            raise FitError(f"{path}: cannot be written: {reason}")
+    if output is not None and picture is not None and is_same(output, picture):
+        raise FitError(f"{picture}: this is the calibration; right is a file of its own for the picture")
+    recorded = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
+    for path in filter(None, (output, picture)):
+        if any(is_same(path, each) for each in recorded):
+            raise FitError(f"{path}: this is a recorded test; right is a file of its own")
+    if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise FitError(f"{picture}: right is a name that ends in .png, .svg or .pdf")
+    check_apart([start], output, picture)
+    check_new(force, output)
+    data, unused = measured(tests), measured(check or [])
+    if picture is not None and not (data.objects or data.lamps or data.motors):
+        raise FitError(
+            f"{picture}: measured drives give no picture; right is with a sensor test or steps of duty"
+        )
+    found = fit_robot(data, calibration.read(start)[0])
+    for line in found.lines:
+        typer.echo(line)
+    for line in met(data, found.calibration):
+        typer.echo(f"{line} left")
+    for line in met(unused, found.calibration):
+        typer.echo(f"{line} off, not used for the fit")
+    if output is not None:
+        after = named(found.calibration, output.stem, len(tests))
+        write_whole(output, dump(after).encode("utf-8"))
+        typer.echo(f"calibration   {output}")
+    if picture is not None and (figure := draw_fit(data, found.calibration)) is not None:
+        drawing.save(figure, picture)
+        typer.echo(f"picture       {picture}")

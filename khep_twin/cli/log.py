@@ -1,0 +1,66 @@
+"""The command line's part for logs: `khep-twin recover` and `khep-twin repeat`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from khep_twin.cli.completion import logs, ports
+from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.clock import NS_PER_S
+
+
+def recover(
+    log: Annotated[Path, typer.Argument(help="An interrupted log, NAME.mcap.part, or a damaged one.")],
+) -> None:
+    """Rescues an interrupted log; ends with 0 if all of it was saved, 3 if a part, 1 if nothing."""
+    from khep_twin.log.recover import recover as rescue
+    from khep_twin.log.recover import summary
+
+    with progress_bar() as progress:
+        found = rescue(log, progress)
+    typer.echo(summary(log, found))
+    typer.echo(f"log      {found.path}")
+    if not found.whole:
+        raise typer.Exit(3)
+
+
+def repeat(
+    log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.", autocompletion=logs)],
+    port: Annotated[
+        str | None,
+        typer.Option(
+            help="Send the log's host bytes to this robot or twin instead, and compare its replies.",
+            autocompletion=ports,
+        ),
+    ] = None,
+) -> None:
+    """Runs a log's run again and compares; ends with 0 if it is the same, 3 if not, 1 if it cannot be."""
+    from khep_twin.lab.experiment.repeat import check, elsewhere, read_recorded
+    from khep_twin.lab.experiment.repeat import repeat as run_again
+
+    recorded = read_recorded(log)
+    if port is not None:
+        from khep_twin.lab.experiment.replay_to_port import resend
+
+        with progress_bar() as progress:
+            comparison = resend(recorded, port, progress)
+        typer.echo(comparison.text())
+        if not comparison.identical:
+            raise typer.Exit(3)
+        return
+    check(recorded)
+    for line in elsewhere(recorded):
+        typer.echo(f"khep-twin: {line}", err=True)
+    with progress_bar() as progress:
+        difference = run_again(recorded, progress)
+    if difference is None:
+        count = sum(map(len, recorded.lines))
+        typer.echo(
+            f"identical: {recorded.end_ns / NS_PER_S:.2f} s, {len(recorded.states)} states, {count} lines"
+        )
+        return
+    typer.echo(f"different from {difference.time_ns / NS_PER_S:.4f} s on, {difference.channel}")
+    typer.echo(f"recorded  {difference.recorded}")
+    typer.echo(f"repeated  {difference.repeated}")
+    raise typer.Exit(3)

@@ -1,0 +1,293 @@
+"""The command line's part for playpens: `khep-twin playpen COMMAND`."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli import completion
+from khep_twin.cli.options import Commands, Force, check_apart, check_new
+from khep_twin.errors import KhepTwinError
+from khep_twin.files.atomic import write_whole
+
+if TYPE_CHECKING:
+    from khep_twin.playpen import Playpen
+    from khep_twin.playpen.bitmap import Imported
+    from khep_twin.playpen.bitmap_files import Bitmap
+
+if TYPE_CHECKING:
+    from khep_twin.drawing.map import Track
+    from khep_twin.playpen import Playpen
+
+playpen_app = typer.Typer(
+    help="List, check, compile, draw and import playpens.",
+    cls=Commands,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put to their spots.")]
+PlaypenName = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a shipped playpen, or path of a playpen file.", autocompletion=completion.playpens
+    ),
+]
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")]
+
+
+@playpen_app.command("list")
+def list_playpens() -> None:
+    """Lists the shipped playpens, a line each."""
+    from khep_twin import playpen as playpens
+
+    names = playpens.names()
+    for name in names:
+        typer.echo(f"{name:{max(map(len, names))}}  {completion.summary(name)}")
+
+
+@playpen_app.command()
+def check(playpen: PlaypenName) -> None:
+    """Checks a playpen; one line per problem."""
+    from khep_twin import playpen as playpens
+    from khep_twin.sensing import calibration
+
+    found = playpens.load(playpen)
+    for robot in found.robots:
+        calibration.read(robot.calibration)
+    kinds = {
+        "block": found.blocks,
+        "cylinder": found.cylinders,
+        "wall": found.walls,
+        "patch": found.patches,
+        "lamp": found.lamps,
+        "spot": found.spots,
+        "robot": found.robots,
+    }
+    plural = {"patch": "patches"}
+    counts = [
+        f"{len(items)} {kind if len(items) == 1 else plural.get(kind, kind + 's')}"
+        for kind, items in kinds.items()
+        if items
+    ]
+    typer.echo(f"{found.name}: {', '.join(counts) or 'an empty arena'}: no problem")
+
+
+@playpen_app.command("compile")
+def compile_playpen(
+    playpen: PlaypenName, output: Output = None, seed: SpotSeed = 0, force: Force = False
+) -> None:
+    """Writes a playpen as MJCF, which opens in MuJoCo without khep_twin; to standard output by default."""
+    from khep_twin import playpen as playpens
+    from khep_twin.playpen_to_mjcf import to_mjcf
+
+    check_apart([playpen], output)
+    check_new(force, output)
+    mjcf = to_mjcf(_placed(playpens.load(playpen), seed))
+    if output is None:
+        typer.echo(mjcf, nl=False)
+    else:
+        write_whole(output, mjcf.encode("utf-8"))
+        typer.echo(f"scene    {output}")
+
+
+@playpen_app.command()
+def draw(
+    playpen: PlaypenName,
+    output: Output = None,
+    log: Annotated[Path | None, typer.Option(help="Log of a run in it, whose ways are drawn, too.")] = None,
+    perspective: Annotated[
+        bool, typer.Option("--perspective", help="As a camera above it would see it; needs OpenGL.")
+    ] = False,
+    seed: SpotSeed = 0,
+) -> None:
+    """Draws a playpen to scale, as PNG, SVG or PDF; to NAME.png by default."""
+    from khep_twin import playpen as playpens
+    from khep_twin.drawing import map as drawing
+
+    found = playpens.load(playpen)
+    target = output or Path(f"{found.name}.png")
+    check_apart([playpen, *([] if log is None else [log])], target)
+    if perspective:
+        from khep_twin.drawing.render import render
+
+        if log is not None:
+            raise KhepTwinError("--log draws on a map; right is without --perspective")
+        write_whole(target, render(_placed(found, seed), target))
+    else:
+        drawing.save(drawing.draw(found, _ways(log) if log is not None else ()), target)
+    typer.echo(f"picture  {target}")
+
+
+@playpen_app.command()
+def schema(output: Output = None, force: Force = False) -> None:
+    """Writes the format as JSON schema, for editors; to standard output by default."""
+    import json
+
+    from khep_twin import playpen as playpens
+
+    check_new(force, output)
+    text = json.dumps(playpens.schema(), indent=2) + "\n"
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        write_whole(output, text.encode("utf-8"))
+        typer.echo(f"schema   {output}")
+
+
+@playpen_app.command()
+def scatter(
+    density: Annotated[float, typer.Option(help="Part of the floor that obstacles cover, 0 to 0.1.")] = 0.06,
+    seed: Annotated[int, typer.Option(help="Seed of the field.")] = 0,
+    width_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Of the arena.")] = 1000,
+    height_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Of the arena.")] = 1000,
+    output: Output = None,
+    force: Force = False,
+) -> None:
+    """Draws a field of obstacles by chance as a playpen file; to standard output by default."""
+    from khep_twin import playpen as playpens
+    from khep_twin.playpen.random_obstacles import obstacle_field
+    from khep_twin.randomness import stream
+
+    check_new(force, output)
+    try:
+        chance = stream(seed, "obstacle field")
+    except ValueError as error:
+        raise KhepTwinError(f"--seed {seed}: {error}") from None
+    field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, chance)
+    text = f"# khep-twin playpen scatter --density {density:g} --seed {seed}\n\n{playpens.dump(field)}"
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        write_whole(output, text.encode("utf-8"))
+        typer.echo(f"playpen  {output}: {len(field.blocks)} blocks, {len(field.cylinders)} cylinders")
+
+
+def _placed(playpen: "Playpen", seed: int) -> "Playpen":
+    """A playpen with its robots where a run with this seed puts them."""
+    from khep_twin.playpen import placed
+    from khep_twin.randomness import stream
+
+    try:
+        return placed(playpen, stream(seed, "spots"))
+    except ValueError as error:
+        raise KhepTwinError(f"--seed {seed}: {error}") from None
+
+
+def _ways(log: Path) -> "list[Track]":
+    """Where the robots of a log went."""
+    from khep_twin.drawing.map import Track
+    from khep_twin.log.reader import read
+
+    return [
+        Track(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3)
+        for name, track in read(log).robots.items()
+        if len(track.pose)
+    ]
+
+
+@playpen_app.command("import")
+def import_bitmap(
+    file: Annotated[
+        Path, typer.Argument(help="A scanned playpen of the Khepera Toolbox (MAT), or a picture (PNG).")
+    ],
+    output: Output = None,
+    mm_per_pixel: Annotated[float, typer.Option(metavar="MM", help="Side of a pixel [mm].")] = 1.0,
+    flip: Annotated[
+        bool | None,
+        typer.Option(
+            "--flip/--no-flip",
+            help="Take the first row as the bottom: by default in a MAT file, since the toolbox scans upside "
+            "down, and not in a PNG.",
+        ),
+    ] = None,
+    variable: Annotated[
+        str | None,
+        typer.Option(help="Which matrix of a MAT file; btmap1, or else the only one, by default."),
+    ] = None,
+    solid: Annotated[
+        int | None, typer.Option(help="Value of what is solid in a MAT file; 44 by default.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name of the playpen; by default that of the file.")
+    ] = None,
+    height_mm: Annotated[float, typer.Option(metavar="MM", help="Height of the blocks [mm].")] = 50.0,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,HEADING",
+            help='Where a robot stands [mm, mm, deg], or "none"; by default in the free place nearest to the '
+            "middle.",
+        ),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Makes a playpen from a scanned or painted bitmap; writes NAME.toml by default."""
+    from khep_twin import playpen as playpens
+    from khep_twin.errors import BitmapError
+    from khep_twin.files import toml_files
+    from khep_twin.playpen import bitmap, bitmap_files
+
+    check_apart([file], output)
+    name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", file.stem)[:64].strip("-") or "imported"
+    target = output or Path(f"{name}.toml")
+    check_new(force, target)
+    pose = None if robot in (None, "none") else _pose(robot)
+    found = bitmap_files.read(file, variable, solid)
+    upside_down = found.scanned if flip is None else flip
+    try:
+        made = bitmap.to_playpen(
+            found.solid[::-1] if upside_down else found.solid,
+            name,
+            mm_per_pixel=mm_per_pixel,
+            height_mm=height_mm,
+            robot=pose,
+            find_place=robot is None,
+        )
+    except BitmapError as error:
+        raise BitmapError(f"{file}: {error}") from None
+    head = f"# Imported from {toml_files.show(file.name)} by khep-twin playpen import.\n\n"
+    write_whole(target, (head + playpens.dump(made.playpen)).encode("utf-8"))
+    for line in _summary(found, made, upside_down, mm_per_pixel):
+        typer.echo(line)
+    typer.echo(f"robot    {_robot(made.playpen, wanted=robot != 'none')}")
+    typer.echo(f"playpen  {target}")
+
+
+def _summary(found: "Bitmap", made: "Imported", upside_down: bool, mm_per_pixel: float) -> Iterator[str]:
+    """What was found in a bitmap, and what was made of it."""
+    rows, columns = found.solid.shape
+    borders, arena = made.borders, made.playpen.arena
+    yield (
+        f"bitmap   {found.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, "
+        f"{int(found.solid.sum())} of them solid"
+    )
+    first = "bottom" if upside_down else "top"
+    why = " (the toolbox's scan turned the right way up)" if upside_down and found.scanned else ""
+    other = "--no-flip" if upside_down else "--flip"
+    yield f"flip     its first row is the {first}{why}; {other} for the other way"
+    sides = {"left": borders.left, "right": borders.right, "bottom": borders.bottom, "top": borders.top}
+    told = ", ".join(f"{pixels * mm_per_pixel:g} mm {side}" for side, pixels in sides.items())
+    yield f"walls    {told}; now {arena.wall_thickness_mm:g} mm thick"
+    yield f"arena    {arena.width_mm:g} x {arena.height_mm:g} mm within the walls"
+    yield f"blocks   {len(made.playpen.blocks)}"
+
+
+def _robot(playpen: "Playpen", wanted: bool) -> str:
+    """Where the robot stands, in words."""
+    for robot in playpen.robots:
+        return f"at ({robot.x_mm:g}, {robot.y_mm:g}), heading {robot.heading_deg:g} degrees"
+    return "none: no place is free" if wanted else "none"
+
+
+def _pose(text: str) -> tuple[float, float, float]:
+    """X,Y,HEADING as numbers."""
+    from khep_twin.errors import BitmapError
+
+    try:
+        x_mm, y_mm, heading_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise BitmapError(f'--robot {text}: right is X,Y,HEADING, such as 300,250,90, or "none"') from None
+    return x_mm, y_mm, heading_deg

@@ -1,0 +1,99 @@
+"""The command line's part for what is made of a log: `khep-twin export` and `khep-twin report`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from khep_twin.cli.completion import logs
+from khep_twin.cli.options import Force, check_new
+from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.errors import LogError
+from khep_twin.files.atomic import is_same, unusable, whole_file, write_whole
+
+LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
+
+
+def export(
+    log: LogFile,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Table to write: .csv, .parquet or .mat.")
+    ] = None,
+    channels: Annotated[
+        str | None,
+        typer.Option(help="Only these, such as proximity,speed; without, all but registers."),
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Name of the robot, such as khepera1; without, the first.")
+    ] = None,
+    transcript: Annotated[
+        Path | None, typer.Option(help="Write what was said on the serial line as this CSV file.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Writes what a log holds of a robot as tables for other programs."""
+    from khep_twin.lab.report import export as tables
+    from khep_twin.log.reader import read_heads
+
+    if output is None and transcript is None:
+        raise LogError("nothing to write; right is -o FILE.csv, .parquet or .mat, or --transcript FILE.csv")
+    _check_outputs(log, *filter(None, (output, transcript)))
+    kind = "" if output is None else tables.checked_suffix(output)
+    if transcript is not None and transcript.suffix.lower() != ".csv":
+        raise LogError(f"--transcript {transcript}: right is a name that ends in .csv")
+    check_new(force, output, transcript)
+    wanted = None if channels is None else [name.strip() for name in channels.split(",")]
+    recording = read_heads(log)
+    name = tables.chosen_robot(recording, robot)
+    found = tables.chosen_channels(recording, name, wanted)
+    if output is not None:
+        if kind != ".mat" and not found:
+            raise LogError(f"{log}: {name} has no samples; right is --transcript, or -o FILE.mat")
+        with whole_file(output) as file, progress_bar() as progress:
+            if kind == ".mat":
+                data, n_rows = tables.matrices(log, name, found, progress)
+                file.write(data)
+            else:
+                n_rows = tables.write_table(log, found, kind, file, progress)
+        what = ", ".join(channel.name for channel in found) or "no samples"
+        typer.echo(f"table       {output}: {name}: {what}; {n_rows} rows")
+    if transcript is not None:
+        with whole_file(transcript) as file, progress_bar() as progress:
+            n_lines = tables.write_transcript(log, name, file, progress)
+        typer.echo(f"transcript  {transcript}: {name}: {n_lines} lines")
+
+
+def report(
+    log: LogFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Page to write: .html or .pdf.")],
+) -> None:
+    """Writes a page about a run: its path, sensors, wheels, and its numbers."""
+    kind = output.suffix.lower()
+    if kind not in (".html", ".pdf"):
+        raise LogError(f"{output}: right is a name that ends in .html or .pdf")
+    _check_outputs(log, output)
+    from khep_twin.lab.report.report import report as report_on
+    from khep_twin.log.reader import read_series
+
+    found = report_on(read_series(log), str(log))
+    if kind == ".html":
+        from khep_twin.lab.report.pages import html
+
+        data = html(found)
+    else:
+        from khep_twin.lab.report.pdf import pdf
+
+        data = pdf(found)
+    write_whole(output, data)
+    typer.echo(f"report  {output}")
+
+
+def _check_outputs(log: Path, *outputs: Path) -> None:
+    """Refuses files that could not be written at the end, and the log itself."""
+    for path in outputs:
+        if reason := unusable(path):
+            raise LogError(f"{path}: cannot be written: {reason}")
+        if is_same(path, log):
+            raise LogError(f"{path}: this is the log; right is a file of its own")
+    if len({path.resolve() for path in outputs}) < len(outputs):
+        raise LogError(f"{outputs[0]}: named twice; right is a file of its own for each")

@@ -1,0 +1,260 @@
+"""The command line's part for sensor tests: `khep-twin sense`."""
+
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli.completion import ports
+from khep_twin.cli.options import Force, check_new
+from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.errors import KhepTwinError, SensorTestError
+from khep_twin.files.atomic import unusable
+from khep_twin.signals import stopping
+
+if TYPE_CHECKING:
+    from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
+
+
+class Sensors(StrEnum):
+    """What the sensors are asked for."""
+
+    PROXIMITY = "proximity"
+    LIGHT = "light"
+
+
+def sense(
+    port: Annotated[
+        str | None,
+        typer.Argument(
+            help="Port of a robot or a twin, such as /dev/ttyUSB0 or khep://default; without, earlier runs "
+            "are drawn.",
+            autocompletion=ports,
+        ),
+    ] = None,
+    what: Annotated[
+        Sensors | None, typer.Option(help="What the sensors tell: proximity (default) or light.")
+    ] = None,
+    linear: Annotated[
+        float | None,
+        typer.Option(metavar="CM", help="Drive straight on, 5 to 60 cm, or backwards, -5 to -60."),
+    ] = None,
+    rotate: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Turn on the spot, 15 to 360 degrees; below 0 clockwise."),
+    ] = None,
+    speed: Annotated[
+        int | None, typer.Option(help="Highest speed, 1 to 127 pulses/10 ms of 8 mm/s each; 20 by default.")
+    ] = None,
+    acceleration: Annotated[
+        int | None, typer.Option(help="1 to 255, of 3.125 mm/s^2 each; 64 by default.")
+    ] = None,
+    return_to_zero: Annotated[
+        bool | None,
+        typer.Option("--return/--no-return", help="Wait 5 s at the end and drive back. Between runs always."),
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option(help="How often, 1 to 100; files are numbered -1, -2, ...")
+    ] = None,
+    text: Annotated[str | None, typer.Option(help="A description to keep with the data.")] = None,
+    output: Annotated[
+        list[Path] | None,
+        typer.Option("--output", "-o", help="File to write, .csv, .mat or .mcap; as many as wanted."),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the sensors in this PNG, SVG or PDF file.")
+    ] = None,
+    sensor: Annotated[
+        str | None, typer.Option(help='The only sensor in the picture, such as "left 10".')
+    ] = None,
+    y_min: Annotated[int | None, typer.Option(help="Where the picture's axis of counts begins.")] = None,
+    grid: Annotated[bool | None, typer.Option("--grid/--no-grid", help="Lines behind the curves.")] = None,
+    overlay: Annotated[
+        list[Path] | None, typer.Option(help="An earlier run to draw with; as many as wanted.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Reads a robot's sensors while it drives straight or turns, into files and a picture."""
+    from khep_twin.lab.sensor_test import sensor_figure, sensor_files
+    from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
+
+    given = {
+        "--what": what,
+        "--linear": linear,
+        "--rotate": rotate,
+        "--speed": speed,
+        "--acceleration": acceleration,
+        "--return": return_to_zero,
+        "--runs": runs,
+        "--text": text,
+        "--output": output or None,
+    }
+    drawn = {"--sensor": sensor, "--y-min": y_min, "--grid": grid, "--overlay": overlay or None}
+    _check_options(port, given, drawn, picture)
+    tests = [] if port is None else _tests(what, linear, rotate, speed, acceleration, return_to_zero, runs)
+    names = [_numbered(output or [], number, len(tests)) for number in range(1, len(tests) + 1)]
+    for path in (*chain.from_iterable(names), *filter(None, [picture])):
+        if reason := unusable(path):
+            raise SensorTestError(f"{path}: cannot be written: {reason}")
+    for path in chain.from_iterable(names):
+        sensor_files.checked_suffix(path)
+    _check_distinct([*chain.from_iterable(names), *filter(None, [picture]), *(overlay or [])])
+    check_new(force, *chain.from_iterable(names))
+    earlier = [sensor_files.load(path, what.value if what else None) for path in overlay or []]
+    if picture is not None:
+        _check_picture(picture, earlier, tests, sensor, y_min or 0)
+
+    done: list[SensorRun] = []
+    broken: BrokenOffError | None = None
+    stopped = False
+    if port is not None:
+        try:
+            stopped = _drive(port, tests, text or "", lambda run: _keep(done, run, names))
+        except BrokenOffError as error:
+            _keep(done, error.run, names)
+            broken = error
+    if picture is not None and (earlier or done):
+        from khep_twin.drawing import map as drawing
+
+        figure = sensor_figure.draw([*earlier, *done], sensor=sensor, y_min=y_min or 0, grid=bool(grid))
+        drawing.save(figure, picture)
+        typer.echo(f"picture  {picture}")
+    if broken is not None:
+        raise broken
+    if stopped:
+        typer.echo("khep-twin: stopped before its end", err=True)
+        raise typer.Exit(130)
+
+
+def _check_options(
+    port: str | None, driven: Mapping[str, object], drawn: Mapping[str, object], picture: Path | None
+) -> None:
+    """Refuses options that would be without effect, and a command that would do nothing."""
+    if picture is None and (option := _first(drawn)):
+        raise SensorTestError(f"{option} is for the picture; right is to give --picture FILE.png, too")
+    if port is None:
+        if option := _first({key: value for key, value in driven.items() if key != "--what"}):
+            raise SensorTestError(
+                f"{option} is for a robot; right is to give its PORT, such as khep://default"
+            )
+        if drawn["--overlay"] is None:
+            raise SensorTestError(
+                "there is nothing to do; right is a PORT such as khep://default, "
+                "or --overlay FILE --picture FILE"
+            )
+    elif (driven["--linear"] is None) == (driven["--rotate"] is None):
+        count = "none" if driven["--linear"] is None else "both"
+        raise SensorTestError(
+            f"--linear and --rotate: {count} is given; right is one, --linear CM or --rotate DEG"
+        )
+
+
+def _first(options: Mapping[str, object]) -> str:
+    """The first option that is given; empty without."""
+    return next((name for name, value in options.items() if value is not None), "")
+
+
+def _tests(
+    what: Sensors | None,
+    linear: float | None,
+    rotate: float | None,
+    speed: int | None,
+    acceleration: int | None,
+    return_to_zero: bool | None,
+    runs: int | None,
+) -> "list[SensorTest]":
+    """What to drive, in order."""
+    from khep_twin.lab.sensor_test.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest
+
+    count = 1 if runs is None else runs
+    if not 1 <= count <= 100:
+        raise SensorTestError(f"runs = {count}: right is a whole number from 1 to 100")
+    test = partial(
+        SensorTest,
+        "proximity" if what is None else what.value,
+        linear,
+        rotate,
+        DEFAULT_SPEED if speed is None else speed,
+        DEFAULT_ACCELERATION if acceleration is None else acceleration,
+    )
+    # Each run begins where the one before began.
+    return [test(True)] * (count - 1) + [test(bool(return_to_zero))]
+
+
+def _numbered(paths: list[Path], number: int, count: int) -> list[Path]:
+    """Names of one run's files: with its number before the suffix, if there are several."""
+    return [path.with_stem(f"{path.stem}-{number}") if count > 1 and path.name else path for path in paths]
+
+
+def _check_distinct(paths: list[Path]) -> None:
+    seen: set[Path] = set()
+    for path in paths:
+        if path.resolve() in seen:
+            raise SensorTestError(f"{path}: is given twice; right is a name for each file")
+        seen.add(path.resolve())
+
+
+def _check_picture(
+    picture: Path, earlier: "list[SensorRun]", tests: "list[SensorTest]", sensor: str | None, y_min: int
+) -> None:
+    """Refuses a picture that could not be drawn in the end, before the robot moves."""
+    import numpy as np
+
+    from khep_twin.lab.sensor_test import sensor_figure
+    from khep_twin.lab.sensor_test.sensor_test import SensorRun
+
+    if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise SensorTestError(f"{picture}: right is a name that ends in .png, .svg or .pdf")
+    expected = [
+        SensorRun(test, np.array([(0,) * 10, (*test.target, *(0,) * 8)]), np.zeros(2)) for test in tests
+    ]
+    sensor_figure.check([*earlier, *expected], sensor=sensor, y_min=y_min)
+
+
+def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[SensorRun], None]") -> bool:
+    """Drives the tests and hands over what each has gathered; whether it was asked to end early."""
+    from khep_twin.host import Khepera
+    from khep_twin.lab.sensor_test.sensor_test import sense as drive
+
+    with stopping() as stop, Khepera(port) as robot, progress_bar() as show:
+        for number, test in enumerate(tests):
+            part = None if show is None else partial(_show_part, show, number, len(tests))
+            keep(drive(robot, test, text=text, progress=part, stop=stop))
+            if stop():
+                return True
+    return False
+
+
+def _show_part(show: Callable[[float], None], number: int, count: int, part: float) -> None:
+    show((number + part) / count)
+
+
+def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) -> None:
+    """Writes a run's files, and tells what its sensors told."""
+    from khep_twin.lab.sensor_test.sensor_files import save
+    from khep_twin.lab.sensor_test.sensor_test import SENSORS
+
+    if not len(run.dv):
+        return
+    done.append(run)
+    # First what must not be lost, then what is said of it; a file that fails does not take the others along.
+    failures: list[KhepTwinError] = []
+    for path in names[len(done) - 1]:
+        try:
+            save(path, run)
+        except KhepTwinError as error:
+            failures.append(error)
+    typer.echo(
+        f"run {len(done)}: {len(run.dv)} rows over {run.travelled[-1]:.1f} {run.test.unit} "
+        f"in {run.times[-1]:.1f} s"
+    )
+    for sensor, counts in zip(SENSORS, run.dv[:, 2:].T, strict=True):
+        typer.echo(f"  {sensor:10}  {counts.min():4} to {counts.max():4} counts")
+    if failures:
+        raise KhepTwinError("\n".join(map(str, failures)))
+    for path in names[len(done) - 1]:
+        typer.echo(f"data     {path}")

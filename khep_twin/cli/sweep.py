@@ -1,0 +1,141 @@
+"""`khep-twin sweep`: a study's lives, here or on Ray, each result once in one Parquet table."""
+
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli.completion import studies
+from khep_twin.cli.options import complain, usage
+from khep_twin.cli.progress import clock, progress
+from khep_twin.invocation import command
+from khep_twin.signals import clear_at_end
+
+if TYPE_CHECKING:
+    from khep_twin.sweep.tasks import Task, Work
+
+SECONDS_BETWEEN_LINES = 60.0
+"""How often a line tells of a sweep that no terminal shows."""
+
+
+def sweep(
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY.toml", help="What to go through.", autocompletion=studies)
+    ],
+    ray: Annotated[
+        bool, typer.Option("--ray", help="On Ray, in processes that may die; without, in threads.")
+    ] = False,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="A Ray cluster that is there, or auto; without, this machine."
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Threads, or Ray's workers on this machine; without, all cores.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder of the results; without, the study's.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what is there: only what is missing is done.")
+    ] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Only check the study, and count its lives.")
+    ] = False,
+) -> None:
+    """Leads all the lives of a study and keeps each one's results once, in a Parquet table."""
+    from khep_twin.rollout.life import SlowerWarning, is_compiled
+    from khep_twin.sweep import study as studies
+    from khep_twin.sweep.results import summary
+    from khep_twin.sweep.sweep import here, run_sweep
+    from khep_twin.sweep.tasks import work_of
+
+    if address is not None and not ray:
+        raise usage(f"--address {address}: is Ray's; right is to give --ray too")
+    if address is not None and workers is not None:
+        raise usage("--workers is for this machine; a cluster at --address has its own")
+    if address not in (None, "auto"):
+        from khep_twin.sweep.ray_workers import host_and_port
+
+        try:
+            host_and_port(address)
+        except ValueError as error:
+            raise usage(f"--address {error}") from None
+    file = studies.load(study)
+    if check:
+        work = work_of(file)
+        typer.echo(
+            f"{file.study.name}: {work.lives} lives of {file.study.seconds:g} s in {len(work.tasks)} tasks"
+        )
+        return
+    doers = here(workers)
+    if ray:
+        from khep_twin.sweep.ray_workers import on_ray
+
+        doers = on_ray(address, workers)
+    with warnings.catch_warnings(record=True) as slower:
+        warnings.simplefilter("always", SlowerWarning)
+        is_compiled(None)
+    for warning in slower:
+        complain(str(warning.message))
+    warnings.simplefilter("ignore", SlowerWarning)  # once is enough
+
+    def begin(work: "Work", missing: Sequence["Task"]) -> None:
+        lives = sum(task.count for task in missing)
+        there = f", {work.lives - lives} are there already" if lives < work.lives else ""
+        typer.echo(f"{file.study.name}: {work.lives} lives in {len(work.tasks)} tasks{there}")
+
+    def tell_again() -> None:
+        complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
+
+    forget = clear_at_end(tell_again)
+    try:
+        with progress() as show:
+            told = _Lines() if show is None else None
+
+            def tell(done: int, total: int) -> None:
+                if show is not None:
+                    show(done / total)
+                elif told is not None:
+                    told(done, total)
+
+            table = run_sweep(file, output=output, resume=resume, doers=doers, begin=begin, progress=tell)
+    except KeyboardInterrupt:
+        tell_again()
+        raise typer.Exit(130) from None
+    finally:
+        forget()
+    for line in summary(table):
+        typer.echo(line)
+    typed = (study.parent / file.study.output if output is None else output) / table.name
+    typer.echo(f"results  {typed}      read it: pyarrow.parquet.read_table({str(typed)!r})")
+
+
+def _again(
+    study: Path, ray: bool, address: str | None, workers: int | None, output: Path | None
+) -> list[str]:
+    """The words that do the rest of a sweep."""
+    words = ["sweep", str(study), "--resume", *(["--ray"] if ray else [])]
+    for name, value in (("--address", address), ("--workers", workers), ("--output", output)):
+        words += [] if value is None else [name, str(value)]
+    return words
+
+
+class _Lines:
+    """Progress in lines, for where no terminal shows a bar."""
+
+    def __init__(self) -> None:
+        self._start = self._last = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        now = time.monotonic()
+        if now - self._last < SECONDS_BETWEEN_LINES:
+            return
+        self._last = now
+        left = clock((now - self._start) * (total - done) / done)
+        print(f"{done} of {total} lives, {left} left", file=sys.stderr)

@@ -1,0 +1,107 @@
+"""The command line's part for looking at logs: `khep-twin view`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from khep_twin.cli.completion import logs as known_logs
+from khep_twin.cli.options import usage
+from khep_twin.cli.progress import clock, progress
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import LogError
+from khep_twin.files.atomic import is_same, unusable
+from khep_twin.invocation import command
+from khep_twin.signals import stopping
+
+
+def view(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG", help="A log, FILE.mcap, or several to compare.", autocompletion=known_logs
+        ),
+    ],
+    save: Annotated[
+        Path | None, typer.Option(help="Write a rerun recording, FILE.rrd, instead of opening it.")
+    ] = None,
+    png: Annotated[
+        Path | None, typer.Option(help="Write a still as this PNG file instead, without a screen.")
+    ] = None,
+    at: Annotated[
+        float | None, typer.Option(min=0, help="Simulated time of the still [s]; without, the run's end.")
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Follow the log of a run or serve that goes on, as it is written.")
+    ] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="Show it in a browser instead of a window; for this machine only.")
+    ] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="With --web: only tell the page's address.")
+    ] = False,
+) -> None:
+    """Shows a log in rerun, or several side by side: arena, robots from above, curves and transcript."""
+    _check(logs, save, png, live, web, no_browser)
+    if not live:
+        _tell_of_long_ones(logs)
+    if png is not None:
+        from khep_twin.log.viewer.replay import view_still
+
+        view_still(logs, png, at, progress)
+        typer.echo(f"picture  {png}")
+        return
+    from khep_twin.log.viewer.replay import view as view_logs
+
+    if save is not None:
+        view_logs(logs, save, bar=progress)
+        typer.echo(f"recording  {save}      look at it: {command(save, program='rerun')}")
+        return
+    from khep_twin.log.viewer.process import Web
+
+    page = Web(typer.echo, not no_browser) if web else None
+    with stopping() as stop:
+        if live:
+            from khep_twin.log.viewer.live import view_live
+
+            view_live(logs[0], page, stop, lambda text: typer.echo(f"khep-twin: {text}", err=True))
+        else:
+            view_logs(logs, web=page, stop=stop, bar=progress)
+
+
+def _tell_of_long_ones(logs: list[Path]) -> None:
+    """Say which logs are shown with fewer samples than they have."""
+    from khep_twin.log.reader import read_end_ns
+    from khep_twin.log.viewer.thinning import interval_ns
+
+    for log in logs:
+        end_ns = read_end_ns(log)
+        if step_ns := interval_ns(end_ns):
+            typer.echo(
+                f"khep-twin: {log}: one sample in {step_ns / NS_PER_S:.2f} s is shown, as it lasts "
+                f"{clock(end_ns / NS_PER_S)}; khep-twin export writes all",
+                err=True,
+            )
+
+
+def _check(
+    logs: list[Path], save: Path | None, png: Path | None, live: bool, web: bool, no_browser: bool
+) -> None:
+    """Refuses options that do not go together, and files that could not be written at the end."""
+    ways = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
+    given = [name for name, there in ways.items() if there]
+    if len(given) > 1 and given != ["--web", "--live"]:
+        raise usage(f"{' and '.join(given)} do not go together; right is one of them, or --web and --live")
+    if no_browser and not web:
+        raise usage("--no-browser is for --web")
+    if save is not None and save.suffix.lower() != ".rrd":
+        raise usage(f"--save {save}: expected a name that ends in .rrd, a recording for rerun")
+    if live and len(logs) > 1:
+        raise usage(f"--live follows one log, not {len(logs)}")
+    if png is not None:
+        if png.suffix.lower() != ".png":
+            raise usage(f"--png {png}: right is a name that ends in .png")
+        if reason := unusable(png):
+            raise usage(f"--png {png}: cannot be written: {reason}")
+        if any(is_same(png, log) for log in logs):
+            raise LogError(f"{png}: this is the log itself; right is a file of its own")

@@ -1,0 +1,1 @@
+"""Pictures of playpens: maps to scale, light on the floor, perspective views."""

@@ -1,0 +1,247 @@
+"""Drawings: a playpen from above, to scale, with the ways that robots took.
+
+Lamps, objects and robots stand as the playpen has them (`symbols`), robots at their start. A way is coloured
+by time; where it ends, the robot's outline is dashed. The same arguments give the same bytes, whatever else
+matplotlib is set up to do.
+"""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from khep_twin.drawing.labels import Labels
+from khep_twin.drawing.symbols import (
+    FILAMENT,
+    INK,
+    draw_arena,
+    draw_lamps,
+    draw_object,
+    draw_patch,
+    draw_robot,
+    draw_spot,
+    draw_wall,
+    surface_look,
+)
+from khep_twin.errors import KhepTwinError
+from khep_twin.files.atomic import write_whole
+from khep_twin.playpen import Playpen
+from khep_twin.units import BODY_RADIUS
+
+POINT_LIMIT = 20_000
+"""Most points of a way that are drawn; of more, evenly many are left out."""
+
+STYLE: list[Any] = [
+    "default",
+    {
+        "font.size": 9,
+        "text.color": INK,
+        "axes.labelcolor": INK,
+        "axes.linewidth": 0.6,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "hatch.linewidth": 0.6,
+        # Without a salt SVG names its parts anew each time.
+        "svg.hashsalt": "khep_twin",
+    },
+]
+"""How drawings look, whatever else matplotlib is set up to do; for `matplotlib.style.context`."""
+
+_START: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
+_END: dict[str, Any] = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
+METADATA: dict[str, dict[str, None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
+"""What matplotlib would write of its version and the hour into each kind of file, left away."""
+
+LONGER_SIDE = 6.2
+"""Longer side of the playpen on paper [inch]."""
+
+_ENTRY = 1.0
+"""Width that an entry of the legend needs [inch]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """The way of one robot.
+
+    Attributes:
+        robot: its name, e.g. "khepera0".
+        time_s: when it was where, rising (n,) [s].
+        xy_mm: where it was in the playpen (n, 2) [mm].
+    """
+
+    robot: str
+    time_s: NDArray[np.float64]
+    xy_mm: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Refuses arrays that are no way.
+
+        Raises:
+            ValueError: the shapes are not (n,) and (n, 2), or a number is not finite.
+        """
+        if self.time_s.ndim != 1 or self.xy_mm.shape != (len(self.time_s), 2):
+            raise ValueError(f"shapes {self.time_s.shape} and {self.xy_mm.shape} are not (n,) and (n, 2)")
+        if not (np.isfinite(self.time_s).all() and np.isfinite(self.xy_mm).all()):
+            raise ValueError(f"the track of {self.robot} holds a number that is not finite")
+
+
+def draw(
+    playpen: Playpen,
+    tracks: Sequence[Track] = (),
+    *,
+    title: str | None = None,
+    longer_side: float = LONGER_SIDE,
+) -> Figure:
+    """Draws a playpen as it is at the start, and the ways that robots took from there.
+
+    Args:
+        playpen: what is drawn.
+        tracks: of any of its robots; one scale of time colours all.
+        title: above the drawing; without, the playpen's name.
+        longer_side: of the playpen on paper [inch]; letters keep their size.
+    """
+    ways = [track for track in tracks if len(track.time_s)]
+    with matplotlib.style.context(STYLE):
+        legend = list(_legend_entries(playpen, bool(ways)))
+        figure, axes, columns = _sheet(playpen, longer_side, scale=bool(ways), entries=len(legend))
+        labels = Labels(axes, INK)
+        axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
+        limits = axes.axis()
+        draw_arena(axes, playpen)
+        for patch in playpen.patches:
+            draw_patch(axes, playpen, patch)
+        for wall in playpen.walls:
+            draw_wall(axes, playpen, wall)
+        for item in (*playpen.blocks, *playpen.cylinders):
+            draw_object(axes, playpen, item)
+        for spot in playpen.spots:
+            draw_spot(axes, labels, spot)
+        for index, robot in enumerate(playpen.robots):
+            if robot.spots:
+                continue  # it may stand at any of them
+            draw_robot(axes, labels, robot, f"khepera{index}")
+        draw_lamps(axes, labels, playpen)
+        if ways:
+            radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
+            _draw_ways(figure, axes, labels, ways, radii)
+        axes.axis(limits)
+        labels.write()
+        if len(legend) > 1:
+            figure.legend(handles=legend, loc="lower center", ncols=columns, frameon=False, fontsize=8)
+    return figure
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Writes a drawing as PNG, SVG or PDF, by the file's suffix.
+
+    Raises:
+        KhepTwinError: the suffix is another one, or the file cannot be written.
+    """
+    kind = file.suffix.lower().removeprefix(".")
+    if kind not in METADATA:
+        raise KhepTwinError(f"{file}: right is a name that ends in .png, .svg or .pdf")
+    write_whole(file, picture(figure, kind))
+
+
+def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:
+    """A drawing as the bytes of a file, `kind` being "png", "svg" or "pdf"."""
+    data = BytesIO()
+    with matplotlib.style.context(STYLE):
+        figure.savefig(data, format=kind, dpi=dpi, metadata=METADATA[kind])
+    return data.getvalue()
+
+
+def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -> tuple[Figure, Axes, int]:
+    """Return a figure, its axes in mm with room around them, and how many columns its legend has."""
+    arena = playpen.arena
+    rim_mm = arena.wall_thickness_mm + 2
+    width_mm, height_mm = arena.width_mm + 2 * rim_mm, arena.height_mm + 2 * rim_mm
+    inch_per_mm = longer_side / max(width_mm, height_mm)
+    width, height = max(width_mm * inch_per_mm, 2.5), max(height_mm * inch_per_mm, 1.0)
+    left, right, top = 0.65, 0.95 if scale else 0.2, 0.42
+    columns = max(min(entries, int((left + width + right) / _ENTRY)), 1)
+    bottom = 0.65 + 0.2 * -(-entries // columns) if entries > 1 else 0.55
+    size = left + width + right, bottom + height + top
+    figure = Figure(figsize=size, facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+    axes.set(xlim=(-rim_mm, arena.width_mm + rim_mm), ylim=(-rim_mm, arena.height_mm + rim_mm))
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    axes.spines[:].set_visible(False)
+    for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
+        axis.set_major_locator(MaxNLocator(nbins=max(round(1.5 * inches), 3), steps=[1, 2, 5, 10]))
+    axes.grid(color=INK, alpha=0.10, lw=0.5)
+    axes.set_axisbelow(False)
+    return figure, axes, columns
+
+
+def _draw_ways(
+    figure: Figure, axes: Axes, labels: Labels, tracks: Sequence[Track], radii: Mapping[str, float]
+) -> None:
+    first = min(float(track.time_s[0]) for track in tracks)
+    last = max(float(track.time_s[-1]) for track in tracks)
+    norm = Normalize(first, last if last > first else first + 1)
+    # Plasma without its yellow end, which would not stand out from a lit floor.
+    plasma = matplotlib.colormaps["plasma"]
+    colours = LinearSegmentedColormap.from_list("time", list(plasma(np.linspace(0, 0.8, 64))))
+    for track in tracks:
+        thin = slice(None, None, -(-len(track.time_s) // POINT_LIMIT))
+        points = track.xy_mm[thin]
+        lines = LineCollection(
+            list(np.stack((points[:-1], points[1:]), axis=1)), cmap=colours, norm=norm, lw=1.4, zorder=4
+        )
+        lines.set_array(track.time_s[thin][:-1])
+        lines.set_capstyle("round")
+        axes.add_collection(lines, autolim=False)
+        (start_x, start_y), (end_x, end_y) = track.xy_mm[[0, -1]].tolist()
+        radius_mm = 1000 * radii.get(track.robot, BODY_RADIUS)
+        outline = Circle((end_x, end_y), radius_mm, fill=False, edgecolor=INK, lw=0.9, ls="--")
+        axes.add_patch(outline).set_zorder(6)
+        axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START))
+        axes.add_line(Line2D([end_x], [end_y], zorder=7, **_END))
+        if len(tracks) > 1:
+            labels.add(end_x, end_y, radius_mm + 4, track.robot)
+    box, width = axes.get_position(), figure.get_figwidth()
+    beside = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
+    scale = figure.colorbar(ScalarMappable(norm, colours), cax=beside)
+    scale.set_label("time [s]")
+    beside.spines[:].set_visible(False)
+
+
+def _legend_entries(playpen: Playpen, ways: bool) -> Iterator[Line2D | Patch]:
+    objects = (*playpen.blocks, *playpen.cylinders)
+    painted = (*objects, *playpen.walls, *playpen.patches)
+    for surface in dict.fromkeys((playpen.arena.surface, *(item.surface for item in painted))):
+        yield Patch(label=surface, **surface_look(playpen, surface, movable=False))
+    if any(item.movable for item in objects):
+        yield Patch(label="movable", **surface_look(playpen, "white", movable=True))
+    if len(playpen.lamps) > 1 and playpen.lighting.mode != "all":
+        order = "in sequence" if playpen.lighting.mode == "sequenced" else "at random"
+        look: dict[str, Any] = {"marker": "o", "ms": 6, "mfc": "white", "mec": FILAMENT, "mew": 0.9, "ls": ""}
+        yield Line2D([], [], label=f"one lamp on, {order}", **look)
+    if ways:
+        yield Line2D([], [], label="start", ls="", **_START)
+        yield Line2D([], [], label="end", ls="", **_END)

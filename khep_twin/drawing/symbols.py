@@ -1,0 +1,218 @@
+"""Symbols: how the parts of a playpen look in a drawing, to scale, on axes in mm.
+
+Walls and objects have their surface's colour; what can be moved is hatched, with a dashed edge. The floor
+glows where light of the lamps comes to (`illumination`). The white wedge on a robot is its front.
+"""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, FancyArrowPatch, Patch, Polygon, Rectangle
+from numpy.typing import NDArray
+
+from khep_twin.drawing.labels import Labels
+from khep_twin.drawing.light_map import illumination
+from khep_twin.playpen import (
+    BULB_RADIUS_MM,
+    Block,
+    Cylinder,
+    Lamp,
+    Playpen,
+    Robot,
+    Spot,
+    Wall,
+    footprint,
+    parts,
+)
+from khep_twin.playpen.polygon import walls_around
+from khep_twin.units import BODY_RADIUS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+
+INK = "#2b2f36"
+"""Of lines and text."""
+
+_FLOOR = "#faf8f2"
+_BOARD = "#2f7d5b"
+FILAMENT = "#9a6b00"
+"""Of the lines of a lamp."""
+
+_GLOW = (1.0, 0.72, 0.12)
+
+_HALF_GLOW = 3e-4
+"""Light at which the glow has half its strength [W/mm^2]: that of 7 W in 15 cm."""
+
+_GLOW_CELLS = 480
+"""The glow's resolution along the longer side."""
+
+
+def draw_arena(axes: Axes, playpen: Playpen) -> None:
+    """Walls, and the floor in the light of the lamps."""
+    arena = playpen.arena
+    wall, width, height = arena.wall_thickness_mm, arena.width_mm, arena.height_mm
+    colour = surface_colour(playpen, arena.surface)
+    floor = Polygon(np.array(arena.corners), facecolor=_FLOOR, edgecolor=INK, lw=0.8)
+    if arena.outline_mm:
+        for shape in walls_around(arena.outline_mm, wall):
+            _draw_shape(axes, shape, facecolor=colour, edgecolor=INK, lw=0.8)
+    else:
+        axes.add_patch(
+            Rectangle(
+                (-wall, -wall), width + 2 * wall, height + 2 * wall, facecolor=colour, edgecolor=INK, lw=0.8
+            )
+        )
+    axes.add_patch(floor)
+    if playpen.lamps:
+        step = max(width, height) / _GLOW_CELLS
+        columns, rows = max(round(width / step), 1), max(round(height / step), 1)
+        x, y = np.meshgrid(
+            (np.arange(columns) + 0.5) * width / columns, (np.arange(rows) + 0.5) * height / rows
+        )
+        light = _light_at_start(playpen, x, y)
+        glow = np.empty((rows, columns, 4))
+        glow[..., :3] = _GLOW
+        glow[..., 3] = 0.75 * light / (light + _HALF_GLOW)
+        extent = (0.0, width, 0.0, height)
+        image = axes.imshow(glow, extent=extent, origin="lower", interpolation="bilinear", zorder=1.5)
+        image.set_clip_path(floor)
+
+
+def _light_at_start(playpen: Playpen, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Any:
+    """Return the light of the lamps that are on at the start [W/mm^2]; with one drawn at random, the mean."""
+    if playpen.lighting.mode == "sequenced":
+        playpen = playpen.model_copy(update={"lamps": playpen.lamps[:1]})
+    light = illumination(playpen, x_mm, y_mm)
+    return light / len(playpen.lamps) if playpen.lighting.mode == "random" else light
+
+
+def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> None:
+    """A block or cylinder from above."""
+    look = surface_look(playpen, item.surface, item.movable)
+    _draw_shape(axes, item.footprint, zorder=3, **look)
+
+
+def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
+    """A wall that stands on the floor, in one colour and with an edge around all of it."""
+    colour = surface_colour(playpen, wall.surface)
+    for shape in wall.footprints:
+        _draw_shape(axes, shape, zorder=2.8, facecolor=colour, edgecolor=INK, lw=1.6)
+    for shape in wall.footprints:
+        _draw_shape(axes, shape, zorder=2.9, facecolor=colour, lw=0)
+
+
+def draw_patch(axes: Axes, playpen: Playpen, patch: parts.Patch) -> None:
+    """A part of the floor."""
+    look = {"facecolor": surface_colour(playpen, patch.surface), "lw": 0}
+    floor = Polygon(np.array(playpen.arena.corners), transform=axes.transData)
+    _draw_shape(axes, patch.footprint, zorder=1.2, **look).set_clip_path(floor)
+
+
+def draw_spot(axes: Axes, labels: Labels, spot: Spot) -> None:
+    """A place where a robot may start: its outline, its heading and its name."""
+    radius, heading = 1000 * BODY_RADIUS, np.radians(spot.heading_deg)
+    axes.add_patch(
+        Circle(
+            (spot.x_mm, spot.y_mm), radius, fill=False, edgecolor=_BOARD, lw=0.9, ls=(0, (2, 2)), zorder=4.5
+        )
+    )
+    tip = radius * np.array((np.cos(heading), np.sin(heading)))
+    axes.add_line(
+        Line2D(
+            [spot.x_mm, spot.x_mm + tip[0]], [spot.y_mm, spot.y_mm + tip[1]], color=_BOARD, lw=1.2, zorder=4.5
+        )
+    )
+    labels.add(spot.x_mm, spot.y_mm, radius + 4, spot.name)
+
+
+def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> Patch:
+    patch: Patch
+    if isinstance(shape, footprint.Circle):
+        patch = Circle((shape.x_mm, shape.y_mm), shape.radius_mm, **look)
+    else:
+        corner = (shape.x_mm - shape.length_mm / 2, shape.y_mm - shape.width_mm / 2)
+        patch = Rectangle(
+            corner,
+            shape.length_mm,
+            shape.width_mm,
+            angle=shape.angle_deg,
+            rotation_point="center",
+            **look,
+        )
+    axes.add_patch(patch)
+    return patch
+
+
+def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
+    """Draw bulbs with their power; of lamps that are on one at a time, only one that is on first has rays.
+
+    Sequenced lamps have their number before the power, and arrows from each to the next.
+    """
+    lamps, mode = playpen.lamps, playpen.lighting.mode
+    texts: defaultdict[tuple[float, float], list[str]] = defaultdict(list)  # of lamps at one place
+    for index, lamp in enumerate(lamps):
+        power = f"{lamp.power_w * lamp.dim:g} W"
+        _draw_lamp(axes, lamp, on=mode == "all" or (mode == "sequenced" and index == 0))
+        texts[lamp.x_mm, lamp.y_mm].append(f"{index + 1}: {power}" if mode == "sequenced" else power)
+        if mode == "sequenced" and len(lamps) > 1:
+            after = lamps[(index + 1) % len(lamps)]
+            ends = (lamp.x_mm, lamp.y_mm), (after.x_mm, after.y_mm)
+            # Bent, so that there and back of two lamps are two arrows.
+            look: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 9, "shrinkB": 9}
+            look["connectionstyle"] = "arc3,rad=0.08"
+            arrow = FancyArrowPatch(*ends, ls=(0, (4, 3)), lw=0.9, color=FILAMENT, **look)
+            axes.add_patch(arrow).set_zorder(3.5)
+    for (x_mm, y_mm), found in texts.items():
+        counts = {text: found.count(text) for text in found}
+        told = ", ".join(text if count == 1 else f"{count} x {text}" for text, count in counts.items())
+        labels.add(x_mm, y_mm, 2.2 * BULB_RADIUS_MM, told)
+
+
+def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
+    """Draw a bulb: full and with rays where it is on, else empty and dashed."""
+    x, y, radius = lamp.x_mm, lamp.y_mm, BULB_RADIUS_MM
+    colour = tuple(part / 255 for part in lamp.rgb) if on else "white"
+    bulb = Circle((x, y), radius, facecolor=colour, edgecolor=FILAMENT, lw=0.9, ls="-" if on else ":")
+    axes.add_patch(bulb).set_zorder(6)
+    for angle in np.radians(np.arange(0, 360, 45)) if on else ():
+        along = np.array((1.35, 1.8)) * radius
+        ray = Line2D(x + along * np.cos(angle), y + along * np.sin(angle), color=FILAMENT, lw=0.9, zorder=6)
+        axes.add_line(ray)
+
+
+def draw_robot(axes: Axes, labels: Labels, robot: Robot, name: str) -> None:
+    """A robot with its wheels, its front and its name."""
+    radius = 1000 * robot.body.radius
+    heading = np.radians(robot.heading_deg)
+    centre = np.array((robot.x_mm, robot.y_mm))
+    ahead = np.array((np.cos(heading), np.sin(heading)))
+    left = np.array((-ahead[1], ahead[0]))
+    axes.add_patch(
+        Circle((robot.x_mm, robot.y_mm), radius, facecolor=_BOARD, edgecolor=INK, lw=0.9, zorder=5)
+    )
+    tyre = 1000 * np.array(
+        [(a * WHEEL_RADIUS, b * WHEEL_WIDTH / 2) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    )
+    for side in (1, -1):
+        offset = centre + side * 500 * WHEEL_BASE * left
+        axes.add_patch(Polygon(offset + tyre @ np.array((ahead, left)), facecolor=INK, zorder=5))
+    wedge = radius * np.array(((0.88, 0.0), (0.42, 0.34), (0.42, -0.34)))
+    axes.add_patch(Polygon(centre + wedge @ np.array((ahead, left)), facecolor="white", zorder=6))
+    labels.add(robot.x_mm, robot.y_mm, radius + 4, name)
+
+
+def surface_look(playpen: Playpen, surface: str, movable: bool) -> dict[str, Any]:
+    """Fill and edge of a patch for something of this surface."""
+    look: dict[str, Any] = {"facecolor": surface_colour(playpen, surface), "edgecolor": INK, "lw": 0.8}
+    if movable:
+        look |= {"lw": 1.0, "ls": (0, (3, 2)), "hatch": "/////"}
+    return look
+
+
+def surface_colour(playpen: Playpen, surface: str) -> tuple[float, float, float]:
+    """Red, green and blue from 0 to 1."""
+    red, green, blue = playpen.surface(surface).rgb
+    return red / 255, green / 255, blue / 255

@@ -1,0 +1,242 @@
+"""Tasks as environments of Gymnasium (extra `rl`), one robot at a time or many side by side.
+
+    import gymnasium
+    import khep_twin.envs.gymnasium  # makes the names known
+
+    environment = gymnasium.make("khep_twin/ObstacleAvoidance-v0", spread=True)
+    observation, info = environment.reset(seed=1)
+    observation, reward, terminated, truncated, info = environment.step(environment.action_space.sample())
+
+    many = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
+
+Observation: numbers of the task's senses, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units).
+Action: speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to whole ones.
+"""
+
+# Its spaces are not typed throughout.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.envs.tasks import TASKS, TOP_SPEED, Observation, Task
+from khep_twin.envs.trial import Course, Trial, cut
+from khep_twin.envs.view import Painter, Picture, View
+from khep_twin.errors import KhepTwinError, MissingExtraError, choices
+
+try:
+    import gymnasium
+    from gymnasium.spaces import Box, Space
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ModuleNotFoundError as error:
+    raise MissingExtraError("gymnasium", "rl") from error
+
+RENDER_MODES = ("rgb_array",)
+
+
+def spaces(task: Task) -> tuple[Space[Any], Space[Any]]:
+    """What a task's robot may see, and what it may be told [pulses/10 ms]."""
+    low, high = task.bounds
+    return Box(low, high, dtype=np.float32), Box(-TOP_SPEED, TOP_SPEED, (2,), np.float32)
+
+
+class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """One robot at a task.
+
+    A trial that has lasted its time is truncated; it terminates when the robot's charge has run out.
+
+    `info` has what is true, not what the robot knows: "x" and "y" [m], "heading" [rad], "time" [s], and
+    "seed", by which the trial comes again: `reset(options={"seed": ...})`.
+
+    Args:
+        task: or its name.
+        render_mode: "rgb_array", or None for no pictures.
+        view: of pictures: "scene" by MuJoCo, "map", or "auto" (`view.Painter`).
+        course: that is made ready, in place of the task and options.
+        options: of `Course`: playpen, noise, spread, period_ns, seconds, compiled.
+
+    Attributes:
+        labels: of the observation's numbers.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: Task | str = "ObstacleAvoidance",
+        *,
+        render_mode: str | None = None,
+        view: View = "auto",
+        course: Course | None = None,
+        **options: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
+        self._course = course or Course(task, **options)
+        self._trial = Trial(self._course)
+        self._seed = 0
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": 1e9 / self._course.period_ns}
+        self._painter = Painter(self._course.playpen, view)
+        self.labels = self._course.task.labels
+        self.observation_space, self.action_space = spaces(self._course.task)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts a trial; a seed makes all that follow the same each time."""
+        super().reset(seed=seed)
+        drawn = int(self.np_random.integers(2**31))
+        self._seed = int((options or {}).get("seed", drawn))
+        return self._trial.begin(self._seed)[0], self._info()
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Lets a control period pass with these speeds of left and right wheel [pulses/10 ms] (2,)."""
+        (outcome,) = self._trial.step([cut(action)])
+        return outcome.observation, outcome.reward, outcome.ended, self._trial.over, self._info()
+
+    def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """A picture of now, or nothing without a render mode."""
+        if self.render_mode is None:
+            return None
+        return self._painter.picture(self._trial.data, self._trial.poses)
+
+    def close(self) -> None:
+        """Gives back what rendering has taken."""
+        self._painter.close()
+
+    def _info(self) -> dict[str, Any]:
+        x, y, heading = self._trial.poses[0]
+        return {"x": x, "y": y, "heading": heading, "time": self._trial.time_s, "seed": self._seed}
+
+
+class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
+    """Many robots, each in a playpen of its own, stepped by threads.
+
+    Each does what one alone would, whatever the number of threads: robot i begins with the seed + i. One
+    whose trial is over begins another in the next step, without regard to its action, for no reward.
+
+    Args:
+        num_envs: how many.
+        task: or its name.
+        threads: how many; without, as many as there are cores.
+        options: as of `KheperaEnvironment`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
+        **KheperaEnvironment.metadata,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        task: Task | str = "ObstacleAvoidance",
+        *,
+        render_mode: str | None = None,
+        view: View = "auto",
+        threads: int | None = None,
+        **options: Any,
+    ) -> None:
+        for name, number in (("environments", num_envs), ("threads", 1 if threads is None else threads)):
+            if number < 1:
+                raise ValueError(f"{number} {name}; right is 1 or more")
+        course = Course(task, **options)
+        self._all = [
+            KheperaEnvironment(course=course, render_mode=render_mode, view=view) for _ in range(num_envs)
+        ]
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.single_observation_space, self.single_action_space = spaces(course.task)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._threads = min(threads or len(os.sched_getaffinity(0)), num_envs)
+        self._pool = ThreadPoolExecutor(self._threads)
+        self._over = np.zeros(num_envs, np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts all anew."""
+        if seed is None or isinstance(seed, int):
+            seeds = [None if seed is None else seed + index for index in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments; right are as many")
+        begun = self._share_out(lambda i: self._all[i].reset(seed=seeds[i], options=options))
+        self._over[:] = False
+        return np.stack([observation for observation, _ in begun]), self._infos([info for _, info in begun])
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Lets a control period of all pass with these speeds [pulses/10 ms] (num_envs, 2)."""
+
+        def one(index: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+            each = self._all[index]
+            if self._over[index]:
+                observation, info = each.reset()
+                return observation, 0.0, False, False, info
+            return each.step(actions[index])
+
+        if np.shape(actions)[:1] != (self.num_envs,):
+            raise ValueError(f"actions of shape {np.shape(actions)}; right is ({self.num_envs}, 2)")
+        observations, rewards, ended, late, infos = zip(*self._share_out(one), strict=True)
+        terminated, truncated = np.array(ended, np.bool_), np.array(late, np.bool_)
+        self._over = terminated | truncated
+        return (
+            np.stack(observations),
+            np.array(rewards, np.float64),
+            terminated,
+            truncated,
+            self._infos(infos),
+        )
+
+    def render(self) -> tuple[Any, ...]:
+        """A picture of each."""
+        return tuple(each.render() for each in self._all)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the threads."""
+        self._pool.shutdown()
+        for each in self._all:
+            each.close()
+
+    def _share_out(self, deed: Callable[[int], Any]) -> list[Any]:
+        """Does something with all of them; each thread has a share."""
+        results: list[Any] = [None] * self.num_envs
+
+        def work(first: int) -> None:
+            for index in range(first, self.num_envs, self._threads):
+                results[index] = deed(index)
+
+        for done in [self._pool.submit(work, first) for first in range(self._threads)]:
+            done.result()
+        return results
+
+    def _infos(self, infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for index, info in enumerate(infos):
+            found = self._add_info(found, info, index)
+        return found
+
+
+def register() -> None:
+    """Makes the tasks known to Gymnasium as khep_twin/NAME-v0."""
+    for name in TASKS:
+        if (known := f"khep_twin/{name}-v0") not in gymnasium.registry:
+            gymnasium.register(
+                known,
+                entry_point=f"{__name__}:{KheperaEnvironment.__name__}",
+                vector_entry_point=f"{__name__}:{KheperaVectorEnvironment.__name__}",
+                kwargs={"task": name},
+            )
+
+
+register()

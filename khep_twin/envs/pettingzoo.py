@@ -1,0 +1,155 @@
+"""Tasks for several robots in one playpen, in PettingZoo's parallel form (extra `rl`).
+
+    environment = ParallelEnvironment("ObstacleAvoidance", robots=3)
+    observations, infos = environment.reset(seed=1)
+    while environment.agents:
+        actions = {agent: environment.action_space(agent).sample() for agent in environment.agents}
+        observations, rewards, terminated, truncated, infos = environment.step(actions)
+
+Agents are the robots by the names that logs have for them, khepera0 on. They see and are told the same as in
+`gymnasium`, and are in each other's way; a robot reflects a sixth of what white paper does, so
+that others see it from some 5 mm. One whose charge has run out stands where it is while the others go on.
+"""
+
+# pyright: reportMissingTypeStubs=false
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.envs.gymnasium import RENDER_MODES, spaces
+from khep_twin.envs.tasks import Observation, Task
+from khep_twin.envs.trial import Course, Trial, cut
+from khep_twin.envs.view import Painter, Picture, View
+from khep_twin.errors import KhepTwinError, MissingExtraError, choices
+
+try:
+    from gymnasium.spaces import Space
+    from gymnasium.utils import seeding
+    from pettingzoo import ParallelEnv
+except ModuleNotFoundError as error:
+    raise MissingExtraError("pettingzoo", "rl") from error
+
+
+class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
+    """Several robots at a task.
+
+    Args:
+        task: or its name.
+        robots: how many; a playpen with spots has room for as many as it has spots.
+        render_mode: "rgb_array", or None for no pictures.
+        view: of pictures: "scene" by MuJoCo, "map", or "auto".
+        options: of `Course`: playpen, noise, spread, period_ns, seconds.
+    """
+
+    def __init__(
+        self,
+        task: Task | str = "ObstacleAvoidance",
+        robots: int = 2,
+        *,
+        render_mode: str | None = None,
+        view: View = "auto",
+        **options: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
+        self._course = Course(task, robots=robots, **options)
+        self._trial = Trial(self._course)
+        self._painter = Painter(self._course.playpen, view)
+        self._chance = seeding.np_random(None)[0]
+        self._seed = 0
+        self.render_mode = render_mode
+        self.metadata: dict[str, Any] = {
+            "name": f"khep_twin/{self._course.task.name}-v0",
+            "render_modes": list(RENDER_MODES),
+            "render_fps": 1e9 / self._course.period_ns,
+        }
+        self.possible_agents = [f"khepera{index}" for index in range(robots)]
+        self.agents: list[str] = []
+        self.labels = self._course.task.labels
+        self.observation_spaces: dict[str, Any] = {}
+        self.action_spaces: dict[str, Any] = {}
+        for agent in self.possible_agents:
+            self.observation_spaces[agent], self.action_spaces[agent] = spaces(self._course.task)
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """What a robot may see."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """What it may be told [pulses/10 ms]."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Starts a trial; a seed makes all that follow the same each time."""
+        if seed is not None:
+            self._chance = seeding.np_random(seed)[0]
+        drawn = int(self._chance.integers(2**31))
+        self._seed = int((options or {}).get("seed", drawn))
+        self.agents = list(self.possible_agents)
+        seen = self._trial.begin(self._seed)
+        return dict(zip(self.agents, seen, strict=True)), self._infos()
+
+    def step(
+        self, actions: Mapping[str, NDArray[np.float32]]
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Lets a control period pass with these speeds [pulses/10 ms] (2,) of each agent.
+
+        Raises:
+            KhepTwinError: there is no action for an agent.
+            ValueError: one is not two numbers.
+        """
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        speeds = [(0.0, 0.0)] * len(self.possible_agents)
+        for agent in self.agents:
+            if agent not in actions:
+                raise KhepTwinError(
+                    f"no action for {agent}; right is one for each of {', '.join(self.agents)}"
+                )
+            speeds[self.possible_agents.index(agent)] = cut(actions[agent])
+        became = dict(zip(self.possible_agents, self._trial.step(speeds), strict=True))
+        outcomes, infos = {agent: became[agent] for agent in self.agents}, self._infos()
+        late = self._trial.over
+        self.agents = [] if late else [agent for agent, outcome in outcomes.items() if not outcome.ended]
+        return (
+            {agent: outcome.observation for agent, outcome in outcomes.items()},
+            {agent: outcome.reward for agent, outcome in outcomes.items()},
+            {agent: outcome.ended for agent, outcome in outcomes.items()},
+            dict.fromkeys(outcomes, late),
+            infos,
+        )
+
+    def render(self) -> Picture | None:
+        """A picture of now, or nothing without a render mode."""
+        if self.render_mode is None:
+            return None
+        return self._painter.picture(self._trial.data, self._trial.poses)
+
+    def close(self) -> None:
+        """Gives back what rendering has taken."""
+        self._painter.close()
+
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        """What is true of each agent that there is."""
+        poses = dict(zip(self.possible_agents, self._trial.poses, strict=True))
+        return {
+            agent: {
+                "x": poses[agent][0],
+                "y": poses[agent][1],
+                "heading": poses[agent][2],
+                "time": self._trial.time_s,
+                "seed": self._seed,
+            }
+            for agent in self.agents
+        }

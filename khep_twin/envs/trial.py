@@ -1,0 +1,260 @@
+"""Trials of a task: begin by a seed, then step by step, with what the robots see and are rewarded with.
+
+    trial = Trial(Course("ObstacleAvoidance"))
+    trial.begin(seed=1)
+    while not trial.over:
+        outcome, = trial.step([(10, 10)])
+        print(outcome.observation, outcome.reward)
+
+This is what all forms of environment are made of: dm_env, Gymnasium, PettingZoo. A step is one control
+period, 50 ms unless told otherwise (the cycle of the Khepera Toolbox's controllers): the speeds are set as by
+a command D that takes no time, physics, sensors and control loops go on at their own pace, and the robots
+look again. A trial depends on its seed and its actions alone, whatever was done before.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.board.kernel import LEFT, RIGHT, Wheel
+from khep_twin.clock import n_steps, to_ns
+from khep_twin.envs.tasks import TOP_SPEED, Moment, Observation, Task, find
+from khep_twin.errors import KhepTwinError, choices
+from khep_twin.playpen import Playpen, load
+from khep_twin.rollout.life import Ground
+from khep_twin.rollout.stages import (
+    Alone,
+    Pose,
+    Stage,
+    Together,
+    anywhere,
+    at_spots,
+    may_be_alone,
+    several,
+)
+from khep_twin.sensing import calibration
+
+PERIOD_NS = 50_000_000
+"""Of the controller, unless told otherwise [ns]."""
+
+_ENCODERS = (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER)
+
+
+def cut(action: Any) -> tuple[float, float]:
+    """An action as the speeds of left and right wheel, cut at the top speed [pulses/10 ms].
+
+    Raises:
+        ValueError: it is not two numbers.
+    """
+    try:
+        left, right = np.clip(np.asarray(action, np.float64), -TOP_SPEED, TOP_SPEED).tolist()
+        return float(left), float(right)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"action {action!r}: right are two speeds, left and right, from {-TOP_SPEED:g} to {TOP_SPEED:g}"
+        ) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one robot in a step.
+
+    Attributes:
+        observation: what it sees now (n,).
+        reward: for this control period, 0 to 1.
+        ended: whether its charge has run out.
+    """
+
+    observation: Observation
+    reward: float
+    ended: bool
+
+
+class Course:
+    """A task made ready; any number of trials, in any threads, may share it.
+
+    Args:
+        task: or its name.
+        playpen: another one than the task's, by name, path, or as it is.
+        robots: how many.
+        noise: whether sensors are noisy.
+        spread: whether each trial has the sensors of another robot of the same make, by its seed.
+        period_ns: of the controller [ns], whole ticks of 10 ms.
+        seconds: how long a trial lasts at most [s]; without, as the task has it.
+        compiled: None for compiled where numba is installed; robots together are never.
+
+    Raises:
+        KhepTwinError: there is no such task, or no such goal in the playpen.
+        PlaypenError: the playpen cannot be used.
+        ValueError: a number is out of its range.
+    """
+
+    def __init__(
+        self,
+        task: Task | str,
+        *,
+        playpen: Playpen | str | None = None,
+        robots: int = 1,
+        noise: bool = True,
+        spread: bool = False,
+        period_ns: int = PERIOD_NS,
+        seconds: float | None = None,
+        compiled: bool | None = None,
+    ) -> None:
+        if robots < 1:
+            raise ValueError(f"{robots} robots; right is 1 or more")
+        if period_ns <= 0 or period_ns % units.TICK_NS:
+            raise ValueError(f"a control period of {period_ns / 1e6:g} ms; right are whole ticks of 10 ms")
+        self.task = find(task)
+        given = self.task.playpen if playpen is None else playpen
+        self.playpen = several(given if isinstance(given, Playpen) else load(given), robots)
+        self.noise, self.spread, self.period_ns = noise, spread, period_ns
+        self.seconds = self.task.seconds if seconds is None else seconds
+        if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
+            raise ValueError(
+                f"seconds = {self.seconds}: right are one or more whole control periods of "
+                f"{period_ns / 1e6:g} ms"
+            )
+        self.n_steps = n_steps(to_ns(self.seconds), period_ns)
+        self.goal = _place_of(self.playpen, self.task.goal) if self.task.goal else (0.0, 0.0)
+        self._compiled = compiled
+        self._ground = Ground(self.playpen, period_ns=period_ns) if may_be_alone(self.playpen) else None
+        ambient = calibration.read(self.playpen.robots[0].calibration)[0].ambient
+        self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
+
+    def stage(self) -> Stage:
+        """A new place for a trial."""
+        if self._ground is None:
+            return Together(self.period_ns)
+        return Alone(self._ground, self._compiled)
+
+    def started(self, seed: int) -> Playpen:
+        """The playpen as a trial starts.
+
+        Raises:
+            PlaypenError: there is no room for the robots.
+        """
+        return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
+
+
+class Trial:
+    """Room for one trial at a time; `begin` starts a new one in it.
+
+    Args:
+        course: of the task.
+    """
+
+    def __init__(self, course: Course) -> None:
+        self.course = course
+        self._stage = course.stage()
+        self._n_robots = len(course.playpen.robots)
+        self._pulses = [[0, 0]] * self._n_robots
+        self._charges_ns = [0] * self._n_robots
+        self._steps = course.n_steps
+
+    def begin(self, seed: int) -> list[Observation]:
+        """Starts a trial; what each robot sees.
+
+        Raises:
+            PlaypenError: there is no room for the robots.
+            ValueError: the seed is negative or too large.
+        """
+        course = self.course
+        self._stage.begin(seed, course.started(seed), course.noise, course.spread)
+        self._steps = 0
+        self._charges_ns = [to_ns(course.task.charge_s)] * self._n_robots
+        self._pulses = [self._counted(robot) for robot in range(self._n_robots)]
+        return [course.task.observe(self._moment(robot, (0.0, 0.0))) for robot in range(self._n_robots)]
+
+    def step(self, speeds: Sequence[Sequence[float]]) -> list[Outcome]:
+        """Lets a control period pass.
+
+        Args:
+            speeds: of each robot, left and right [pulses/10 ms]; rounded to whole ones, cut at 127.
+
+        Raises:
+            DivergedError: a speed is no number, or the physics left its bounds.
+            ValueError: the trial is over, or there are not as many speeds as robots.
+        """
+        if self.over:
+            raise ValueError("the trial is over; right is to begin another one")
+        if len(speeds) != self._n_robots:
+            raise ValueError(f"{len(speeds)} pairs of speeds for {self._n_robots} robots; right are as many")
+        for robot, (left, right) in enumerate(speeds):
+            self._stage.drive(robot, float(left), float(right))
+        self._stage.go_on()
+        self._steps += 1
+        return [self._outcome(robot) for robot in range(self._n_robots)]
+
+    @property
+    def over(self) -> bool:
+        """Whether its time is over, or it has not begun."""
+        return self._steps >= self.course.n_steps
+
+    @property
+    def time_s(self) -> float:
+        """How long it has lasted [s]."""
+        return self._steps * self.course.period_ns / 1e9
+
+    @property
+    def poses(self) -> Sequence[Pose]:
+        """True x, y [m] and heading [rad] of the robots."""
+        return self._stage.poses
+
+    @property
+    def registers(self) -> Sequence[NDArray[np.int64]]:
+        """Of each robot's board (N_REGISTERS,), live."""
+        return self._stage.registers
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The scene's state, live."""
+        return self._stage.data
+
+    def _outcome(self, robot: int) -> Outcome:
+        task, ticks = self.course.task, self.course.period_ns // units.TICK_NS
+        before, self._pulses[robot] = self._pulses[robot], self._counted(robot)
+        left, right = ((now - then) / ticks for now, then in zip(self._pulses[robot], before, strict=True))
+        if task.charge_s:
+            left_ns = max(self._charges_ns[robot] - self.course.period_ns, 0)
+            self._charges_ns[robot] = to_ns(task.charge_s) if self._at_goal(robot) else left_ns
+        moment = self._moment(robot, (left, right))
+        return Outcome(task.observe(moment), task.reward(moment), bool(task.charge_s) and moment.charge <= 0)
+
+    def _moment(self, robot: int, speed: tuple[float, float]) -> Moment:
+        course = self.course
+        full_ns = to_ns(course.task.charge_s)
+        charge = self._charges_ns[robot] / full_ns if full_ns else 1.0
+        registers = self._stage.registers[robot].tolist()
+        return Moment(registers, *speed, course.dark, course.floor, self._at_goal(robot), charge)
+
+    def _at_goal(self, robot: int) -> bool:
+        if not self.course.task.goal:
+            return False
+        x, y, _ = self._stage.poses[robot]
+        goal_x, goal_y = self.course.goal
+        reach = units.metres(self.course.task.reach_mm)
+        return (x - goal_x) ** 2 + (y - goal_y) ** 2 <= reach * reach
+
+    def _counted(self, robot: int) -> list[int]:
+        """Pulses of both encoders."""
+        registers = self._stage.registers[robot]
+        return [int(registers[index]) for index in _ENCODERS]
+
+
+def _place_of(playpen: Playpen, name: str) -> tuple[float, float]:
+    """Where a playpen's patch or cylinder of a name is [m]."""
+    places = {
+        item.name: (units.metres(item.x_mm), units.metres(item.y_mm))
+        for item in (*playpen.patches, *playpen.cylinders)
+        if item.name
+    }
+    if name not in places:
+        raise KhepTwinError(f"{playpen.name}: has no patch or cylinder {name!r}; {choices(name, places)}")
+    return places[name]

@@ -1,0 +1,138 @@
+"""Pictures of a trial as arrays: the scene rendered by MuJoCo, or, where there is no GL, a map.
+
+MuJoCo renders without a screen by EGL or OSMesa, as `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` says before mujoco
+is imported.
+"""
+
+import warnings
+from collections.abc import Sequence
+from io import BytesIO
+from math import degrees
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import KhepTwinError, choices
+from khep_twin.playpen import Playpen
+from khep_twin.rollout.stages import Pose
+
+Picture = NDArray[np.uint8]
+"""Rows from the top (height, width, 3), red, green, blue."""
+
+View = Literal["auto", "scene", "map"]
+VIEWS = ("auto", "scene", "map")
+
+WIDTH, HEIGHT = 640, 480
+"""Of a rendered scene [pixels]: MuJoCo's room for pictures off screen; a map is as large as it needs."""
+
+_MAP_DPI = 100.0
+
+
+class MapWarning(UserWarning):
+    """MuJoCo cannot render here, so that pictures are maps."""
+
+
+class Painter:
+    """Makes pictures of one playpen.
+
+    Args:
+        playpen: which.
+        view: "scene" rendered by MuJoCo, "map", or "auto" for a scene where it can be had, else a map with a
+            warning.
+
+    Raises:
+        KhepTwinError: there is no such view.
+    """
+
+    def __init__(self, playpen: Playpen, view: View = "auto") -> None:
+        if view not in VIEWS:
+            raise KhepTwinError(f"view {view!r}: unknown; {choices(view, VIEWS)}")
+        self._playpen = playpen
+        self._view: View = view
+        self._renderer: mujoco.Renderer | None = None
+        self._own: mujoco.MjData | None = None
+
+    @property
+    def view(self) -> View:
+        """What pictures are of; "auto" before the first."""
+        return self._view
+
+    def picture(self, data: mujoco.MjData, poses: Sequence[Pose]) -> Picture:
+        """A picture of a state, which stays untouched.
+
+        Args:
+            data: of the scene.
+            poses: of the robots.
+
+        Raises:
+            KhepTwinError: a scene is wished, and MuJoCo cannot render here.
+        """
+        if self._view != "map":
+            try:
+                picture = self._scene(data)
+            except Exception as error:  # each way to GL fails in its own
+                if self._view == "scene":
+                    raise KhepTwinError(f"MuJoCo cannot render here ({_told(error)}); {_REMEDY}") from error
+                warnings.warn(
+                    f"pictures are maps, as MuJoCo cannot render here ({_told(error)}); {_REMEDY}",
+                    MapWarning,
+                    stacklevel=2,
+                )
+                self._view = "map"
+            else:
+                self._view = "scene"
+                return picture
+        return self._map(poses)
+
+    def close(self) -> None:
+        """Gives back what rendering has taken."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _scene(self, data: mujoco.MjData) -> Picture:
+        model = data.model
+        if self._renderer is None or self._own is None or self._own.model is not model:
+            self.close()
+            self._renderer, self._own = mujoco.Renderer(model, HEIGHT, WIDTH), mujoco.MjData(model)
+        own = self._own
+        own.qpos[:] = data.qpos
+        mujoco.mj_kinematics(model, own)
+        mujoco.mj_camlight(model, own)
+        arena = self._playpen.arena
+        width, depth = arena.width_mm / 1e3, arena.height_mm / 1e3
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = width / 2, depth / 2, 0
+        camera.distance = 1.3 * max(width, 4 / 3 * depth)
+        camera.azimuth, camera.elevation = 90.0, -65.0
+        self._renderer.update_scene(own, camera)
+        return self._renderer.render()
+
+    def _map(self, poses: Sequence[Pose]) -> Picture:
+        from PIL import Image
+
+        from khep_twin.drawing.map import draw, picture
+
+        robots = tuple(
+            robot.model_copy(
+                update={"x_mm": x * 1e3, "y_mm": y * 1e3, "heading_deg": degrees(heading), "spots": ()}
+            )
+            for robot, (x, y, heading) in zip(self._playpen.robots, poses, strict=True)
+        )
+        figure = draw(self._playpen.model_copy(update={"robots": robots}))
+        with Image.open(BytesIO(picture(figure, "png", _MAP_DPI))) as image:
+            return np.array(image.convert("RGB"))
+
+
+_REMEDY = "right is MUJOCO_GL=egl or MUJOCO_GL=osmesa, with that library installed, or view='map'"
+
+
+def _told(error: Exception) -> str:
+    """The first line of an error, without its tail."""
+    try:
+        lines = str(error).splitlines()
+    except Exception:  # PyOpenGL's cannot always say what they are
+        lines = []
+    return lines[0].strip().rstrip(".") if lines else type(error).__name__

@@ -1,0 +1,1 @@
+"""Files of users: atomic writing, TOML that keeps its comments, MAT files."""

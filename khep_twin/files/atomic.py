@@ -1,0 +1,140 @@
+"""Files of users: what is read is a file indeed, what is written is there as a whole or not at all."""
+
+import errno
+import os
+import stat
+from collections.abc import Generator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import BinaryIO
+
+from khep_twin.errors import KhepTwinError
+from khep_twin.signals import clear_at_end, undisturbed
+
+
+def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
+    """Open a file to read it; a pipe, which may be waited for for ever, or a device is refused at once.
+
+    Raises:
+        OSError: It cannot be opened, or is no regular file.
+    """
+    # Before it is opened, as that alone may move a device, and once more, as it may be another one by then.
+    _check_regular(os.stat(path))
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    try:
+        _check_regular(os.fstat(descriptor))
+    except OSError:
+        os.close(descriptor)
+        raise
+    return open(descriptor, "rb", buffering=buffering)
+
+
+def read_regular(path: Path) -> bytes:
+    """Return what is in a file, which is refused as by `open_regular`.
+
+    Raises:
+        OSError: It cannot be read, or is no regular file.
+    """
+    with open_regular(path) as file:
+        return file.read()
+
+
+def is_same(path: Path, other: Path) -> bool:
+    """Return whether two names are those of one file, which may still have to be made."""
+    try:
+        return path.resolve() == other.resolve() or path.samefile(other)
+    except (OSError, ValueError):  # one that is not there is no other's
+        return False
+
+
+def unusable(path: Path) -> str:
+    """Why nothing can be written under a name; empty if it can.
+
+    Devices, pipes and directories are left alone: giving a file their name would take them away.
+    """
+    try:
+        if not path.name or path.is_dir():
+            return "this is a directory; right is the name of a file"
+        if not path.parent.is_dir():
+            return f"there is no directory {path.parent}"
+        if path.exists() and not path.is_file():
+            return "this is no regular file; right is the name of a file"
+        if path.exists() and not (path.stat().st_mode & 0o222 and os.access(path, os.W_OK)):
+            return "the file is read-only"
+        if not os.access(path.resolve().parent, os.W_OK):
+            return f"nothing can be written in {path.parent}"
+    except (OSError, ValueError) as error:
+        return getattr(error, "strerror", None) or str(error)
+    return ""
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file beside `path` and give it its name when it is whole; a link is followed.
+
+    Raises:
+        KhepTwinError: That is not possible; what was there before is untouched.
+    """
+    with undisturbed(), whole_file(path) as file:
+        file.write(data)
+
+
+@contextmanager
+def whole_file(path: Path) -> Generator[BinaryIO]:
+    """Open a file for writing that gets its name when it is whole; a link is followed.
+
+    Raises:
+        KhepTwinError: That is not possible; what was there before is untouched.
+    """
+    if reason := unusable(path):
+        raise KhepTwinError(f"{path}: cannot be written: {reason}")
+    try:
+        with part_file(path) as file:
+            yield file
+    except OSError as error:
+        raise KhepTwinError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def part_file(path: Path) -> Generator[BinaryIO]:
+    """Do what `whole_file` does, for those who tell of trouble in their own words.
+
+    Raises:
+        OSError: That is not possible; what was there before is untouched.
+    """
+    target = path.resolve()
+    with undisturbed():
+        part = _new_part(target)
+        clear = partial(part.unlink, missing_ok=True)
+        forget = clear_at_end(clear)
+    try:
+        with part.open("w+b") as file:
+            yield file
+        os.replace(part, target)
+    finally:
+        clear()
+        forget()
+
+
+def is_part(path: Path, whole: Path) -> bool:
+    """Return whether a name is that of `whole` while it is written."""
+    return path.parent == whole.parent and path.name.startswith(f".{whole.name}.part")
+
+
+def _new_part(target: Path) -> Path:
+    """Make an empty file beside another one, under a name that nothing else has."""
+    number = 0
+    while True:
+        part = target.with_name(f".{target.name}.part{number or ''}")
+        try:
+            part.touch(exist_ok=False)
+            return part
+        except FileExistsError:
+            number += 1
+
+
+def _check_regular(found: os.stat_result) -> None:
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "this is no regular file; expected the name of a file")

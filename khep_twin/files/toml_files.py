@@ -1,0 +1,351 @@
+"""Reading the TOML files that people write: playpens and calibrations, strictly.
+
+A file is checked against a pydantic model, and every problem becomes one line that names the file, its line,
+the table, the key, the value found and what would be right:
+
+    arena.toml:12: block 2: heigth_mm = 50: unknown key; did you mean 'height_mm'? (choices: ...)
+"""
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from itertools import islice
+from pathlib import Path
+from types import NoneType
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin
+
+import tomlkit
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+
+from khep_twin.errors import KhepTwinError, choices
+from khep_twin.files.atomic import open_regular
+from khep_twin.files.toml_edit import change
+from khep_twin.files.toml_lines import Lines, Location
+
+SIZE_LIMIT = 2**20
+"""Largest file that is read [bytes]."""
+
+PROBLEM_LIMIT = 50
+"""Most problems of a file that are told at once."""
+
+NAME_WISH = "1 to 64 letters, digits, '_' or '-'"
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+
+Model = TypeVar("Model", bound="Table")
+
+# One key of thousands of parts takes tomllib seconds and ends in a RecursionError.
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){32}""")
+
+
+class Problem(NamedTuple):
+    """Something wrong with a file as a whole.
+
+    Attributes:
+        location: table and key that it is about; empty for the file.
+        text: place, value and what would be right.
+    """
+
+    location: Location
+    text: str
+
+
+class Problems(ValueError):
+    """What a model's own checks have found."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        super().__init__("\n".join(problem.text for problem in problems))
+        self.problems = problems
+
+
+class Table(BaseModel):
+    """A table of a file: nothing but the keys it has, nothing converted, nothing infinite, never changed."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=False
+    )
+
+
+def folder(kind: str) -> Path:
+    """Where the shipped files of a kind lie: "playpens" or "calibration"."""
+    return Path(str(files("khep_twin"))) / "assets" / kind
+
+
+def names(kind: str) -> list[str]:
+    """The bare names of the shipped files of a kind."""
+    return sorted(path.stem for path in folder(kind).glob("*.toml"))
+
+
+def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, str]:
+    """The text of a file given by bare name or path, and what to call it in messages.
+
+    Raises:
+        error: there is no such file, or it cannot be text of a sensible size.
+    """
+    path = folder(kind) / f"{name}.toml" if str(name) in names(kind) else Path(name)
+    source = str(name)
+    try:
+        with open_regular(path) as file:
+            data = file.read(SIZE_LIMIT + 1)
+    except FileNotFoundError:
+        wish = f"right is the path of a file or a shipped name; {choices(name, names(kind))}"
+        raise error(f"{source}: no such file; {wish}") from None
+    except (OSError, ValueError) as trouble:
+        reason = trouble.strerror if isinstance(trouble, OSError) else trouble
+        raise error(f"{source}: cannot be read: {reason}") from None
+    if len(data) > SIZE_LIMIT:
+        raise error(f"{source}: larger than {SIZE_LIMIT} bytes, the most that is read")
+    try:
+        return data.decode("utf-8-sig"), source
+    except UnicodeDecodeError as trouble:
+        raise error(f"{source}: byte {trouble.start} is no UTF-8 text") from None
+
+
+def validate(
+    model: type[Model],
+    text: str,
+    source: str,
+    error: type[KhepTwinError],
+    context: Mapping[str, Any] | None = None,
+) -> Model:
+    """The text of a file as `model`, whose validators are given `context`.
+
+    Raises:
+        error: the text is no TOML, or not what the model asks for; one line per problem.
+    """
+    if _DEEP_KEY.search(text):
+        raise error(f"{source}: a key has more than 32 parts")
+    try:
+        data = frozen(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as trouble:
+        raise error(f"{source}: not TOML: {trouble}") from None
+    except ValueError:
+        raise error(f"{source}: not TOML that can be read: a number has thousands of digits") from None
+    except RecursionError:
+        raise error(f"{source}: not TOML that can be read: nested too deeply") from None
+    return check(model, data, source, error, text, context)
+
+
+def check(
+    model: type[Model],
+    data: Mapping[str, Any],
+    source: str,
+    error: type[KhepTwinError],
+    text: str = "",
+    context: Mapping[str, Any] | None = None,
+) -> Model:
+    """The tables of a file, arrays as tuples, as `model`; its text tells the lines where they stand.
+
+    Raises:
+        error: they are not what the model asks for; one line per problem.
+    """
+    try:
+        return model.model_validate(data, context=context)
+    except ValidationError as trouble:
+        problems = list(islice(_problems(model, trouble), PROBLEM_LIMIT + 1))
+        if len(problems) > PROBLEM_LIMIT:
+            last = f"more than {PROBLEM_LIMIT} problems; the others are told once these are gone"
+            problems[-1] = Problem((), last)
+        lines = Lines(text)
+        raise error(
+            "\n".join(f"{source}{_at(lines, problem.location)}: {problem.text}" for problem in problems)
+        ) from None
+
+
+def problems(model: type[Model], data: Mapping[str, Any]) -> list[Problem]:
+    """What is wrong with data as `model`, as `check` would tell it; empty if nothing is."""
+    try:
+        model.model_validate(frozen(data))
+    except ValidationError as trouble:
+        return list(islice(_problems(model, trouble), PROBLEM_LIMIT))
+    return []
+
+
+def frozen(value: Any) -> Any:
+    """Data with its arrays as tuples, which strict models ask for."""
+    if isinstance(value, dict):
+        return {key: frozen(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType]
+    if isinstance(value, list):
+        return tuple(frozen(item) for item in value)  # pyright: ignore[reportUnknownVariableType]
+    return value
+
+
+def dump(table: Table) -> str:
+    """A table as the text of a file, every key written out; reading it back gives the same table."""
+    return tomlkit.dumps(_plain_data(table))
+
+
+def edited(
+    text: str,
+    before: Table,
+    after: Table,
+    said: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda before, _: before,
+    bare: Callable[[dict[str, Any]], dict[str, Any]] = lambda after: after,
+) -> str:
+    """A file's text, `before` to its reader, changed so that it is `after`; comments and all else stay.
+
+    A new table gets no keys that have their defaults.
+
+    Args:
+        text: of the file.
+        before: what it says.
+        after: what it is to say.
+        said: given both as data, what of `before` stands in the file by itself.
+        bare: Returns `after` as data without what follows from other keys; is given it without defaults.
+    """
+    if before == after:
+        return text
+    document = tomlkit.parse(text if text.endswith("\n") else text + "\n")
+    old, new = _plain_data(before), _plain_data(after)
+    change(document, said(old, new), new, bare(_plain_data(after, exclude_defaults=True)))
+    return tomlkit.dumps(document)
+
+
+def schema(model: type[Table]) -> dict[str, Any]:
+    """What a file of a model may say, as JSON schema."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **model.model_json_schema(by_alias=True),
+    }
+
+
+def show(value: object) -> str:
+    """A value as it stands in a message: short, and as TOML writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _plain(f'"{value}"' if isinstance(value, str) else _text(value))
+
+
+def _text(value: object) -> str:
+    """A value in words; Python refuses to write out a whole number of thousands of digits."""
+    try:
+        return str(value)
+    except ValueError:
+        return "a number of thousands of digits"
+
+
+def _plain(text: str) -> str:
+    """Text without control characters, and not too long for a line."""
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _plain_data(table: Table, *, exclude_defaults: bool = False) -> dict[str, Any]:
+    return table.model_dump(by_alias=True, exclude_none=True, exclude_defaults=exclude_defaults, mode="json")
+
+
+def _problems(model: type[BaseModel], trouble: ValidationError) -> Iterator[Problem]:
+    for problem in trouble.errors(include_url=False):
+        location = problem["loc"]
+        if problem["type"] == "value_error" and not location:
+            # A model's own checks of the whole name their places themselves.
+            found = problem.get("ctx", {})["error"]
+            yield from found.problems if isinstance(found, Problems) else [Problem((), str(found))]
+        else:
+            place, key = _place(location)
+            yield Problem(location, f"{place}{_reason(model, location, key, problem)}")
+
+
+def _at(lines: Lines, location: Location) -> str:
+    """Where a problem is, as compilers tell it: ":12"."""
+    number = lines.of(location)
+    return "" if number is None else f":{number}"
+
+
+def _place(location: Sequence[str | int]) -> tuple[str, str]:
+    """Table and key of a location, e.g. ("block 2: ", "height_mm")."""
+    words: list[str] = []
+    for part in location:
+        if isinstance(part, int) and words:
+            words[-1] += f" {part + 1}"
+        elif part != "[key]":
+            words.append(_plain(str(part)))
+    *tables, key = words
+    return " ".join(tables) + (": " if tables else ""), key
+
+
+def _reason(model: type[BaseModel], location: Sequence[str | int], key: str, problem: Any) -> str:
+    kind: str = problem["type"]
+    field, keys = _field(model, location)
+    if kind == "missing":
+        return f"{key} is missing; right is {_wish(field)}"
+    if location[-1] == "[key]":
+        return f"{show(key)} is no name; right is {NAME_WISH}"
+    given = key if isinstance(problem["input"], dict | tuple) else f"{key} = {show(problem['input'])}"
+    if kind == "extra_forbidden":
+        return f"{given}: unknown key; {choices(key, keys)}"
+    if kind == "literal_error" and field is not None:
+        return f"{given}: unknown; {choices(_text(problem['input']), _literals(field.annotation))}"
+    return f"{given}: right is {_wish(field)}"
+
+
+def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[str]]:
+    """The field at a location, and the keys of the table that it belongs to."""
+    table: type[BaseModel] | None = model
+    field: FieldInfo | None = None
+    keys: list[str] = []
+    for part in location:
+        if isinstance(part, int) or table is None:
+            continue
+        fields = {(each.alias or name): each for name, each in table.model_fields.items()}
+        keys = list(fields)
+        # A free key, such as a surface's name, belongs to the field around it.
+        if part in fields:
+            field = fields[part]
+            table = _table_of(field.annotation)
+    return field, keys
+
+
+def _table_of(annotation: Any) -> type[BaseModel] | None:
+    """The table within an annotation such as tuple[Block, ...] or dict[str, Surface]."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((table for part in get_args(annotation) if (table := _table_of(part)) is not None), None)
+
+
+def _literals(annotation: Any) -> list[object]:
+    if get_origin(annotation) is Literal:
+        return list(get_args(annotation))
+    return [literal for part in get_args(annotation) for literal in _literals(part)]
+
+
+def _wish(field: FieldInfo | None) -> str:
+    """What a field takes, in words."""
+    if field is None:
+        return "a key of this table"
+    if field.description:
+        return field.description
+    annotation = _given_type(field.annotation)
+    if literals := _literals(annotation):
+        return " or ".join(show(literal) for literal in literals)
+    if annotation is int or annotation is float:
+        word = "a whole number" if annotation is int else "a number"
+        return f"{word} {_range(field)}".rstrip()
+    if annotation is bool:
+        return "true or false"
+    if annotation is str:
+        return NAME_WISH if any(hasattr(rule, "pattern") for rule in field.metadata) else "text"
+    if get_origin(annotation) is tuple:
+        return f"[[{field.alias}]], in two brackets each" if _table_of(annotation) else "a list of values"
+    return "a table"
+
+
+def _given_type(annotation: Any) -> Any:
+    """The type of what is given where a key may be left out: `float` of `float | None`."""
+    parts = [part for part in get_args(annotation) if part is not NoneType]
+    return parts[0] if len(parts) == 1 and NoneType in get_args(annotation) else annotation
+
+
+def _range(field: FieldInfo) -> str:
+    """A number's limits, e.g. "from 0 to 2", "above 0 up to 1000"."""
+    keys = ("ge", "gt", "le", "lt")
+    limits = {key: getattr(rule, key) for rule in field.metadata for key in keys if hasattr(rule, key)}
+    words: list[str] = []
+    if "gt" in limits:
+        words.append(f"above {limits['gt']:g}")
+    if "ge" in limits:
+        words.append(f"from {limits['ge']:g}")
+    if "le" in limits:
+        words.append(f"{'to' if 'ge' in limits else 'up to'} {limits['le']:g}")
+    return " ".join(words)

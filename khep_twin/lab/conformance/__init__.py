@@ -1,0 +1,1 @@
+"""Checks of the protocol on any port."""

@@ -1,0 +1,281 @@
+"""The checks of `conformance` that leave the robot where it is, in the order in which they run."""
+
+import re
+from collections.abc import Callable
+
+from khep_twin.lab.conformance.conformance import Check, Deviation, Line
+from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, N_SENSORS
+
+ALL: list[Check] = []
+"""Every check; `check` adds to it."""
+
+FIRST_BYTE = 0.010
+"""Longest wait for a reply's first byte, behind the command's time on the line [s] (what hosts bear)."""
+
+SETTLE = 0.2
+"""Silence after which a banner is over [s]."""
+
+
+def check(name: str, section: str, moves: str = "") -> Callable[[Callable[[Line], None]], None]:
+    """Adds a function to the checks."""
+
+    def add(body: Callable[[Line], None]) -> None:
+        ALL.append(Check(name, section, moves, body))
+
+    return add
+
+
+def within(request: str, values: list[int], low: int, high: int) -> None:
+    """Checks that numbers of a reply lie in a range."""
+    for value in values:
+        if not low <= value <= high:
+            raise Deviation(f"{request!r} gave {value}; right is {low} to {high}")
+
+
+# Grammar -------------------------------------------------------------------------------------------------
+
+
+@check("a command may end in LF, CR or CR LF, and CR LF is one ending", "3.2, A")
+def _endings(line: Line) -> None:
+    for end in ("\n", "\r", "\r\n"):
+        answer = line.ask("B", end)
+        if not answer.startswith("b,"):
+            raise Deviation(f"{'B' + end!r} was answered {answer!r}")
+        line.silent(f"after the reply to {'B' + end!r}")
+
+
+@check("an empty line gets no reply", "3.2")
+def _empty_lines(line: Line) -> None:
+    line.send("\n\r\n\r")
+    line.silent("after empty lines")
+
+
+@check("bytes that come one at a time are as good as a line", "3.2")
+def _single_bytes(line: Line) -> None:
+    for byte in "G,12,-34\n":
+        line.send(byte)
+        line.sleep(0.002)
+    if (answer := line.reply("G,12,-34")) != "g":
+        raise Deviation(f"'G,12,-34' was answered {answer!r}; right is 'g'")
+
+
+@check("a burst of seven commands is answered in order", "3.2")
+def _burst(line: Line) -> None:
+    line.send("E\nH\nN\nO\nK\nB\nE\n")
+    heads = "".join(line.reply("a command of a burst").split(",")[0] for _ in range(7))
+    if heads != "ehnokbe":
+        raise Deviation(f"E H N O K B E was answered in the order {' '.join(heads)}")
+
+
+@check("what is no command is not found", "3.2")
+def _unknown_words(line: Line) -> None:
+    for word in ("hello", "d,5,5", "n", "b", "XY", " ", "  ", "\x01", "?", "x" * 65, *"MQSUVXYZ"):
+        line.expect(word, "Command not found")
+
+
+@check("missing, surplus or wrong parameters are a protocol error", "A")
+def _wrong_parameters(line: Line) -> None:
+    for request in ("D", "D,1", "D,1,2,3", "D,a,b", "D,,", "C,1", "G,1", "A,1,2", "F,1,2", "P,1"):
+        line.expect(request, "z,Protocol error")
+    for request in ("J,20,64", "J,1,2,3", "I", "L,0", "R", "W,1", "N,1", "T"):
+        line.expect(request, "z,Protocol error")
+
+
+@check("numbers may carry a sign and leading zeros", "A")
+def _signs(line: Line) -> None:
+    line.expect("G,+5,-005", "g")
+    if (numbers := line.numbers("H", "h", 2)) != [5, -5]:
+        raise Deviation(f"G,+5,-005 set the counters to {numbers}")
+
+
+@check("a line that is far too long gets one answer and does no harm", "3.2")
+def _long_line(line: Line) -> None:
+    line.send("D," + "1" * 600 + "\n")
+    line.reply("a line of 602 bytes")
+    line.silent("after the answer to an over-long line")
+    line.expect("G,3,4", "g")
+
+
+@check("after rubbish the line is in step again", "3.2")
+def _rubbish(line: Line) -> None:
+    line.send(bytes(byte for byte in range(256) if byte not in b"\r\n").decode("latin-1") + "\n")
+    line.reply("binary rubbish")
+    line.expect("G,1,2", "g")
+    if (numbers := line.numbers("H", "h", 2)) != [1, 2]:
+        raise Deviation(f"after rubbish H gave {numbers}; right is [1, 2]")
+
+
+# Commands ------------------------------------------------------------------------------------------------
+
+
+@check("B tells the versions of BIOS and protocol", "A, command B")
+def _versions(line: Line) -> None:
+    answer = line.ask("B")
+    if not re.fullmatch(r"b,\d+\.\d+,\d+\.\d+", answer):
+        raise Deviation(f"'B' was answered {answer!r}; right is like 'b,5.02,5.01'")
+
+
+@check("A and F take the gains of a reset", "A, commands A and F")
+def _gains(line: Line) -> None:
+    line.expect("A,3800,800,100", "a")
+    line.expect("F,3000,20,4000", "f")
+
+
+@check("J takes the trapezoid of a reset, four numbers", "A, command J")
+def _profile(line: Line) -> None:
+    line.expect("J,20,64,20,64", "j")
+
+
+@check("G sets the counters that H reads, all 32 bits of them", "A, commands G and H")
+def _counters(line: Line) -> None:
+    for left, right in ((0, 0), (1000, -1000), (2**31 - 1, -(2**31)), (0, 0)):
+        line.expect(f"G,{left},{right}", "g")
+        if (numbers := line.numbers("H", "h", 2)) != [left, right]:
+            raise Deviation(f"after G,{left},{right} H gave {numbers}")
+
+
+@check("E reads two speeds, and a robot at rest has none", "A, command E")
+def _speeds(line: Line) -> None:
+    line.expect("D,0,0", "d")
+    line.sleep(0.3)
+    within("E", line.numbers("E", "e", 2), -1, 1)
+
+
+@check("D and C and P are acknowledged", "A, commands C, D and P")
+def _setters(line: Line) -> None:
+    line.expect("D,0,0", "d")
+    line.expect("P,0,0", "p")
+    line.expect("G,0,0", "g")
+    line.expect("C,0,0", "c")
+    line.expect("D,0,0", "d")
+
+
+@check("K tells target, mode and error of both wheels", "A, command K")
+def _status(line: Line) -> None:
+    modes: list[int] = []
+    for request, reply in (("D,0,0", "d"), ("G,0,0", "g"), ("C,0,0", "c"), ("P,0,0", "p")):
+        line.expect(request, reply)
+        if reply == "g":
+            continue
+        line.sleep(0.05)
+        status = line.numbers("K", "k", 6)
+        within("K", [status[0], status[3]], 0, 1)
+        if status[1] != status[4]:
+            raise Deviation(f"after {request} K gave two modes: {status}")
+        modes.append(status[1])
+    line.expect("D,0,0", "d")
+    # Speed, position, PWM are 0, 1, 2; versions of the ROM before 5 have speed and position exchanged.
+    if modes not in ([0, 1, 2], [1, 0, 2]):
+        raise Deviation(f"in speed, position and PWM mode K told {modes}; right is 0, 1, 2")
+
+
+@check("N reads eight proximity values of 10 bits", "A, command N")
+def _proximity(line: Line) -> None:
+    within("N", line.numbers("N", "n", N_SENSORS), 0, COUNTS_LIMIT)
+
+
+@check("O reads eight ambient light values of 10 bits", "A, command O")
+def _ambient(line: Line) -> None:
+    within("O", line.numbers("O", "o", N_SENSORS), 0, COUNTS_LIMIT)
+
+
+@check("I reads the six channels of the converter", "A, command I")
+def _converter(line: Line) -> None:
+    for channel in range(6):
+        within(f"I,{channel}", line.numbers(f"I,{channel}", "i", 1), 0, COUNTS_LIMIT)
+
+
+@check("L switches both LEDs off, on and over", "A, command L")
+def _leds(line: Line) -> None:
+    for led in (0, 1):
+        for action in (1, 2, 0):
+            line.expect(f"L,{led},{action}", "l")
+
+
+@check("an LED that does not exist is refused", "A, command L")
+def _no_led(line: Line) -> None:
+    for request in ("L,5,0", "L,0,7"):
+        answer = line.ask(request)
+        if not answer.startswith("z,"):
+            raise Deviation(f"{request!r} was answered {answer!r}; right is a line that starts with 'z,'")
+
+
+@check("W writes and R reads a byte of the extension bus", "A, commands R and W")
+def _bus(line: Line) -> None:
+    line.expect("W,0,63", "w")
+    within("R,0", line.numbers("R,0", "r", 1), 0, 255)
+
+
+@check("a turret answers under its number, an absent one is refused, none is silent", "A, command T")
+def _turrets(line: Line) -> None:
+    for turret in (1, 2, 4, 31):
+        answer = line.ask(f"T,{turret},B")
+        if not answer.startswith((f"t,{turret},b", "z,")):
+            raise Deviation(f"'T,{turret},B' was answered {answer!r}; right is 't,{turret},b,…' or 'z,…'")
+
+
+# Time ----------------------------------------------------------------------------------------------------
+
+
+@check("every reply begins within 10 ms and takes its bytes' time on the line", "3.2")
+def _pace(line: Line) -> None:
+    byte_time = BITS_PER_BYTE / line.port.baudrate
+    # Real time has a scheduler's delays on top.
+    slack = 0.0 if hasattr(line.port, "time_ns") else 0.02
+    # On a network a reply comes in one piece, with its last byte.
+    in_one_piece = str(line.port.port).startswith(("socket:", "rfc2217:"))
+    for request in ("N", "B", "E", "H", "K", "O", "D,0,0", "G,0,0", "J,20,64,20,64", "L,0,0", "hello", "D"):
+        start = line.time()
+        line.send(request + "\n")
+        first: bytes = line.port.read(1)
+        begun = line.time() - start
+        rest: bytes = line.port.read_until(b"\n")
+        done = line.time() - start
+        if not first:
+            raise Deviation(f"no reply to {request!r}")
+        arrived = len(first + rest) if in_one_piece else 1
+        if begun > (len(request) + 1 + arrived) * byte_time + FIRST_BYTE + slack:
+            raise Deviation(f"the first byte of the reply to {request!r} came after {begun * 1000:.1f} ms")
+        if done > (len(request) + 1 + len(first + rest)) * byte_time + FIRST_BYTE + 2 * slack:
+            raise Deviation(
+                f"{request!r} and its reply of {len(first + rest)} bytes took {done * 1000:.1f} ms"
+            )
+
+
+# Tools -----------------------------------------------------------------------------------------------------
+
+
+@check("the tools answer in lines", "3.2.1")
+def _tools(line: Line) -> None:
+    for tool in ("help", "list", "net", "k-team", "memory", "process", "serial", "run", "sfill"):
+        line.send(tool + "\n")
+        told = line.read_until_quiet(SETTLE)
+        if not told.endswith(b"\r\n") or told.startswith(b"Command not found"):
+            raise Deviation(
+                f"the tool {tool!r} was answered {told[:60]!r}; right are lines that end in CR LF"
+            )
+        if told.count(b"\n") != told.count(b"\r\n") or not told.isascii():
+            raise Deviation(
+                f"the tool {tool!r} was answered {told[:60]!r}…; right are plain lines, CR LF each"
+            )
+
+
+# Reset ---------------------------------------------------------------------------------------------------
+
+
+@check("restart shows the banner within half a second and resets everything", "3.2, tool restart")
+def _restart(line: Line) -> None:
+    line.expect("G,55,66", "g")
+    line.expect("J,5,5,5,5", "j")
+    line.send("restart\n")
+    # A longer banner takes its own time on the line.
+    if banner := line.read_for(0.5):
+        banner += line.read_until_quiet(SETTLE)
+    if not banner.endswith(b"\r\n") or banner.count(b"\n") != banner.count(b"\r\n"):
+        raise Deviation(f"'restart' was answered {banner!r}; right are lines that end in CR LF")
+    if not any(b"ROM of minirobot KHEPERA" in text for text in banner.split(b"\r\n")):
+        raise Deviation(f"'restart' was answered {banner!r}; right is a line with 'ROM of minirobot KHEPERA'")
+    if (numbers := line.numbers("H", "h", 2)) != [0, 0]:
+        raise Deviation(f"after a restart H gave {numbers}; right is [0, 0]")
+    if (numbers := line.numbers("E", "e", 2)) != [0, 0]:
+        raise Deviation(f"after a restart E gave {numbers}; right is [0, 0]")

@@ -1,0 +1,263 @@
+"""The checks of `conformance` that move the robot, in the order in which they run."""
+
+import re
+
+from khep_twin.lab.conformance.checks import ALL as ALL
+from khep_twin.lab.conformance.checks import SETTLE, check, within
+from khep_twin.lab.conformance.conformance import Deviation, Line
+from khep_twin.units import COUNTS_LIMIT, N_SENSORS
+
+FORWARD = "drives about 80 mm forwards and as far back"
+SPIN = "turns on the spot, about a quarter turn each way"
+TO_A_WALL = "drives forwards until it is before something light, up to 40 cm, turns there and comes back"
+ARM = "moves the arm and the fingers of its gripper, if it has one"
+
+NEAR = 600
+"""Proximity counts at which the robot is near enough to a wall."""
+
+TIME_TO_A_WALL = 5.0
+"""Longest time to it, at 80 mm/s [s]."""
+
+QUARTER_PULSES = 510
+"""Of each wheel for a quarter turn on the spot: wheels 52 mm apart, 0.08 mm per pulse."""
+
+
+def _drive_to(line: Line, left: int, right: int) -> float:
+    """Sends the wheels to a target; returns the time until both are there [s]."""
+    line.expect(f"C,{left},{right}", "c")
+    start = line.time()
+    limit = 5 + max(abs(left), abs(right)) / 1000
+    while (status := line.numbers("K", "k", 6))[0] + status[3] < 2:
+        if line.time() - start > limit:
+            raise Deviation(f"C,{left},{right} was not on target after {limit:.0f} s: K gave {status}")
+    return line.time() - start
+
+
+def _ways(line: Line, command: str, left: int, right: int, duration: float) -> list[int]:
+    """Lets D or P act for a time [s] and stops; returns how far the counters have come meanwhile [pulses]."""
+    before = line.numbers("H", "h", 2)
+    line.expect(f"{command},{left},{right}", command.lower())
+    line.sleep(duration)
+    after = line.numbers("H", "h", 2)
+    line.expect(f"{command},0,0", command.lower())
+    line.sleep(0.3)
+    return [now - then for then, now in zip(before, after, strict=True)]
+
+
+def _took_its_time(took: float) -> None:
+    # From rest over 1000 pulses at 0.25 pulses per tick^2: 2 sqrt(1000 / 0.25) ticks are 1.26 s.
+    if not 1.1 < took < 2.0:
+        raise Deviation(f"1000 pulses took {took:.2f} s; right is 1.26 s and some settling")
+
+
+@check("D drives both wheels at the speed asked for, forwards", "A, command D", FORWARD)
+def _drive(line: Line) -> None:
+    for sign in (1, -1):
+        line.expect("G,0,0", "g")
+        line.expect(f"D,{10 * sign},{10 * sign}", "d")
+        start = line.time()
+        line.sleep(1.0)
+        speeds = line.numbers("E", "e", 2)
+        counts = line.numbers("H", "h", 2)
+        took = line.time() - start
+        line.expect("D,0,0", "d")
+        line.sleep(0.5)
+        within("E", [sign * speed for speed in speeds], 7, 13)
+        # 10 pulses per 10 ms are 1000 a second, less the start.
+        within("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
+
+
+@check("E tells what is measured, not what is asked for", "A, command E", SPIN)
+def _measured_speeds(line: Line) -> None:
+    for left, right in ((40, -40), (-40, 40)):
+        line.expect(f"P,{left},{right}", "p")
+        line.sleep(0.4)
+        speeds = line.numbers("E", "e", 2)
+        line.expect("P,0,0", "p")
+        line.expect("D,0,0", "d")
+        line.sleep(0.4)
+        if speeds[0] * left <= 0 or speeds[1] * right <= 0:
+            raise Deviation(f"P,{left},{right} turned the wheels at the speeds {speeds} by E")
+
+
+@check("K tells of the left wheel first, and of the error that there is", "A, command K", FORWARD)
+def _status_of_each_wheel(line: Line) -> None:
+    line.expect("J,20,64,20,64", "j")
+    line.expect("G,0,0", "g")
+    line.expect("C,1000,0", "c")
+    line.sleep(0.6)
+    status = line.numbers("K", "k", 6)
+    if status[:5:3] != [0, 1]:
+        raise Deviation(f"with only the left wheel on its way K told {status}; right is T 0 and 1")
+    line.sleep(1.5)
+    _drive_to(line, 0, 0)
+    for target, sign in ((1000, 1), (0, -1)):
+        line.expect(f"C,{target},{target}", "c")
+        errors: list[int] = []
+        for _ in range(12):
+            errors += [error * sign for error in line.numbers("K", "k", 6)[2::3]]
+            line.sleep(0.04)
+        _drive_to(line, target, target)
+        if max(errors) <= 0:
+            raise Deviation(f"on the way to C,{target},{target} K told no error that pulls there")
+    line.expect("D,0,0", "d")
+
+
+@check("G in motion renumbers the place and stops nothing", "A, command G", FORWARD)
+def _renumbering(line: Line) -> None:
+    line.expect("D,10,10", "d")
+    line.sleep(0.5)
+    line.expect("G,0,-5000", "g")
+    line.sleep(0.5)
+    left, right = line.numbers("H", "h", 2)
+    line.expect("D,-10,-10", "d")
+    line.sleep(1.0)
+    line.expect("D,0,0", "d")
+    line.sleep(0.4)
+    within("H", [left, right + 5000], 350, 800)
+
+
+@check("J sets speed and acceleration of both wheels", "A, command J", FORWARD)
+def _profiles(line: Line) -> None:
+    line.expect("G,0,0", "g")
+    # 1000 pulses: at 10 pulses/tick 100 ticks and a ramp of 40; at 16/256 pulse/tick^2 2 sqrt(16000) ticks.
+    for profile, target, right in (("10,64,10,64", 1000, 1.4), ("20,16,20,16", 0, 2.53)):
+        line.expect(f"J,{profile}", "j")
+        took = _drive_to(line, target, target)
+        if not 0.9 * right < took < right + 0.6:
+            raise Deviation(
+                f"with J,{profile} 1000 pulses took {took:.2f} s; right is {right} s and some settling"
+            )
+    line.expect("J,20,64,20,64", "j")
+
+
+@check("C goes to places below zero and beyond 16 bits", "A, command C", FORWARD)
+def _far_numbers(line: Line) -> None:
+    for start, target in ((0, -500), (70_000, 70_500)):
+        line.expect(f"G,{start},{start}", "g")
+        _drive_to(line, target, target)
+        within("H", [count - target for count in line.numbers("H", "h", 2)], -3, 3)
+    line.expect("D,0,0", "d")
+
+
+@check("a restart stops the motors", "3.2.1, tool restart", FORWARD)
+def _restart_stops(line: Line) -> None:
+    line.expect("D,8,8", "d")
+    line.sleep(0.3)
+    line.send("restart\n")
+    line.read_until_quiet(SETTLE)
+    line.sleep(0.3)
+    before = line.numbers("H", "h", 2)
+    line.sleep(0.4)
+    after = line.numbers("H", "h", 2)
+    line.expect("D,-8,-8", "d")
+    line.sleep(0.4)
+    line.expect("D,0,0", "d")
+    if max(abs(now - then) for then, now in zip(before, after, strict=True)) > 5:
+        raise Deviation(f"after a restart in motion the counters went on from {before} to {after}")
+
+
+@check("left is left and right is right", "A, command D", SPIN)
+def _sides(line: Line) -> None:
+    line.expect("G,0,0", "g")
+    for left, right in ((5, -5), (-5, 5)):
+        ways = _ways(line, "D", left, right, 0.7)
+        if ways[0] * left <= 100 or ways[1] * right <= 100:
+            raise Deviation(f"D,{left},{right} moved the counters by {ways}")
+
+
+@check("C goes to a position along the trapezoid and says when it is there", "A, commands C and J", FORWARD)
+def _position(line: Line) -> None:
+    line.expect("J,20,64,20,64", "j")
+    line.expect("G,0,0", "g")
+    for target in (1000, 0):
+        took = _drive_to(line, target, target)
+        _took_its_time(took)
+        within("H", [count - target for count in line.numbers("H", "h", 2)], -3, 3)
+        within("K", line.numbers("K", "k", 6)[2::3], -3, 3)
+
+
+@check("a restart sets the trapezoid to 20 and 64", "A, command J", FORWARD)
+def _profile_of_a_reset(line: Line) -> None:
+    line.expect("J,5,5,5,5", "j")
+    line.send("restart\n")
+    line.read_until_quiet(SETTLE)
+    for target in (1000, 0):
+        _took_its_time(_drive_to(line, target, target))
+
+
+@check("the sensors come in the manual's order, clockwise from the left", "A, command N", TO_A_WALL)
+def _sensor_order(line: Line) -> None:
+    line.expect("D,0,0", "d")
+    line.expect("G,0,0", "g")
+    line.expect("D,10,10", "d")
+    start = line.time()
+    while max(line.numbers("N", "n", N_SENSORS)[2:4]) < NEAR:
+        if line.time() - start > TIME_TO_A_WALL:
+            line.expect("D,0,0", "d")
+            _drive_to(line, 0, 0)
+            raise Deviation(
+                "nothing came into the view of the front sensors on 40 cm; a light wall is needed"
+            )
+    line.expect("D,0,0", "d")
+    line.sleep(0.3)
+    here = line.numbers("H", "h", 2)[0]
+    seen: list[int] = []
+    for turn in (0, QUARTER_PULSES, -QUARTER_PULSES, -2 * QUARTER_PULSES):
+        _drive_to(line, here + turn, here - turn)
+        line.sleep(0.1)
+        counts = line.numbers("N", "n", N_SENSORS)
+        seen.append(counts.index(max(counts)))
+    _drive_to(line, here, here)
+    _drive_to(line, 0, 0)
+    line.expect("D,0,0", "d")
+    sides = ({2, 3}, {0, 1}, {4, 5}, {6, 7})
+    if not all(index in side for index, side in zip(seen, sides, strict=True)):
+        raise Deviation(
+            f"with a wall ahead, left, right and behind the sensors {seen} of N saw most of it; "
+            "right is 2 or 3, 0 or 1, 4 or 5, 6 or 7"
+        )
+
+
+@check("P drives the motors open loop", "A, command P", FORWARD)
+def _open_loop(line: Line) -> None:
+    line.expect("G,0,0", "g")
+    for duty in (40, -40):
+        ways = _ways(line, "P", duty, duty, 0.4)
+        if min(way * duty for way in ways) <= 0:
+            raise Deviation(f"P,{duty},{duty} moved the counters by {ways}")
+    line.expect("D,0,0", "d")
+
+
+@check("a value beyond the range does not fail and does not turn round", "A, commands D and P", FORWARD)
+def _saturation(line: Line) -> None:
+    line.expect("P,0,0", "p")
+    line.expect("D,0,0", "d")
+    line.expect("G,0,0", "g")
+    for request, reply in (("P,999,999", "p"), ("D,0,0", "d"), ("D,999,999", "d"), ("D,0,0", "d")):
+        line.expect(request, reply)
+    line.sleep(0.5)
+
+
+@check("a gripper, if there is one, opens, closes and moves its arm", "gripper manual", ARM)
+def _gripper(line: Line) -> None:
+    if line.ask("T,1,B").startswith("z,"):
+        return
+    # Something between the fingers may keep them open.
+    opened, closed = ("D,0", 190, 210), ("D,1", -10, 150)
+    arm = {place: (f"E,{place}", place - 10, place + 10) for place in (255, 190, 152)}
+    for order, low, high in (opened, arm[255], closed, arm[190], opened, arm[152]):
+        line.expect(f"T,1,{order}", f"t,1,{order[0].lower()}")
+        line.sleep(1.5)
+        what = "H,1" if order[0] == "E" else "H,0"
+        answer = line.ask(f"T,1,{what}")
+        if not re.fullmatch(r"t,1,h,\d+", answer):
+            raise Deviation(f"'T,1,{what}' was answered {answer!r}; right is 't,1,h' and one number")
+        within(f"T,1,{what}", [int(answer.split(",")[3])], low, high)
+    for order in "FGJ":
+        answer = line.ask(f"T,1,{order}")
+        if not re.fullmatch(rf"t,1,{order.lower()},\d+", answer):
+            raise Deviation(
+                f"'T,1,{order}' was answered {answer!r}; right is 't,1,{order.lower()}' and a number"
+            )
+        within(f"T,1,{order}", [int(answer.split(",")[3])], 0, COUNTS_LIMIT)

@@ -1,0 +1,1 @@
+"""Controllers and series of runs, their measures, and runs repeated from logs."""

@@ -1,0 +1,349 @@
+"""Experiments: a controller, a robot, and for how long."""
+
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from khep_twin.errors import ControllerError, KhepTwinError, choices, in_a_line
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.controller_source import ReadOnceLoader
+from khep_twin.lab.experiment.controllers import (
+    BUILT_IN,
+    AnyController,
+    Controller,
+    LoopingController,
+    as_controller,
+    defining,
+    name_of,
+)
+from khep_twin.signals import is_interruption
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        cycles: how often the controller was called.
+        duration: how long the run took in the port's own time [s].
+        complete: whether it came to its end.
+    """
+
+    cycles: int
+    duration: float
+    complete: bool = True
+
+
+def run(
+    controller: AnyController,
+    robot: Khepera,
+    *,
+    cycles: int | None = None,
+    seconds: float | None = None,
+    progress: Callable[[float], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    after_cycle: Callable[[], None] | None = None,
+) -> Outcome:
+    """Starts a controller, calls it once a cycle, then stops the motors and lets it end.
+
+    Args:
+        controller: what drives the robot.
+        robot: what is driven.
+        cycles: end after so many calls.
+        seconds: end after this time, in the port's own time [s].
+        progress: is told after each cycle which part of the run is done, 0 to 1.
+        stop: is asked before each cycle whether to end early.
+        after_cycle: is called after each.
+
+    Raises:
+        ValueError: neither cycles nor seconds are given, or one is not above 0.
+        ControllerError: the controller failed, or lets no time pass.
+    """
+    if cycles is None and seconds is None:
+        raise ValueError("a run needs an end: cycles or seconds")
+    if (cycles is not None and cycles < 1) or (seconds is not None and not seconds > 0):
+        raise ValueError(f"cycles {cycles} and seconds {seconds} must be above 0")
+    algorithm = as_controller(controller)
+    asked = stop or (lambda: False)
+    start = before = robot.time
+    done = 0
+    part = 0.0
+
+    def end_cycle() -> bool:
+        """Count a cycle and tell whether another one is to follow."""
+        nonlocal before, done, part
+        if robot.time == before:
+            raise ControllerError(
+                f"{_source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is "
+                f"{algorithm.passes_time}"
+            )
+        before = robot.time
+        done += 1
+        if after_cycle is not None:
+            after_cycle()
+        by_cycles = done / cycles if cycles else 0.0
+        by_time = (robot.time - start) / seconds if seconds else 0.0
+        part = max(by_cycles, by_time)
+        if progress is not None:
+            progress(min(part, 1.0))
+        return part < 1 and not asked()
+
+    try:
+        call(algorithm.start, robot)
+        if isinstance(algorithm, LoopingController):
+            if cycles is None or seconds is not None:
+                raise ControllerError(
+                    f"{name_of(controller)}: counts its cycles; expected cycles, no seconds"
+                )
+            counted = call(algorithm.loop, robot, cycles, end_cycle, asked)
+            done, part = (done, part) if counted is None else (counted, 1.0)
+        else:
+            going = not asked()
+            while going:
+                call(algorithm.cycle, robot)
+                going = end_cycle()
+        duration = robot.time - start
+        robot.set_speed(0, 0)
+        call(algorithm.end, robot)
+    except BaseException:
+        # What went wrong is told; that the motors cannot be stopped any more would only hide it.
+        with suppress(KhepTwinError):
+            robot.set_speed(0, 0)
+        raise
+    return Outcome(done, duration, part >= 1)
+
+
+def call(place: Callable[..., Any], *given: Any) -> Any:
+    """Calls a user's function, or a place of a controller; what fails in it is told by place, as one line.
+
+    Returns:
+        What it returns.
+
+    Raises:
+        ControllerError: it failed.
+    """
+    try:
+        return place(*given)
+    except KhepTwinError:
+        raise
+    except BaseException as error:
+        if is_interruption(error):
+            raise
+        file = _source_file(place)
+        raise ControllerError(f"{file}{_line_in(error, Path(file))}: {in_a_line(error)}") from error
+
+
+def _source_file(controller: Any) -> str:
+    """The file that defines a controller or one of its places; empty if none does."""
+    try:
+        return inspect.getsourcefile(defining(controller)) or ""
+    except TypeError:  # something callable that is written in no file
+        return ""
+
+
+def find_controller(
+    name: str, adapt: Callable[[AnyController], AnyController] = lambda controller: controller
+) -> AnyController:
+    """Find a controller by its built-in name, or as FILE.py or FILE.py:NAME.
+
+    Without NAME, the file's `controller` is taken, or its only public function or subclass of `Controller`.
+
+    Args:
+        name: Name of the controller, as typed.
+        adapt: Makes a controller of a function of another form, and returns others as they are.
+
+    Raises:
+        ControllerError: there is no such controller, or its file fails.
+    """
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    path, wanted = _file_and_name(name)
+    if path is None:
+        raise ControllerError(
+            f"{name}: no such controller; right is FILE.py, FILE.py:NAME or a built-in name; "
+            f"{choices(name, BUILT_IN)}"
+        )
+    offers = _offers_of(_module_of(path))
+    classes = {each: offer for each, offer in offers.items() if isinstance(offer, type)}
+    if not wanted and len(classes) == 1 and "controller" not in offers:
+        offers = classes  # beside a single class, functions are its tools
+    taking = "a robot, and no such subclass of Controller"
+    wanted, found = _chosen(path, wanted, offers, "controller", taking)
+    if isinstance(found, type):
+        return _made(path, wanted, found)
+    adapted = adapt(found)
+    return adapted if adapted is not found else _plain(path, wanted, found, "robot")
+
+
+def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., Any]:
+    """A function as FILE.py or FILE.py:NAME.
+
+    Without NAME, the file's `controller` is taken, or its only public function.
+
+    Args:
+        name: as typed.
+        taking: in words what its parameters are.
+        n_parameters: how many they are.
+
+    Raises:
+        ControllerError: there is no such function, or its file fails.
+    """
+    path, wanted = _file_and_name(name)
+    if path is None:
+        raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
+    functions = _functions_of(_offers_of(_module_of(path)))
+    wanted, found = _chosen(path, wanted, functions, "controller", taking)
+    if len(inspect.signature(found).parameters) != n_parameters:
+        raise ControllerError(f"{path}: {wanted!r} takes {inspect.signature(found)}; right are {taking}")
+    return found
+
+
+def find_after(name: str, controller: AnyController) -> Callable[..., Any]:
+    """A function that is called with each run, as FILE.py or FILE.py:NAME.
+
+    Without NAME, the file's `after` is taken, or its only public function.
+
+    Args:
+        name: as typed.
+        controller: of the runs; if the same file defines both, they share its variables.
+
+    Raises:
+        ControllerError: there is no such function, or its file fails.
+    """
+    path, wanted = _file_and_name(name)
+    if path is None:
+        raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
+    module = inspect.getmodule(defining(controller))
+    same = module is not None and Path(module.__file__ or "") == path.absolute()
+    functions = _functions_of(_offers_of(module if module is not None and same else _module_of(path)))
+    wanted, found = _chosen(path, wanted, functions, "after", "a run")
+    if isinstance(controller, LoopingController):
+        return _returning(path, wanted, found, "after each run")
+    return _plain(path, wanted, found, "run")
+
+
+def call_after(function: Callable[..., Any], run: Any) -> Any:
+    """Call a user's function after a run: with the run, or with those of its variables that it names.
+
+    Args:
+        function: of one parameter for the run, or of parameters that have the names of the run's variables.
+        run: of a series.
+
+    Raises:
+        ControllerError: it failed, or takes something else.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    wanted = [each.name for each in parameters if each.kind is not each.KEYWORD_ONLY]
+    missing = [name for name in wanted if name not in run.variables]
+    if len(wanted) == 1 and missing:
+        return call(function, run)
+    if missing:
+        known = ", ".join(run.variables) or "none"
+        raise ControllerError(
+            f"{_source_file(function)}: {name_of(function)!r} takes {missing[0]}; expected a run, or its "
+            f"variables by name: {known}"
+        )
+    return call(function, *(run.variables[name] for name in wanted))
+
+
+def _file_and_name(typed: str) -> tuple[Path | None, str]:
+    """FILE.py[:NAME] in its parts; no file for what is none."""
+    path, _, name = typed.partition(":")
+    return (Path(path) if path.endswith(".py") else None), name
+
+
+def _chosen(path: Path, wanted: str, offers: Mapping[str, Any], usual: str, taking: str) -> tuple[str, Any]:
+    """What a user's file offers by a name; without one by the usual name, or the only thing there is."""
+    if not wanted:
+        wanted = usual if usual in offers or len(offers) != 1 else next(iter(offers))
+    if wanted not in offers:
+        raise ControllerError(
+            f"{path}: no function {wanted!r} that takes {taking}; {choices(wanted, offers)}"
+        )
+    return wanted, offers[wanted]
+
+
+def _functions_of(offers: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
+    return {name: offer for name, offer in offers.items() if not isinstance(offer, type)}
+
+
+def _plain(path: Path, name: str, function: Callable[[Any], Any], taking: str) -> Callable[[Any], Any]:
+    """A user's function, if it is called with one thing and returns."""
+    if len(inspect.signature(function).parameters) != 1:
+        takes = inspect.signature(function)
+        raise ControllerError(f"{path}: {name!r} takes {takes}; right is one {taking}")
+    return _returning(path, name, function, "each cycle" if taking == "robot" else "after each run")
+
+
+def _returning(path: Path, name: str, function: Callable[..., Any], when: str) -> Callable[..., Any]:
+    """Return a user's function, if it is one that returns."""
+    if inspect.isgeneratorfunction(function) or inspect.iscoroutinefunction(function):
+        raise ControllerError(f"{path}: {name!r} is no plain function; right is one that returns {when}")
+    return function
+
+
+def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
+    """An object of a user's class."""
+    try:
+        return kind()
+    except BaseException as error:
+        if is_interruption(error):
+            raise
+        reason = in_a_line(error)
+        raise ControllerError(f"{path}{_line_in(error, path)}: {name}() failed: {reason}") from error
+
+
+def _offers_of(module: ModuleType) -> dict[str, Any]:
+    """The public functions and controllers that a file defines itself."""
+    return {
+        name: offer
+        for name, offer in vars(module).items()
+        if not name.startswith("_")
+        and getattr(offer, "__module__", None) == module.__name__
+        and (inspect.isfunction(offer) or (isinstance(offer, type) and issubclass(offer, Controller)))
+    }
+
+
+def _module_of(path: Path) -> ModuleType:
+    """A user's file, run as a module."""
+    if not path.is_file():
+        odd = "this is no regular file; expected the name of a file" if path.exists() else "no such file"
+        raise ControllerError(f"{path}: {odd}")
+    name = f"khep_twin_controller_{path.stem}"
+    # An absolute name, as the module keeps it wherever its controller goes.
+    loader = ReadOnceLoader(name, str(path.absolute()))
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader)
+    if spec is None or spec.loader is None:
+        raise ControllerError(f"{path}: cannot be loaded as Python")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    # What lies beside a program can be imported by it, as when Python runs it.
+    folder = str(path.parent.resolve())
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException as error:
+        # A user's file may fail in any way; the place and the reason are told.
+        if is_interruption(error):
+            raise
+        raise ControllerError(f"{path}{_line_in(error, path)}: {in_a_line(error)}") from error
+    return module
+
+
+def _line_in(error: BaseException, path: Path) -> str:
+    """Where in the file an error arose, as ":LINE"."""
+    if isinstance(error, SyntaxError):
+        return f":{error.lineno}"
+    trace, line = error.__traceback__, ""
+    while trace is not None:
+        if Path(trace.tb_frame.f_code.co_filename).resolve() == path.resolve():
+            line = f":{trace.tb_lineno}"
+        trace = trace.tb_next
+    return line

@@ -1,0 +1,342 @@
+"""Repeating a run from its log alone: the same world, the same acts of its hosts at the same times.
+
+The world is rebuilt from the log's attachments, calibrations included, and its hosts' acts are carried out as
+they stand there. Then every sample's state and every line of the transcript must be the recorded one.
+"""
+
+import json
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from khep_twin import __version__
+from khep_twin.board.uart import Act, HostAct
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import KhepTwinError, LogError
+from khep_twin.log.attached import playpen_of
+from khep_twin.log.channels import Line
+from khep_twin.log.decoding import LATEST_NS, Misfit, first_line, read_line, shown
+from khep_twin.log.reader import Label, read_raw
+from khep_twin.log.recorder import versions
+from khep_twin.log.transcript import Transcript
+from khep_twin.log.wire import Answered, boards, hashes, read_acts, read_states
+from khep_twin.placing import put_again, scan
+from khep_twin.playpen import Playpen
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.switching import relight_again, switch_again
+from khep_twin.world import SAMPLE_NS, World
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a log tells of a run that is to be repeated.
+
+    Attributes:
+        path: of the log.
+        label: what it says of itself.
+        acts: time of the world [ns], robot and what its host did, in order.
+        states: hash of each sample.
+        lines: the transcripts by robot.
+        torn: whether the end of the run may be missing.
+    """
+
+    path: Path
+    label: Label
+    acts: Sequence[tuple[int, int, HostAct]]
+    states: Sequence[int]
+    lines: Sequence[Sequence[Line]]
+    torn: bool
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last sample [ns]."""
+        return (len(self.states) - 1) * SAMPLE_NS
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Difference:
+    """Where a repeated run left the recorded one.
+
+    Attributes:
+        time_ns: of the difference [ns].
+        channel: on which it was seen.
+        recorded: what the log has.
+        repeated: what came now.
+    """
+
+    time_ns: int
+    channel: str
+    recorded: str = field(compare=False)
+    repeated: str = field(compare=False)
+
+
+def read_recorded(path: Path) -> Recorded:
+    """What a log tells of a run.
+
+    Raises:
+        LogError: there is no log, it is not whole, or it does not hold what a repetition needs.
+    """
+    label, found, recovered = read_raw(path, lambda topic: topic.endswith(("/wire", "/serial", "/state")))
+    states: list[int] = []
+    for time_ns, hashed in _decoded(path, found, "/state", read_states):
+        if time_ns != len(states) * SAMPLE_NS:
+            at_s = len(states) * SAMPLE_NS / NS_PER_S
+            raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
+        states += hashed
+    last_ns = (len(states) - 1) * SAMPLE_NS + _OVERTIME_NS if states and not recovered else LATEST_NS
+    acts: list[tuple[int, int, HostAct]] = []
+    lines: list[list[Line]] = [[] for _ in label.robots]
+    for index, name in enumerate(label.robots):
+        for _, done in _decoded(path, found, f"/{name}/wire", lambda data: list(read_acts(data))):
+            acts += [(at_ns, index, act) for at_ns, act in done]
+        lines[index] = [line for _, line in _decoded(path, found, f"/{name}/serial", read_line)]
+    for time_ns in (*(at_ns for at_ns, _, _ in acts), *(line.time_ns for each in lines for line in each)):
+        if time_ns > last_ns:
+            wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
+            raise Misfit(f"something at {time_ns / NS_PER_S:.2f} s", wish).at(path, "/wire and /serial")
+    # Of several robots the acts of one time are in the order of the robots, which do not hear each other.
+    return Recorded(path, label, sorted(acts, key=lambda each: each[0]), states, lines, recovered)
+
+
+_OVERTIME_NS = 10 * NS_PER_S
+"""So long after the last state something may have happened, at most [ns]."""
+
+_Decoded = TypeVar("_Decoded")
+
+
+def _decoded(
+    path: Path,
+    found: Mapping[str, Sequence[tuple[int, bytes]]],
+    topic: str,
+    decode: Callable[[bytes], _Decoded],
+) -> Iterator[tuple[int, _Decoded]]:
+    """Times [ns] and contents of a channel's messages."""
+    for time_ns, data in found.get(topic, ()):
+        try:
+            yield time_ns, decode(data)
+        except Misfit as misfit:
+            raise misfit.at(path, topic, time_ns) from None
+
+
+def elsewhere(recorded: Recorded) -> list[str]:
+    """What differs between where a log was made and here, a line each."""
+    here = versions()
+    made = recorded.label.metadata
+    return [
+        f"made with {key} {shown(made.get(key, 'unknown'))}, here is {value}"
+        for key, value in here.items()
+        if made.get(key) != value
+    ]
+
+
+def check(recorded: Recorded) -> None:
+    """Refuses a log that has nothing to compare a run with.
+
+    Raises:
+        LogError: it is such a log.
+    """
+    if not recorded.states:
+        made = recorded.label.metadata.get("khep_twin", "an unknown version")
+        reason = (
+            "it was made at a real robot; right is --port, with one to send the same to"
+            if "through" in recorded.label.metadata
+            else f"it has no states to compare, as logs of khep_twin {__version__} have; this is of {made}"
+        )
+        raise LogError(f"{recorded.path}: cannot be repeated: {reason}")
+
+
+def repeat(recorded: Recorded, progress: Callable[[float], None] | None = None) -> Difference | None:
+    """Runs again what a log tells and compares; returns the first difference, None if there is none.
+
+    Raises:
+        LogError: the log does not hold what a repetition needs.
+    """
+    check(recorded)
+    try:
+        with _twin(recorded) as twin:
+            return _run(recorded, twin, progress)
+    except LogError:
+        raise
+    except KhepTwinError as error:
+        raise LogError(f"{recorded.path}: cannot be repeated: {first_line(error)}") from error
+
+
+def _twin(recorded: Recorded) -> Twin:
+    """The twin of a log, made of nothing but what is attached to it."""
+    path, attached = recorded.path, recorded.label.attachments
+    for name in ("playpen.toml", "configuration.json"):
+        if name not in attached:
+            raise LogError(f"{path}: cannot be repeated: its {name} is missing")
+    options = _options(path, attached["configuration.json"])
+    playpen = playpen_of(attached, path)
+    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+        twin = open_twin(_calibrated(recorded, playpen, Path(folder)), options)
+    there = tuple(robot.name for robot in twin.world.robots)
+    if there != recorded.label.robots:
+        found = f"robots = {shown(','.join(recorded.label.robots))}"
+        raise Misfit(found, f"{','.join(there)}, those of its playpen.toml").at(path, "metadata")
+    return twin
+
+
+def _options(path: Path, text: str) -> TwinOptions:
+    """The options of a log's twin."""
+    known = [each.name for each in fields(TwinOptions)]
+    try:
+        settings: object = json.loads(text)
+        if not isinstance(settings, dict):
+            raise Misfit(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
+        if unknown := [key for key in cast(dict[str, Any], settings) if key not in known]:
+            raise Misfit(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
+        # A log writes no file but its reader's own.
+        wanted = {**cast(dict[str, Any], settings), "log": None}
+        return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
+    except Misfit as misfit:
+        raise misfit.at(path, "configuration.json") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        misfit = Misfit(f"{key} = {shown(first['input'])}", first["msg"].removeprefix("Input should be "))
+        raise misfit.at(path, "configuration.json") from None
+    except KhepTwinError as error:
+        raise LogError(f"{path}: configuration.json: {error}") from None
+    except (ValueError, RecursionError) as error:
+        misfit = Misfit(f"{shown(text)} ({shown(error)})", "JSON")
+        raise misfit.at(path, "configuration.json") from None
+
+
+_OPTIONS = TypeAdapter(TwinOptions)
+
+
+def _calibrated(recorded: Recorded, playpen: Playpen, folder: Path) -> Playpen:
+    """The playpen, its robots' calibrations taken from the log and not from this machine."""
+    robots = list(playpen.robots)
+    for index, robot in enumerate(robots):
+        name = f"khepera{index}.toml"
+        text = recorded.label.attachments.get(f"calibration/{name}")
+        if text is None:
+            raise LogError(f"{recorded.path}: cannot be repeated: its calibration/{name} is missing")
+        (folder / name).write_text(text, encoding="utf-8")
+        robots[index] = robot.model_copy(update={"calibration": str(folder / name)})
+    return playpen.model_copy(update={"robots": tuple(robots)})
+
+
+def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | None) -> Difference | None:
+    world = twin.world
+    watch = _Watch(world, recorded)
+    world.add_tap(watch)
+    last_ns = max([recorded.end_ns, *(line.time_ns for lines in recorded.lines for line in lines)])
+    acts = [each for each in recorded.acts if not recorded.torn or each[0] <= recorded.end_ns]
+    end: list[tuple[int, int, HostAct | None]] = [(recorded.end_ns if recorded.torn else last_ns, 0, None)]
+    for time_ns, index, act in [*acts, *end]:
+        while world.time_ns < time_ns and watch.difference is None:
+            world.advance_to(min(time_ns, world.time_ns + NS_PER_S))
+            if progress is not None:
+                progress(min(world.time_ns / max(last_ns, 1), 1.0))
+        if watch.difference is not None:
+            break
+        if act is not None:
+            _act(twin, index, act)
+    return min(filter(None, [watch.difference, *watch.lines(recorded)]), default=None)
+
+
+def _act(twin: Twin, index: int, act: HostAct) -> None:
+    """Does to a robot's line what its host has done."""
+    robot = twin.world.robots[index]
+    # What has arrived is of no use any more; that it is taken away changes nothing for the robot.
+    robot.uart.tx.read(twin.world.time_ns)
+    match act.kind:
+        case Act.SEND:
+            robot.send(act.data, act.at_ns)
+        case Act.HANG_UP:
+            robot.hang_up()
+        case Act.TAKE_BACK:
+            robot.take_back()
+        case Act.SET:
+            robot.compare_line(act.host)
+        case Act.PUT:
+            put_again(twin.world, index, act)
+        case Act.SWITCH:
+            switch_again(twin.world, act)
+        case Act.SCAN:
+            scan(twin.world)
+        case Act.RELIGHT:
+            relight_again(twin.world, act)
+
+
+class _Watch:
+    """A tap that compares each sample with the recorded one and keeps the transcript.
+
+    Attributes:
+        difference: the first one between states.
+    """
+
+    def __init__(self, world: World, recorded: Recorded) -> None:
+        self.difference: Difference | None = None
+        self._recorded = recorded.states
+        self._answers = Answered(len(world.robots))
+        self._names = [robot.name for robot in world.robots]
+        self._lines: dict[str, list[Line]] = {f"/{name}/serial": [] for name in self._names}
+        self._transcript = Transcript(self, self._names)
+
+    def sample(self, world: World) -> None:
+        """Compares the state."""
+        place = world.time_ns // SAMPLE_NS
+        if self.difference is None and place < len(self._recorded):
+            registers = (each for robot in world.robots for each in boards(robot))
+            parts = (np.array(self._answers.numbers), world.data.qpos, world.data.qvel, *registers)
+            before, now = self._recorded[place], int(hashes(*(part.reshape(1, -1) for part in parts))[0])
+            if before != now:
+                self.difference = Difference(world.time_ns, "/state", _hexadecimal(before), _hexadecimal(now))
+
+    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Keeps bytes of the transcript."""
+        self._transcript.hear(time_ns, robot, to_robot, data)
+        if not to_robot:
+            self._answers.hear(time_ns, robot, data)
+
+    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+        """Nothing: the acts are the recorded ones."""
+
+    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+        """Nothing: what is told follows from the state."""
+
+    def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
+        """Takes whole lines from the transcript."""
+        self._lines[topic] += map(read_line, messages)
+
+    def lines(self, recorded: Recorded) -> list[Difference]:
+        """The first difference of each robot's transcript."""
+        self._transcript.write()
+        if not recorded.torn:
+            self._transcript.write_rests(recorded.end_ns)
+        until_ns = recorded.end_ns if self.difference is None else self.difference.time_ns
+        found: list[Difference] = []
+        for name, before in zip(self._names, recorded.lines, strict=True):
+            topic = f"/{name}/serial"
+            for old, new in zip_longest(before, self._lines[topic]):
+                if (old and (old.name, old.text)) == (new and (new.name, new.text)) and (
+                    old is None or new is None or old.time_ns == new.time_ns or old.time_ns >= recorded.end_ns
+                ):
+                    continue
+                time_ns = min(line.time_ns for line in (old, new) if line is not None)
+                # Beyond the last sample nobody knows when the run ended.
+                if time_ns <= until_ns or (old is not None and self.difference is None and not recorded.torn):
+                    found.append(Difference(time_ns, topic, _told(old), _told(new)))
+                break
+        return found
+
+
+def _told(line: Line | None) -> str:
+    if line is None:
+        return "nothing"
+    return f"{shown(line.name)}: {shown(line.text)} at {line.time_ns / NS_PER_S:.4f} s"
+
+
+def _hexadecimal(state: int) -> str:
+    return f"{state % 2**64:016x}"

@@ -1,0 +1,210 @@
+"""Sending a log's host bytes to another port at their times, and comparing the replies.
+
+That is how a twin and a robot are compared, or twins with other parameters. The bytes are sent as they were,
+whatever comes back: a host that steered by what it read does not steer here.
+"""
+
+# pyserial is not typed.
+# pyright: reportUnknownMemberType=false
+
+import re
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.board.uart import Act, HostAct
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import LogError, PortError
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.repeat import Recorded
+from khep_twin.log.channels import Line
+from khep_twin.log.decoding import Misfit, shown
+from khep_twin.log.transcript import text_of
+
+MEASURED = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position"}
+"""Replies whose values are compared one by one."""
+
+_LAST_WAIT = 0.5
+_SLICE = 0.01
+_WINDOW = 8
+"""How many replies may be lost or come in between before two transcripts are out of step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Letter:
+    """Replies to one command.
+
+    Attributes:
+        compared: how many pairs there were.
+        different: how many of them differ.
+        differences: of the values, new less recorded (pairs, values); empty where nothing is measured.
+    """
+
+    compared: int
+    different: int
+    differences: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """How the replies of a port differ from those of a log.
+
+    Attributes:
+        robot: of the log.
+        letters: by the first letter of the replies.
+        missing: recorded replies without a counterpart.
+        more: replies without a counterpart in the log.
+        first: the first recorded reply that differs or is missing, and what came instead.
+    """
+
+    robot: str
+    letters: dict[str, Letter]
+    missing: int
+    more: int
+    first: tuple[Line, str] | None
+
+    @property
+    def identical(self) -> bool:
+        """Whether every reply is the recorded one."""
+        return self.first is None and not self.more
+
+    def text(self) -> str:
+        """The comparison as lines."""
+        compared = sum(each.compared for each in self.letters.values())
+        different = sum(each.different for each in self.letters.values())
+        lines = [
+            f"{self.robot}: {compared} replies compared, {different} differ, {self.missing} missing, "
+            f"{self.more} more"
+        ]
+        for letter, each in sorted(self.letters.items()):
+            lines.append(f"{letter}  {each.different} of {each.compared} differ")
+            if each.differences.size:
+                mean, largest = each.differences.mean(axis=0), np.abs(each.differences).max(axis=0)
+                lines.append(f"   {MEASURED[letter]}: mean difference  {_row(mean, '.1f')}")
+                lines.append(f"   {MEASURED[letter]}: largest          {_row(largest, '.0f')}")
+        if self.first is not None:
+            line, instead = self.first
+            lines.append(
+                f"first difference at {line.time_ns / NS_PER_S:.4f} s, /{self.robot}/serial: recorded "
+                f"{line.text}, now {instead or 'nothing'}"
+            )
+        return "\n".join(lines)
+
+
+def resend(recorded: Recorded, url: str, progress: Callable[[float], None] | None = None) -> Comparison:
+    """Sends a log's host bytes to a port and compares the replies.
+
+    Args:
+        recorded: the log; of several robots the first that had a host.
+        url: of the port.
+        progress: is told which part of the run is done, 0 to 1.
+
+    Raises:
+        LogError: the log has no bytes of a host.
+        PortError: the port cannot be opened or went away.
+    """
+    robots = {index for _, index, act in recorded.acts if act.kind == Act.SEND}
+    if not robots:
+        made = recorded.label.metadata.get("khep_twin", "an unknown version")
+        raise LogError(f"{recorded.path}: no host has sent anything in it, or it is too old (of {made})")
+    robot = min(robots)
+    acts = [act for _, index, act in recorded.acts if index == robot]
+    lines = [line for line in recorded.lines[robot] if line.name == "robot"]
+    came = _send(acts, url, _baud(recorded, acts), lines[-1].time_ns if lines else 0, progress)
+    return _compared(recorded.label.robots[robot], lines, came)
+
+
+def _baud(recorded: Recorded, acts: Sequence[HostAct]) -> int:
+    """The speed that the host began with."""
+    known = [act.host.baud for act in acts if act.host is not None and act.host.baud]
+    if known:
+        return known[0]
+    text = recorded.label.metadata.get("baud", "9600")
+    if not re.fullmatch("[1-9][0-9]{0,8}", text):
+        raise Misfit(f"baud = {shown(text)}", "a whole number").at(recorded.path, "metadata")
+    return int(text)
+
+
+def _send(
+    acts: Sequence[HostAct], url: str, baud: int, last_ns: int, progress: Callable[[float], None] | None
+) -> list[str]:
+    """Carries out the acts at their times; returns the replies."""
+    came = b""
+    # A robot that is silent at the end, too, is what the comparison tells.
+    with closing(Khepera(url, timeout=0, baudrate=baud)) as khepera:
+        port = khepera.port
+        # A port that waits for its host loses nothing, and each look at it would cost time.
+        simulated = hasattr(port, "time_ns")
+        start = khepera.time
+        end = HostAct(Act.HANG_UP, max(last_ns, acts[-1].at_ns) + int(_LAST_WAIT * NS_PER_S))
+        try:
+            for act in (*acts, end):
+                while (wait := act.at_ns / NS_PER_S - (khepera.time - start)) > 0:
+                    khepera.sleep(wait if simulated else min(wait, _SLICE))
+                    came += b"" if simulated else port.read(port.in_waiting)
+                if act.kind == Act.SEND:
+                    port.write(act.data)
+                elif act.kind == Act.TAKE_BACK:
+                    port.reset_output_buffer()
+                elif act.kind == Act.SET and act.host is not None and act.host.baud:
+                    port.baudrate = act.host.baud
+                if progress is not None:
+                    progress(min(act.at_ns / end.at_ns, 1.0))
+            came += port.read(max(port.in_waiting, 1))
+        except (OSError, ValueError) as error:
+            raise PortError(f"{url}: the port failed: {error}") from error
+    return [text_of(line) for line in re.split(rb"[\r\n]", came) if line]
+
+
+def _compared(robot: str, recorded: Sequence[Line], came: Sequence[str]) -> Comparison:
+    pairs, more = _paired(recorded, came)
+    first = next(((line, text) for line, text in pairs if line.text != text), None)
+    letters: dict[str, Letter] = {}
+    for letter in sorted({line.text[:1] for line, text in pairs if text}):
+        own = [(line.text, text) for line, text in pairs if text and line.text[:1] == letter]
+        rows = [_difference(before, now) for before, now in own] if letter in MEASURED else []
+        widths = [len(row) for row in rows if row]
+        fitting = [row for row in rows if row and len(row) == max(widths)]
+        different = sum(before != now for before, now in own)
+        letters[letter] = Letter(len(own), different, np.array(fitting, np.float64))
+    return Comparison(robot, letters, sum(not text for _, text in pairs), more, first)
+
+
+def _paired(recorded: Sequence[Line], came: Sequence[str]) -> tuple[list[tuple[Line, str]], int]:
+    """Each recorded reply with the one that came for it, empty for none; and how many came besides."""
+    pairs: list[tuple[Line, str]] = []
+    place, more = 0, 0
+    for index, line in enumerate(recorded):
+        letter = line.text[:1]
+        ahead = next((k for k, text in enumerate(came[place : place + _WINDOW]) if text[:1] == letter), None)
+        behind = next(
+            (
+                k
+                for k, later in enumerate(recorded[index : index + _WINDOW])
+                if place < len(came) and later.text[:1] == came[place][:1]
+            ),
+            None,
+        )
+        if ahead is None or (behind is not None and behind < ahead):
+            pairs.append((line, ""))
+            continue
+        more += ahead
+        pairs.append((line, came[place + ahead]))
+        place += ahead + 1
+    return pairs, more + len(came) - place
+
+
+def _difference(before: str, now: str) -> list[int]:
+    """The values of a reply less those recorded; empty where they are no such numbers."""
+    try:
+        old, new = ([int(field) for field in text.split(",")[1:]] for text in (before, now))
+    except ValueError:
+        return []
+    return [b - a for a, b in zip(old, new, strict=True)] if len(old) == len(new) else []
+
+
+def _row(values: NDArray[np.float64], form: str) -> str:
+    return " ".join(f"{value:7{form}}" for value in values)

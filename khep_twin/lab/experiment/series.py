@@ -1,0 +1,337 @@
+"""A series: the same controller run after run, on a robot or on twins, each run with its numbers.
+
+    from khep_twin.lab.experiment.series import OneRobot, Plan, run_series
+
+    with Khepera("khep://obstacles") as robot:
+        for run in run_series(braitenberg, OneRobot(robot), Plan(runs=20, cycles=500)):
+            print(run.number, run.numbers["fitness"])
+
+On one robot each run goes on from where the robot stands, on any port alike. On new twins each run begins
+anew, at a start and with a seed of its own, so that it does not depend on the others.
+"""
+
+import math
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from khep_twin.errors import ControllerError, KhepTwinError
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment import experiment
+from khep_twin.lab.experiment.controllers import AnyController, Controller, as_controller, variables
+from khep_twin.lab.experiment.measures import Heard, Truth
+from khep_twin.lab.experiment.start_poses import Start, at_start
+from khep_twin.playpen import Playpen
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+
+_LOOK = 0.1
+"""In a pause, how often is looked whether the series is to end [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a series goes.
+
+    Attributes:
+        runs: how many.
+        cycles: calls of the controller in each, None for no limit.
+        seconds: longest time of each in the port's own time [s], None for no limit.
+        pause: between runs, in the port's own time [s].
+    """
+
+    runs: int = 1
+    cycles: int | None = None
+    seconds: float | None = None
+    pause: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuses what is no series.
+
+        Raises:
+            ControllerError: it is none.
+        """
+        if self.runs < 1 or (self.cycles is not None and self.cycles < 1):
+            raise ControllerError(f"{self.runs} runs of {self.cycles} cycles; right are numbers above 0")
+        if self.cycles is None and self.seconds is None:
+            raise ControllerError("a run needs an end; right is a number of cycles or of seconds")
+        if self.seconds is not None and not 0 < self.seconds < math.inf:
+            raise ControllerError(f"runs of {self.seconds} s; right is a time above 0")
+        if not 0 <= self.pause < math.inf:
+            raise ControllerError(f"a pause of {self.pause} s; right is 0 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run of a series.
+
+    Attributes:
+        number: from 1.
+        start: where it began, None for where the robot happened to stand.
+        cycles: how often the controller was called.
+        duration: how long it took in the port's own time [s].
+        numbers: what it is measured by (`khep_twin.lab.experiment.measures`), by name.
+        variables: the controller's, as of the run's end.
+    """
+
+    number: int
+    start: Start | None
+    cycles: int
+    duration: float
+    numbers: Mapping[str, float]
+    variables: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def line(self, runs: int) -> str:
+        """Tell the run in a line, as one of so many."""
+        told = f"{self.cycles} cycles in {self.duration:.1f} s"
+        if runs == 1:
+            return told
+        names = ("fitness", "distance_m")
+        shown = [f"{name} {self.numbers[name]:.3g}" for name in names if name in self.numbers]
+        return "  ".join([f"run {self.number:3d}", told, *shown])
+
+
+def numbered(path: Path, number: int) -> Path:
+    """The name of a run's own file: NAME-001.SUFFIX."""
+    return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
+
+
+class Bench(Protocol):
+    """Where the robots of a series come from."""
+
+    def first(self, kept: int, controller: AnyController) -> int:
+        """Number of the run that a series with so many runs begins at, to go on as if it had not ended."""
+        ...
+
+    def sessions(self, numbers: range) -> Iterator["Session"]:
+        """The robots for these runs, in their order."""
+        ...
+
+    def hold(self) -> None:
+        """Stop the motors of the robot that runs, from another thread."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A robot, and the runs that it does.
+
+    Attributes:
+        numbers: of the runs.
+        opened: gives the robot.
+        start: where each run begins, None for where the robot happens to stand.
+    """
+
+    numbers: range
+    opened: AbstractContextManager[Khepera]
+    start: Start | None = None
+
+
+class OneRobot:
+    """One robot for all runs, which goes on from where it stands.
+
+    Args:
+        robot: on any port.
+        record: starts the log of a twin in this process, before the first run.
+    """
+
+    def __init__(self, robot: Khepera, record: Callable[[Twin], None] | None = None) -> None:
+        self._robot, self._record = robot, record
+
+    def first(self, kept: int, controller: AnyController) -> int:
+        """A robot goes on; a twin in this process comes to the same place by doing it all again."""
+        return kept + 1 if twin_of(self._robot) is None else 1
+
+    def sessions(self, numbers: range) -> Iterator[Session]:
+        """All runs with the robot."""
+        twin = twin_of(self._robot)
+        if self._record is not None and twin is not None:
+            self._record(twin)
+        yield Session(numbers, nullcontext(self._robot))
+
+    def hold(self) -> None:
+        """Stop its motors, from another thread."""
+        self._robot.hold()
+
+
+class NewTwins:
+    """A new twin for each run, in this process.
+
+    Args:
+        playpen: of all of them.
+        options: run n has its seed + n - 1.
+        starts: of the runs, in turn.
+        record: starts the log of a run's twin.
+
+    Raises:
+        ControllerError: there is no start.
+    """
+
+    def __init__(
+        self,
+        playpen: Playpen,
+        options: TwinOptions,
+        starts: Sequence[Start],
+        record: Callable[[Twin, int], None] | None = None,
+    ) -> None:
+        if not starts:
+            raise ControllerError("a series of new twins needs a start")
+        self._playpen, self._options, self._starts, self._record = playpen, options, starts, record
+        self._robot: Khepera | None = None
+
+    def first(self, kept: int, controller: AnyController) -> int:
+        """The last run again, to see that it comes out the same; all of them for what may have learned."""
+        return 1 if isinstance(controller, Controller) else max(1, kept)
+
+    def sessions(self, numbers: range) -> Iterator[Session]:
+        """Each run with a twin of its own."""
+        for number in numbers:
+            start = self._starts[(number - 1) % len(self._starts)]
+            yield Session(range(number, number + 1), self._twin(number, start), start)
+
+    def hold(self) -> None:
+        """Stop the motors of the twin that runs, from another thread."""
+        if self._robot is not None:
+            self._robot.hold()
+
+    @contextmanager
+    def _twin(self, number: int, start: Start) -> Generator[Khepera]:
+        options = replace(self._options, seed=self._options.seed + number - 1)
+        twin = open_twin(at_start(self._playpen, options.robot or 0, start), options)
+        if self._record is not None:
+            self._record(twin, number)
+        with Khepera(Serial.of(twin, timeout=1.0)) as self._robot:
+            yield self._robot
+
+
+def run_series(
+    controller: AnyController,
+    bench: Bench,
+    plan: Plan,
+    *,
+    first: int = 1,
+    before: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    broken_off: Callable[[Run], None] | None = None,
+) -> Generator[Run]:
+    """Runs a controller again and again and yields each run that was not broken off.
+
+    Args:
+        controller: what drives the robot.
+        bench: where it comes from.
+        plan: how the series goes.
+        first: number of the first run, of a series that goes on.
+        before: is told the number of each run before it, after the pause: the time to put a robot right.
+        progress: is told after each cycle which part of the series is done, 0 to 1.
+        stop: is asked before each cycle whether to end early; a run that was broken off is not yielded.
+        broken_off: is told of the run that `stop` has broken off, as far as it came.
+
+    Raises:
+        ControllerError: the controller failed, or lets no time pass.
+        KhepTwinError: the port failed.
+    """
+    algorithm = as_controller(controller)
+    for session in bench.sessions(range(first, plan.runs + 1)):
+        if stop is not None and stop():
+            return
+        with session.opened as robot:
+            try:
+                for number in session.numbers:
+                    if number > session.numbers[0]:
+                        _pause(robot, plan.pause, stop)
+                    if before is not None:
+                        before(number)
+                    if stop is not None and stop():
+                        break
+                    run = _run(algorithm, robot, session.start, number, plan, progress, stop, broken_off)
+                    if run is None:
+                        break
+                    yield run
+            except BaseException:
+                # What went wrong is told; that this fails then, too, would only hide it.
+                with suppress(KhepTwinError):
+                    experiment.call(algorithm.stop, robot)
+                raise
+            experiment.call(algorithm.stop, robot)
+
+
+def _run(
+    controller: Controller,
+    robot: Khepera,
+    start: Start | None,
+    number: int,
+    plan: Plan,
+    progress: Callable[[float], None] | None,
+    stop: Callable[[], bool] | None,
+    broken_off: Callable[[Run], None] | None,
+) -> Run | None:
+    """One run; None if it was broken off, which `broken_off` is told."""
+    heard, truth = Heard(), _truth_of(robot)
+    began, done = robot.time, 0
+
+    def end_cycle() -> None:
+        nonlocal done
+        heard.end_cycle()
+        done += 1
+
+    def result(outcome: experiment.Outcome) -> Run:
+        numbers = heard.numbers() | ({} if truth is None else truth.numbers())
+        return Run(number, start, outcome.cycles, outcome.duration, numbers, variables(controller))
+
+    _tell(robot, f"run {number} begins")
+    robot.listen(heard)
+    try:
+        try:
+            outcome = experiment.run(
+                controller,
+                robot,
+                cycles=plan.cycles,
+                seconds=plan.seconds,
+                progress=None if progress is None else lambda part: progress((number - 1 + part) / plan.runs),
+                stop=stop,
+                after_cycle=end_cycle,
+            )
+        finally:
+            robot.listen(None)
+            if truth is not None:
+                truth.end()
+    except KhepTwinError:
+        # It may have been stopped within a cycle.
+        if broken_off is not None and stop is not None and stop():
+            broken_off(result(experiment.Outcome(done, robot.time - began, complete=False)))
+        raise
+    _tell(robot, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
+    if outcome.complete:
+        return result(outcome)
+    if broken_off is not None:
+        broken_off(result(outcome))
+    return None
+
+
+def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> None:
+    """Waits in the port's own time [s], or until the series is to end."""
+    left = duration
+    while left > 0 and not (stop is not None and stop()):
+        robot.sleep(min(left, _LOOK))
+        left -= _LOOK
+
+
+def _truth_of(robot: Khepera) -> Truth | None:
+    """Watches the world of a robot, if it is a twin in this process."""
+    twin = twin_of(robot)
+    return None if twin is None else Truth(twin.world, twin.robot.index)
+
+
+def _tell(robot: Khepera, text: str) -> None:
+    """Notes something in the log of a twin in this process."""
+    twin = twin_of(robot)
+    if twin is not None:
+        twin.world.tell(twin.robot.index, text)
+
+
+def twin_of(robot: Khepera) -> Twin | None:
+    """The twin in this process behind a port, None without."""
+    return getattr(robot.port, "twin", None)

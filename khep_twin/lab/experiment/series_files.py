@@ -1,0 +1,245 @@
+"""The folder of a series: each run is in it as soon as it has ended.
+
+    series.json    settings and all runs so far; what a series goes on from
+    runs.csv       a row for each run: start, cycles, time, numbers, and the controller's single variables
+    runs.parquet   the same, with units as metadata of the columns
+    runs.mat       the same for Matlab, a column each
+    run-001.mat    all variables of run 1 as of its end, arrays too, for Matlab's `load`
+
+Nothing of the machine or the hour is in them: the same series gives the same bytes.
+"""
+
+# scipy and pyarrow are not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from io import BytesIO, StringIO
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from khep_twin.errors import ControllerError
+from khep_twin.files.atomic import read_regular, write_whole
+from khep_twin.files.mat_bytes import mat_bytes
+from khep_twin.lab.experiment.measures import UNITS
+from khep_twin.lab.experiment.series import Run
+
+Row = Mapping[str, int | float | str | bool]
+"""One run as the tables have it: values by the names of their columns."""
+
+_INDEX = "series.json"
+_SINGLE = (bool, int, float, str)
+_NAME_LIMIT = 63
+"""Longest name of a variable that Matlab takes."""
+
+_OWN = {"run": "", "start_x_mm": "mm", "start_y_mm": "mm", "start_heading_deg": "degrees", "cycles": ""}
+_UNITS = {**_OWN, "duration_s": "s", **UNITS}
+
+
+class SeriesFolder:
+    """A folder in the making, or one to go on with.
+
+    Args:
+        path: of the folder.
+        settings: of the series, by name: what has to be the same for it to go on.
+        resume: whether to go on with what is there.
+
+    Attributes:
+        path: of the folder.
+        rows: of the runs so far.
+
+    Raises:
+        ControllerError: it cannot be made, there is a series in it already, or with `resume` another one.
+        KhepTwinError: it cannot be written.
+    """
+
+    def __init__(self, path: Path, settings: Mapping[str, Any], *, resume: bool = False) -> None:
+        self.path = path
+        self._place = path.absolute()  # a controller may go to another folder
+        self.rows: list[Row] = []
+        # As they come back from the file.
+        self._settings: dict[str, Any] = json.loads(json.dumps(dict(settings)))
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ControllerError(f"{path}: no folder can be made here: {error.strerror}") from error
+        if (path / _INDEX).exists():
+            before, self.rows = read_series(path)
+            if self.rows and not resume:
+                raise ControllerError(
+                    f"{path}: has a series of {len(self.rows)} runs already",
+                    "; right is --resume, or another folder",
+                )
+            if resume:
+                self._compare(before)
+        elif resume:
+            raise ControllerError(
+                f"{path}: holds no series to go on with; right is a folder that --save made"
+            )
+        self._write()
+
+    def keep(self, run: Run) -> bool:
+        """Keeps a run; one that is there already has to be the same.
+
+        Returns:
+            Whether it is new.
+
+        Raises:
+            ControllerError: it came out otherwise than before.
+            KhepTwinError: it cannot be written.
+        """
+        row = row_of(run)
+        if run.number <= len(self.rows):
+            before = self.rows[run.number - 1]
+            for name in columns([before, row]):
+                if json.dumps(before.get(name)) != json.dumps(row.get(name)):
+                    raise ControllerError(
+                        f"{self.path}: run {run.number}, done again, came out with {name} {row.get(name)}, "
+                        f"before {before.get(name)}; a series can go on if its controller draws on no chance "
+                        "or time of its own, and learns from run to run as a Controller only"
+                    )
+            return False
+        self.rows.append(row)
+        write_whole(self._place / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
+        self._write()
+        return True
+
+    def _compare(self, before: Mapping[str, Any]) -> None:
+        """Refuses settings that are not those of the series."""
+        for key in sorted({*before, *self._settings}):
+            was, now = before.get(key), self._settings.get(key)
+            if was != now:
+                was, now = _where_they_differ(was, now)
+                raise ControllerError(
+                    f"{self.path}: was made with another {key.replace('_', ' ')}: {was}, now {now}; right is "
+                    "the same, or another folder"
+                )
+
+    def _write(self) -> None:
+        """Writes all but the runs' own files; first what a series goes on from."""
+        text = json.dumps({"settings": self._settings, "runs": self.rows}, indent=1)
+        write_whole(self._place / _INDEX, text.encode("utf-8") + b"\n")
+        for suffix, data in tables(self.rows).items() if self.rows else ():
+            write_whole(self._place / f"runs{suffix}", data)
+
+
+def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
+    """The settings and the runs of a folder.
+
+    Raises:
+        ControllerError: there is no series in it.
+    """
+    file = path / _INDEX
+    try:
+        found = json.loads(read_regular(file).decode("utf-8"))
+        settings: dict[str, Any] = dict(found["settings"])
+        rows: list[Row] = [dict(row) for row in found["runs"]]
+        for number, row in enumerate(rows, 1):
+            plain = {type(value) for value in row.values()} <= {*_SINGLE}
+            if row["run"] != number or not plain:
+                raise ValueError(f"what should be run {number} is none")
+    except OSError as error:
+        raise ControllerError(f"{file}: cannot be read: {error.strerror}") from error
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        raise ControllerError(f"{file}: no series of khep_twin: {error}") from error
+    return settings, rows
+
+
+def tables(rows: Sequence[Row]) -> dict[str, bytes]:
+    """Return the table of runs as the bytes of files, by their suffix."""
+    names = columns(rows)
+    whole = {name: np.array([[row.get(name, np.nan)] for row in rows]) for name in names}
+    numeric = {name: values for name, values in whole.items() if values.dtype.kind in "biuf"}
+    return {".csv": _csv(rows, names), ".parquet": _parquet(rows, names), ".mat": _mat(numeric, "series")}
+
+
+def row_of(run: Run) -> Row:
+    """A run as a row of the tables."""
+    row: dict[str, Any] = {"run": run.number}
+    if run.start is not None:
+        row |= {
+            "start_x_mm": run.start.x_mm,
+            "start_y_mm": run.start.y_mm,
+            "start_heading_deg": run.start.heading_deg,
+        }
+    row |= {"cycles": run.cycles, "duration_s": run.duration, **run.numbers}
+    for name, value in run.variables.items():
+        if isinstance(value, _SINGLE):
+            row[name if name not in _UNITS else f"controller_{name}"] = value
+    return row
+
+
+def columns(rows: Sequence[Row]) -> list[str]:
+    """Names of the columns that these rows have, the known ones first."""
+    there = {name for row in rows for name in row}
+    return [name for name in _UNITS if name in there] + sorted(there - {*_UNITS})
+
+
+def _csv(rows: Sequence[Row], names: Sequence[str]) -> bytes:
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([row.get(name, "") for name in names] for row in rows)
+    return text.getvalue().encode("utf-8")
+
+
+def _parquet(rows: Sequence[Row], names: Sequence[str]) -> bytes:
+    import pyarrow as arrow
+    from pyarrow import parquet
+
+    values = [_alike([row.get(name) for row in rows]) for name in names]
+    arrays: list[Any] = [arrow.array(each) for each in values]
+    fields: list[Any] = [
+        arrow.field(name, array.type, metadata={"unit": _UNITS.get(name, "")})
+        for name, array in zip(names, arrays, strict=True)
+    ]
+    file = BytesIO()
+    whole: Any = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields))
+    parquet.write_table(whole, file)
+    return file.getvalue()
+
+
+def _alike(values: Sequence[Any]) -> list[Any]:
+    """A column's values as one type: what is not all of one kind becomes text."""
+    there = [value for value in values if value is not None]
+    kinds = [kind for kind in (bool, int, float, str) if any(type(value) is kind for value in there)]
+    if len(kinds) <= 1:
+        return list(values)
+    as_one = float if kinds == [int, float] else str
+    return [None if value is None else as_one(value) for value in values]
+
+
+def _mat(values: Mapping[str, Any], what: str) -> bytes:
+    """Variables as the bytes of a MAT file."""
+    named: dict[str, Any] = {}
+    for name, value in values.items():
+        named[_identifier(name, named)] = np.asarray(value)
+    return mat_bytes(named, what)
+
+
+def _identifier(name: str, taken: Mapping[str, Any]) -> str:
+    """A name as Matlab takes it, and none that is taken."""
+    plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name)
+    plain = (plain if plain[:1].isalpha() else f"v{plain}")[:_NAME_LIMIT]
+    found, number = plain, 1
+    while found in taken:
+        number += 1
+        found = f"{plain[: _NAME_LIMIT - 8]}_{number}"
+    return found
+
+
+def _where_they_differ(one: Any, other: Any) -> tuple[str, str]:
+    """Two settings in short; of texts with several lines, the first line that differs."""
+    if isinstance(one, str) and isinstance(other, str):
+        pairs = zip_longest(one.splitlines(), other.splitlines(), fillvalue="nothing")
+        one, other = next((pair for pair in pairs if pair[0] != pair[1]), (one, other))
+    return _short(one), _short(other)
+
+
+def _short(value: Any) -> str:
+    text = " ".join(str("none" if value is None else value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."

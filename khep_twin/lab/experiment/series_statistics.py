@@ -1,0 +1,160 @@
+"""Series in numbers: mean, spread and confidence of what their runs are measured by, and how two differ."""
+
+# scipy is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from khep_twin.errors import ControllerError, choices
+from khep_twin.lab.experiment.measures import UNITS
+from khep_twin.lab.experiment.series_files import Row, columns
+
+CONFIDENCE = 0.95
+
+NOT_MEASURED = {"run", "start_x_mm", "start_y_mm", "start_heading_deg", "cycles"}
+"""Columns that say what a run was and not how it went."""
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """One number over the runs of a series.
+
+    Attributes:
+        count: runs that have it.
+        mean: of them.
+        spread: standard deviation from run to run; not a number with a single run.
+        within: the mean lies so far to either side with 95 % confidence, by Student's t for runs that are
+            independent and normally distributed (assumed).
+        low: smallest.
+        high: largest.
+    """
+
+    count: int
+    mean: float
+    spread: float
+    within: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """How much larger the mean of one series is than that of another.
+
+    Attributes:
+        mean: the difference.
+        within: so far to either side with 95 % confidence, by Welch's t for spreads of their own.
+    """
+
+    mean: float
+    within: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether 0 lies outside."""
+        return abs(self.mean) > self.within
+
+
+def summary(values: Sequence[float]) -> Summary:
+    """The summary of at least one value."""
+    count, mean = len(values), math.fsum(values) / len(values)
+    spread = float(np.std(values, ddof=1)) if count > 1 else math.nan
+    return Summary(
+        count, mean, spread, _within(spread / math.sqrt(count), count - 1), min(values), max(values)
+    )
+
+
+def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
+    """How much larger the mean of the values after is."""
+    one, other = summary(before), summary(after)
+    parts = [each.spread**2 / each.count for each in (one, other)]
+    error = math.sqrt(sum(parts))
+    if not error:
+        return Difference(other.mean - one.mean, 0.0)
+    # Welch and Satterthwaite's degrees of freedom.
+    freedom = (
+        sum(parts) ** 2
+        / sum(
+            part**2 / (each.count - 1) if each.count > 1 else math.nan
+            for part, each in zip(parts, (one, other), strict=True)
+        )
+        if not math.isnan(error)
+        else math.nan
+    )
+    return Difference(other.mean - one.mean, _within(error, freedom))
+
+
+def values(rows: Sequence[Row], name: str) -> list[float]:
+    """A column's finite numbers, of the runs that have it."""
+    there = [row[name] for row in rows if name in row]
+    return [float(value) for value in there if isinstance(value, int | float) and math.isfinite(value)]
+
+
+def measured(series: Sequence[Sequence[Row]], wanted: Sequence[str] | None = None) -> list[str]:
+    """Names of the columns that are numbers.
+
+    Args:
+        series: rows of one series or several.
+        wanted: only these, in their order.
+
+    Raises:
+        ControllerError: there is no such column.
+    """
+    there = [
+        name
+        for name in columns([row for rows in series for row in rows])
+        if name not in NOT_MEASURED and any(values(rows, name) for rows in series)
+    ]
+    for name in wanted or ():
+        if name not in there:
+            raise ControllerError(f"column {name}: is no number of these runs; {choices(name, there)}")
+    return there if wanted is None else list(dict.fromkeys(wanted))
+
+
+def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence[str]) -> str:
+    """Series as text: a line for each number of each series, and for each difference to the first one."""
+    head = ("", "series", "runs", "mean", "+- 95 %", "spread", "least", "most")
+    lines: list[tuple[str, ...]] = [head]
+    for name in names:
+        first: list[float] | None = None
+        title = f"{name} [{UNITS[name]}]" if UNITS.get(name) else name
+        for label, rows in zip(labels, series, strict=True):
+            found = values(rows, name)
+            if not found:
+                continue
+            told = summary(found)
+            numbers = (told.mean, told.within, told.spread, told.low, told.high)
+            lines.append((title, label, str(told.count), *map(_number, numbers)))
+            title = ""
+            if first is None:
+                first = found
+            else:
+                apart = difference(first, found)
+                clear = "differs" if apart.clear else "no clear difference"
+                lines.append(
+                    ("", "  less the first", "", _number(apart.mean), _number(apart.within), clear, "", "")
+                )
+    widths = [max(len(line[column]) for line in lines) for column in range(len(head))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if column < 2 else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
+
+
+def _within(error: float, freedom: float) -> float:
+    """Half of the confidence interval of a mean with this standard error."""
+    if math.isnan(error) or not freedom > 0:
+        return math.nan
+    return float(student.ppf((1 + CONFIDENCE) / 2, freedom)) * error
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.4g}"

@@ -1,0 +1,194 @@
+"""The setting of a series of runs: where each starts, and which lamps there are."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast, get_args
+
+from khep_twin.errors import PlaypenError, choices
+from khep_twin.placing import no_room
+from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen.parts import LightingMode
+from khep_twin.randomness import stream
+
+LIGHTINGS = (*get_args(LightingMode), "off")
+"""What lamps can be made to do."""
+
+_TRIES = 1000
+_GRID_LIMIT = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a robot begins a run.
+
+    Attributes:
+        x_mm: of its centre [mm].
+        y_mm: likewise.
+        heading_deg: where it looks, counter-clockwise from x [degrees].
+    """
+
+    x_mm: float
+    y_mm: float
+    heading_deg: float
+
+    def __str__(self) -> str:
+        """As it is written on the command line."""
+        return f"{self.x_mm:g},{self.y_mm:g},{self.heading_deg:g}"
+
+
+def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed: int) -> list[Start]:
+    """The starts that words describe; runs take them in turn.
+
+    Args:
+        wishes: each X,Y,HEADING [mm, degrees], or grid:COLUMNSxROWS with @HEADING at will, or `random` for
+            one drawn for each run, or `playpen` for the playpen's own: all of its spots, if it has some.
+        playpen: with room for them.
+        robot: whose starts they are.
+        runs: how many there are.
+        seed: of what is drawn.
+
+    Raises:
+        PlaypenError: a wish is none of these, there is no room, or there is no such robot.
+    """
+    if not 0 <= robot < len(playpen.robots):
+        among = choices(robot, range(len(playpen.robots)))
+        raise PlaypenError(f"robot = {robot}: not in playpen {playpen.name!r}; {among}")
+    found: list[Start] = []
+    for wish in wishes:
+        if wish == "playpen":
+            found += own_starts(playpen, robot)
+        elif wish == "random":
+            found += _drawn(playpen, robot, runs, seed)
+        elif wish.startswith("grid:"):
+            found += _grid(wish, playpen, robot)
+        else:
+            found.append(_single(wish, playpen, robot))
+    return found
+
+
+def own_starts(playpen: Playpen, robot: int) -> list[Start]:
+    """Where the playpen has a robot: at its place, or at each of its spots."""
+    entry = playpen.robots[robot]
+    spots = {spot.name: spot for spot in playpen.spots}
+    places = [spots[name] for name in entry.spots] or [entry]
+    return [Start(place.x_mm, place.y_mm, place.heading_deg) for place in places]
+
+
+def at_start(playpen: Playpen, robot: int, start: Start) -> Playpen:
+    """The playpen with a robot there."""
+    place = {"x_mm": start.x_mm, "y_mm": start.y_mm, "heading_deg": start.heading_deg, "spots": ()}
+    robots = list(playpen.robots)
+    robots[robot] = robots[robot].model_copy(update=place)
+    return playpen.model_copy(update={"robots": tuple(robots)})
+
+
+def lit(playpen: Playpen, lighting: str | None) -> Playpen:
+    """The playpen with its lamps on all, at random, in sequence, or off; as it is for None.
+
+    Raises:
+        PlaypenError: that is no lighting.
+    """
+    if lighting is None:
+        return playpen
+    if lighting not in LIGHTINGS:
+        raise PlaypenError(f"lighting {lighting!r}: unknown; {choices(lighting, LIGHTINGS)}")
+    if lighting == "off":
+        return playpen.model_copy(update={"lamps": ()})
+    mode = cast(LightingMode, lighting)
+    return playpen.model_copy(update={"lighting": playpen.lighting.model_copy(update={"mode": mode})})
+
+
+def without_nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Playpen:
+    """The playpen without the lamp that is nearest to a place, the first of equally near ones.
+
+    Raises:
+        PlaypenError: it has no lamp.
+    """
+    nearest = nearest_lamp(playpen, x_mm, y_mm)
+    return playpen.model_copy(update={"lamps": tuple(lamp for lamp in playpen.lamps if lamp is not nearest)})
+
+
+def nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Lamp:
+    """Return the lamp that is nearest to a place, the first of equally near ones.
+
+    Raises:
+        PlaypenError: the playpen has no lamp.
+    """
+    if not playpen.lamps:
+        raise PlaypenError(f"{playpen.name}: no lamp is left; expected one to take away or move")
+    return min(playpen.lamps, key=lambda lamp: math.hypot(lamp.x_mm - x_mm, lamp.y_mm - y_mm))
+
+
+def numbers(text: str, count: int) -> list[float] | None:
+    """So many finite numbers with commas between them; None if it is anything else."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        return None
+    return values if len(values) == count and all(map(math.isfinite, values)) else None
+
+
+def _single(wish: str, playpen: Playpen, robot: int) -> Start:
+    values = numbers(wish, 3)
+    if values is None:
+        raise PlaypenError(
+            f"start {wish!r}: right is X,Y,HEADING in mm and degrees, such as 100,200,90, or "
+            "grid:COLUMNSxROWS, random or playpen"
+        )
+    start = Start(*values)
+    if reason := _no_room(playpen, robot, start):
+        raise PlaypenError(f"start {wish}: {reason}")
+    return start
+
+
+def _grid(wish: str, playpen: Playpen, robot: int) -> list[Start]:
+    """The middles of a grid's cells, row by row from below; those without room are left out."""
+    parts = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", wish)
+    columns, rows = (int(parts[1]), int(parts[2])) if parts else (0, 0)
+    if parts is None or not 1 <= columns * rows <= _GRID_LIMIT:
+        raise PlaypenError(
+            f"start {wish!r}: right is grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as grid:3x2@90, "
+            f"of up to {_GRID_LIMIT} places"
+        )
+    (left, right), (low, high) = _extent(playpen)
+    places = [
+        Start(
+            left + (right - left) * (column + 0.5) / columns,
+            low + (high - low) * (row + 0.5) / rows,
+            float(parts[3] or 0),
+        )
+        for row in range(rows)
+        for column in range(columns)
+    ]
+    free = [start for start in places if not _no_room(playpen, robot, start)]
+    if not free:
+        raise PlaypenError(f"start {wish}: none of the {len(places)} places has room for the robot")
+    return free
+
+
+def _drawn(playpen: Playpen, robot: int, count: int, seed: int) -> list[Start]:
+    chance = stream(seed, "starts")
+    (left, right), (low, high) = _extent(playpen)
+    found: list[Start] = []
+    for _ in range(count):
+        for _ in range(_TRIES):
+            x_mm, y_mm, heading_deg = chance.uniform((left, low, 0), (right, high, 360)).tolist()
+            start = Start(round(x_mm, 1), round(y_mm, 1), round(heading_deg, 1))
+            if not _no_room(playpen, robot, start):
+                found.append(start)
+                break
+        else:
+            raise PlaypenError(f"start random: no room for the robot was found in {_TRIES} tries")
+    return found
+
+
+def _extent(playpen: Playpen) -> tuple[tuple[float, float], tuple[float, float]]:
+    """From where to where the arena reaches along x and y [mm]."""
+    xs, ys = zip(*playpen.arena.corners, strict=True)
+    return (min(xs), max(xs)), (min(ys), max(ys))
+
+
+def _no_room(playpen: Playpen, robot: int, start: Start) -> str:
+    return no_room(playpen, robot, start.x_mm, start.y_mm)

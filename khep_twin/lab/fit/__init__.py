@@ -1,0 +1,1 @@
+"""Calibrations fitted to measurements of one robot."""

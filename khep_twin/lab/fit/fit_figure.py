@@ -1,0 +1,87 @@
+"""A picture of a fit over the data that it was made from."""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure, SubFigure
+from numpy.typing import NDArray
+
+from khep_twin.drawing.map import STYLE
+from khep_twin.drawing.symbols import INK
+from khep_twin.lab.fit.fit_inputs import Measured, SensorData
+from khep_twin.lab.fit.motor_fit import DutyDrive, driven
+from khep_twin.lab.fit.robot_fit import modelled
+from khep_twin.lab.sensor_test.sensor_test import SENSORS
+from khep_twin.sensing.calibration import Calibration
+
+_COLOURS = ("#e4572e", "#4dabf7", "#5c9e3a", "#9775c9", "#b8860b", "#2aa198")
+_UNITS = {"linear": "way driven [cm]", "rotational": "turned [degrees]"}
+_ROW, _MARGIN, _DRIVE = 1.75, 0.85, 2.6
+
+
+def draw_fit(tests: Measured, found: Calibration) -> Figure | None:
+    """Sensor tests and drives with fixed duties as dots, and as lines what the fitted twin does.
+
+    Args:
+        tests: that were fitted.
+        found: by the fit.
+
+    Returns:
+        The picture; None where nothing but measured drives was fitted.
+    """
+    kinds: dict[tuple[str, str], list[SensorData]] = {}
+    for data in (*tests.objects, *tests.lamps):
+        kinds.setdefault((data.run.test.what, data.run.test.motion), []).append(data)
+    heights = [2 * _ROW + _MARGIN] * len(kinds) + [_DRIVE] * len(tests.motors)
+    if not heights:
+        return None
+    with matplotlib.style.context(STYLE):
+        figure = Figure(figsize=(10, sum(heights)), facecolor="white", layout="constrained")
+        FigureCanvasAgg(figure)
+        rows: NDArray[Any] = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
+        parts: list[SubFigure] = rows[:, 0].tolist()
+        for part, (kind, runs) in zip(parts, kinds.items(), strict=False):
+            _draw_sensors(part, *kind, runs, found)
+        for part, drive in zip(parts[len(kinds) :], tests.motors, strict=True):
+            _draw_speeds(part, drive, found)
+    return figure
+
+
+def _draw_sensors(
+    part: SubFigure, what: str, motion: str, runs: Sequence[SensorData], found: Calibration
+) -> None:
+    """Eight panels, one for each sensor."""
+    panels: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).ravel())
+    for index, data in enumerate(runs):
+        colour, model = _COLOURS[index % len(_COLOURS)], modelled(data, found)
+        order = np.argsort(data.run.travelled, kind="stable")
+        for axes, counts, line in zip(panels, data.counts.T, model.T, strict=True):
+            axes.plot(data.run.travelled, counts, ".", ms=2.5, color=colour, alpha=0.55)
+            axes.plot(data.run.travelled[order], line[order], color=colour, lw=1.3, label=data.name)
+    for axes, name in zip(panels, SENSORS, strict=True):
+        axes.set_title(name, fontsize=9, color=INK)
+    part.supxlabel(_UNITS[motion], fontsize=9)
+    part.supylabel("ambient [counts]" if what == "light" else "proximity [counts]", fontsize=9)
+    lines, labels = panels[0].get_legend_handles_labels()
+    part.legend(lines, labels, loc="outside upper center", ncols=3, fontsize=7, frameon=False)
+
+
+def _draw_speeds(part: SubFigure, drive: DutyDrive, found: Calibration) -> None:
+    """What the robot's wheels did with fixed duties."""
+    axes = part.subplots(1, 1)
+    measured, twin = drive.speeds(drive.values), driven(drive, found)
+    order = np.argsort(drive.times, kind="stable")
+    for side, name in enumerate(("left", "right")):
+        axes.plot(drive.times, measured[:, side], ".", ms=3, color=_COLOURS[side], alpha=0.6)
+        axes.plot(drive.times[order], twin[order, side], color=_COLOURS[side], lw=1.3, label=name)
+    axes.set_xlabel("time [s]", fontsize=9)
+    axes.set_ylabel("speed [pulses/10 ms]", fontsize=9)
+    axes.set_title(drive.name, fontsize=9, color=INK)
+    axes.legend(fontsize=7, frameon=False)

@@ -1,0 +1,194 @@
+"""What a person has measured of recorded tests, in words, and what the tests are with it.
+
+straight.mcap=998mm             a straight drive, so long by the ruler
+spin.mcap=5turns                turns on the spot, counter-clockwise
+steps.mcap=duty                 a drive with fixed duties on open floor
+wall.csv=wall@22mm              a sensor test: a flat wall ahead, so far from the robot's edge at the start
+can.csv=cylinder:27mm@15mm      a cylinder of that radius ahead
+lamp.csv=lamp:2W@150mm          a lamp of that power ahead, its filament 15 mm above the floor,
+lamp.csv=lamp:2W:60mm@150mm     or so high
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import FitError
+from khep_twin.lab.fit.infrared import Table
+from khep_twin.lab.fit.lamp_fit import LampTable
+from khep_twin.lab.fit.motor_fit import DutyDrive, read_drive
+from khep_twin.lab.fit.wheel_fit import Drive, pulses
+from khep_twin.lab.sensor_test.sensor_files import load
+from khep_twin.lab.sensor_test.sensor_test import SensorRun
+from khep_twin.sensing.calibration import WheelCalibration
+from khep_twin.units import BODY_RADIUS, BULB_RADIUS, PULSES_PER_TURN, SENSOR_HEIGHT
+
+Floats = NDArray[np.float64]
+
+FILAMENT_MM = 15.0
+"""How high a lamp's filament is, where nothing is said of it: as a playpen's lamps [mm]."""
+
+FASTEST_TURN = 8
+"""Fastest turn [pulses/10 ms]: beyond it a robot turns by 2.8 degrees while its sensors are read once."""
+
+_LAG = 0.01
+"""Readings are so much younger than the counters of their row [s]: N comes some 20 ms after H at 9600 baud,
+and its values are up to 20 ms old."""
+
+_NUMBER = r"(\d{1,6}(?:\.\d{1,6})?)"
+_WORDS = re.compile(
+    rf"(?P<file>.+)=(?:"
+    rf"(?P<distance>-?{_NUMBER})mm|(?P<turns>-?{_NUMBER})turns|(?P<duty>duty)"
+    rf"|wall@(?P<wall>{_NUMBER})mm"
+    rf"|cylinder:(?P<radius>{_NUMBER})mm@(?P<cylinder>{_NUMBER})mm"
+    rf"|lamp:(?P<power>{_NUMBER})W(?::(?P<height>{_NUMBER})mm)?@(?P<lamp>{_NUMBER})mm)"
+)
+_WISH = (
+    "right is a file and what was measured, such as straight.mcap=998mm, spin.mcap=5turns, steps.mcap=duty, "
+    "run.csv=wall@22mm, run.csv=cylinder:27mm@15mm or run.csv=lamp:2W@150mm"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorData:
+    """A sensor test before an object that stood straight ahead at its start.
+
+    Attributes:
+        name: what to call it.
+        run: what was gathered.
+        distance: from the robot's edge to the object's nearest point, at the start [m].
+        radius: of the cylinder, or 0 for a wall [m].
+        power: of the lamp [W]; None for a wall or a cylinder.
+        height: of the lamp's filament above the floor [m].
+    """
+
+    name: str
+    run: SensorRun
+    distance: float
+    radius: float = 0.0
+    power: float | None = None
+    height: float = FILAMENT_MM / 1e3
+
+    def table(self, wheels: WheelCalibration) -> Table:
+        """Where the object was in each row, and what was read."""
+        away, bearings = self._object(wheels, self.radius)
+        if self.radius == 0:
+            # Of a wall the nearest point is straight ahead of where the robot looked at the start.
+            x, _, heading = self._poses(wheels).T
+            away, bearings = BODY_RADIUS + self.distance - x, -heading
+        return Table(away - self.radius - BODY_RADIUS, bearings, self.counts, self.radius)
+
+    def lamp_table(self, wheels: WheelCalibration) -> LampTable:
+        """Where the lamp was in each row, and what was read."""
+        away, bearings = self._object(wheels, BULB_RADIUS)
+        height = np.full(len(away), self.height - SENSOR_HEIGHT)
+        places = np.column_stack([away * np.cos(bearings), away * np.sin(bearings), height])
+        pulse = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
+        # A straight way turns nowhere, and of a turn the speed is known.
+        speed = self.run.test.speed if self.run.test.motion == "rotational" else None
+        turning = 2 * (speed or 0) * 100 * pulse / wheels.base_mm
+        return LampTable(places, self.counts, self.power or 0.0, turning)
+
+    @property
+    def counts(self) -> Floats:
+        """What was read (n, 8)."""
+        return self.run.dv[:, 2:].astype(np.float64)
+
+    def _object(self, wheels: WheelCalibration, radius: float) -> tuple[Floats, Floats]:
+        """How far off the object's centre was from the robot's [m], and at which bearing [rad], per row."""
+        x, y, heading = self._poses(wheels).T
+        ahead = BODY_RADIUS + self.distance + radius - x
+        bearings = np.arctan2(-y, ahead) - heading
+        return np.hypot(ahead, y), np.angle(np.exp(1j * bearings))
+
+    def _poses(self, wheels: WheelCalibration) -> Floats:
+        """Of the robot when its sensors were read, by its counters: x, y [m], heading [rad] (n, 3)."""
+        ways = self.run.dv[:, :2] * (2 * math.pi * wheels.radius_mm / 1e3 / PULSES_PER_TURN)
+        times = self.run.times
+        if len(times) > 1 and np.isfinite(times).all() and (np.diff(times) > 0).all():
+            ways = ways + _LAG * np.gradient(ways, times, axis=0)
+        heading = (ways[:, 1] - ways[:, 0]) / (wheels.base_mm / 1e3)
+        forward = np.diff(ways.mean(axis=1), prepend=0.0)
+        middle = heading - np.diff(heading, prepend=0.0) / 2
+        x, y = np.cumsum(forward * np.cos(middle)), np.cumsum(forward * np.sin(middle))
+        return np.column_stack([x, y, heading])
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Tests, sorted by what they tell of.
+
+    Attributes:
+        wheels: drives that were measured.
+        motors: drives with fixed duties.
+        objects: sensor tests before walls and cylinders.
+        lamps: sensor tests in the light of lamps.
+    """
+
+    wheels: tuple[Drive, ...] = ()
+    motors: tuple[DutyDrive, ...] = ()
+    objects: tuple[SensorData, ...] = ()
+    lamps: tuple[SensorData, ...] = ()
+
+
+def measured(words: list[str]) -> Measured:
+    """Reads the files that words name, as in this module's head.
+
+    Raises:
+        FitError: the words are wrong, or do not fit the file.
+        LogError: a log cannot be read.
+        SensorTestError: a sensor test cannot be read.
+    """
+    files: set[Path] = set()
+    tests: list[Drive | DutyDrive | SensorData] = []
+    for text in words:
+        file = Path(text.rpartition("=")[0]).resolve()
+        if file in files:
+            raise FitError(f"{text}: this file is given twice; right is each test once")
+        files.add(file)
+        tests.append(_test(text))
+    sensors = [test for test in tests if isinstance(test, SensorData)]
+    return Measured(
+        tuple(test for test in tests if isinstance(test, Drive)),
+        tuple(test for test in tests if isinstance(test, DutyDrive)),
+        tuple(test for test in sensors if test.power is None),
+        tuple(test for test in sensors if test.power is not None),
+    )
+
+
+def _test(text: str) -> Drive | DutyDrive | SensorData:
+    parts = _WORDS.fullmatch(text)
+    if parts is None:
+        raise FitError(f"{text}: {_WISH}")
+    path = Path(parts["file"])
+    if parts["duty"]:
+        return read_drive(path)
+    if parts["distance"]:
+        return Drive(parts["file"], *pulses(path), distance=float(parts["distance"]) / 1e3)
+    if parts["turns"]:
+        return Drive(parts["file"], *pulses(path), turned=float(parts["turns"]) * 2 * math.pi)
+    run = load(path, "light" if parts["lamp"] else "proximity")
+    what = "light" if parts["lamp"] else "proximity"
+    if run.test.what != what:
+        raise FitError(f"{text}: a test of {run.test.what}; right is one of {what}")
+    speed = run.test.speed
+    if run.test.motion == "rotational" and (speed is None or speed > FASTEST_TURN):
+        turned = "an unknown speed" if speed is None else f"speed {speed}"
+        raise FitError(
+            f"{text}: turned at {turned}, where readings lag by degrees; right is a turn with "
+            f"`khep-twin sense --speed 1`, and up to {FASTEST_TURN}"
+        )
+    if parts["lamp"]:
+        if not float(parts["power"]):
+            raise FitError(f"{text}: a lamp of 0 W; right is its power")
+        height = float(parts["height"] or FILAMENT_MM) / 1e3
+        return SensorData(text, run, float(parts["lamp"]) / 1e3, power=float(parts["power"]), height=height)
+    if parts["cylinder"]:
+        if not float(parts["radius"]):
+            raise FitError(f"{text}: a cylinder of radius 0; right is its radius")
+        return SensorData(text, run, float(parts["cylinder"]) / 1e3, radius=float(parts["radius"]) / 1e3)
+    return SensorData(text, run, float(parts["wall"]) / 1e3)

@@ -1,0 +1,167 @@
+"""What an infrared sensor sees of a wall or a cylinder, worked out in the plane instead of traced in a scene.
+
+The same optics as `khep_twin.sensors`, for many places at once: to fit a calibration to what a robot has
+measured, and to compare both. Bearings and distances are those of a test bench: a robot that turns on the
+spot, in front of an object whose nearest point is so far from the robot's edge.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.sensing.calibration import ProximityCalibration
+from khep_twin.sensors import lobe_weights
+from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS
+
+Floats = NDArray[np.float64]
+
+
+TANGENTS: Floats = (np.arange(9) + 0.5) / 9 * 2 - 1
+"""Of the angles off a sensor's axis of the rays of assets/khepera.xml."""
+
+PEAK_DEG = 6
+"""On axis is the mean so near to the bearing of the peak."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What the rays of one sensor meet, in many places.
+
+    Attributes:
+        lengths: of the rays (n_places, n_rays) [m]; inf for a ray that meets nothing.
+        incidences: cosine between ray and surface normal (n_places, n_rays), 0 for such a ray.
+    """
+
+    lengths: Floats
+    incidences: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """A robot's sensor on a test bench.
+
+    Attributes:
+        position: of the sensor's face on the robot, x forward and y left (2,) [m].
+        heading: where it looks, counter-clockwise from straight ahead [rad].
+        tangents: of the rays' angles off its axis, to the right positive (n_rays,).
+        radius: of the robot [m].
+    """
+
+    position: tuple[float, float]
+    heading: float
+    tangents: Floats
+    radius: float
+
+    def wall(self, distances: Floats, bearings: Floats) -> View:
+        """A wall whose nearest point is so far off the robot's edge [m], at bearings ccw [rad]."""
+        towards, directions = self._towards(bearings), self._directions()
+        cosines = towards @ directions.T
+        away = self.radius + distances - towards @ np.array(self.position)
+        met = cosines > 1e-9
+        lengths = np.where(met, away[:, None] / np.where(met, cosines, 1), np.inf)
+        return View(lengths, np.where(met, cosines, 0))
+
+    def cylinder(self, distances: Floats, bearings: Floats, radius: float) -> View:
+        """An upright cylinder of a radius [m], likewise."""
+        towards, directions = self._towards(bearings), self._directions()
+        centres = towards * (self.radius + distances + radius)[:, None] - np.array(self.position)
+        along = centres @ directions.T
+        aside = (centres**2).sum(axis=1)[:, None] - along**2
+        met = (aside < radius**2) & (along > 0)
+        depth = np.sqrt(np.where(met, radius**2 - aside, 0))
+        return View(np.where(met, along - depth, np.inf), depth / radius)
+
+    def _directions(self) -> Floats:
+        angles = self.heading - np.arctan(self.tangents)
+        return np.column_stack([np.cos(angles), np.sin(angles)])
+
+    @staticmethod
+    def _towards(bearings: Floats) -> Floats:
+        return np.column_stack([np.cos(bearings), np.sin(bearings)])
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Readings of a robot that was turned in front of an object.
+
+    Attributes:
+        distances: robot's edge to object (n,) [m].
+        bearings: of the object, counter-clockwise from ahead (n,) [rad].
+        counts: (n, 8).
+        radius: of the cylinder [m]; 0 for a wall.
+    """
+
+    distances: Floats
+    bearings: Floats
+    counts: Floats
+    radius: float
+
+    def view(self, sensor: int, heading: float) -> View:
+        """What a sensor with a heading [rad] saw."""
+        bench = Bench(SENSOR_POSITIONS[sensor], heading, TANGENTS, BODY_RADIUS)
+        if self.radius:
+            return bench.cylinder(self.distances, self.bearings, self.radius)
+        return bench.wall(self.distances, self.bearings)
+
+    def peak(self, counts: Floats) -> float:
+        """Bearing around which readings (n,) lie [rad]."""
+        return float(np.angle((counts * np.exp(1j * self.bearings)).sum()))
+
+    def on_axis(self, sensor: int) -> Floats:
+        """Matrix that takes readings (n,) to their means near the peak, one per distance."""
+        aside = np.angle(np.exp(1j * (self.bearings - self.peak(self.counts[:, sensor]))))
+        near = np.abs(aside) <= np.radians(PEAK_DEG)
+        rows = [near & (self.distances == distance) for distance in np.unique(self.distances)]
+        return np.array([row / row.sum() for row in rows])
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """What a calibration says of one sensor."""
+
+    gain_counts_mm2: float
+    threshold_counts: float
+    offset_mm: float
+    lobe_exponent: float
+    incidence_exponent: float
+
+    @classmethod
+    def of(cls, calibration: ProximityCalibration, sensor: int) -> Self:
+        """That of one sensor of a calibration."""
+        return cls(
+            calibration.gain_counts_mm2[sensor],
+            calibration.threshold_counts[sensor],
+            calibration.offset_mm[sensor],
+            calibration.lobe_exponent[sensor],
+            calibration.incidence_exponent[sensor],
+        )
+
+
+def proximity(
+    view: View,
+    tangents: Floats,
+    optics: Optics,
+    reflectance: float = 1.0,
+    limit_counts: int = COUNTS_LIMIT,
+) -> Floats:
+    """Counts of a quiet sensor, not rounded (n_places,).
+
+    Args:
+        view: what it sees.
+        tangents: of its rays.
+        optics: of the sensor.
+        reflectance: of what it sees.
+        limit_counts: its highest reading.
+    """
+    return np.clip(level(view, tangents, optics, reflectance), 0, limit_counts)
+
+
+def level(view: View, tangents: Floats, optics: Optics, reflectance: float = 1.0) -> Floats:
+    """What `proximity` is before it is cut off at both ends (n_places,) [counts]."""
+    weights = np.array(lobe_weights(tangents, optics.lobe_exponent))
+    lit = weights * np.where(view.incidences > 0, view.incidences, 0) ** optics.incidence_exponent
+    lit = np.where(view.incidences > 0, lit, 0)
+    light = (lit / (view.lengths * 1e3 + optics.offset_mm) ** 2).sum(axis=1)
+    return optics.gain_counts_mm2 * reflectance * light - optics.threshold_counts

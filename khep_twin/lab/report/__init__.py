@@ -1,0 +1,1 @@
+"""Reports and tables of logs and series."""

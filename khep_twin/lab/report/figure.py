@@ -1,0 +1,171 @@
+"""A report's pictures: eight sensors and two wheels over time, red where the robot touched something."""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+
+from khep_twin.drawing.symbols import INK
+from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS
+from khep_twin.lab.report.report import RobotReport
+from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT
+from khep_twin.lab.sensor_test.sensor_test import SENSORS
+from khep_twin.log.reader import Series
+from khep_twin.units import COUNTS_LIMIT, speed
+
+POINT_LIMIT = 2000
+"""Of a curve; of more, the lowest and the highest of each of so many stretches are drawn."""
+
+SENSOR_HEIGHT, WHEEL_HEIGHT = 4.9, 2.9
+"""Of the pictures [inch]."""
+
+_PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
+_SPEED, _SETPOINT, _CONTACT = "#2f7d5b", "#2b2f36", "#c2452d"
+_MARK_LIMIT = 300
+
+
+WIDTH = 7.1
+"""Likewise: a page's text."""
+
+
+def sheet(width: float, height: float) -> Figure:
+    """An empty picture or page [inch]."""
+    figure = Figure(figsize=(width, height), facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Proximity and ambient light, a strip for each sensor, from a corner at the lower left on [inch]."""
+    kinds = (
+        ("proximity", robot.proximity, _PROXIMITY, (0, COUNTS_LIMIT)),
+        ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _highest(robot.ambient)))),
+    )
+    grid = _within(figure, corner, SENSOR_HEIGHT, left=0.98, right=0.1)
+    cells = figure.add_gridspec(8, 2, hspace=0.22, wspace=0.14, **grid)
+    for column, (name, series, colour, limits) in enumerate(kinds):
+        panels = [figure.add_subplot(cells[sensor, column]) for sensor in range(8)]
+        panels[0].set_title(f"{name} [counts]", fontsize=9, loc="left", color=INK)
+        for sensor, axes in enumerate(panels):
+            if series is not None:
+                _draw_strip(axes, series, sensor, colour, None if name == "proximity" else robot.dark)
+            axes.set(ylim=limits, yticks=limits if sensor == 0 else [], xlim=_times(robot))
+            axes.tick_params(labelsize=7, length=2)
+            axes.spines[["top", "right"]].set_visible(False)
+            axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
+            _mark_contact(axes, robot)
+            if sensor < 7:
+                axes.tick_params(labelbottom=False)
+            if column == 0:
+                place: dict[str, Any] = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
+                axes.set_ylabel(SENSORS[sensor], **place)
+                axes.yaxis.set_label_coords(-0.11, 0.5)
+            if series is None and sensor == 3:
+                axes.text(0.5, 0.5, "not in this log", transform=axes.transAxes, ha="center", va="center")
+        panels[-1].set_xlabel("time [s]", fontsize=8)
+
+
+def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Both wheels' speeds with their setpoints, from a corner at the lower left on [inch]."""
+    grid = _within(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
+    cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
+    for side, name in enumerate(("left", "right")):
+        axes = figure.add_subplot(cells[side, 0])
+        if robot.speed is not None:
+            times_s, values = robot.speed.times_ns / 1e9, robot.speed.values
+            axes.plot(
+                *_thinned(times_s, values[:, side]),
+                color=_SPEED,
+                lw=0.9,
+                label="speed",
+                drawstyle="steps-post",
+            )
+            setpoint = _thinned(times_s, values[:, 2 + side])
+            axes.plot(
+                *setpoint, color=_SETPOINT, lw=0.9, ls=(0, (4, 2)), label="setpoint", drawstyle="steps-post"
+            )
+        _mark_contact(axes, robot)
+        axes.set_xlim(_times(robot))
+        axes.set_ylabel(f"{name}\n[pulses/10 ms]", fontsize=8)
+        axes.tick_params(labelsize=7, length=2)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(color=INK, alpha=0.1, lw=0.5)
+        axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+        beside = axes.secondary_yaxis("right", functions=(_to_mm_s, _from_mm_s))
+        beside.set_ylabel("[mm/s]", fontsize=8)
+        beside.tick_params(labelsize=7, length=2)
+        beside.spines["right"].set_visible(False)
+        if side == 0:
+            axes.tick_params(labelbottom=False)
+            axes.set_title("wheel speeds", fontsize=9, loc="left", color=INK)
+            handles, labels = axes.get_legend_handles_labels()
+            place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 0.98)}
+            axes.legend(handles, labels, ncols=3, fontsize=8, frameon=False, borderpad=0, **place)
+        else:
+            axes.set_xlabel("time [s]", fontsize=8)
+
+
+def _within(
+    figure: Figure, corner: tuple[float, float], height: float, *, left: float, right: float
+) -> dict[str, float]:
+    """Where a picture's axes lie on a figure, with room for what stands around them [inch]."""
+    whole_width, whole_height = figure.get_size_inches().tolist()
+    x, y = corner
+    return {
+        "left": (x + left) / whole_width,
+        "right": (x + WIDTH - right) / whole_width,
+        "bottom": (y + 0.48) / whole_height,
+        "top": (y + height - 0.32) / whole_height,
+    }
+
+
+def _draw_strip(axes: Axes, series: Series, sensor: int, colour: str, dark: float | None) -> None:
+    """One sensor: proximity filled from below, ambient light as deep as it goes below the dark level."""
+    times_s, values = _thinned(series.times_ns / 1e9, series.values[:, sensor])
+    level = 0.0 if dark is None else dark
+    axes.fill_between(times_s, values, level, color=colour, alpha=0.4, lw=0)
+    axes.plot(times_s, values, color=colour, lw=0.7)
+    axes.axhline(NEAR_COUNTS if dark is None else dark, color=INK, alpha=0.4, lw=0.5, ls=":")
+
+
+def _thinned(times_s: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """A curve of many points as one that looks the same."""
+    if len(values) <= 2 * POINT_LIMIT:
+        return times_s, values
+    bounds = np.linspace(0, len(values), POINT_LIMIT + 1).astype(int)[:-1]
+    low, high = np.minimum.reduceat(values, bounds), np.maximum.reduceat(values, bounds)
+    return np.repeat(times_s[bounds], 2), np.column_stack([low, high]).ravel()
+
+
+def _mark_contact(axes: Axes, robot: RobotReport) -> None:
+    spans: Iterable[list[float]] = robot.contact[:_MARK_LIMIT].tolist()
+    for number, (begin, end) in enumerate(spans):
+        label = "in touch with something" if number == 0 else None
+        axes.axvspan(begin, end, color=_CONTACT, alpha=0.18, lw=0.6, label=label, zorder=0)
+
+
+def _times(robot: RobotReport) -> tuple[float, float]:
+    """From the run's start to the last value."""
+    all_series = (robot.proximity, robot.ambient, robot.speed)
+    last_s = max((float(each.times_ns[-1]) / 1e9 for each in all_series if each is not None), default=0.0)
+    return 0.0, last_s or 1.0
+
+
+def _highest(series: Series | None) -> int:
+    return 0 if series is None else int(series.values.max(initial=0))
+
+
+def _to_mm_s(pulses: ArrayLike) -> ArrayLike:
+    return np.multiply(pulses, 1000 * speed(1))
+
+
+def _from_mm_s(mm_s: ArrayLike) -> ArrayLike:
+    return np.divide(mm_s, 1000 * speed(1))

@@ -1,0 +1,130 @@
+"""A report as a page: HTML in one file, with pictures within and without scripts, or PDF.
+
+Both are made for A4 and hold the same. The same report gives the same bytes.
+"""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+from base64 import b64encode
+from collections.abc import Callable, Sequence
+from html import escape
+from string import Template
+
+import matplotlib.style
+from matplotlib.figure import Figure
+
+from khep_twin.drawing import map as drawing
+from khep_twin.drawing.map import STYLE
+from khep_twin.lab.report.figure import (
+    SENSOR_HEIGHT,
+    WHEEL_HEIGHT,
+    WIDTH,
+    draw_sensors,
+    draw_wheels,
+    sheet,
+)
+from khep_twin.lab.report.report import Report, RobotReport
+from khep_twin.lab.report.rows import DEFINITIONS, Row
+
+Draw = Callable[[Figure, RobotReport, tuple[float, float]], None]
+"""Draws a robot's picture onto a figure, from a corner at the lower left on [inch]."""
+
+EVENT_LIMIT = 40
+"""Most events on a page; of more, the first ones."""
+
+DPI = 200
+"""Of the pictures."""
+
+_PAGE = Template("""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<title>$title</title>
+<style>
+@page { size: A4; margin: 14mm 15mm }
+body { font: 10.5pt/1.35 "Helvetica Neue", Arial, sans-serif; color: #2b2f36; background: white;
+  max-width: 180mm; margin: 8mm auto; padding: 0 4mm }
+h1 { font-size: 17pt; margin: 0 0 1mm }
+h2 { font-size: 13pt; margin: 7mm 0 2mm; border-bottom: 0.3mm solid #2b2f36; break-after: avoid }
+img { max-width: 100%; display: block; margin: 2mm auto; break-inside: avoid }
+img.map { max-height: 135mm }
+table { border-collapse: collapse; width: 100%; break-inside: avoid }
+td, th { text-align: left; vertical-align: top; padding: 0.6mm 3mm 0.6mm 0; border-bottom: 0.1mm solid #ccc;
+  font-weight: normal; overflow-wrap: anywhere }
+th { width: 46mm; color: #5a606b }
+.small { font-size: 8.5pt; line-height: 1.3 }
+.missing { color: #9a4a00 }
+@media print { body { margin: 0; padding: 0; max-width: none } }
+</style>
+</head>
+<body>
+<h1>$title</h1>
+$body
+</body>
+</html>
+""")
+
+
+def html(report: Report) -> bytes:
+    """A report as a page for browsers, in one file."""
+    parts = [_image(draw_map(report), "Ways over the playpen", "map")] if report.playpen is not None else []
+    for robot in report.robots:
+        parts += [f"<h2>{escape(robot.name)}</h2>", _table(robot.rows)]
+        if robot.missing:
+            parts.append(f'<p class="missing">{escape(robot.missing)}</p>')
+        for draw, height, name in pictures(robot):
+            parts.append(_image(_drawn(draw, height, robot), f"{name} of {robot.name} over time"))
+    parts += [
+        "<h2>Faults and events</h2>",
+        _table(listed(report.events)) if report.events else "<p>None.</p>",
+    ]
+    parts += ["<h2>Versions and settings</h2>", _table(report.settings, "small")]
+    parts += ["<h2>What the numbers mean</h2>", _table(DEFINITIONS, "small")]
+    return _PAGE.substitute(title=escape(report.title), body="\n".join(parts)).encode("utf-8")
+
+
+def draw_map(report: Report) -> Figure:
+    """The playpen with the ways of the robots.
+
+    Raises:
+        ValueError: the log has no playpen.
+    """
+    if report.playpen is None:
+        raise ValueError("a report without a playpen has no map")
+    return drawing.draw(report.playpen, report.tracks)
+
+
+def listed(events: Sequence[Row]) -> tuple[Row, ...]:
+    """Events, of very many the first ones and how many more there are."""
+    if len(events) <= EVENT_LIMIT:
+        return tuple(events)
+    return (*events[:EVENT_LIMIT], ("…", f"and {len(events) - EVENT_LIMIT} more"))
+
+
+def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
+    """What is drawn of a robot, how high [inch], and what it is; only what the log has."""
+    found: list[tuple[Draw, float, str]] = []
+    if robot.proximity is not None or robot.ambient is not None:
+        found.append((draw_sensors, SENSOR_HEIGHT, "Sensors"))
+    if robot.speed is not None:
+        found.append((draw_wheels, WHEEL_HEIGHT, "Wheel speeds"))
+    return found
+
+
+def _drawn(draw: Draw, height: float, robot: RobotReport) -> Figure:
+    with matplotlib.style.context(STYLE):
+        figure = sheet(WIDTH, height)
+        draw(figure, robot, (0.0, 0.0))
+    return figure
+
+
+def _image(figure: Figure, text: str, kind: str = "curves") -> str:
+    # As PNG, which word processors take with copy and paste.
+    data = b64encode(drawing.picture(figure, "png", DPI)).decode("ascii")
+    return f'<img class="{kind}" alt="{escape(text)}" src="data:image/png;base64,{data}">'
+
+
+def _table(rows: Sequence[Row], kind: str = "numbers") -> str:
+    lines = [f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows]
+    return "\n".join([f'<table class="{kind}">', *lines, "</table>"])

@@ -1,0 +1,142 @@
+"""A report as PDF: the same as in HTML, set more simply. The same report gives the same bytes."""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+import textwrap
+from collections.abc import Sequence
+from io import BytesIO
+
+import matplotlib.image
+import matplotlib.style
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from khep_twin.drawing import map as drawing
+from khep_twin.drawing.map import METADATA, STYLE
+from khep_twin.drawing.symbols import INK
+from khep_twin.lab.report.figure import WIDTH, sheet
+from khep_twin.lab.report.pages import DPI, draw_map, listed, pictures
+from khep_twin.lab.report.report import Report
+from khep_twin.lab.report.rows import DEFINITIONS, Row
+
+_PAGE = (210 / 25.4, 297 / 25.4)
+"""A4 [inch]."""
+
+_SIDE, _END = (_PAGE[0] - WIDTH) / 2, 0.6
+"""Margins at the sides, above and below [inch]."""
+
+_TITLE, _HEADING, _TEXT, _SMALL = 16, 12, 9.5, 8
+"""Sizes of type [points]."""
+
+_NAMES = 1.85
+"""Width of a table's first column [inch]."""
+
+_MAP_HEIGHT = 4.7
+
+
+def pdf(report: Report) -> bytes:
+    """A report as the bytes of a PDF file."""
+    with matplotlib.style.context(STYLE):
+        pages = _Pages()
+        pages.text(report.title, _TITLE)
+        if report.playpen is not None:
+            pages.picture(drawing.picture(draw_map(report), "png", DPI))
+        for robot in report.robots:
+            pages.heading(robot.name, 0.25 * len(robot.rows))
+            pages.table(robot.rows, _TEXT)
+            if robot.missing:
+                pages.text(robot.missing, _SMALL)
+            for draw, height, _ in pictures(robot):
+                bottom = pages.room(height)
+                draw(pages.figures[-1], robot, (_SIDE, bottom))
+        pages.heading("Faults and events", 1)
+        pages.table(listed(report.events) or [("none", "")], _TEXT)
+        pages.heading("Versions and settings", 2.5)
+        pages.table(report.settings, _SMALL)
+        pages.heading("What the numbers mean", 2.5)
+        pages.table(DEFINITIONS, _SMALL)
+        data = BytesIO()
+        with PdfPages(data, metadata=METADATA["pdf"]) as file:
+            for figure in pages.figures:
+                file.savefig(figure)
+    return data.getvalue()
+
+
+class _Pages:
+    """Pages that are filled from their top down.
+
+    Attributes:
+        figures: the pages.
+    """
+
+    def __init__(self) -> None:
+        self.figures: list[Figure] = []
+        self._left = 0.0
+
+    def room(self, height: float) -> float:
+        """Takes a strip of the page, or of a new one; returns where its lower edge is [inch]."""
+        if not self.figures or self._left < height:
+            self.figures.append(sheet(*_PAGE))
+            self._left = _PAGE[1] - 2 * _END
+        self._left -= height
+        return _END + self._left
+
+    def text(self, text: str, size: float) -> None:
+        """Writes a paragraph."""
+        lines = _lines(text, size, WIDTH)
+        bottom = self.room((len(lines) + 0.5) * _line_height(size))
+        self._write(_SIDE, bottom + 0.5 * _line_height(size), lines, size)
+
+    def heading(self, text: str, keep: float) -> None:
+        """Writes a heading with a line below, on a page with room for so much of what follows [inch]."""
+        if self._left < 0.42 + keep:
+            self._left = 0.0
+        bottom = self.room(0.42)
+        self._write(_SIDE, bottom + 0.1, [text], _HEADING)
+        self._rule(bottom + 0.05, INK, 0.8)
+
+    def table(self, rows: Sequence[Row], size: float) -> None:
+        """Writes names and values, a thin line below each."""
+        for name, value in rows:
+            names, values = _lines(name, size, _NAMES - 0.1), _lines(value, size, WIDTH - _NAMES)
+            count = max(len(names), len(values))
+            bottom = self.room((count + 0.45) * _line_height(size))
+            for x, lines in ((_SIDE, names), (_SIDE + _NAMES, values)):
+                self._write(x, bottom + (count - len(lines) + 0.25) * _line_height(size), lines, size)
+            self._rule(bottom, "#cccccc", 0.4)
+        self.room(min(0.1, max(self._left, 0.0)))
+
+    def picture(self, png: bytes) -> None:
+        """Puts a picture in the middle of the page."""
+        pixels = matplotlib.image.imread(BytesIO(png), format="png")
+        rows, columns = pixels.shape[:2]
+        height = min(_MAP_HEIGHT, WIDTH * rows / columns)
+        width = height * columns / rows
+        bottom = self.room(height)
+        box = ((_PAGE[0] - width) / 2 / _PAGE[0], bottom / _PAGE[1], width / _PAGE[0], height / _PAGE[1])
+        axes = self.figures[-1].add_axes(box)
+        axes.set_axis_off()
+        axes.imshow(pixels, aspect="auto", interpolation="none")
+
+    def _write(self, x: float, bottom: float, lines: Sequence[str], size: float) -> None:
+        for number, line in enumerate(reversed(lines)):
+            y = bottom + (number + 0.2) * _line_height(size)
+            text = self.figures[-1].text(x / _PAGE[0], y / _PAGE[1], line, fontsize=size, va="baseline")
+            text.set_parse_math(False)  # a dollar in the text is a dollar
+
+    def _rule(self, y: float, colour: str, width: float) -> None:
+        ends = [_SIDE / _PAGE[0], (_SIDE + WIDTH) / _PAGE[0]]
+        self.figures[-1].add_artist(Line2D(ends, [y / _PAGE[1]] * 2, color=colour, lw=width))
+
+
+def _line_height(size: float) -> float:
+    """Of type of a size in points [inch]."""
+    return 1.3 * size / 72
+
+
+def _lines(text: str, size: float, width: float) -> list[str]:
+    """A text cut into lines that fit a width [inch]."""
+    # A letter of the font is 0.56 of its size wide in the mean of such texts, with some to spare.
+    return textwrap.wrap(text, int(width * 72 / (0.56 * size))) or [""]

@@ -1,0 +1,177 @@
+"""What there is to say about a run, from its log: the words and numbers of a report, without its looks.
+
+A report has a map with all robots' ways, and for each robot its numbers, its sensors and its wheels over
+time. Of a real robot's log, which has no truth, there is what the host has asked for, and a line says what is
+missing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from khep_twin.board.kernel import N_REGISTERS
+from khep_twin.drawing.map import Track
+from khep_twin.lab.experiment import run_statistics as statistics
+from khep_twin.lab.report.rows import (
+    Row,
+    collision_rows,
+    light_rows,
+    motion_rows,
+    near_rows,
+    slip_rows,
+    wire_rows,
+)
+from khep_twin.log.attached import calibration_of, playpen_of
+from khep_twin.log.channels import Line
+from khep_twin.log.reader import Recording, Series
+from khep_twin.playpen import Playpen
+from khep_twin.units import BODY_RADIUS
+
+USUAL_DARK_COUNTS = 500
+"""What a sensor reads in the dark, where the log has no calibration [counts]."""
+
+
+_UNSET = ("None", "()")
+
+
+@dataclass(frozen=True, slots=True)
+class RobotReport:
+    """One robot's part.
+
+    Attributes:
+        name: of the robot.
+        rows: its numbers.
+        missing: what the log does not have, in one sentence; empty where nothing is missing.
+        proximity: counts over time, None without.
+        ambient: likewise.
+        speed: left, right, setpoint left, setpoint right [pulses/10 ms], None without.
+        dark: level of ambient light in the dark [counts].
+        contact: when it touched something (n, 2) [s].
+    """
+
+    name: str
+    rows: tuple[Row, ...]
+    missing: str
+    proximity: Series | None
+    ambient: Series | None
+    speed: Series | None
+    dark: float
+    contact: statistics.Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A whole report.
+
+    Attributes:
+        title: of the page.
+        playpen: the map, None where the log has none.
+        tracks: the robots' ways.
+        robots: their parts.
+        events: faults and notes: when and whose, and what.
+        settings: versions, seed and what else was set.
+    """
+
+    title: str
+    playpen: Playpen | None
+    tracks: tuple[Track, ...]
+    robots: tuple[RobotReport, ...]
+    events: tuple[Row, ...]
+    settings: tuple[Row, ...]
+
+
+def report(recording: Recording, source: str) -> Report:
+    """What there is to say about a log.
+
+    Args:
+        recording: the log.
+        source: what to call its file in messages.
+
+    Raises:
+        LogError: what is attached to the log cannot be used.
+    """
+    facts = recording.label.metadata
+    attachments = recording.label.attachments
+    playpen = playpen_of(attachments, source) if "playpen.toml" in attachments else None
+    if playpen is not None:
+        title = f"Run in the playpen {playpen.name}"
+    else:
+        title = f"Run of the robot at {facts['through']}" if "through" in facts else "Run"
+    names = recording.label.robots
+    poses = {name: _series(recording, f"/{name}/pose", 3) for name in names}
+    tracks = tuple(
+        Track(name, pose.times_ns / 1e9, pose.values[:, :2].astype(np.float64) * 1000)
+        for name, pose in poses.items()
+        if pose is not None
+    )
+    return Report(
+        title,
+        playpen,
+        tracks,
+        tuple(_robot(recording, source, playpen, index, name) for index, name in enumerate(names)),
+        tuple((f"{line.time_ns / 1e9:.2f} s, {line.name}", line.text) for line in _events(recording)),
+        tuple((key.replace("_", " "), value) for key, value in facts.items() if value not in _UNSET),
+    )
+
+
+def _robot(recording: Recording, source: str, playpen: Playpen | None, index: int, name: str) -> RobotReport:
+    pose, proximity, ambient, speed = (
+        _series(recording, f"/{name}/{channel}", width)
+        for channel, width in (("pose", 3), ("proximity", 8), ("ambient", 8), ("speed", 4))
+    )
+    registers = _series(recording, f"/{name}/registers", N_REGISTERS)
+    lines = recording.lines.get(f"/{name}/serial", [])
+    calibration = calibration_of(recording.label.attachments, name, source)
+    dark = None if calibration is None else calibration.ambient.dark_counts
+    rows: list[Row] = [("Duration", f"{_duration_s(recording):.2f} s")]
+    contact = np.zeros((0, 2))
+    if pose is not None:
+        rows += motion_rows(pose)
+        if playpen is not None:
+            robots = playpen.robots
+            radius = robots[index].body.radius if index < len(robots) else BODY_RADIUS
+            hits = statistics.collisions(pose.times_ns / 1e9, pose.values.astype(np.float64), playpen, radius)
+            contact = hits.times_s
+            rows += collision_rows(hits)
+        if registers is not None and np.array_equal(registers.times_ns, pose.times_ns):
+            rows += slip_rows(pose, registers)
+    if proximity is not None:
+        found = statistics.near(proximity.times_ns / 1e9, proximity.values.astype(np.int64))
+        rows += near_rows(found)
+    if ambient is not None:
+        rows += light_rows(ambient, USUAL_DARK_COUNTS if dark is None else dark)
+    rows += wire_rows(lines, _duration_s(recording))
+    there = {"place and way": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
+    absent = [what for what, series in there.items() if series is None]
+    if playpen is None or pose is None:
+        absent += ["collisions"]
+    if registers is None:
+        absent += ["the wheels' counters and slip"]
+    missing = f"Not in this log: {', '.join(absent)}." if absent else ""
+    if absent and "through" in recording.label.metadata:
+        missing += " Of a real robot it has what the host asked for, at the time of the reply."
+    if ambient is not None and dark is None:
+        missing += f" No calibration either: the dark level is taken as {USUAL_DARK_COUNTS} counts."
+    level = float(USUAL_DARK_COUNTS if dark is None else dark)
+    return RobotReport(name, tuple(rows), missing.strip(), proximity, ambient, speed, level, contact)
+
+
+def _series(recording: Recording, topic: str, width: int) -> Series | None:
+    """A channel; None where there is none, or another one of this name."""
+    series = recording.series.get(topic)
+    if series is None or series.values.shape[1:] != (width,):
+        return None
+    fits = len(series.values) == len(series.times_ns) and np.isfinite(series.values).all()
+    return series if fits else None
+
+
+def _duration_s(recording: Recording) -> float:
+    """Up to the last that was recorded, from the run's start at 0."""
+    last_ns = [int(series.times_ns[-1]) for series in recording.series.values()]
+    last_ns += [lines[-1].time_ns for lines in recording.lines.values() if lines]
+    return max(last_ns, default=0) / 1e9
+
+
+def _events(recording: Recording) -> Sequence[Line]:
+    return recording.lines.get("/events", [])

@@ -1,0 +1,112 @@
+"""The numbers of a report as words: what each is called, its value with unit and sensible digits."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from khep_twin.board.kernel import LEFT, RIGHT, Wheel
+from khep_twin.lab.experiment import run_statistics as statistics
+from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Stretches
+from khep_twin.lab.experiment.wire_statistics import wire
+from khep_twin.lab.sensor_test.sensor_test import SENSORS
+from khep_twin.log.channels import Line
+from khep_twin.log.reader import Series
+
+Row = tuple[str, str]
+"""What it is, and the value with its unit."""
+
+DEFINITIONS: tuple[Row, ...] = (
+    ("Distance", "length of the centre's way, measured in steps of 1 mm; its mean speed includes standing"),
+    ("Largest speed", "between two samples, 20 ms apart"),
+    ("Turned", "sum of all turns to either side; net is their difference, positive counter-clockwise"),
+    ("Near something", f"any of the eight sensors reads a proximity above {NEAR_COUNTS} counts"),
+    (
+        "Collisions",
+        "the robot's round body is nearer than 1 mm to a wall or a fixed object, as the playpen has them; "
+        "contacts less than 0.1 s apart are one. Turrets, other robots and movable objects are left out",
+    ),
+    ("Light gained", "how far a reading of ambient light lies below the dark level; lamps lower it"),
+    (
+        "By counters",
+        "way and heading reckoned from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels; "
+        "slip, and wheels of another size, make them differ from the truth",
+    ),
+    ("Reply time", "from the last byte of a command to the last byte of its reply"),
+    ("Unanswered", "commands without a reply of their letter, or a refusal, by the end of the log"),
+)
+
+
+def motion_rows(pose: Series) -> Iterator[Row]:
+    """Where a robot got to."""
+    found = statistics.motion(pose.times_ns / 1e9, pose.values.astype(np.float64))
+    yield "Distance", _length(found.distance)
+    yield "Mean speed", f"{1000 * found.mean_speed:.1f} mm/s"
+    yield "Largest speed", f"{1000 * found.top_speed:.0f} mm/s"
+    left, right = (turn / (2 * math.pi) for turn in (found.left_turn, found.right_turn))
+    net = math.degrees(found.left_turn - found.right_turn)
+    yield "Turned", f"{left:.2f} turns left, {right:.2f} turns right; net {_signed(net, 0)}°"
+
+
+def collision_rows(found: Stretches) -> Iterator[Row]:
+    """How often a robot ran into something."""
+    words = "none"
+    if len(found.times_s):
+        first_s = found.times_s[0, 0]
+        words = f"{len(found.times_s)}, {found.total_s:.2f} s in touch; the first at {first_s:.1f} s"
+    yield "Collisions", words
+
+
+def near_rows(found: Stretches) -> Iterator[Row]:
+    """How long something was before a sensor."""
+    words = f"{found.total_s:.1f} s, {100 * found.share:.0f} % of the time"
+    yield "Near something", f"{words}; longest {found.longest_s:.1f} s"
+
+
+def slip_rows(pose: Series, registers: Series) -> Iterator[Row]:
+    """The wheels' counters against the truth."""
+    pulses = registers.values[:, [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]].astype(np.int64)
+    times_s, truth = pose.times_ns / 1e9, pose.values.astype(np.float64)
+    found = statistics.slip(times_s, truth, pulses)
+    true_way = statistics.way(truth[:, :2])
+    more = f", {_signed(100 * (found.distance / true_way - 1), 1)} %" if true_way else ""
+    yield "Distance by counters", f"{_length(found.distance)}{more}"
+    heading = _signed(math.degrees(found.heading), 1)
+    yield "Heading by counters", f"at most {heading}° off, at {found.heading_s:.1f} s"
+    yield "End by counters", f"{1000 * found.end:.0f} mm off"
+
+
+def light_rows(ambient: Series, dark: float) -> Iterator[Row]:
+    """What came in from lamps, below a dark level [counts]."""
+    levels = np.full(8, float(dark))
+    found = statistics.light(ambient.times_ns / 1e9, ambient.values.astype(np.int64), levels)
+    yield "Light gained", f"{found.mean:.1f} counts in the mean of all sensors"
+    yield (
+        "Brightest moment",
+        f"{found.brightest:.0f} counts, sensor {SENSORS[found.sensor]}, at {found.time_s:.1f} s",
+    )
+
+
+def wire_rows(lines: Sequence[Line], duration_s: float) -> Iterator[Row]:
+    """What was said on the serial line."""
+    found = wire(lines)
+    if not found.count:
+        yield "Commands", "none"
+        return
+    rate = f", {found.count / duration_s:.1f} per second" if duration_s else ""
+    letters = list(found.commands.items())
+    words = ", ".join(f"{letter} {count}" for letter, count in letters[:12])
+    yield "Commands", f"{found.count}{rate}: {words}{', …' if len(letters) > 12 else ''}"
+    if found.replies:
+        times = f"{1000 * found.mean_s:.1f} ms in the mean, {1000 * found.longest_s:.1f} ms at most"
+        yield "Reply time", times
+    yield "Unanswered", f"{found.unanswered}; refused {found.refused}"
+
+
+def _length(length: float) -> str:
+    return f"{length:.2f} m" if length >= 1 else f"{1000 * length:.0f} mm"
+
+
+def _signed(value: float, digits: int) -> str:
+    text = f"{value:+.{digits}f}"
+    return text.replace("-", "\N{MINUS SIGN}") if float(text) else text[1:]

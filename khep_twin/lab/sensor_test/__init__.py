@@ -1,0 +1,1 @@
+"""Sensor tests: readings while a robot is turned or moved."""

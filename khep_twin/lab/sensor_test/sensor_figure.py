@@ -1,0 +1,244 @@
+"""Pictures of sensor tests: all eight sensors laid out like the robot, or one alone; several runs laid over.
+
+A straight drive counts down to its end, which is 0 cm at the right; a turn is shown in degrees, positive
+counter-clockwise. Several runs are thin lines, with their mean and a band of one standard deviation to either
+side, over the part of the way that all of them cover.
+"""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+import textwrap
+from collections.abc import Sequence
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+from numpy.typing import NDArray
+
+from khep_twin.drawing.map import STYLE
+from khep_twin.drawing.symbols import INK
+from khep_twin.errors import SensorTestError, choices
+from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun
+from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+
+AMBIENT_LIMIT = 525
+"""Top of the axis of ambient counts; in the dark a sensor reads about 500."""
+
+_GRID_POINTS = 400
+_RUN, _MEAN = "#2f6fb0", "#c2452d"
+_CELLS = ((1, 0), (0, 0), (0, 1), (0, 2), (0, 3), (1, 3), (2, 2), (2, 1))
+"""Row and column of each sensor's axes, in the manual's order; the robot looks up."""
+
+_UNITS = {"linear": "way left to the end [cm]", "rotational": "turned counter-clockwise [degrees]"}
+
+
+def draw(
+    runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 0, grid: bool = False
+) -> Figure:
+    """Draws one run or several of the same kind.
+
+    Args:
+        runs: what to draw, at least one.
+        sensor: the only one to draw, e.g. "left 10"; without, all eight.
+        y_min: where the axis of counts begins.
+        grid: whether there are lines behind.
+
+    Raises:
+        SensorTestError: there is no such sensor, the runs do not go together, or nothing is to be seen.
+    """
+    check(runs, sensor=sensor, y_min=y_min)
+    with matplotlib.style.context(STYLE):
+        if sensor is not None:
+            figure = _sheet(6.4, 4.4)
+            axes = figure.add_axes((0.11, 0.12, 0.86, 0.79 if len(runs) == 1 else 0.73))
+            _draw_sensor(axes, runs, SENSORS.index(sensor), y_min, grid)
+            axes.set_xlabel(_UNITS[runs[0].test.motion])
+            axes.set_ylabel(_counts(runs[0]))
+            title = f"{sensor}: {', '.join(_facts(runs))}"
+            axes.set_title(title, loc="left", fontsize=10, pad=6 if len(runs) == 1 else 25)
+            if len(runs) > 1:
+                # Above the axes, where no data can be.
+                axes.legend(
+                    loc="lower left", bbox_to_anchor=(-0.015, 0.99), ncols=3, fontsize=8, frameon=False
+                )
+        else:
+            figure = _draw_all(runs, y_min, grid)
+    return figure
+
+
+def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 0) -> None:
+    """Refuses what `draw` could not draw.
+
+    Raises:
+        SensorTestError: as `draw` tells.
+    """
+    if sensor is not None and sensor not in SENSORS:
+        raise SensorTestError(f"sensor = {sensor}: no such sensor; {choices(sensor, SENSORS)}")
+    kinds = list(dict.fromkeys(f"{run.test.what}, {run.test.motion}" for run in runs))
+    if len(kinds) != 1:
+        raise SensorTestError(
+            f"runs of {' and of '.join(kinds) or 'no kind'}: right are runs of one kind in a picture"
+        )
+    if any(not len(run.dv) for run in runs):
+        raise SensorTestError("a run without rows; right are runs that have gathered something")
+    if not 0 <= y_min < _limit(runs[0]):
+        raise SensorTestError(f"y-min = {y_min}: right is 0 to {_limit(runs[0]) - 1} for {runs[0].test.what}")
+    if len(runs) > 1:
+        _common(runs)
+
+
+def places(run: SensorRun) -> NDArray[np.float64]:
+    """Where on the picture's x axis the rows are (n,): the way left to the end [cm], or turned [degrees]."""
+    if run.test.motion == "rotational":
+        return run.travelled
+    return abs(run.test.amount) - run.travelled * np.sign(run.test.amount)
+
+
+def mean_and_spread(
+    runs: Sequence[SensorRun],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Several runs as one, over the places that all of them cover.
+
+    Returns:
+        Places (m,) as `places` has them, mean counts (m, 8), and standard deviations (m, 8) of a sample.
+
+    Raises:
+        SensorTestError: there are no such places.
+    """
+    x = np.linspace(*_common(runs), _GRID_POINTS)
+    counts = np.empty((len(runs), len(x), len(SENSORS)))
+    for index, run in enumerate(runs):
+        order = np.argsort(places(run), kind="stable")
+        for sensor in range(len(SENSORS)):
+            counts[index, :, sensor] = np.interp(x, places(run)[order], run.dv[order, 2 + sensor])
+    return x, counts.mean(axis=0), counts.std(axis=0, ddof=min(len(runs) - 1, 1))
+
+
+def _common(runs: Sequence[SensorRun]) -> tuple[float, float]:
+    low = max(float(places(run).min()) for run in runs)
+    high = min(float(places(run).max()) for run in runs)
+    if not low < high:
+        raise SensorTestError("the runs have no part of the way in common; right are runs over the same way")
+    return low, high
+
+
+def _sheet(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
+    figure = _sheet(10.5, 7.6)
+    cells = figure.add_gridspec(
+        3, 4, left=0.07, right=0.985, bottom=0.075, top=0.955, hspace=0.42, wspace=0.26
+    )
+    for index, name in enumerate(SENSORS):
+        row, column = _CELLS[index]
+        axes = figure.add_subplot(cells[row, column])
+        _draw_sensor(axes, runs, index, y_min, grid)
+        axes.set_title(name, fontsize=10)
+        if name in ("left 45", "left 90", "back left"):
+            axes.set_ylabel(_counts(runs[0]))
+        if row > 0:
+            axes.set_xlabel(_UNITS[runs[0].test.motion], fontsize=8)
+        if index == 0 and len(runs) > 1:
+            handles, labels = axes.get_legend_handles_labels()
+            figure.legend(handles, labels, loc="lower right", frameon=False, bbox_to_anchor=(0.985, 0.06))
+    middle = figure.add_subplot(cells[1, 1:3])
+    _draw_robot(middle)
+    about = figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
+    about.set_parse_math(False)  # a dollar in the text is a dollar
+    return figure
+
+
+def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int, grid: bool) -> None:
+    """One sensor's counts over the way."""
+    alone = len(runs) == 1
+    for number, run in enumerate(runs):
+        axes.plot(
+            places(run),
+            run.dv[:, 2 + sensor],
+            color=_RUN,
+            lw=1.1 if alone else 0.7,
+            alpha=1.0 if alone else 0.45,
+            marker="o" if alone else "",
+            ms=2.6,
+            label=f"{len(runs)} runs" if number == 0 else None,
+        )
+    if not alone:
+        x, mean, spread = mean_and_spread(runs)
+        low, high = mean[:, sensor] - spread[:, sensor], mean[:, sensor] + spread[:, sensor]
+        axes.fill_between(x, low, high, color=_MEAN, alpha=0.22, lw=0, label="± 1 standard deviation")
+        axes.plot(x, mean[:, sensor], color=_MEAN, lw=1.5, label="mean")
+    amounts = [run.test.amount for run in runs]
+    if runs[0].test.motion == "linear":
+        longest = max(abs(amount) for amount in amounts)
+        axes.set_xlim(1.02 * longest, -0.02 * longest)
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
+    else:
+        low, high = min(*amounts, 0.0), max(*amounts, 0.0)
+        axes.set_xlim(low - 0.02 * (high - low), high + 0.02 * (high - low))
+        axes.xaxis.set_major_locator(
+            MultipleLocator(next(s for s in (15, 30, 90, 180) if high - low <= 4 * s))
+        )
+    # Readings at either end of the scale are not to vanish in the frame.
+    margin = 0.02 * (_limit(runs[0]) - y_min)
+    axes.set_ylim(y_min - margin, _limit(runs[0]) + margin)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    axes.spines[["top", "right"]].set_visible(False)
+    if grid:
+        axes.grid(color=INK, alpha=0.16, lw=0.6)
+        axes.set_axisbelow(True)
+
+
+def _draw_robot(axes: Axes) -> None:
+    """Which sensor is where, seen from above with the front up."""
+    axes.set_axis_off()
+    axes.set(aspect="equal", xlim=(-0.07, 0.07), ylim=(-0.035, 0.036))
+    axes.add_patch(Circle((0, 0), BODY_RADIUS, facecolor="#eef2ee", edgecolor=INK, lw=0.9))
+    for side in (-1, 1):
+        corner = (side * WHEEL_BASE / 2 - WHEEL_WIDTH / 2, -WHEEL_RADIUS)
+        axes.add_patch(Rectangle(corner, WHEEL_WIDTH, 2 * WHEEL_RADIUS, facecolor=INK, lw=0))
+    for name, (forward, left) in zip(SENSORS, SENSOR_POSITIONS, strict=True):
+        axes.add_patch(Circle((-left, forward), 0.0016, facecolor=_RUN, lw=0))
+        # Names of those at the side stand beside them, those of the others before and behind.
+        if abs(left) > 0.012:
+            axes.text(-1.22 * left, 1.4 * forward, name, ha="right" if left > 0 else "left", va="center")
+        else:
+            axes.text(-1.9 * left, 1.28 * forward, name, ha="center", va="center")
+    for text in axes.texts:
+        text.set_fontsize(8)
+
+
+def _facts(runs: Sequence[SensorRun]) -> list[str]:
+    """What was tested, in few words."""
+    test = runs[0].test
+    amounts = _span([round(run.test.amount, 1) for run in runs])
+    speeds = [run.test.speed for run in runs if run.test.speed is not None]
+    told = [f"speed {_span(speeds)}"] if len(speeds) == len(runs) else []
+    return [test.what, f"{test.motion} {amounts} {test.unit}", *told]
+
+
+def _description(runs: Sequence[SensorRun]) -> list[str]:
+    """The same and the runs' own text, if they share it, in short lines."""
+    text = runs[0].text if len({run.text for run in runs}) == 1 else ""
+    return [*_facts(runs), *textwrap.wrap(text, 26, max_lines=5, placeholder=" …")]
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = min(values), max(values)
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def _counts(run: SensorRun) -> str:
+    return "proximity [counts]" if run.test.what == "proximity" else "ambient [counts]"
+
+
+def _limit(run: SensorRun) -> int:
+    return COUNTS_LIMIT if run.test.what == "proximity" else AMBIENT_LIMIT

@@ -1,0 +1,261 @@
+"""Files of sensor tests: CSV for everyone, MAT as the Khepera Toolbox has it, MCAP for rerun.
+
+    .csv    lines "# key: value", then a table with a row for each look
+    .mat    `dv` (n, 10) and `dlgstr`, with which the toolbox's own programs get along; the test beside them
+    .mcap   /khepera0/proximity or /khepera0/ambient and /khepera0/position; the test as metadata "run"
+
+The same run gives the same bytes. All three give the whole run back.
+"""
+
+# scipy is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+
+import math
+import re
+from collections.abc import Mapping
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import __version__
+from khep_twin.errors import LogError, SensorTestError
+from khep_twin.files.atomic import read_regular, write_whole
+from khep_twin.files.mat_bytes import mat_bytes
+from khep_twin.lab.sensor_test.sensor_mat import read_mat
+from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun, SensorTest, What
+from khep_twin.log.channels import FLOATS, ArrayFrame
+from khep_twin.log.decoding import shown
+from khep_twin.log.log_file import LogFile
+from khep_twin.log.reader import read_arrays
+from khep_twin.units import COUNTS_LIMIT
+
+SUFFIXES = (".csv", ".mat", ".mcap")
+
+_COLUMNS = ("left_pulses", "right_pulses", *(name.replace(" ", "_") for name in SENSORS))
+_TITLE = "# khep-twin: sensor test"
+_ROBOT = "khepera0"
+_TOPICS: dict[What, str] = {"proximity": "proximity", "light": "ambient"}
+
+
+def save(path: Path, run: SensorRun) -> None:
+    """Writes a run as CSV, MAT or MCAP, by the file's suffix.
+
+    Raises:
+        SensorTestError: the suffix is another one, or the run has no rows, or no times for a log.
+        KhepTwinError: the file cannot be written.
+    """
+    kind = checked_suffix(path)
+    if not len(run.dv):
+        raise SensorTestError(f"{path}: the test has gathered nothing; right is a run with rows")
+    if kind == ".csv":
+        write_whole(path, _csv(run).encode("utf-8"))
+    elif kind == ".mat":
+        write_whole(path, _mat(run))
+    else:
+        _write_log(path, run)
+
+
+def load(path: Path, what: What | None = None) -> SensorRun:
+    """Reads a run that `save` has written, or a MAT file of the Khepera Toolbox.
+
+    Args:
+        path: of the file.
+        what: the sensors told in a MAT file that says nothing of it; without, proximity.
+
+    Raises:
+        SensorTestError: there is no such file, or it holds no sensor test.
+    """
+    kind = checked_suffix(path)
+    try:
+        data = read_regular(path)
+    except OSError as error:
+        raise SensorTestError(f"{path}: cannot be read: {error.strerror}") from error
+    if not data:
+        raise SensorTestError(f"{path}: is empty; right is a file with a sensor test")
+    try:
+        if kind == ".csv":
+            return _from_csv(data)
+        return read_mat(data, what) if kind == ".mat" else _from_log(path)
+    except SensorTestError as error:
+        raise SensorTestError(f"{path}: {error}") from None
+
+
+def checked_suffix(path: Path) -> str:
+    """A file's suffix in small letters, if it is one of ours.
+
+    Raises:
+        SensorTestError: it is not.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise SensorTestError(f"{path}: right is a name that ends in .csv, .mat or .mcap")
+    return path.suffix.lower()
+
+
+def facts(test: SensorTest) -> dict[str, str]:
+    """A test as words."""
+    motion = {"linear_cm": test.linear_cm, "rotate_deg": test.rotate_deg}
+    profile = {"speed": test.speed, "acceleration": test.acceleration}
+    return {
+        "what": test.what,
+        "motion": test.motion,
+        **{key: repr(float(value)).removesuffix(".0") for key, value in motion.items() if value is not None},
+        **{key: str(value) for key, value in profile.items() if value is not None},
+        "return_to_zero": str(int(test.return_to_zero)),
+    }
+
+
+def _test(words: Mapping[str, str]) -> SensorTest:
+    """A test from its words."""
+
+    def number(key: str) -> float | None:
+        return None if key not in words else _number(key, words[key], float)
+
+    def whole(key: str) -> int:
+        if key not in words:
+            raise SensorTestError(f"{key} is missing; right is a whole number")
+        return _number(key, words[key], int)
+
+    what = words.get("what")
+    if what is None:
+        raise SensorTestError("what is missing; right is proximity or light")
+    if what != "proximity" and what != "light":
+        raise SensorTestError(f"what = {shown(what)}: right is proximity or light")
+    test = SensorTest(
+        what,
+        number("linear_cm"),
+        number("rotate_deg"),
+        whole("speed"),
+        whole("acceleration"),
+        bool(whole("return_to_zero")),
+    )
+    if words.get("motion") != test.motion:
+        raise SensorTestError(f"motion = {shown(words.get('motion', ''))}: right is {test.motion} here")
+    return test
+
+
+def _number(name: str, text: str, kind: type[Any]) -> Any:
+    try:
+        if len(text) > 30:
+            raise ValueError
+        return kind(text)
+    except ValueError:
+        wish = "a whole number" if kind is int else "a number"
+        raise SensorTestError(f"{name} = {text[:40]!r}: right is {wish}") from None
+
+
+def _csv(run: SensorRun) -> str:
+    head = [_TITLE, *(f"# {key}: {value}" for key, value in facts(run.test).items())]
+    head += [f"# text: {line}" for line in run.text.split("\n")]
+    rows = (
+        ",".join([repr(time), *map(str, row)])
+        for time, row in zip(run.times.tolist(), run.dv.tolist(), strict=True)
+    )
+    return "\n".join([*head, ",".join(["time_s", *_COLUMNS]), *rows, ""])
+
+
+def _from_csv(data: bytes) -> SensorRun:
+    try:
+        lines = data.decode("utf-8-sig").replace("\r\n", "\n").split("\n")
+    except UnicodeDecodeError:
+        raise SensorTestError("is no text; right is a table that khep-twin sense has written") from None
+    if lines[0].rstrip(",") != _TITLE:
+        raise SensorTestError(f"line 1: {lines[0][:40]!r}: right is {_TITLE!r}")
+    if lines[-1]:
+        raise SensorTestError(f"line {len(lines)}: is not whole; right is a line feed at its end")
+    words: dict[str, str] = {}
+    text: list[str] = []
+    head = list(takewhile(lambda line: line.startswith("#"), lines[1:]))
+    for number, line in enumerate(head, 2):
+        parts = re.fullmatch("# ([a-z_]+): ?(.*)", line, re.DOTALL)
+        if parts is None:
+            raise SensorTestError(f"line {number}: {line[:40]!r}: right is '# key: value'")
+        if parts[1] == "text":
+            text.append(parts[2])
+        else:
+            words[parts[1]] = parts[2]
+    columns = ["time_s", *_COLUMNS]
+    place = 1 + len(head)
+    if lines[place].split(",") != columns:
+        raise SensorTestError(f"line {place + 1}: {lines[place][:40]!r}: right is {','.join(columns)}")
+    times: list[float] = []
+    rows: list[list[int]] = []
+    for number, line in enumerate(lines[place + 1 : -1], place + 2):
+        fields = line.split(",")
+        if len(fields) != len(columns):
+            raise SensorTestError(f"line {number}: {len(fields)} fields; right are {len(columns)}")
+        times.append(_number(f"line {number}: time_s", fields[0], float))
+        if not math.isfinite(times[-1]) and fields[0] != "nan":
+            raise SensorTestError(
+                f"line {number}: time_s = {fields[0][:40]}: right is a time, or nan in all rows"
+            )
+        counts = zip(_COLUMNS, fields[1:], strict=True)
+        rows.append([_count(f"line {number}: {name}", field) for name, field in counts])
+        if any(not 0 <= count <= COUNTS_LIMIT for count in rows[-1][2:]):
+            raise SensorTestError(
+                f"line {number}: counts beyond 0 to {COUNTS_LIMIT}, which N and O cannot tell"
+            )
+    if 0 < sum(map(math.isnan, times)) < len(times):
+        raise SensorTestError("time_s is nan in some rows; right is a time in each, or nan in all")
+    if not rows:
+        raise SensorTestError(f"line {len(lines)}: no rows; right is one for each look")
+    return SensorRun(_test(words), np.array(rows, np.int64), np.array(times, np.float64), "\n".join(text))
+
+
+def _count(name: str, text: str) -> int:
+    if not re.fullmatch("-?[0-9]{1,10}", text):
+        raise SensorTestError(f"{name} = {text[:40]!r}: right is a whole number")
+    return int(text)
+
+
+def _mat(run: SensorRun) -> bytes:
+    words = facts(run.test)
+    numbers = {key: float(value) for key, value in words.items() if key not in ("what", "motion")}
+    values: dict[str, Any] = {
+        "dv": run.dv.astype(np.float64),
+        "dlgstr": run.text,
+        "times": run.times.reshape(-1, 1),
+        "what": words["what"],
+        "motion": words["motion"],
+        **numbers,
+    }
+    return mat_bytes(values, "sensor test", packed=False)
+
+
+def _write_log(path: Path, run: SensorRun) -> None:
+    if not np.isfinite(run.times).all():
+        raise SensorTestError(f"{path}: the rows have no times, which a log needs; right is .csv or .mat")
+    times_ns = np.rint(run.times * 1e9).astype(np.int64)
+    topic = _TOPICS[run.test.what]
+    log = LogFile(path, lambda: int(times_ns[-1]))
+    log.describe({}, {"robots": _ROBOT, "khep_twin": __version__, **facts(run.test), "text": run.text})
+    for name, label, values in (
+        ("position", "left, right [pulses]", run.dv[:, :2]),
+        (topic, "counts", run.dv[:, 2:]),
+    ):
+        frame = ArrayFrame(values.shape[1], "f8", label)
+        log.add_rows(f"/{_ROBOT}/{name}", FLOATS, times_ns, frame.messages(values))
+    log.finish()
+
+
+def _from_log(path: Path) -> SensorRun:
+    try:
+        label, arrays = read_arrays(path)
+    except LogError as error:
+        raise SensorTestError(str(error).removeprefix(f"{path}: ")) from error
+    if "what" not in label.metadata:
+        raise SensorTestError("a log, but of no sensor test; right is one that khep-twin sense has written")
+    test = _test(label.metadata)
+    parts: list[NDArray[np.int64]] = []
+    times: list[NDArray[np.int64]] = []
+    for name, width in (("position", 2), (_TOPICS[test.what], 8)):
+        topic = f"/{_ROBOT}/{name}"
+        if topic not in arrays or arrays[topic][1].shape[1] != width:
+            raise SensorTestError(f"{topic} is missing; right are messages of {width} values")
+        times.append(arrays[topic][0])
+        parts.append(arrays[topic][1].astype(np.int64))
+    if not np.array_equal(times[0], times[1]):
+        raise SensorTestError("positions and counts have other times; right is one of each for every look")
+    return SensorRun(test, np.hstack(parts), times[0] / 1e9, label.metadata.get("text", ""))

@@ -1,0 +1,1 @@
+"""Logs in rerun: recordings, stills, and runs that go on."""

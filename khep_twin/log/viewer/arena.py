@@ -1,0 +1,303 @@
+"""What the arena shows besides the scene: rays of the sensors, ways, the lamps' light, and events.
+
+The log has poses and readings. How far a ray goes is found in the log's own scene, as the rangefinders do.
+"""
+
+# rerun's and MuJoCo's types are partly unknown.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportAttributeAccessIssue=false
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import playpen as playpens
+from khep_twin.drawing.light_map import illumination
+from khep_twin.errors import LogError
+from khep_twin.log.attached import playpen_of, shapes_of
+from khep_twin.log.viewer.gathered import Gatherer, Poses, Samples
+from khep_twin.units import COUNTS_LIMIT, Sensor, metres
+
+if TYPE_CHECKING:
+    from rerun.chunk import Chunk
+
+    from khep_twin.log.reader import Label
+
+Floats = NDArray[np.float64]
+
+REACH = 0.06
+"""Longest ray that is drawn [m]: a little more than a sensor sees."""
+
+TRAIL_POINTS = 20_000
+"""Most points of a way; of more, evenly many are left out."""
+
+LABELS = 6
+"""Most events whose texts stand in the arena; of more, a text is seen under the mouse only."""
+
+_RAYS = 5
+_UNLIT_RAY, _NOTHING, _NEAR = (190, 190, 185, 255), np.array((150, 150, 150)), np.array((228, 30, 20))
+_TRAIL, _EVENT = (94, 53, 177), (20, 30, 90)
+_FLOOR, _GLOW = np.array((237.0, 235.0, 224.0)), np.array((255.0, 184.0, 31.0))
+_HALF_GLOW = 3e-4
+"""Light at which the floor has half its glow [W/mm^2], as on maps."""
+
+_GLOW_PIXELS = 200
+_STATES = 32
+"""Most combinations of lamps whose light is worked out."""
+
+
+class Rays:
+    """How far the sensors of a log's robots see, found in the log's scene.
+
+    Args:
+        label: of the log, with its scene.
+        source: what to call the log in messages.
+
+    Raises:
+        LogError: the scene cannot be used.
+    """
+
+    def __init__(self, label: "Label", source: object) -> None:
+        self._model = shapes_of(label.attachments, label.robots, source)
+        self._data = mujoco.MjData(self._model)
+        self._free = {
+            self._model.body(self._model.jnt_bodyid[joint]).name: int(self._model.jnt_qposadr[joint])
+            for joint in np.flatnonzero(self._model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+        }
+
+    def chunks(self, robot: str, track: Samples, poses: Poses, timeline: str) -> "list[Chunk]":
+        """Rays at the times of samples, coloured by the reading and as long as what they see.
+
+        Args:
+            robot: its name.
+            track: its samples.
+            poses: of all bodies at the times of those samples, or of more.
+            timeline: name of the recording's simulated time.
+        """
+        import rerun as rr
+        from rerun.chunk import Chunk
+
+        rows = poses.rows_at(track.times_ns)
+        if rows is None or not len(rows):
+            return []
+        ends, seen = self._cast(robot, poses, rows)
+        n = len(rows)
+        strips = np.empty((n, len(Sensor), _RAYS, 2, 3), np.float32)
+        strips[..., 0, :], strips[..., 1, :] = self._starts(robot)[None, :, None], ends
+        part = np.sqrt(np.clip(track.proximity / COUNTS_LIMIT, 0, 1))[..., None]
+        colours = np.empty((n, len(Sensor), _RAYS, 4), np.uint8)
+        colours[..., :3] = (_NOTHING + part * (_NEAR - _NOTHING))[:, :, None]
+        colours[..., 3] = 255
+        colours[~seen] = _UNLIT_RAY
+        lines = rr.LineStrips3D.columns(
+            strips=strips.reshape(-1, 2, 3),
+            colors=colours.reshape(-1, 4),
+            radii=np.full(n * len(Sensor) * _RAYS, 0.0004, np.float32),
+        )
+        times = rr.TimeColumn(timeline, duration=track.times_ns.astype("timedelta64[ns]"))
+        place = f"/obstacles/{robot}_sensors"
+        moving = Chunk.from_columns(place, [times], lines.partition([len(Sensor) * _RAYS] * n))
+        return [_in_frame(place, f"{robot}/base"), moving]
+
+    def _starts(self, robot: str) -> Floats:
+        """Return where the sensors are in the robot's frame (8, 3) [m]."""
+        return np.array([self._model.camera(f"{robot}/{sensor.name.lower()}").pos for sensor in Sensor])
+
+    def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return where rays end in the robot's frame (n, 8, rays, 3) [m], and which of them hit something."""
+        model, data = self._model, self._data
+        base = model.body(f"{robot}/base").id
+        own = model.body_rootid == base
+        cameras = [model.camera(f"{robot}/{sensor.name.lower()}").id for sensor in Sensor]
+        angles = np.arctan(np.linspace(-1, 1, _RAYS))
+        # A camera looks against its third axis, with its first to the right.
+        fan = np.column_stack((np.sin(angles), np.zeros(_RAYS), -np.cos(angles)))
+        ends = np.empty((len(rows), len(Sensor), _RAYS, 3))
+        seen = np.zeros((len(rows), len(Sensor), _RAYS), bool)
+        geoms, lengths = np.zeros(_RAYS, np.int32), np.zeros(_RAYS)
+        for index, row in enumerate(rows.tolist()):
+            for name, address in self._free.items():
+                if name in poses.bodies:
+                    data.qpos[address : address + 7] = poses.bodies[name][row, [0, 1, 2, 6, 3, 4, 5]]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_camlight(model, data)
+            turn, origin = data.xmat[base].reshape(3, 3), data.xpos[base]
+            for channel, camera in enumerate(cameras):
+                ways = fan @ data.cam_xmat[camera].reshape(3, 3).T
+                start = data.cam_xpos[camera]
+                mujoco.mj_multiRay(
+                    model, data, start, ways.ravel(), None, True, base, geoms, lengths, None, _RAYS, REACH
+                )
+                hit = (geoms >= 0) & (lengths >= 0) & (lengths <= REACH)
+                hit &= ~own[model.geom_bodyid[geoms]]
+                seen[index, channel] = hit
+                reach = np.where(hit, lengths, REACH)[:, None]
+                ends[index, channel] = (start + reach * ways - origin) @ turn
+        return ends, seen
+
+
+def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None = None) -> "list[Chunk]":
+    """Return the way of a robot as one short line for each time, on the floor.
+
+    Args:
+        robot: its name.
+        poses: where it was.
+        timeline: name of the recording's simulated time.
+        before: where it was last, of a log that comes in pieces.
+    """
+    import rerun as rr
+    from rerun.chunk import Chunk
+
+    found = poses.bodies.get(f"{robot}/base")
+    if found is None:
+        return []
+    thin = slice(None, None, -(-len(found) // TRAIL_POINTS))
+    points, times_ns = np.array(found[thin, :3]), poses.times_ns[thin]
+    points[:, 2] = 0.0015  # just above what is painted on the floor
+    if before is not None:
+        points, times_ns = np.vstack((before[:3] * (1, 1, 0) + (0, 0, 0.0015), points)), times_ns
+    else:
+        times_ns = times_ns[1:]
+    if len(points) < 2:
+        return []
+    n = len(points) - 1
+    lines = rr.LineStrips3D.columns(
+        strips=np.stack((points[:-1], points[1:]), axis=1).astype(np.float32),
+        colors=np.tile(np.array([_TRAIL], np.uint8), (n, 1)),
+        radii=np.full(n, 0.0015, np.float32),
+    )
+    times = rr.TimeColumn(timeline, duration=times_ns.astype("timedelta64[ns]"))
+    return [
+        _in_frame(trail(robot), "world"),
+        Chunk.from_columns(trail(robot), [times], lines),
+    ]
+
+
+def trail(robot: str) -> str:
+    """Return where in a recording a robot's way is."""
+    return f"/trails/{robot}"
+
+
+EVENTS = "/event_marks"
+"""Where in a recording the arena's marks of events are."""
+
+
+def event_chunks(label: "Label", gathered: Gatherer, timeline: str) -> "list[Chunk]":
+    """Return marks of events: in the arena where the robot was, in the curves at 0."""
+    import rerun as rr
+    from rerun.chunk import Chunk
+
+    times_ns, texts = gathered.events()
+    if not len(texts):
+        return []
+    times = rr.TimeColumn(timeline, duration=times_ns.astype("timedelta64[ns]"))
+    zeros = rr.Scalars.columns(scalars=np.zeros(len(texts)))
+    chunks = [Chunk.from_columns(f"/{robot}/events", [times], zeros) for robot in label.robots]
+    poses = gathered.poses()
+    whose = [_subject(text, label.robots) for text in texts]
+    if poses is None or not all(f"{robot}/base" in poses.bodies for robot in whose):
+        return chunks
+    rows = np.clip(np.searchsorted(poses.times_ns, times_ns), 0, len(poses.times_ns) - 1)
+    places = [poses.bodies[f"{robot}/base"][row, :3] for robot, row in zip(whose, rows, strict=True)]
+    points = rr.Points3D.columns(
+        positions=np.array(places) + np.array((0, 0, 0.003)),
+        radii=[0.004] * len(texts),
+        colors=[_EVENT] * len(texts),
+        labels=texts,
+        show_labels=[len(texts) <= LABELS] * len(texts),
+    )
+    return [*chunks, _in_frame(EVENTS, "world"), Chunk.from_columns(EVENTS, [times], points)]
+
+
+class Light:
+    """The lamps' light on the floor, as it changes.
+
+    Args:
+        label: of the log, with its playpen.
+        source: what to call the log in messages.
+
+    Raises:
+        LogError: the playpen cannot be used.
+    """
+
+    def __init__(self, label: "Label", source: object) -> None:
+        self._source = source
+        self._playpen = playpen_of(label.attachments, source)
+        self._full = np.array([lamp.power_w * lamp.dim for lamp in self._playpen.lamps])
+        self._states: dict[tuple[bool, ...], str] = {}
+        self._steady = not any((lamp.on_s or lamp.blink_period_s) for lamp in self._playpen.lamps)
+        self._steady &= self._playpen.lighting.mode == "all"
+
+    def chunks(self, gathered: Gatherer, timeline: str) -> "Iterator[Chunk]":
+        """Yield the floor for each combination of lamps that is new, and when each is to be seen."""
+        import rerun as rr
+        from rerun.chunk import Chunk
+
+        times_ns, powers = gathered.lamps()
+        if not self._full.any() or (powers is None and (self._states or not self._steady)):
+            return
+        if powers is not None and powers.shape[1] != len(self._full):
+            found = f"{powers.shape[1]} powers in /lamps"
+            raise LogError(f"{self._source}: {found}; expected {len(self._full)}, as playpen.toml has lamps")
+        on = np.ones((1, len(self._full)), bool) if powers is None else powers > self._full / 2
+        changed = np.flatnonzero(np.any(on != np.roll(on, 1, axis=0), axis=1))
+        changed = np.union1d(0, changed)
+        shown: list[str] = []
+        for row in on[changed]:
+            state = tuple(map(bool, row))
+            if state not in self._states and len(self._states) < _STATES:
+                place = self._states[state] = f"/light/{len(self._states)}"
+                yield _in_frame(place, "world")
+                yield Chunk.from_columns(place, [], _lit_floor(self._playpen, state))
+            # Of lamps that are switched in more ways, the first one is shown.
+            shown.append(self._states.get(state, "/light/0"))
+        if powers is None:
+            return
+        times = rr.TimeColumn(timeline, duration=times_ns[changed].astype("timedelta64[ns]"))
+        for place in self._states.values():
+            # Light that is not to be seen has no size.
+            poses = rr.InstancePoses3D.columns(scales=[(float(each == place),) * 3 for each in shown])
+            yield Chunk.from_columns(place, [times], poses)
+
+
+def _lit_floor(playpen: playpens.Playpen, state: Sequence[bool]) -> Any:
+    """Return the floor in the light of those lamps that are on, as columns."""
+    import rerun as rr
+
+    width_mm, height_mm = playpen.arena.width_mm, playpen.arena.height_mm
+    step = max(width_mm, height_mm) / _GLOW_PIXELS
+    columns, rows = max(round(width_mm / step), 2), max(round(height_mm / step), 2)
+    x, y = np.meshgrid(
+        (np.arange(columns) + 0.5) * width_mm / columns, (np.arange(rows) + 0.5) * height_mm / rows
+    )
+    lamps = tuple(lamp for lamp, lit in zip(playpen.lamps, state, strict=True) if lit)
+    light = illumination(playpen.model_copy(update={"lamps": lamps}), x, y)[..., None]
+    colours = _FLOOR + 0.75 * light / (light + _HALF_GLOW) * (_GLOW - _FLOOR)
+    width, height, level = metres(width_mm), metres(height_mm), 0.0004
+    mesh = rr.Mesh3D(
+        vertex_positions=[[0, 0, level], [width, 0, level], [width, height, level], [0, height, level]],
+        triangle_indices=[[0, 1, 2], [0, 2, 3]],
+        vertex_normals=[[0, 0, 1]] * 4,
+        vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
+        albedo_texture=colours.astype(np.uint8),
+    )
+    batches = mesh.as_component_batches()
+    return [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
+
+
+def _subject(text: str, robots: Sequence[str]) -> str:
+    """Return the robot that an event tells of, the first one for events of the world."""
+    found = re.match(r"\[([^\]]*)\]", text)
+    return found[1] if found is not None and found[1] in robots else robots[0]
+
+
+def _in_frame(place: str, frame: str) -> "Chunk":
+    """Return the frame of coordinates of something, for good."""
+    import rerun as rr
+    from rerun.chunk import Chunk
+
+    return Chunk.from_columns(place, [], rr.CoordinateFrame.columns(frame=[frame]))

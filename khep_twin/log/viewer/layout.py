@@ -1,0 +1,229 @@
+"""How rerun arranges a log, or several beside each other: arena, robots from above, curves, transcripts."""
+
+# rerun's types are partly unknown.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from khep_twin.log.attached import playpen_of
+from khep_twin.log.reader import Label
+from khep_twin.log.viewer.arena import EVENTS, trail
+from khep_twin.log.viewer.robot_panel import panel
+from khep_twin.units import Sensor
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+Colour = tuple[int, int, int]
+
+TIMELINE = "message_log_time"
+"""What rerun calls the simulated time of a log's messages."""
+
+_WARM: list[Colour] = [(228, 87, 46), (242, 159, 5), (244, 211, 94)]
+_COLD: list[Colour] = [(64, 224, 208), (77, 171, 247), (92, 124, 250)]
+_VIOLET: list[Colour] = [(177, 151, 252), (230, 153, 247)]
+
+_SENSORS = {
+    sensor.name.lower().replace("_", " "): colour
+    for sensor, colour in zip(Sensor, [*_WARM, *_COLD, *_VIOLET], strict=True)
+}
+"""Curves of the sensors: left ones warm, right ones cold, those at the back violet."""
+
+_SETPOINT: Colour = (235, 235, 235)
+_WHEELS: dict[str, Colour] = {
+    "left": _WARM[0],
+    "right": _COLD[1],
+    "setpoint left": _SETPOINT,
+    "setpoint right": _SETPOINT,
+}
+_EVENT: Colour = (255, 80, 160)
+
+_LEGEND_SHARE, _END_SHARE = 0.16, 0.02
+"""Parts of the time axis before the start, where the legend covers no curve, and after the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A log and where in a recording it is.
+
+    Attributes:
+        label: what the log says of itself.
+        name: to be read above it; empty where it is the only one.
+        place: the path below which its entities are, such as "/run"; empty where it is the only one.
+        frame: of the arena's coordinates; empty for rerun's own choice, where it is the only one.
+        end_ns: where its curves end [ns]; beside others, where the longest ends.
+        last_s: of a run that goes on, so much is in the curves [s]; None for all of it.
+    """
+
+    label: Label
+    name: str = ""
+    place: str = ""
+    frame: str = ""
+    end_ns: int = 0
+    last_s: float | None = None
+
+
+def layout(shown: Sequence[Shown]) -> "rrb.Blueprint":
+    """One log's parts around each other, or several logs in a column each, from left to right."""
+    import rerun.blueprint as rrb
+
+    following = any(log.last_s is not None for log in shown)
+    return rrb.Blueprint(
+        _alone(shown[0]) if len(shown) == 1 else rrb.Horizontal(*map(_column, shown)),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="following" if following else None),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _alone(log: Shown) -> "rrb.Container":
+    import rerun.blueprint as rrb
+
+    arena, bases, transcripts = _arena(log), _bases(log), _transcripts(log)
+    below = rrb.Horizontal(*([rrb.Tabs(*bases)] if bases else []), rrb.Tabs(*transcripts))
+    return rrb.Horizontal(
+        rrb.Vertical(*arena, below, row_shares=[2, 1] if arena else [1]), rrb.Tabs(*_curves(log))
+    )
+
+
+def _column(log: Shown) -> "rrb.Container":
+    """A log among others: what is beside each other is alike."""
+    import rerun.blueprint as rrb
+
+    arena = _arena(log)
+    rest = rrb.Tabs(*_curves(log), *_bases(log), *_transcripts(log))
+    return rrb.Vertical(*arena, rest, row_shares=[2, 3] if arena else [1], name=log.name)
+
+
+def _arena(log: Shown) -> "list[rrb.Spatial3DView]":
+    """None for a real robot: nobody knows where it was."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    if "playpen.toml" not in log.label.attachments:
+        return []
+    until_now = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rr.TimeRangeBoundary.infinite(),
+        end=rr.TimeRangeBoundary.cursor_relative(),
+    )
+    growing = [f"{log.place}{each}" for each in (EVENTS, *map(trail, log.label.robots))]
+    frame = rrb.archetypes.SpatialInformation(target_frame=log.frame) if log.frame else None
+    return [
+        rrb.Spatial3DView(
+            origin=log.place or "/",
+            name=log.name or "arena",
+            contents=[
+                f"{log.place}/**",
+                *(f"- {log.place}{panel(robot)}/**" for robot in log.label.robots),
+            ],
+            overrides={place: until_now for place in growing},
+            eye_controls=_eye(log.label),
+            line_grid=False,
+            spatial_information=frame,
+            defaults=[
+                shape.from_fields(fill_mode="solid")
+                for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)
+            ],
+        )
+    ]
+
+
+def _bases(log: Shown) -> "list[rrb.Spatial2DView]":
+    import rerun.blueprint as rrb
+
+    if "playpen.toml" not in log.label.attachments:
+        return []
+    bounds = rrb.VisualBounds2D(x_range=(-0.045, 0.045), y_range=(-0.052, 0.068))
+    return [
+        rrb.Spatial2DView(
+            origin=f"{log.place}{panel(robot)}", name=f"{robot} from above", visual_bounds=bounds
+        )
+        for robot in log.label.robots
+    ]
+
+
+def _transcripts(log: Shown) -> "list[rrb.TextLogView]":
+    import rerun.blueprint as rrb
+
+    return [
+        rrb.TextLogView(
+            name=f"{robot}: serial line and events",
+            contents=[f"{log.place}/{robot}/serial", f"{log.place}/events"],
+            columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["body"]),
+            format_options=rrb.TextLogFormat(monospace_body=True),
+        )
+        for robot in log.label.robots
+    ]
+
+
+def _curves(log: Shown) -> "list[rrb.Vertical]":
+    import rerun.blueprint as rrb
+
+    return [
+        rrb.Vertical(
+            _plot(log, robot, "proximity", "proximity [counts]", _SENSORS),
+            _plot(log, robot, "ambient", "ambient light [counts, low is bright]", _SENSORS),
+            *(
+                _plot(log, robot, "speed", f"{side} wheel [pulses/10 ms]", _WHEELS, side)
+                for side in ("left", "right")
+            ),
+            name=robot,
+            row_shares=[3, 3, 2, 2],
+        )
+        for robot in log.label.robots
+    ]
+
+
+def _plot(
+    log: Shown, robot: str, topic: str, name: str, curves: dict[str, Colour], only: str = ""
+) -> "rrb.TimeSeriesView":
+    """Return a plot of a channel, or of those of its curves that have `only` in their name."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    origin, events = (f"{log.place}/{robot}/{each}" for each in (topic, "events"))
+    lines = rr.SeriesLines.from_fields(
+        names=list(curves),
+        colors=list(curves.values()),
+        # What a wheel does is a band, what it shall do a thin white line on it.
+        widths=[4.0 if curve in ("left", "right") else 1.0 for curve in curves],
+        visible_series=[only in curve for curve in curves],
+    )
+    marks = rr.SeriesPoints.from_fields(
+        names=["event"], colors=[_EVENT], markers=["diamond"], marker_sizes=[5.0]
+    )
+    if log.last_s is None:
+        whole = int(-_LEGEND_SHARE * log.end_ns), int((1 + _END_SHARE) * log.end_ns)
+        start, end = (rr.TimeRangeBoundary.absolute(nanos=ns) for ns in whole)
+        newest = None
+    else:
+        start = rr.TimeRangeBoundary.cursor_relative(seconds=-log.last_s * (1 + _LEGEND_SHARE))
+        end = rr.TimeRangeBoundary.cursor_relative()
+        ago = rr.TimeRangeBoundary.cursor_relative(seconds=-log.last_s)
+        newest = rrb.VisibleTimeRange(TIMELINE, start=ago, end=end)
+    return rrb.TimeSeriesView(
+        origin=origin,
+        contents=[origin, events],
+        name=name,
+        axis_x=rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        time_ranges=newest,
+        overrides={origin: lines, events: marks},
+    )
+
+
+def _eye(label: Label) -> "rrb.EyeControls3D":
+    """Looks at the arena's middle from before and above, from as far as its size asks."""
+    import rerun.blueprint as rrb
+
+    arena = playpen_of(label.attachments, "log").arena
+    width, depth = arena.width_mm / 1000, arena.height_mm / 1000
+    reach = max(width, depth)
+    return rrb.EyeControls3D(
+        position=(width / 2, depth / 2 - 0.75 * reach, 0.85 * reach),
+        look_target=(width / 2, depth / 2, 0.0),
+        eye_up=(0.0, 0.0, 1.0),
+    )

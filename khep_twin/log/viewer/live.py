@@ -1,0 +1,297 @@
+"""Looking at a run while it goes on: the log that it writes is followed and handed to rerun's viewer.
+
+The run does nothing for it, so that it is not slowed. What comes is therefore as old as the log's last
+write: half a second for `serve`, five simulated seconds for a run in lock-step. Each piece is dealt out over
+the time that it took to come, in steps of 40 ms, so that the picture flows and does not jump.
+"""
+
+# rerun's types are partly unknown.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import os
+import re
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import LogError
+from khep_twin.invocation import command
+from khep_twin.log.batch_writer import BatchWriter
+from khep_twin.log.reader import Label
+from khep_twin.log.tail import GrowingLog, Message
+from khep_twin.log.viewer.arena import Light, Rays, event_chunks, trail_chunks
+from khep_twin.log.viewer.gathered import Gatherer
+from khep_twin.log.viewer.layout import TIMELINE, Shown, layout
+from khep_twin.log.viewer.process import Web, open_viewer
+from khep_twin.log.viewer.replay import UNSEEN, standing_chunks
+from khep_twin.log.viewer.robot_panel import panel_chunks
+
+if TYPE_CHECKING:
+    import rerun as rr
+    from rerun.chunk import Chunk
+
+SAMPLE_NS = NS_PER_S // 25
+"""Of each channel one sample in so much simulated time is shown [ns]; transcripts and notes are whole."""
+
+STEP = 0.04
+"""The viewer is handed something new so often at most [s of wall time]."""
+
+LONGEST_STRETCH = 0.5
+"""Over so much wall time a piece of the log is dealt out at most [s]."""
+
+SHARE = 0.25
+"""Of one processor core this takes at most, on average; with many robots the steps become longer."""
+
+LAST_S = 60.0
+"""Of a run that goes on the curves show so much [s]."""
+
+_TEXTS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
+_UNSEEN = re.compile("|".join(UNSEEN))
+_PATIENCE = 10.0
+_CHUNK_ID = b"rerun:id"
+
+
+def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Callable[[str], None]) -> None:
+    """Shows a run that goes on until the viewer is closed or `stop` says so.
+
+    Args:
+        path: of the log that the run writes, NAME.mcap or NAME.mcap.part.
+        web: where the viewer is to be had in a browser; None opens a window.
+        stop: asked now and then whether to end.
+        tell: takes what somebody should know, such as that the run has ended.
+
+    Raises:
+        LogError: there is no such log, it is finished or no log, or the viewer fails.
+    """
+    # A window that is closed is no trouble to tell of, though the line to it is cut.
+    os.environ.setdefault("RUST_LOG", "off")
+    import rerun as rr
+
+    found = _opened(path, stop)
+    if found is None:
+        return
+    with found as log:
+        first: list[Message] = []
+        while log.label() is None and not stop():
+            first = log.new()
+            time.sleep(STEP)
+        if stop():
+            return
+        with open_viewer(str(log.path), web, stop=stop) as viewer:
+            recording = rr.RecordingStream("khep_twin", recording_id=f"{log.path.stem} live")
+            recording.connect_grpc(viewer.address)
+            try:
+                follow(log, recording, lambda: stop() or viewer.closed(), first)
+                if log.finished:
+                    tell(f"the run has ended; look at the whole of it: {command('view', log.path)}")
+            except LogError as error:
+                tell(str(error))  # what there is can still be looked at
+            try:
+                viewer.wait(stop)
+            finally:
+                with suppress(RuntimeError):  # the line is cut where the window was closed
+                    recording.disconnect()
+
+
+def follow(
+    log: GrowingLog,
+    recording: "rr.RecordingStream",
+    stop: Callable[[], bool],
+    first: Sequence[Message] = (),
+) -> None:
+    """Hands a log to rerun while it grows, until it is finished or `stop` says so.
+
+    Args:
+        log: that grows.
+        recording: of rerun.
+        stop: asked now and then whether to end.
+        first: what was read of it already.
+
+    Raises:
+        LogError: it turns out to be no log of khep_twin, or its run has ended without finishing it.
+    """
+    import rerun as rr
+
+    label: Label | None = None
+    dealer = _Dealer()
+    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+        translator = _Translator(Path(folder), log.path)
+        while not stop() and not (log.finished and dealer.empty()):
+            began, busy = time.monotonic(), time.process_time()
+            messages, first = first or log.new(), ()
+            if label is None and (label := log.label()) is not None:
+                recording.send_blueprint(layout([Shown(label, last_s=LAST_S)]))
+                recording.send_recording_name(f"{log.path.stem}, live")
+                rr.send_chunks(standing_chunks(label), recording=recording)
+            if messages and label is not None:
+                standing, passing = translator.translate(messages, label)
+                rr.send_chunks(standing, recording=recording)
+                dealer.take(passing, began, at_once=log.behind)
+            rr.send_chunks(dealer.due(began), recording=recording)
+            if not log.behind:
+                busy = time.process_time() - busy
+                time.sleep(max(STEP - (time.monotonic() - began), busy * (1 / SHARE - 1), 0.0))
+
+
+def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
+    """The log as soon as its run has begun it, for run and view may be started together; None if stopped."""
+    deadline = time.monotonic() + _PATIENCE
+    while not stop():
+        try:
+            return GrowingLog(path)
+        except FileNotFoundError as error:
+            part = path if path.suffix == ".part" else f"{path}.part"
+            if not path.parent.is_dir() or time.monotonic() > deadline:
+                raise LogError(
+                    f"{path}: no run writes this log, there is no {part}; "
+                    f"right is the --log of a run or serve that goes on"
+                ) from error
+            time.sleep(0.1)
+    return None
+
+
+class _Translator:
+    """Makes rerun's chunks of a log's messages, by rerun's own reader, so that they are those of a replay.
+
+    Args:
+        folder: for pieces of the log: the reader takes files.
+        source: the log.
+    """
+
+    def __init__(self, folder: Path, source: Path) -> None:
+        self._source = source
+        self._piece = folder / "piece.mcap"
+        self._slots: dict[str, int] = {}
+        self._described: set[str] = set()
+        self._rays: Rays | None = None
+        self._light: Light | None = None
+        self._last: dict[str, NDArray[np.float64]] = {}
+
+    def translate(self, messages: Sequence[Message], label: Label) -> "tuple[list[Chunk], list[Chunk]]":
+        """What stands for good, and what has times."""
+        from rerun.chunk import McapReader
+
+        by_topic = self._thinned(messages)
+        if not by_topic:
+            return [], []
+        piece = _Bytes()
+        writer = BatchWriter(piece, "ros2", "khep_twin")
+        for topic, found in by_topic.items():
+            channel = writer.channel(topic, found[0].schema, found[0].definition)
+            writer.add_lines(channel, [each.time_ns for each in found], [each.data for each in found])
+        writer.finish()
+        self._piece.write_bytes(piece.data)
+        gatherer = Gatherer()
+        chunks = list(
+            gatherer.passing(McapReader(self._piece, timeline_type="duration_ns").stream(), TIMELINE)
+        )
+        passing = [chunk for chunk in chunks if not chunk.is_static]
+        # Each piece describes its channels; once is enough.
+        standing = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]
+        self._described |= {chunk.entity_path for chunk in standing}
+        added = list(self._added(gatherer, label))
+        standing += [chunk for chunk in added if chunk.is_static]
+        passing += [chunk for chunk in added if not chunk.is_static]
+        return standing, passing
+
+    def _added(self, gatherer: Gatherer, label: Label) -> "Iterator[Chunk]":
+        """Yield what is shown of a piece besides what it holds itself."""
+        poses = gatherer.poses()
+        if poses is not None and self._rays is None:
+            self._rays, self._light = Rays(label, self._source), Light(label, self._source)
+        for robot in label.robots:
+            if (samples := gatherer.samples(robot)) is not None:
+                yield from panel_chunks(robot, samples, TIMELINE)
+                if poses is not None and self._rays is not None:
+                    yield from self._rays.chunks(robot, samples, poses, TIMELINE)
+            if poses is not None and f"{robot}/base" in poses.bodies:
+                yield from trail_chunks(robot, poses, TIMELINE, self._last.get(robot))
+                self._last[robot] = poses.bodies[f"{robot}/base"][-1]
+        if self._light is not None:
+            yield from self._light.chunks(gatherer, TIMELINE)
+        yield from event_chunks(label, gatherer, TIMELINE)
+
+    def _thinned(self, messages: Sequence[Message]) -> dict[str, list[Message]]:
+        """What is shown, by topic: of samples the first in each SAMPLE_NS."""
+        kept: defaultdict[str, list[Message]] = defaultdict(list)
+        for message in messages:
+            if _UNSEEN.search(message.topic):
+                continue
+            if message.schema not in _TEXTS:
+                slot = message.time_ns // SAMPLE_NS
+                if self._slots.get(message.topic) == slot:
+                    continue
+                self._slots[message.topic] = slot
+            kept[message.topic].append(message)
+        return kept
+
+
+class _Dealer:
+    """Deals out what comes in pieces over the time until the next piece."""
+
+    def __init__(self) -> None:
+        self._pending: list[tuple[Any, NDArray[np.int64]]] = []
+        self._dealt_ns = -1
+        self._last_ns = -1
+        self._taken: float | None = None
+        self._until = 0.0
+        self._looked = 0.0
+
+    def take(self, chunks: "Sequence[Chunk]", now: float, at_once: bool) -> None:
+        """Takes a piece that came now [s]; `at_once` if there is so much of it that nobody shall wait."""
+        waited = 0.0 if at_once or self._taken is None else now - self._taken
+        stretch = min(waited, LONGEST_STRETCH)
+        self._taken, self._until = now, now + stretch
+        for chunk in chunks:
+            batch: Any = chunk.to_record_batch()
+            facts = {key: text for key, text in batch.schema.metadata.items() if key != _CHUNK_ID}
+            column = batch.column(batch.schema.get_field_index(TIMELINE))
+            times_ns = column.to_numpy(zero_copy_only=False).astype(np.int64)
+            self._last_ns = max(self._last_ns, int(times_ns.max()))
+            self._pending.append((batch.replace_schema_metadata(facts), times_ns))
+
+    def due(self, now: float) -> "list[Chunk]":
+        """What is to be shown by now [s]."""
+        from rerun.chunk import Chunk
+
+        # As much of what is left as the time since the last look is of the time that is left.
+        left = self._until - self._looked
+        part = 1.0 if now >= self._until else (now - self._looked) / left
+        self._looked = now
+        self._dealt_ns += int((self._last_ns - self._dealt_ns) * part)
+        due: list[Chunk] = []
+        pending: list[tuple[Any, NDArray[np.int64]]] = []
+        for batch, times_ns in self._pending:
+            count = int(np.searchsorted(times_ns, self._dealt_ns, side="right"))
+            if count:
+                due += Chunk.from_record_batch(batch.slice(0, count))
+            if count < len(times_ns):
+                pending.append((batch.slice(count), times_ns[count:]))
+        self._pending = pending
+        return due
+
+    def empty(self) -> bool:
+        """Whether all is dealt out."""
+        return not self._pending
+
+
+class _Bytes:
+    """An MCAP file in memory."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def write(self, data: bytes) -> int:
+        self.data += data
+        return len(data)
+
+    def tell(self) -> int:
+        return len(self.data)

@@ -1,0 +1,171 @@
+"""rerun's viewer as a process beside this one: a window, or a page for a browser, for this machine only."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import webbrowser
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import IO
+from urllib.parse import quote
+
+from khep_twin.errors import LogError
+from khep_twin.signals import clear_at_end, undisturbed
+
+HERE = "127.0.0.1"
+"""rerun takes data and serves pages on all of a machine's addresses, if it is not told otherwise."""
+
+_PATIENCE = 30.0
+"""Longest wait for the viewer to listen [s]."""
+
+_TURN = 0.05
+"""Between two looks at the viewer's process [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Web:
+    """The viewer as a page for a browser.
+
+    Attributes:
+        tell: takes the page's address.
+        browser: whether to open it in one.
+    """
+
+    tell: Callable[[str], None]
+    browser: bool = True
+
+
+class Viewer:
+    """A running viewer.
+
+    Attributes:
+        address: of where it takes data, for rerun's `connect_grpc`.
+    """
+
+    def __init__(self, subject: str, process: "subprocess.Popen[bytes]", said: IO[bytes], port: int) -> None:
+        self._subject, self._process, self._said = subject, process, said
+        self.address = f"rerun+http://{HERE}:{port}/proxy"
+
+    def closed(self) -> bool:
+        """Whether it has ended, well or not."""
+        return self._process.poll() is not None
+
+    def open(self) -> bool:
+        """Whether it still runs.
+
+        Raises:
+            LogError: it failed.
+        """
+        code = self._process.poll()
+        if code:
+            self._said.seek(0)
+            lines = self._said.read().decode("utf-8", "replace").strip().splitlines()
+            reason = lines[-1] if lines else f"code {code}"
+            reason = reason.removeprefix("Error: ")
+            raise LogError(f"{self._subject}: rerun's viewer failed: {reason}; {_wish(self._subject)}")
+        return code is None
+
+    def wait(self, stop: Callable[[], bool]) -> None:
+        """Until its window is closed, or `stop` says so.
+
+        Raises:
+            LogError: it failed.
+        """
+        while not stop() and self.open():
+            time.sleep(_TURN)
+
+    def wait_for(self, port: int, stop: Callable[[], bool]) -> None:
+        """Until it listens at a port, or `stop` says so.
+
+        Raises:
+            LogError: it failed, or does not listen.
+        """
+        deadline = time.monotonic() + _PATIENCE
+        while not stop() and self.open():
+            with suppress(OSError), socket.create_connection((HERE, port), timeout=1.0):
+                return
+            if time.monotonic() > deadline:
+                raise LogError(f"{self._subject}: rerun's viewer does not listen after {_PATIENCE:.0f} s")
+            time.sleep(_TURN)
+
+
+@contextmanager
+def open_viewer(
+    subject: str,
+    web: Web | None,
+    recording: Path | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Generator[Viewer, None, None]:
+    """Opens the viewer on a recording, or on what will be sent to it, and ends it in the end.
+
+    Args:
+        subject: what is looked at, for messages.
+        web: where the viewer is to be had in a browser; None opens a window.
+        recording: of rerun, a file; None for data that is sent.
+        stop: asked now and then whether to end.
+
+    Raises:
+        LogError: there is no screen, or it does not start.
+    """
+    if web is None and not _screen():
+        raise LogError(f"{subject}: there is no screen to open a window on; {_wish(subject)}")
+    port, page = free_ports(2)
+    command = [sys.executable, "-m", "rerun", *([] if recording is None else [str(recording)])]
+    command += ["--bind", HERE, "--port", str(port), "--server-memory-limit", "50%"]
+    command += ["--expect-data-soon"] if web is None else ["--serve-web", "--web-viewer-port", str(page)]
+    # What it says goes into a file: a pipe that nobody reads would stop it.
+    with tempfile.TemporaryFile() as said:
+        with undisturbed():
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
+            )
+            forget = clear_at_end(partial(_end, process))
+        viewer = Viewer(subject, process, said, port)
+        try:
+            if web is not None:
+                viewer.wait_for(page, stop)
+                address = f"http://{HERE}:{page}/?url={quote(viewer.address, safe='')}"
+                web.tell(address)
+                if web.browser and _screen():  # one in a terminal could show nothing
+                    webbrowser.open(address)
+            elif recording is None:
+                viewer.wait_for(port, stop)
+            yield viewer
+        finally:
+            _end(process)
+            forget()
+
+
+def free_ports(count: int) -> Sequence[int]:
+    """So many ports of this machine on which nobody listens."""
+    listeners = [socket.create_server((HERE, 0)) for _ in range(count)]
+    ports = [int(listener.getsockname()[1]) for listener in listeners]
+    for listener in listeners:
+        listener.close()
+    return ports
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """Ends the viewer with what it has started: rerun's command is a script around its program."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=5.0)
+            return
+
+
+def _screen() -> bool:
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _wish(subject: str) -> str:
+    stem = Path(subject).stem
+    return f"right here is a browser, --web, or a recording, --save {stem}.rrd, to open where there is one"

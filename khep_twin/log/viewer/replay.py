@@ -1,0 +1,248 @@
+"""Looking at logs in rerun: arena, curves and transcript on one time axis, several logs side by side.
+
+rerun reads a log by itself. What is added here is a layout made for this robot, and time as seconds of the
+run instead of dates in 1970; both go into a rerun recording, which is kept or shown.
+"""
+
+# rerun and pyarrow are not typed, or in part.
+# pyright: reportMissingTypeStubs=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import LogError
+from khep_twin.files.atomic import is_same, part_file
+from khep_twin.log.attached import playpen_of, shapes_of
+from khep_twin.log.reader import Label, read_end_ns, read_with_messages
+from khep_twin.log.viewer.arena import Light, Rays, event_chunks, trail_chunks
+from khep_twin.log.viewer.gathered import Gatherer
+from khep_twin.log.viewer.layout import TIMELINE, Shown, layout
+from khep_twin.log.viewer.process import Web, open_viewer
+from khep_twin.log.viewer.robot_panel import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
+from khep_twin.log.viewer.snapshot import still
+from khep_twin.log.viewer.thinning import Copy, interval_ns
+
+if TYPE_CHECKING:
+    from rerun.chunk import Chunk
+
+Progress = Callable[[float], None] | None
+"""Takes the share that is done, 0 to 1."""
+
+Bar = Callable[[], AbstractContextManager[Progress]]
+"""Makes a context in which progress is shown."""
+
+UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
+"""Topics, as patterns, that no view shows: they are for programs, or said by the views themselves."""
+
+PICTURES = 10_000
+"""Most pictures of bars and rays of a run; a longer one has fewer than ten a second."""
+
+_FRAMES = ("Transform3D:child_frame", "Transform3D:parent_frame", "CoordinateFrame:frame")
+
+
+def view(
+    paths: Sequence[Path],
+    save: Path | None = None,
+    web: Web | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    bar: Bar = nullcontext,
+) -> None:
+    """Shows logs in rerun's viewer until its window is closed, or saves them as one rerun recording.
+
+    Args:
+        paths: of finished logs, from left to right.
+        save: of the recording, by custom NAME.rrd; None opens the viewer.
+        web: where the viewer is to be had in a browser; None opens a window.
+        stop: asked now and then whether to end.
+        bar: Shows how far it is, as `cli_progress.progress` does.
+
+    Raises:
+        LogError: a log cannot be read, the recording cannot be written, or no window opens.
+    """
+    if save is not None:
+        _save(paths, save, bar)
+        return
+    with _saved(paths, bar) as recording, open_viewer(str(paths[0]), web, recording) as viewer:
+        viewer.wait(stop)
+
+
+def view_still(
+    paths: Sequence[Path], target: Path, at_s: float | None = None, bar: Bar = nullcontext
+) -> None:
+    """Writes what the viewer shows of logs at a time, as PNG, without a screen.
+
+    Args:
+        paths: of finished logs, from left to right.
+        target: the PNG file.
+        at_s: simulated time [s]; None for the end, where the whole run is seen.
+        bar: Shows how far it is, as `cli_progress.progress` does.
+
+    Raises:
+        LogError: a log cannot be read, or the viewer cannot be had.
+    """
+    with _saved(paths, bar) as recording:
+        end_s = max(map(read_end_ns, paths)) / NS_PER_S
+        still(recording, TIMELINE, end_s if at_s is None else at_s, target)
+
+
+def standing_chunks(label: Label) -> "list[Chunk]":
+    """What is added to a log's own chunks and is there at all times."""
+    chunks: list[Chunk] = []
+    for robot in label.robots:
+        if "playpen.toml" in label.attachments:
+            chunks += outline_chunks(robot)
+    return chunks
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """The files' names without ending; where two are alike, with their folders, else with numbers."""
+    stems = [path.stem for path in paths]
+    names = [
+        stem if stems.count(stem) == 1 else f"{path.resolve().parent.name}/{stem}"
+        for path, stem in zip(paths, stems, strict=True)
+    ]
+    seen: Counter[str] = Counter()
+    distinct: list[str] = []
+    for name in names:
+        seen[name] += 1
+        distinct.append(name if names.count(name) == 1 else f"{name} {seen[name]}")
+    return distinct
+
+
+def _checked(path: Path, copy: Path, progress: Progress) -> Label:
+    """Copy what is shown of a log that is what it should be; return what it says of itself."""
+    label, moves = None, False
+    with copy.open("xb") as file:
+        writer = Copy(file, interval_ns(read_end_ns(path)), UNSEEN)
+        for recording, messages, definition in read_with_messages(path, progress):
+            label = recording.label
+            writer.add(messages, definition)
+            moves |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
+        assert label is not None  # there is at least one piece
+        writer.finish(label)
+    if moves or "playpen.toml" in label.attachments:
+        playpen_of(label.attachments, path)
+    if moves:
+        shapes_of(label.attachments, label.robots, path)
+    return label
+
+
+@contextmanager
+def _saved(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
+    """A recording as long as it is looked at."""
+    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+        recording = Path(folder) / f"{paths[0].stem}.rrd"
+        _save(paths, recording, bar)
+        yield recording
+
+
+def _save(paths: Sequence[Path], save: Path, bar: Bar) -> None:
+    if save.is_dir() or any(is_same(save, path) for path in paths):
+        what = "a directory" if save.is_dir() else "the log itself"
+        raise LogError(f"{save}: this is {what}; right is the name of a file, such as {paths[0].stem}.rrd")
+    # Each log is read twice: to be checked and copied, and by rerun.
+    count = 2 * len(paths)
+    try:
+        with bar() as progress, tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+            shares = [_share_of(progress, number, count) for number in range(count)]
+            copies = [Path(folder) / f"{number}.mcap" for number in range(len(paths))]
+            labels = [_checked(*each) for each in zip(paths, copies, shares, strict=False)]
+            recording = _recording(paths, copies, labels, shares[len(paths) :])
+        with part_file(save) as file:
+            file.write(recording)
+    except OSError as error:
+        raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
+
+
+def _share_of(progress: Progress, number: int, count: int) -> Progress:
+    """Return what takes the progress of one of `count` parts."""
+    return None if progress is None else lambda share: progress((number + share) / count)
+
+
+def _recording(
+    paths: Sequence[Path], copies: Sequence[Path], labels: Sequence[Label], shares: Sequence[Progress]
+) -> bytes:
+    """The logs and their layout as rerun has them in a file.
+
+    Made in memory, because rerun itself may wait for ever for a disk that is full.
+    """
+    import rerun as rr
+
+    names = distinct_names(paths)
+    title = " and ".join(names)
+    with rr.RecordingStream("khep_twin", recording_id=title) as recording:
+        stream = recording.binary_stream()
+        if len(paths) == 1:
+            recording.send_blueprint(layout([Shown(labels[0], end_ns=read_end_ns(paths[0]))]))
+            rr.send_chunks(_chunks(paths[0], copies[0], labels[0], shares[0]), recording=recording)
+        else:
+            end_ns = max(map(read_end_ns, paths))
+            shown = [
+                Shown(label, name, str(rr.new_entity_path([name])), f"{name}/world", end_ns)
+                for label, name in zip(labels, names, strict=True)
+            ]
+            recording.send_blueprint(layout(shown))
+            for path, copy, log, progress in zip(paths, copies, shown, shares, strict=True):
+                rr.send_chunks(_moved(_chunks(path, copy, log.label, progress), log), recording=recording)
+        recording.send_recording_name(title)
+        # Read once: each reading ends the file.
+        return stream.read() or b""
+
+
+def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> "Generator[Chunk, None, None]":
+    """All that is shown of a log."""
+    from rerun.chunk import McapReader
+
+    gatherer, end_ns = Gatherer(), read_end_ns(path)
+    for chunk in gatherer.passing(McapReader(copy, timeline_type="duration_ns").stream(), TIMELINE):
+        yield chunk
+        if progress is not None and not chunk.is_static and end_ns:
+            progress(min(_last_ns(chunk) / end_ns, 1.0))
+    yield from standing_chunks(label)
+    yield from event_chunks(label, gatherer, TIMELINE)
+    poses = gatherer.poses()
+    rays = None if poses is None else Rays(label, path)
+    for robot in label.robots:
+        samples = gatherer.samples(robot)
+        if samples is not None:
+            few = samples.thinned(max(SAMPLES_PER_PICTURE, len(samples.times_ns) // PICTURES))
+            yield from panel_chunks(robot, few, TIMELINE)
+            if rays is not None and poses is not None:
+                yield from rays.chunks(robot, few, poses, TIMELINE)
+        if poses is not None:
+            yield from trail_chunks(robot, poses, TIMELINE)
+    if poses is not None:
+        yield from Light(label, path).chunks(gatherer, TIMELINE)
+
+
+def _last_ns(chunk: "Chunk") -> int:
+    """Return the latest time of a chunk [ns]."""
+    batch: Any = chunk.to_record_batch()
+    times_ns = batch.column(batch.schema.get_field_index(TIMELINE)).to_numpy(zero_copy_only=False)
+    return int(times_ns.astype("int64").max(initial=0))
+
+
+def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":
+    """The chunks of a log below its place, with frames of coordinates of its own."""
+    import pyarrow as pa
+    from rerun.chunk import Chunk
+
+    for chunk in chunks:
+        if chunk.entity_path == "/__mcap_properties":
+            continue  # of a recording that is one log
+        batch: Any = chunk.to_record_batch()
+        for name in set(_FRAMES) & set(batch.schema.names):
+            index = batch.schema.get_field_index(name)
+            rows = [
+                row and [f"{log.name}/{frame}" for frame in row] for row in batch.column(index).to_pylist()
+            ]
+            field = batch.schema.field(index)
+            batch = batch.set_column(index, field, pa.array(rows, field.type))
+        for each in Chunk.from_record_batch(batch):
+            yield each.with_entity_path(f"{log.place}{chunk.entity_path}")

@@ -1,0 +1,140 @@
+"""The toolbox's khepbase as a panel of rerun: the robot from above, with bars for what it senses and does.
+
+At each sensor a pair of bars, proximity (0 to 1023) and ambient light (0 to 500, as counted: long in the
+dark); beside each wheel a bar of its speed (0 to 20 pulses/10 ms, downwards when it drives backwards), by
+`khep_twin.sensing.bars`.
+"""
+
+# rerun's types are partly unknown.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from khep_twin.log.viewer.gathered import Floats, Samples
+from khep_twin.sensing.bars import BARS
+from khep_twin.units import BODIES, WHEEL_BASE, WHEEL_RADIUS
+
+if TYPE_CHECKING:
+    from rerun.chunk import Chunk
+
+SAMPLES_PER_PICTURE = 5
+"""Of the log's samples of 20 ms so many make one picture: ten a second are enough for the eye."""
+
+_BODY = BODIES["khepera1"]
+_BAR = 0.012
+"""Of a bar at its full value [m]."""
+
+_HALF_WIDTH = 0.0014
+_LINE = _HALF_WIDTH / 4
+_LINES = _LINE * np.array((-3, -1, 1, 3))
+"""Radius of the lines that a bar is made of, and where they are [m]."""
+
+# Pictures have y downwards: ahead is up, left is left.
+_FEET = np.array([(-left, -forward) for forward, left in _BODY.sensor_positions]) * 1.35
+_BESIDE = np.array([_HALF_WIDTH * 1.15, 0])
+_WHEELS = np.array([(-WHEEL_BASE / 2 + 0.006, 0.0), (WHEEL_BASE / 2 - 0.006, 0.0)])
+_PROXIMITY, _LIGHT, _SPEED = (228, 87, 46), (244, 200, 70), (77, 171, 247)
+_OUTLINE, _FRAME = (150, 150, 150), (90, 90, 90)
+_LEGEND = 0.037
+"""Top of the legend, below the robot [m]."""
+
+
+def panel(robot: str) -> str:
+    """Where in a recording a robot's panel is."""
+    return f"/{robot}/khepbase"
+
+
+def panel_chunks(robot: str, track: Samples, timeline: str) -> "list[Chunk]":
+    """The bars of one robot's panel.
+
+    Args:
+        robot: its name.
+        track: what was recorded of it.
+        timeline: name of the recording's simulated time.
+    """
+    import rerun as rr
+    from rerun.chunk import Chunk
+
+    place = panel(robot)
+    times = rr.TimeColumn(timeline, duration=track.times_ns.astype("timedelta64[ns]"))
+    return [
+        Chunk.from_columns(f"{place}/{name}", [times], _bars(rr, _filled(name, values), at, colour))
+        for name, values, at, colour in (
+            ("proximity", track.proximity, _FEET - _BESIDE, _PROXIMITY),
+            ("light", track.ambient, _FEET + _BESIDE, _LIGHT),
+            ("speed", track.speed[:, :2], _WHEELS, _SPEED),
+        )
+    ]
+
+
+def outline_chunks(robot: str) -> "list[Chunk]":
+    """What of one robot's panel stands still."""
+    import rerun as rr
+
+    wheels = [_box(side * WHEEL_BASE / 2, 0.0, 0.0015, WHEEL_RADIUS) for side in (-1, 1)]
+    nose = np.array([(-0.004, -0.020), (0, -0.0245), (0.004, -0.020)])
+    strips = [_circle(_BODY.radius), *wheels, nose]
+    lines = rr.LineStrips2D.columns(strips=strips, colors=[_OUTLINE] * len(strips))
+    feet = np.vstack((_FEET - _BESIDE, _FEET + _BESIDE))
+    frames = [_box(x, y - _BAR / 2, _HALF_WIDTH, _BAR / 2) for x, y in feet]
+    frames += [_box(x, y, _HALF_WIDTH, _BAR) for x, y in _WHEELS]  # a wheel's bar goes both ways
+    full = rr.LineStrips2D.columns(strips=frames, colors=[_FRAME] * len(frames), radii=[0.0001] * len(frames))
+    entries = {"proximity": _PROXIMITY, "light": _LIGHT, "speed": _SPEED}
+    legend = rr.Points2D.columns(
+        positions=[(0.0, _LEGEND + 0.0095 * index) for index in range(len(entries))],
+        colors=list(entries.values()),
+        labels=[BARS[name].legend for name in entries],
+        show_labels=[True] * len(entries),
+        radii=[0.001] * len(entries),
+    )
+    return [
+        _standing(f"{panel(robot)}/outline", lines.partition([len(strips)])),
+        _standing(f"{panel(robot)}/full", full.partition([len(frames)])),
+        _standing(f"{panel(robot)}/legend", legend.partition([len(entries)])),
+    ]
+
+
+def _filled(name: str, values: Floats) -> Floats:
+    parts: Floats = np.vectorize(BARS[name].filled, otypes=[np.float64])(values)
+    return parts
+
+
+def _standing(place: str, columns: Any) -> "Chunk":
+    """Something that is there at all times."""
+    from rerun.chunk import Chunk
+
+    return Chunk.from_columns(place, [], columns)
+
+
+def _bars(rr: Any, values: Floats, feet: Floats, colour: tuple[int, int, int]) -> Any:
+    """Return filled bars on their feet (k, 2), of values from -1 to 1 (n, k), as columns.
+
+    rerun fills no boxes: a bar is one line up and down beside itself, without a gap.
+    """
+    n, k = values.shape
+    rise = np.sign(values) * np.maximum(np.abs(values) * _BAR - 2 * _LINE, 0)
+    tops = np.stack((np.sign(values) * _LINE, np.sign(values) * _LINE + rise), axis=-1)  # y is downwards
+    strips = np.empty((n, k, 2 * len(_LINES), 2), np.float32)
+    for line, shift in enumerate(_LINES):
+        ends = tops if line % 2 == 0 else tops[..., ::-1]
+        strips[:, :, 2 * line : 2 * line + 2, 0] = feet[:, 0, None] + shift
+        strips[:, :, 2 * line : 2 * line + 2, 1] = feet[:, 1, None] - ends
+    columns = rr.LineStrips2D.columns(
+        strips=strips.reshape(n * k, -1, 2),
+        colors=np.where(np.abs(values.reshape(-1, 1)) > 0, (*colour, 255), (*colour, 0)).astype(np.uint8),
+        radii=np.full(n * k, _LINE, np.float32),
+    )
+    return columns.partition([k] * n)
+
+
+def _circle(radius: float) -> Floats:
+    turns = np.linspace(0, 2 * math.pi, 64)
+    return radius * np.column_stack([np.cos(turns), np.sin(turns)])
+
+
+def _box(x: float, y: float, half_width: float, half_height: float) -> Floats:
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)], np.float64)
+    return np.array([x, y]) + corners * (half_width, half_height)

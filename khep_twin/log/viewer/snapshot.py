@@ -1,0 +1,90 @@
+"""A still of a log as rerun shows it, without a screen."""
+
+# rerun's types are partly unknown.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
+import os
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from khep_twin.errors import LogError
+from khep_twin.files.atomic import write_whole
+from khep_twin.log.viewer.process import free_ports
+
+if TYPE_CHECKING:
+    import rerun.experimental as rx
+
+_PATIENCE = 30.0
+"""Longest wait for the viewer to have opened a recording [s]."""
+
+_PAINTING = 1.0
+"""After that its pictures settle [s]."""
+
+_WIDTH = 1600
+"""Of a still [pixels]."""
+
+
+def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
+    """Writes what rerun's viewer shows of a recording at a time.
+
+    Args:
+        recording: of rerun, a file.
+        timeline: on which the time is.
+        at_s: the time [s].
+        target: the PNG file.
+
+    Raises:
+        LogError: the viewer does not start or does not answer.
+    """
+    import rerun.experimental as rx
+
+    # Unless somebody wants to know more, the viewer keeps what it does to itself.
+    os.environ.setdefault("RUST_LOG", "error")
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # it complains where there is none
+    program = Path(sys.executable).with_name("rerun")
+    try:
+        viewer = rx.ViewerClient.spawn(
+            headless=True,
+            port=free_ports(1)[0],
+            executable_path=str(program) if program.exists() else None,
+            hide_welcome_screen=True,
+        )
+    except Exception as error:  # rerun's own errors are of many kinds
+        raise LogError(f"{target}: rerun's viewer does not start: {_first_line(error)}") from error
+    try:
+        _show(viewer, recording, timeline, at_s)
+        picture = viewer.take_screenshot(max_size=_WIDTH)
+    except Exception as error:
+        raise LogError(
+            f"{target}: rerun's viewer cannot draw here: {_first_line(error)}; expected Vulkan, of a "
+            "graphics driver or of the package mesa-vulkan-drivers"
+        ) from error
+    finally:
+        with suppress(Exception):  # it may have ended by itself
+            viewer.quit()
+    write_whole(target, picture)
+
+
+def _show(viewer: "rx.ViewerClient", recording: Path, timeline: str, at_s: float) -> None:
+    """Open a recording and wait until a time of it is shown."""
+    viewer.open(str(recording.resolve()))
+    deadline = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            viewer.set_time(timeline, duration=at_s, play_state="paused")
+            break
+        except ConnectionError:
+            raise
+        except Exception:  # it has not read the recording so far
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+    time.sleep(_PAINTING)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,205 @@
+"""Bitmaps from files: scanned playpens of the Khepera Toolbox (MAT), and pictures (PNG).
+
+What a file is, is told from its first bytes. Nothing of it is trusted: sizes are checked before anything is
+decoded, and of a PNG only the parts that make its pixels reach the decoder.
+"""
+
+import os
+import struct
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from khep_twin.errors import BitmapError, MatError, choices
+from khep_twin.files.atomic import open_regular
+from khep_twin.files.mat_file import SIZE_LIMIT, Foreign, Variable, read_variables
+from khep_twin.playpen.bitmap import SIDE_LIMIT, Pixels
+
+SCAN = "btmap1"
+"""The variable of a scanned playpen."""
+
+SOLID = 44
+"""The colour index of what is solid in it."""
+
+LEAST_SIDE = 10
+"""Fewest rows and columns of a matrix that may be a bitmap."""
+
+CHUNK_LIMIT = 100_000
+"""Most parts of a PNG."""
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
+
+
+@dataclass(frozen=True, slots=True)
+class Bitmap:
+    """A bitmap as it lies in its file.
+
+    Attributes:
+        solid: its solid pixels (rows, columns).
+        what: what to call it: the name of a variable, or "picture".
+        scanned: whether it comes from a MAT file, as the toolbox's upside-down scans do.
+    """
+
+    solid: Pixels
+    what: str
+    scanned: bool
+
+
+def read(path: str | os.PathLike[str], variable: str | None = None, solid: int | None = None) -> Bitmap:
+    """The bitmap in a file.
+
+    Args:
+        path: of a MAT or PNG file.
+        variable: which of a MAT file's; by default btmap1, or else the only one that can be a bitmap.
+        solid: the value of its solid pixels; 44 by default.
+
+    Raises:
+        BitmapError: there is no such file, or no bitmap in it.
+    """
+    try:
+        with open_regular(Path(path)) as file:
+            data = file.read(SIZE_LIMIT + 1)
+    except (OSError, ValueError) as trouble:
+        reason = trouble.strerror if isinstance(trouble, OSError) else trouble
+        raise BitmapError(f"{path}: cannot be read: {reason}") from None
+    try:
+        return decode(data, variable, solid)
+    except (BitmapError, MatError) as error:
+        raise BitmapError(f"{path}: {error}") from None
+
+
+def decode(data: bytes, variable: str | None = None, solid: int | None = None) -> Bitmap:
+    """The bitmap in the bytes of a file; arguments as for `read`.
+
+    Raises:
+        BitmapError: there is none.
+        MatError: it is no PNG, and no whole MAT file either.
+    """
+    if len(data) > SIZE_LIMIT:
+        raise BitmapError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
+    if data[: len(_PNG)] == _PNG:
+        if variable is not None or solid is not None:
+            raise BitmapError("a PNG; right is a MAT file for --variable and --solid")
+        return Bitmap(_dark(data), "picture", False)
+    if data[:1] in (b"\xff", b"G", b"B", b"%", b"\x89") and data[:4] != b"\x89HDF":
+        raise BitmapError(f"begins {data[:8]!r}; right is a MAT file of Matlab 4 to 7.2 or a PNG")
+    name, matrix = _chosen(read_variables(data), variable)
+    value = SOLID if solid is None else solid
+    pixels: Pixels = np.asarray(matrix == value)
+    if not pixels.any():
+        some: list[float] = np.unique(matrix.reshape(-1)[: 2**20]).tolist()
+        listed = ", ".join(f"{each:g}" for each in some[:8]) + (", ..." if len(some) > 8 else "")
+        raise BitmapError(
+            f"{name}: no pixel is {value}", f"; right is --solid with one of its values ({listed})"
+        )
+    return Bitmap(pixels, name, True)
+
+
+def _chosen(variables: Mapping[str, Variable], wanted: str | None) -> tuple[str, NDArray[Any]]:
+    told = {_plain(name): value for name, value in variables.items()}
+    wanted = SCAN if wanted is None and SCAN in told else wanted
+    if wanted is None:
+        bitmaps = [name for name, value in told.items() if _may_be_bitmap(value)]
+        if len(bitmaps) > 1:
+            raise BitmapError(
+                f"several matrices ({_listed(told, bitmaps)})", "; right is --variable with one of them"
+            )
+        if not bitmaps:
+            raise BitmapError(
+                f"no bitmap among its variables ({_listed(told, list(told))}): probably an editable playpen; "
+                f"right is the scanned one, with {SCAN}, which Scan Playpen writes"
+            )
+        wanted = bitmaps[0]
+    if wanted not in told:
+        raise BitmapError(f"no variable {wanted[:40]!r}; {choices(wanted, list(told)[:20])}")
+    matrix = told[wanted]
+    if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or not matrix.size:
+        raise BitmapError(f"{wanted}: is {_kind(matrix)}; right is a full matrix of real numbers")
+    if max(matrix.shape) > SIDE_LIMIT:
+        raise BitmapError(f"{wanted}: is {_kind(matrix)}; right are up to {SIDE_LIMIT} rows and columns")
+    return wanted, matrix
+
+
+def _may_be_bitmap(value: Variable) -> bool:
+    return isinstance(value, np.ndarray) and value.ndim == 2 and min(value.shape) >= LEAST_SIDE
+
+
+def _listed(variables: Mapping[str, Variable], names: list[str]) -> str:
+    more = ", ..." if len(names) > 10 else ""
+    return ", ".join(f"{name}: {_kind(variables[name])}" for name in names[:10]) + more or "none"
+
+
+def _kind(value: Variable) -> str:
+    if isinstance(value, Foreign):
+        return value.kind
+    return "text" if isinstance(value, tuple) else " x ".join(map(str, value.shape))
+
+
+def _plain(name: str) -> str:
+    return "".join(each if each.isprintable() else "?" for each in name)[:63]
+
+
+def _dark(data: bytes) -> Pixels:
+    """Where a PNG is dark: luminance, over white where it is transparent, below one half."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with Image.open(BytesIO(_pixel_chunks(data)), formats=["PNG"]) as picture:
+                dark = _dark_pixels(picture)
+    except BitmapError:
+        raise
+    except UnidentifiedImageError:
+        raise BitmapError("no whole PNG: its head is damaged; right is the file as saved") from None
+    # Pillow raises whatever it comes across in a damaged file.
+    except Exception as error:
+        reason = str(error).split("\n")[0][:100] or type(error).__name__
+        raise BitmapError(f"no whole PNG: {reason}; right is the file as saved") from None
+    if not dark.any():
+        raise BitmapError("no pixel is dark; right is a picture with dark walls or blocks on a bright floor")
+    return dark
+
+
+def _dark_pixels(picture: Image.Image) -> Pixels:
+    if picture.mode.startswith("I"):
+        # 16 bits of grey; one value of them may stand for transparent.
+        deep = np.asarray(picture)
+        return np.asarray((deep < 2**15) & (deep != picture.info.get("transparency", -1)))
+    grey, alpha = np.moveaxis(np.asarray(picture.convert("LA")), -1, 0)
+    # 255 - (255 - grey) * alpha / 255 < 127.5
+    return np.asarray((255 - grey).astype(np.uint16) * alpha > 127.5 * 255)
+
+
+def _pixel_chunks(data: bytes) -> bytes:
+    """A PNG without text, profiles and animation, which can be packed bombs; its size is checked."""
+    kept, place, count = [_PNG], len(_PNG), 0
+    while place < len(data):
+        count += 1
+        if count > CHUNK_LIMIT:
+            raise BitmapError(f"a PNG of more than {CHUNK_LIMIT} parts; right is one saved anew")
+        if place + 12 > len(data):
+            break
+        size, kind = struct.unpack(">I4s", data[place : place + 8])
+        if count == 1:
+            _check_size(kind, data[place + 8 : place + 16])
+        if kind in _PIXEL_CHUNKS:
+            kept.append(data[place : place + 12 + size])
+        place += 12 + size
+        if kind == b"IEND":
+            break
+    return b"".join(kept)
+
+
+def _check_size(kind: bytes, header: bytes) -> None:
+    if kind != b"IHDR" or len(header) != 8:
+        raise BitmapError("no whole PNG: begins without its size; right is the file as saved")
+    width, height = struct.unpack(">II", header)
+    if not (1 <= width <= SIDE_LIMIT and 1 <= height <= SIDE_LIMIT):
+        raise BitmapError(f"{height} x {width} pixels; right are 1 to {SIDE_LIMIT} rows and columns")

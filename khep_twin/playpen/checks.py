@@ -1,0 +1,266 @@
+"""What makes a playpen's parts a place: surfaces exist, robots can be what they are, and all have room."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+from khep_twin.board.rom import ROMS
+from khep_twin.board.turrets import find
+from khep_twin.errors import TurretError, choices
+from khep_twin.files.toml_files import Location, Problem
+from khep_twin.playpen.footprint import Circle, overlap
+from khep_twin.playpen.overlap import Thing, label, placement_problems
+from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, Robot, Spot
+from khep_twin.playpen.polygon import edges
+from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
+from khep_twin.units import BODY_HEIGHT
+
+if TYPE_CHECKING:
+    from khep_twin.playpen.model import Playpen
+
+
+def playpen_problems(playpen: "Playpen", recorded: bool = False) -> Iterator[Problem]:
+    """What is wrong with a playpen whose keys are right, each by itself.
+
+    Args:
+        playpen: to be checked.
+        recorded: whether a run took place in it: how low its walls are does not matter any more.
+    """
+    outline = [Problem(("arena", "outline_mm"), text) for text in playpen.arena.outline_problems()]
+    if outline:
+        return iter(outline)
+    return chain(
+        () if recorded else _arena_problems(playpen),
+        _surface_problems(playpen),
+        _wall_problems(playpen),
+        _patch_problems(playpen),
+        _lamp_problems(playpen),
+        _robot_problems(playpen),
+        placement_problems(list(things(playpen)), playpen.arena),
+    )
+
+
+def at_spot(robot: Robot, spot: Spot) -> Robot:
+    """A robot that stands at a spot."""
+    return robot.model_copy(update={"x_mm": spot.x_mm, "y_mm": spot.y_mm, "heading_deg": spot.heading_deg})
+
+
+def assigned(playpen: "Playpen", order: Callable[[Sequence[str]], Sequence[str]]) -> list[Robot] | None:
+    """The robots, each with spots at one of them, none on another; None if that cannot be.
+
+    Args:
+        playpen: says who may stand where.
+        order: in which a robot's spots are tried.
+    """
+    spots = {spot.name: spot for spot in playpen.spots}
+    robots = list(playpen.robots)
+    drawn = [index for index, robot in enumerate(robots) if robot.spots]
+    tries = {index: [spots[name] for name in order(robots[index].spots)] for index in drawn}
+    steps = 0
+
+    def place(depth: int, taken: list[Circle]) -> bool:
+        nonlocal steps
+        steps += 1
+        if depth == len(drawn):
+            return True
+        index = drawn[depth]
+        for spot in tries[index] if steps < _ASSIGNMENT_LIMIT else ():
+            robot = at_spot(robots[index], spot)
+            if any(overlap(other, robot.footprint) for other in taken):
+                continue
+            if place(depth + 1, [*taken, robot.footprint]):
+                robots[index] = robot
+                return True
+        return False
+
+    return robots if place(0, [robot.footprint for robot in robots if not robot.spots]) else None
+
+
+_ASSIGNMENT_LIMIT = 20_000
+"""Most robots that are tried to be placed at a spot."""
+
+
+def completed(data: dict[str, Any]) -> dict[str, Any]:
+    """A file's content, in which robots have what follows from their spots and their model."""
+    spots = {str(spot.get("name")): spot for spot in _tables(data, "spot")}
+    robots: list[dict[str, Any]] = []
+    for robot in _tables(data, "robot"):
+        known = [spots[name] for name in map(str, _items(robot, "spots")) if name in spots]
+        follows = following(str(robot.get("model")), known)
+        if not known and _items(robot, "spots"):
+            # That the names are wrong is told later.
+            follows |= {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}
+        robots.append({**follows, **robot})
+    return {**data, "robot": tuple(robots)} if robots else data
+
+
+def following(model: str, spots: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the keys of a robot that follow from its model and its spots, if the file does not have them."""
+    first: Mapping[str, Any] = spots[0] if spots else {}
+    place = {key: first[key] for key in ("x_mm", "y_mm", "heading_deg") if key in first}
+    return {**MODELS.get(model, {}), **place}
+
+
+def _tables(data: dict[str, Any], kind: str) -> list[dict[str, Any]]:
+    """An array of tables as it stands in a file; none where there is something else."""
+    items = _items(data, kind)
+    return list(items) if all(isinstance(item, dict) for item in items) else []
+
+
+def _items(data: dict[str, Any], key: str) -> tuple[Any, ...]:
+    """An array as it stands in a file; empty where there is something else."""
+    found: Any = data.get(key)
+    return found if isinstance(found, tuple) else ()  # pyright: ignore[reportUnknownVariableType]
+
+
+LOWEST_WALL_MM, LOWEST_WALL_WITH_TURRET_MM = 15.0, 30.0
+"""Of an arena with robots, with bare ones and with turrets. At full speed,
+7 of 42 drives of 20 s ended beyond walls of 8 mm, 2 beyond 10 mm, none beyond 12 and 15 mm; with a gripper,
+which is top-heavy, 7 beyond 12 mm and 2 beyond 15 mm (measured)."""
+
+
+THINNEST_WALL_MM, LIGHTEST_G = 10.0, 5.0
+"""Thickness of an arena's walls and mass of what is movable, where there is a robot to push it. In 2,000
+random drives of 10 s a cylinder was pressed through walls of 1 to 3 mm in four, of 1 g also through 10 mm in
+one of 1,000; from 5 g and 10 mm on, in none (measured)."""
+
+
+def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
+    height_mm, turrets = playpen.arena.wall_height_mm, any(robot.turrets for robot in playpen.robots)
+    lowest_mm = LOWEST_WALL_WITH_TURRET_MM if turrets else LOWEST_WALL_MM
+    if playpen.robots and height_mm < lowest_mm:
+        what = "a robot with a turret topples over it" if turrets else "a robot drives over it"
+        text = f"arena: wall_height_mm = {height_mm:g}: {what} at full speed; right is {lowest_mm:g} or more"
+        yield Problem(("arena", "wall_height_mm"), text)
+    thickness_mm = playpen.arena.wall_thickness_mm
+    movable = [
+        (kind, index, item)
+        for kind, items in (("block", playpen.blocks), ("cylinder", playpen.cylinders))
+        for index, item in enumerate(items)
+        if item.movable and playpen.robots
+    ]
+    if movable and thickness_mm < THINNEST_WALL_MM:
+        what = "a robot presses movable things through it"
+        text = f"arena: wall_thickness_mm = {thickness_mm:g}: {what}; right is {THINNEST_WALL_MM:g} or more"
+        yield Problem(("arena", "wall_thickness_mm"), text)
+    for kind, index, item in movable:
+        if item.mass_g < LIGHTEST_G:
+            what = "a robot presses it through walls"
+            text = f"{kind} {index + 1}: mass_g = {item.mass_g:g}: {what}; right is {LIGHTEST_G:g} or more"
+            yield Problem((kind, index, "mass_g"), text)
+
+
+def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
+    for name in playpen.surfaces:
+        if name in BUILT_IN_SURFACES:
+            wish = f"right is a name other than {', '.join(BUILT_IN_SURFACES)}"
+            yield Problem(("surfaces", name), f"surfaces {name}: built in; {wish}")
+    known = {**BUILT_IN_SURFACES, **playpen.surfaces}
+    users: list[tuple[Location, str, str]] = [(("arena",), "arena", playpen.arena.surface)]
+    for kind, items in (
+        ("block", playpen.blocks),
+        ("cylinder", playpen.cylinders),
+        ("wall", playpen.walls),
+        ("patch", playpen.patches),
+    ):
+        for index, item in enumerate(items):
+            users.append(((kind, index), label(kind, index + 1, item.name), item.surface))
+    for location, place, surface in users:
+        if surface not in known:
+            text = f'{place}: surface = "{surface}": unknown; {choices(surface, known)}'
+            yield Problem((*location, "surface"), text)
+
+
+def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
+    for index, wall in enumerate(playpen.walls):
+        place, location = label("wall", index + 1, wall.name), ("wall", index, "points_mm")
+        for number, (x_mm, y_mm) in enumerate(wall.points_mm, 1):
+            for value, limit in ((x_mm, playpen.arena.width_mm), (y_mm, playpen.arena.height_mm)):
+                if value > limit:
+                    wish = f"outside the arena; right is from 0 to {limit:g}"
+                    yield Problem(location, f"{place}: points_mm {number}: {value:g}: {wish}")
+        for number, (start, end) in enumerate(edges(wall.points_mm, closed=wall.closed), 1):
+            if start == end:
+                text = f"{place}: points_mm {number}: the next one is at its place; right is each point once"
+                yield Problem(location, text)
+
+
+def _patch_problems(playpen: "Playpen") -> Iterator[Problem]:
+    for index, patch in enumerate(playpen.patches):
+        if not patch.is_one_shape:
+            wish = "right is radius_mm alone, or length_mm and width_mm"
+            yield Problem(
+                ("patch", index),
+                f"{label('patch', index + 1, patch.name)}: neither disc nor rectangle; {wish}",
+            )
+
+
+def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
+    lighting = playpen.lighting
+    if not lighting.min_angle_deg < lighting.max_angle_deg:
+        yield Problem(
+            ("lighting", "max_angle_deg"),
+            f"lighting: max_angle_deg = {lighting.max_angle_deg:g}: right is above min_angle_deg = "
+            f"{lighting.min_angle_deg:g}",
+        )
+    for index, lamp in enumerate(playpen.lamps):
+        if 0 < lamp.blink_period_s < SHORTEST_BLINK_S:
+            text = (
+                f"{label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}: "
+                f"right is 0, or from {SHORTEST_BLINK_S:g} to 3600"
+            )
+            yield Problem(("lamp", index, "blink_period_s"), text)
+        last = 0.0
+        for start, end in lamp.on_s:
+            if not last <= start < end:
+                yield Problem(
+                    ("lamp", index, "on_s"),
+                    f"{label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]: "
+                    f"right are times that rise, from {last:g} on",
+                )
+                break
+            last = end
+
+
+def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
+    """What of a robot's keys does not go together."""
+    known = [spot.name for spot in playpen.spots]
+    for index, robot in enumerate(playpen.robots):
+        place = label("robot", index + 1, robot.name)
+        if reason := ROMS[robot.rom].refused(robot.mode):
+            yield Problem(("robot", index, "mode"), f"{place}: mode = {robot.mode}: {reason}")
+        try:
+            find(robot.turrets)
+        except TurretError as error:
+            yield Problem(("robot", index, "turrets"), f"{place}: turrets = {list(robot.turrets)}: {error}")
+        for name in robot.spots:
+            if name not in known:
+                text = f'{place}: spots: "{name}": unknown; {choices(name, known)}'
+                yield Problem(("robot", index, "spots"), text)
+    if all(name in known for robot in playpen.robots for name in robot.spots) and not assigned(playpen, list):
+        if any(robot.spots for robot in playpen.robots):
+            text = "robots: there is not a spot for each of them, clear of the others; right is a spot more"
+            yield Problem(("robot",), text)
+
+
+def things(playpen: "Playpen") -> Iterator[Thing]:
+    """All that stands in a playpen, and the places where robots may be drawn to stand."""
+    for number, item in enumerate(playpen.blocks, 1):
+        yield Thing("block", number, item.name, item.footprint, 0, item.height_mm, item.movable)
+    for number, item in enumerate(playpen.cylinders, 1):
+        yield Thing("cylinder", number, item.name, item.footprint, 0, item.height_mm, item.movable)
+    for number, wall in enumerate(playpen.walls, 1):
+        for footprint in wall.footprints:
+            yield Thing("wall", number, wall.name, footprint, 0, wall.height_mm, False)
+    for number, item in enumerate(playpen.lamps, 1):
+        low_mm, high_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
+        yield Thing("lamp", number, item.name, item.footprint, low_mm, high_mm, False)
+    for number, spot in enumerate(playpen.spots, 1):
+        # As large as the largest robot that may be drawn to it; where none may, as a bare one.
+        bare = Robot(x_mm=spot.x_mm, y_mm=spot.y_mm, heading_deg=spot.heading_deg)
+        users = [at_spot(robot, spot) for robot in playpen.robots if spot.name in robot.spots] or [bare]
+        largest = max((user.footprint for user in users), key=lambda disc: disc.radius_mm)
+        yield Thing("spot", number, spot.name, largest, 0, BODY_HEIGHT * 1000, True)
+    for number, item in enumerate(playpen.robots, 1):
+        if not item.spots:
+            yield Thing("robot", number, item.name, item.footprint, 0, BODY_HEIGHT * 1000, True)

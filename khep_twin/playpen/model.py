@@ -1,0 +1,195 @@
+"""The whole playpen: reading, checking and writing of playpen files."""
+
+import os
+from collections.abc import Mapping
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, SerializerFunctionWrapHandler, ValidationInfo, model_serializer, model_validator
+
+from khep_twin.errors import PlaypenError
+from khep_twin.files import toml_files
+from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, Table
+from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
+from khep_twin.playpen.parts import (
+    BULB_RADIUS_MM,
+    Arena,
+    Block,
+    Cylinder,
+    Lamp,
+    Lighting,
+    Patch,
+    Robot,
+    Spot,
+    Wall,
+)
+from khep_twin.playpen.surfaces import BUILT_IN_SURFACES, Surface
+
+__all__ = [
+    "BULB_RADIUS_MM",
+    "Arena",
+    "Block",
+    "Cylinder",
+    "Lamp",
+    "Lighting",
+    "Patch",
+    "Playpen",
+    "Robot",
+    "Spot",
+    "Wall",
+    "dump",
+    "edited",
+    "load",
+    "names",
+    "parse",
+    "placed",
+    "schema",
+]
+
+
+class Playpen(Table):
+    """A whole playpen."""
+
+    version: Annotated[int, Field(ge=1, le=1, description="1")]
+    name: Name
+    arena: Arena
+    lighting: Lighting = Lighting()
+    surfaces: Annotated[Mapping[Name, Surface], Field(default_factory=dict[str, Surface])]
+    blocks: Annotated[tuple[Block, ...], Field(alias="block")] = ()
+    cylinders: Annotated[tuple[Cylinder, ...], Field(alias="cylinder")] = ()
+    walls: Annotated[tuple[Wall, ...], Field(alias="wall")] = ()
+    patches: Annotated[tuple[Patch, ...], Field(alias="patch")] = ()
+    lamps: Annotated[tuple[Lamp, ...], Field(alias="lamp")] = ()
+    spots: Annotated[tuple[Spot, ...], Field(alias="spot")] = ()
+    robots: Annotated[tuple[Robot, ...], Field(alias="robot")] = ()
+
+    def surface(self, name: str) -> Surface:
+        """The surface of a name, built-in or this playpen's own."""
+        return BUILT_IN_SURFACES.get(name) or self.surfaces[name]
+
+    @model_serializer(mode="wrap")
+    def _without_empty_arrays(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # A file with `lamp = []` in it could not be given a [[lamp]] by hand.
+        return {key: value for key, value in serialize(self).items() if value not in ([], (), {})}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _robots_have_what_follows(cls, data: Any) -> Any:
+        # Before a seed has drawn one, a robot stands at the first of its spots.
+        return completed(data) if isinstance(data, dict) else data  # pyright: ignore
+
+    @model_validator(mode="after")
+    def _is_a_place(self, info: ValidationInfo) -> Self:
+        recorded = bool(info.context and info.context.get("recorded"))
+        problems = list(islice(playpen_problems(self, recorded), PROBLEM_LIMIT + 1))
+        if problems:
+            raise Problems(problems)
+        return self
+
+
+def load(path_or_name: str | os.PathLike[str]) -> Playpen:
+    """A playpen by the bare name of a shipped one, or by path.
+
+    Raises:
+        PlaypenError: there is none, or its file cannot be used; one line per problem.
+    """
+    text, source = toml_files.read("playpens", Path(path_or_name), PlaypenError)
+    return parse(text, source)
+
+
+def parse(text: str, source: str, recorded: bool = False) -> Playpen:
+    """The text of a playpen file.
+
+    Args:
+        text: in TOML.
+        source: what to call the file in messages.
+        recorded: whether a run took place in it, so that robots need not be kept from leaving it any more.
+
+    Raises:
+        PlaypenError: it cannot be used; one line per problem.
+    """
+    return toml_files.validate(Playpen, text, source, PlaypenError, {"recorded": recorded})
+
+
+def dump(playpen: Playpen) -> str:
+    """A playpen as the text of a file, always the same for the same playpen; `parse` gives it back."""
+    return toml_files.dump(playpen)
+
+
+def edited(text: str, playpen: Playpen) -> str:
+    """A playpen file's text with what a playpen has otherwise; all else stays, comments included.
+
+    Args:
+        text: of a file that `parse` takes.
+        playpen: what the file is to say.
+
+    Raises:
+        PlaypenError: the text is no playpen, or written in a way that leaves no room for the change.
+    """
+    before = parse(text, "the file to be edited")
+    changed = toml_files.edited(text, before, playpen, _with_what_follows, partial(_bare, playpen))
+    try:
+        if parse(changed, "the edited file") == playpen:
+            return changed
+    except PlaypenError:
+        pass
+    raise PlaypenError(
+        f"{playpen.name}: this file cannot be changed where it stands; right is a new one, by `dump`"
+    )
+
+
+def schema() -> dict[str, Any]:
+    """The format as JSON schema, with which editors complete and check playpen files."""
+    found = toml_files.schema(Playpen)
+    robot, place = found["$defs"]["Robot"], ["x_mm", "y_mm", "heading_deg"]
+    robot["required"] = [key for key in robot["required"] if key not in place]
+    robot["anyOf"] = [{"required": place}, {"required": ["spots"]}]
+    return found
+
+
+def _with_what_follows(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    """What a file said, less the keys of robots that follow from others which change."""
+    robots = list(before.get("robot", []))
+    for index, (old, new) in enumerate(zip(robots, after.get("robot", []), strict=False)):
+        follows: list[str] = []
+        if (old["spots"], before.get("spot")) != (new["spots"], after.get("spot")):
+            follows += ["x_mm", "y_mm", "heading_deg"]
+        if old["model"] != new["model"]:
+            follows += ["calibration", "rom"]
+        robots[index] = {key: value for key, value in old.items() if key not in follows}
+    return {**before, "robot": robots} if robots else before
+
+
+def _bare(playpen: Playpen, data: dict[str, Any]) -> dict[str, Any]:
+    """Return the data of a playpen, without defaults, less the keys of robots that follow from others."""
+    spots = {spot.name: spot.model_dump() for spot in playpen.spots}
+    robots: list[dict[str, Any]] = []
+    for robot, found in zip(playpen.robots, data.get("robot", ()), strict=False):
+        follows = following(robot.model, [spots[name] for name in robot.spots])
+        own = {key: value for key in follows if (value := getattr(robot, key)) != follows[key]}
+        robots.append({key: value for key, value in found.items() if key not in follows} | own)
+    return {**data, "robot": robots} if robots else data
+
+
+def placed(playpen: Playpen, chance: np.random.Generator) -> Playpen:
+    """A playpen whose robots stand at spots that were drawn.
+
+    Raises:
+        PlaypenError: the spots do not suffice.
+    """
+    if not any(robot.spots for robot in playpen.robots):
+        return playpen
+    robots = assigned(playpen, lambda spots: [spots[int(i)] for i in chance.permutation(len(spots))])
+    if robots is None:
+        raise PlaypenError(f"{playpen.name}: no way was found to give each robot a spot; right is one more")
+    return playpen.model_copy(
+        update={"robots": tuple(robot.model_copy(update={"spots": ()}) for robot in robots)}
+    )
+
+
+def names() -> list[str]:
+    """The playpens that ship with the package."""
+    return toml_files.names("playpens")

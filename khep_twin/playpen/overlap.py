@@ -1,0 +1,156 @@
+"""Placement: whether things can stand where a playpen puts them.
+
+What is fixed may touch and cross anything, as the walls of a maze do. What is free (robots, movable objects)
+must start clear of all else, or the physics would begin by throwing it out. Heights count: two things whose
+heights do not meet, such as a robot and a lamp above it, are clear of each other.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from khep_twin.files.toml_files import Location, Problem
+from khep_twin.playpen.footprint import Footprint, overlap, sticks_out
+from khep_twin.playpen.polygon import Point, contains, walls_around
+
+THING_LIMIT = 5000
+"""Most things in one playpen: MuJoCo needs seconds to compile so many."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """Something in a playpen.
+
+    Attributes:
+        kind: its table in the playpen file.
+        number: its place among its kind, from 1.
+        name: its own name, None without.
+        footprint: what it covers of the floor.
+        bottom_mm: where it begins above the floor [mm].
+        top_mm: where it ends [mm].
+        free: whether it is moved by what pushes it.
+    """
+
+    kind: str
+    number: int
+    name: str | None
+    footprint: Footprint
+    bottom_mm: float
+    top_mm: float
+    free: bool
+
+    @property
+    def place(self) -> Location:
+        """Its table in the file."""
+        return self.kind, self.number - 1
+
+    @property
+    def label(self) -> str:
+        """What to call it in messages."""
+        return label(self.kind, self.number, self.name)
+
+    def __str__(self) -> str:
+        """Label and place."""
+        return f"{self.label} at ({self.footprint.x_mm:g}, {self.footprint.y_mm:g})"
+
+
+def label(kind: str, number: int, name: str | None) -> str:
+    """What messages call a part of a playpen: kind, number from 1, and name if it has one."""
+    return f"{kind} {number}" + (f" ({name})" if name else "")
+
+
+class Floor(Protocol):
+    """What things stand on."""
+
+    width_mm: float
+    height_mm: float
+    wall_thickness_mm: float
+    outline_mm: tuple[Point, ...]
+
+
+def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
+    """What is wrong with things on a floor, one line each."""
+    if len(things) > THING_LIMIT:
+        text = f"{len(things)} blocks, cylinders, lamps and robots; right is up to {THING_LIMIT} together"
+        yield Problem((), text)
+        return
+    yield from _shared_names(things)
+    inside: list[Thing] = []
+    for thing in things:
+        outside = list(_outside(thing, floor))
+        yield from outside
+        if not outside:
+            inside.append(thing)
+    yield from _collisions(inside, floor)
+
+
+def _shared_names(things: Sequence[Thing]) -> Iterator[Problem]:
+    first: dict[str, Thing] = {}
+    for thing in things:
+        # The pieces of a wall have one name together.
+        if thing.name is not None and first.setdefault(thing.name, thing).place != thing.place:
+            other = first[thing.name].label
+            text = f'{thing.label}: name = "{thing.name}": taken by {other}; right is a name used once'
+            yield Problem((*thing.place, "name"), text)
+
+
+def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
+    at = thing.footprint
+    told = False
+    for key, value, limit in (("x_mm", at.x_mm, floor.width_mm), ("y_mm", at.y_mm, floor.height_mm)):
+        if value > limit:
+            told = True
+            text = f"{thing.label}: {key} = {value:g}: outside the arena; right is from 0 to {limit:g}"
+            yield Problem((*thing.place, key), text)
+    if not told and floor.outline_mm and not contains(floor.outline_mm, at.x_mm, at.y_mm):
+        yield Problem(thing.place, f"{thing} is outside the arena's outline; right is a place within it")
+
+
+def _collisions(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
+    width_mm, height_mm = floor.width_mm, floor.height_mm
+    walls = {"left": "x = 0", "right": f"x = {width_mm:g}", "bottom": "y = 0", "top": f"y = {height_mm:g}"}
+    around = walls_around(floor.outline_mm, floor.wall_thickness_mm) if floor.outline_mm else []
+    for thing in things:
+        if not thing.free:
+            continue
+        for number, wall in enumerate(around, 1):
+            if overlap(thing.footprint, wall):
+                text = f"{thing} overlaps the wall after corner {number}; right is a place further in"
+                yield Problem(thing.place, text)
+        for wall, depth_mm in () if around else sticks_out(thing.footprint, width_mm, height_mm):
+            inward_mm = math.ceil(depth_mm * 10) / 10
+            text = f"{thing} overlaps the {wall} wall at {walls[wall]}; right is {inward_mm:g} mm further in"
+            yield Problem(thing.place, text)
+    for thing, other in _overlapping_pairs(things):
+        # Spots may have one place, and a robot may stand there: who is drawn is put where there is room.
+        kinds = {thing.kind, other.kind}
+        if "spot" not in kinds or not kinds <= {"spot", "robot"}:
+            yield Problem(thing.place, f"{thing} overlaps {other}; right is a place clear of it")
+
+
+def _overlapping_pairs(things: Sequence[Thing]) -> Iterator[tuple[Thing, Thing]]:
+    """Pairs of overlapping things, the first of each free."""
+    if not things:
+        return
+    shapes = [thing.footprint for thing in things]
+    centres = np.array([(shape.x_mm, shape.y_mm) for shape in shapes])
+    reaches = np.array([(shape.reach((1.0, 0.0)), shape.reach((0.0, 1.0))) for shape in shapes])
+    low, high = centres - reaches, centres + reaches
+    for index, thing in enumerate(things):
+        if thing.free:
+            # Few of thousands have their surrounding rectangles in common: only those are looked at closely.
+            near = ((low < high[index]) & (high > low[index])).all(axis=1)
+            neighbours: list[int] = near.nonzero()[0].tolist()
+            for neighbour in neighbours:
+                other = things[neighbour]
+                # Of two free things the later one has found the earlier.
+                if (neighbour < index or not other.free) and _meet(thing, other):
+                    yield thing, other
+
+
+def _meet(one: Thing, other: Thing) -> bool:
+    same_height = one.bottom_mm < other.top_mm and other.bottom_mm < one.top_mm
+    return same_height and overlap(one.footprint, other.footprint)

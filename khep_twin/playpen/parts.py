@@ -1,0 +1,309 @@
+"""The parts of a playpen file: one class per table, its attributes the table's keys."""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from khep_twin.board.turrets import installed
+from khep_twin.files.toml_files import NAME_WISH, Name, Table
+from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
+from khep_twin.playpen.polygon import Point, area, crossing, edges, pieces, reaching_in
+from khep_twin.playpen.surfaces import Colour
+from khep_twin.units import BODIES, BULB_RADIUS, Body
+
+BULB_RADIUS_MM = BULB_RADIUS * 1000
+"""Of a lamp [mm]."""
+
+SHORTEST_BLINK_S = 0.01
+"""Lamps change at the physics' step of 2.5 ms [s]."""
+
+MIN_ANGLE_DEG, MAX_ANGLE_DEG = 10.0, 85.0
+"""Of the toolbox's law of light: what meets the lamp of the calibration `khepera1` best [deg]."""
+
+
+Place = Annotated[float, Field(ge=0, le=10_000)]
+Size = Annotated[float, Field(ge=1, le=10_000)]
+Height = Annotated[float, Field(ge=1, le=1000)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Mass = Annotated[float, Field(ge=1, le=10_000)]
+Seconds = Annotated[float, Field(ge=0, le=3600)]
+PlacePair = Annotated[tuple[Place, Place], Field(description="x and y, from 0 to 10000")]
+Moment = Annotated[float, Field(ge=0, le=1e6)]
+TimePair = Annotated[tuple[Moment, Moment], Field(description="two times from 0 to 1000000")]
+ObjectName = Annotated[Name | None, Field(description=NAME_WISH)]
+
+
+class Arena(Table):
+    """The floor within its walls; the walls stand around it, not on it. All in [mm].
+
+    Attributes:
+        width_mm: along x.
+        height_mm: along y.
+        outline_mm: corners of a floor that is no rectangle, in order, within width and height.
+        wall_height_mm: of the walls.
+        wall_thickness_mm: likewise.
+        surface: likewise.
+    """
+
+    width_mm: Annotated[float, Field(ge=100, le=10_000)]
+    height_mm: Annotated[float, Field(ge=100, le=10_000)]
+    outline_mm: Annotated[
+        tuple[PlacePair, ...],
+        Field(max_length=200, description="corners, such as [[0, 0], [600, 0], [300, 500]]"),
+    ] = ()
+    wall_height_mm: Height = 50.0
+    wall_thickness_mm: Annotated[float, Field(ge=1, le=1000)] = 10.0
+    surface: Name = "white"
+
+    @property
+    def corners(self) -> tuple[Point, ...]:
+        """Of the floor, counter-clockwise where it is a rectangle."""
+        width, height = self.width_mm, self.height_mm
+        return self.outline_mm or ((0, 0), (width, 0), (width, height), (0, height))
+
+    def outline_problems(self) -> Iterator[str]:
+        """What is wrong with the corners, one line each."""
+        corners = self.outline_mm
+        if not corners:
+            return
+        if len(corners) < 3:
+            yield f"arena: outline_mm: {len(corners)} corners; right are 3 to 200"
+            return
+        for number, (x_mm, y_mm) in enumerate(corners, 1):
+            for value, limit in ((x_mm, self.width_mm), (y_mm, self.height_mm)):
+                if value > limit:
+                    yield (
+                        f"arena: outline_mm {number}: {value:g}: outside width and height; "
+                        f"right is from 0 to {limit:g}"
+                    )
+        for number, (start, end) in enumerate(edges(corners, closed=True), 1):
+            if start == end:
+                yield f"arena: outline_mm {number}: the next one is at its place; right is each corner once"
+                return
+        if meeting := crossing(corners):
+            yield (
+                f"arena: outline_mm: edges {meeting[0]} and {meeting[1]} meet; right is an outline that "
+                "meets itself nowhere"
+            )
+        elif abs(area(corners)) < 10_000:
+            yield f"arena: outline_mm: {abs(area(corners)):g} mm2; right are 10000 and more"
+        else:
+            for number in reaching_in(corners, self.wall_thickness_mm):
+                yield (
+                    f"arena: outline_mm: the wall after corner {number} is thicker than the room behind it; "
+                    "right are thinner walls, or more room"
+                )
+
+
+class Wall(Table):
+    """A wall that stands on the floor along a line.
+
+    Attributes:
+        points_mm: where it begins, turns and ends.
+        closed: whether it goes on from the last point to the first.
+        thickness_mm: half of it to either side of the line.
+    """
+
+    name: ObjectName = None
+    points_mm: Annotated[
+        tuple[PlacePair, ...],
+        Field(
+            min_length=2, max_length=1000, description="two points and more, such as [[100, 100], [100, 300]]"
+        ),
+    ]
+    closed: bool = False
+    thickness_mm: Annotated[float, Field(ge=1, le=1000)] = 10.0
+    height_mm: Height = 50.0
+    surface: Name = "white"
+
+    @property
+    def footprints(self) -> tuple[Footprint, ...]:
+        """What it covers of the floor, piece by piece."""
+        return tuple(pieces(self.points_mm, self.thickness_mm, closed=self.closed))
+
+
+class Patch(Table):
+    """A part of the floor that looks otherwise: a disc, or a rectangle at an angle. Only the eye sees it."""
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    radius_mm: Size | None = None
+    length_mm: Size | None = None
+    width_mm: Size | None = None
+    angle_deg: Angle = 0.0
+    surface: Name = "black"
+
+    @property
+    def footprint(self) -> Footprint:
+        """What it covers of the floor."""
+        if self.radius_mm is not None:
+            return Circle(self.x_mm, self.y_mm, self.radius_mm)
+        return Rectangle(self.x_mm, self.y_mm, self.length_mm or 0.0, self.width_mm or 0.0, self.angle_deg)
+
+    @property
+    def is_one_shape(self) -> bool:
+        """Whether it is a disc or a rectangle, and not half of both."""
+        sides = [self.length_mm is not None, self.width_mm is not None]
+        return not any(sides) if self.radius_mm is not None else all(sides)
+
+
+class Spot(Table):
+    """A place with a name, where robots may start."""
+
+    name: Annotated[Name, Field(description=NAME_WISH)]
+    x_mm: Place
+    y_mm: Place
+    heading_deg: Angle
+
+
+class Block(Table):
+    """A cuboid on the floor; its length runs at `angle_deg`. `mass_g` counts where it is movable."""
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    angle_deg: Angle = 0.0
+    length_mm: Size
+    width_mm: Size
+    height_mm: Height
+    surface: Name = "white"
+    movable: bool = False
+    mass_g: Mass = 20.0
+
+    @property
+    def footprint(self) -> Rectangle:
+        """What it covers of the floor."""
+        return Rectangle(self.x_mm, self.y_mm, self.length_mm, self.width_mm, self.angle_deg)
+
+
+class Cylinder(Table):
+    """An upright cylinder on the floor. `mass_g` counts where it is movable."""
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    radius_mm: Size
+    height_mm: Height
+    surface: Name = "white"
+    movable: bool = False
+    mass_g: Mass = 20.0
+
+    @property
+    def footprint(self) -> Circle:
+        """What it covers of the floor."""
+        return Circle(self.x_mm, self.y_mm, self.radius_mm)
+
+
+class Lamp(Table):
+    """A light bulb with its centre at x, y, z.
+
+    Attributes:
+        power_w: of the bulb.
+        rgb: its colour, for looks only.
+        on_s: from when to when it is on, such as [[0, 10], [30, 40]]; always, without.
+        dim: part of its power that it is turned to.
+        blink_period_s: from one flash to the next; 0 for a steady lamp.
+        blink_duty: part of that time in which it is on.
+        fade_s: that it takes to go from dark to bright, and back.
+    """
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    z_mm: Height = 15.0
+    power_w: Annotated[float, Field(ge=0, le=1000)]
+    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three whole numbers from 0 to 255")] = (
+        255,
+        217,
+        77,
+    )
+    on_s: Annotated[
+        tuple[TimePair, ...],
+        Field(max_length=1000, description="from when to when, such as [[0, 10], [30, 40]]"),
+    ] = ()
+    dim: Annotated[float, Field(ge=0, le=1)] = 1.0
+    blink_period_s: Seconds = 0.0
+    blink_duty: Annotated[float, Field(ge=0, le=1)] = 0.5
+    fade_s: Seconds = 0.0
+
+    @property
+    def footprint(self) -> Circle:
+        """What it covers of the floor."""
+        return Circle(self.x_mm, self.y_mm, BULB_RADIUS_MM)
+
+
+LightingMode = Literal["all", "random", "sequenced"]
+
+
+class Lighting(Table):
+    """Which lamps are on, and how their light is reckoned.
+
+    Attributes:
+        mode: "all", or one at a time, the next when a robot comes near it or a wall of the arena: drawn at
+            "random", or "sequenced" in the file's order.
+        switch_distance_mm: how near, from the robot's edge to bulb or wall (assumed: half a robot).
+        law: "optics" as measured, or "toolbox" as the Khepera Toolbox for Matlab reckoned, without shadows.
+        min_angle_deg: the toolbox's, up to which a lamp off the sensor's axis loses nothing.
+        max_angle_deg: the toolbox's, from which on nothing is left.
+    """
+
+    mode: LightingMode = "all"
+    switch_distance_mm: Annotated[float, Field(ge=0, le=10_000)] = 30.0
+    law: Literal["optics", "toolbox"] = "optics"
+    min_angle_deg: Annotated[float, Field(ge=0, le=180)] = MIN_ANGLE_DEG
+    max_angle_deg: Annotated[float, Field(ge=1, le=180)] = MAX_ANGLE_DEG
+
+
+MODELS: Mapping[str, Mapping[str, str]] = {
+    "khepera1": {"calibration": "khepera1", "rom": "5.02"},
+    "khepera2": {"calibration": "khepera2", "rom": "khepera2"},
+}
+"""Sensors and firmware that a model of the robot has unless they are given."""
+
+
+class Robot(Table):
+    """A robot at its start.
+
+    Attributes:
+        model: its body; for "khepera2" calibration and rom are "khepera2", too, unless they are given.
+        calibration: of its sensors: a name in assets/calibration, or the path of a file.
+        mode: its running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
+            demonstration that drives by itself, 7 for the self-test, with rom khepera2 also 8 and 9 for
+            57600 and 115200 baud.
+        spots: names of spots at one of which it starts, drawn by the seed; then x, y and heading may be left
+            out.
+        rom: the version of its firmware.
+        turrets: what is plugged on top.
+        battery_used_min: minutes that it has run on its cells at start; without it, it is on the charger.
+    """
+
+    name: ObjectName = None
+    x_mm: Place
+    y_mm: Place
+    heading_deg: Angle
+    spots: Annotated[
+        tuple[str, ...], Field(max_length=1000, description='names of spots, such as ["a", "b"]')
+    ] = ()
+    model: Literal["khepera1", "khepera2"] = "khepera1"
+    calibration: Annotated[
+        str,
+        Field(min_length=1, max_length=1024, description="the name of a calibration, or the path of a file"),
+    ] = "khepera1"
+    mode: Annotated[int, Field(ge=0, le=15)] = 1
+    rom: Literal["5.02", "4.06", "khepera2"] = "5.02"
+    turrets: Annotated[tuple[str, ...], Field(max_length=32, description='names, such as ["gripper"]')] = ()
+    battery_used_min: Annotated[float | None, Field(ge=0, le=1000)] = None
+
+    @property
+    def body(self) -> Body:
+        """That of its model."""
+        return BODIES[self.model]
+
+    @property
+    def footprint(self) -> Circle:
+        """What it covers of the floor, with the turrets that there are."""
+        known = installed()
+        reaches = [known[name].reach for name in self.turrets if name in known]
+        return Circle(self.x_mm, self.y_mm, max([self.body.radius, *reaches]) * 1000)

@@ -1,0 +1,147 @@
+"""Walls along lines: polygons around an arena, and walls that stand free in it. Lengths in mm."""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
+
+Point = tuple[float, float]
+Edge = tuple[Point, Point]
+
+
+def edges(points: Sequence[Point], *, closed: bool) -> list[Edge]:
+    """From each point to the next; of a closed line from the last to the first, too."""
+    following = [*points[1:], points[0]] if closed else points[1:]
+    return list(zip(points, following, strict=False))
+
+
+def area(points: Sequence[Point]) -> float:
+    """Of a polygon [mm^2]; below 0 if its points run clockwise."""
+    return sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in edges(points, closed=True)) / 2
+
+
+def crossing(points: Sequence[Point]) -> tuple[int, int] | None:
+    """Numbers from 1 of the first two edges of a polygon that meet elsewhere than in its corners."""
+    numbered = list(enumerate(edges(points, closed=True)))
+    for (i, one), (k, other) in combinations(numbered, 2):
+        if k - i in (1, len(points) - 1):
+            # Neighbours share a corner; they may not fold back onto each other.
+            corner, start, end = (one[1], one[0], other[1]) if k - i == 1 else (one[0], one[1], other[0])
+            back = (start[0] - corner[0]) * (end[0] - corner[0]) + (start[1] - corner[1]) * (
+                end[1] - corner[1]
+            )
+            if back > 0 and _side((corner, start), end) == 0:
+                return i + 1, k + 1
+        elif _meet(one, other):
+            return i + 1, k + 1
+    return None
+
+
+def contains(points: Sequence[Point], x: float, y: float) -> bool:
+    """Whether a point lies in a polygon or on its edge."""
+    inside = False
+    for (x0, y0), (x1, y1) in edges(points, closed=True):
+        if _on(((x0, y0), (x1, y1)), (x, y)):
+            return True
+        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) * (x1 - x0) / (y1 - y0):
+            inside = not inside
+    return inside
+
+
+def distance(points: Sequence[Point], x: float, y: float) -> float:
+    """From a point to a polygon's nearest edge [mm]."""
+    return min(_away(edge, (x, y)) for edge in edges(points, closed=True))
+
+
+def walls_around(points: Sequence[Point], thickness_mm: float) -> list[Rectangle]:
+    """A wall along each edge of a polygon, all of them outside it, that close its corners."""
+    ring = list(points) if area(points) > 0 else list(reversed(points))
+    lines = edges(ring, closed=True)
+    walls: list[Rectangle] = []
+    for index, ((x0, y0), (x1, y1)) in enumerate(lines):
+        length = math.hypot(x1 - x0, y1 - y0)
+        along = (x1 - x0) / length, (y1 - y0) / length
+        before = _turn(lines[index - 1], lines[index])
+        after = _turn(lines[index], lines[(index + 1) % len(lines)])
+        # Where the polygon turns left, the walls of both edges reach on to where their outer faces meet.
+        start, end = (thickness_mm * min(math.tan(max(turn, 0) / 2), 2.0) for turn in (before, after))
+        centre = (end - start) / 2
+        out = along[1], -along[0]
+        walls.append(
+            Rectangle(
+                (x0 + x1) / 2 + centre * along[0] + thickness_mm / 2 * out[0],
+                (y0 + y1) / 2 + centre * along[1] + thickness_mm / 2 * out[1],
+                length + start + end,
+                thickness_mm,
+                math.degrees(math.atan2(along[1], along[0])),
+            )
+        )
+    return walls
+
+
+def reaching_in(points: Sequence[Point], thickness_mm: float) -> list[int]:
+    """Numbers from 1 of the edges whose walls, as of `walls_around`, stand in the polygon itself."""
+    ring = list(points) if area(points) > 0 else list(reversed(points))
+    found: list[int] = []
+    for number, wall in enumerate(walls_around(points, thickness_mm), 1):
+        (ahead_x, ahead_y), (left_x, left_y) = wall.axes()
+        for step in range(-9, 10):
+            along = step / 10 * wall.length_mm / 2
+            for across in (-0.45 * thickness_mm, 0.0, 0.4 * thickness_mm):
+                x = wall.x_mm + along * ahead_x + across * left_x
+                y = wall.y_mm + along * ahead_y + across * left_y
+                if contains(ring, x, y) and distance(ring, x, y) > 1e-6:
+                    found.append(number)
+                    break
+            else:
+                continue
+            break
+    return found
+
+
+def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Iterator[Footprint]:
+    """A wall along a line as rectangles, with round corners between them."""
+    for (x0, y0), (x1, y1) in edges(points, closed=closed):
+        angle_deg = math.degrees(math.atan2(y1 - y0, x1 - x0))
+        length = math.hypot(x1 - x0, y1 - y0)
+        yield Rectangle((x0 + x1) / 2, (y0 + y1) / 2, length, thickness_mm, angle_deg)
+    for x, y in points if closed else points[1:-1]:
+        yield Circle(x, y, thickness_mm / 2)
+
+
+def _turn(one: Edge, other: Edge) -> float:
+    """How far an edge turns left from the one before [rad]."""
+    first = one[1][0] - one[0][0], one[1][1] - one[0][1]
+    second = other[1][0] - other[0][0], other[1][1] - other[0][1]
+    return math.atan2(
+        first[0] * second[1] - first[1] * second[0], first[0] * second[0] + first[1] * second[1]
+    )
+
+
+def _side(edge: Edge, point: Point) -> float:
+    """Above 0 if a point lies left of an edge, 0 if on its line."""
+    (x0, y0), (x1, y1) = edge
+    return (x1 - x0) * (point[1] - y0) - (y1 - y0) * (point[0] - x0)
+
+
+def _on(edge: Edge, point: Point) -> bool:
+    (x0, y0), (x1, y1) = edge
+    within = min(x0, x1) <= point[0] <= max(x0, x1) and min(y0, y1) <= point[1] <= max(y0, y1)
+    return within and _side(edge, point) == 0
+
+
+def _meet(one: Edge, other: Edge) -> bool:
+    """Whether two edges have a point in common."""
+    if any(_on(one, point) for point in other) or any(_on(other, point) for point in one):
+        return True
+    apart = _side(one, other[0]) * _side(one, other[1]), _side(other, one[0]) * _side(other, one[1])
+    return apart[0] < 0 and apart[1] < 0
+
+
+def _away(edge: Edge, point: Point) -> float:
+    (x0, y0), (x1, y1) = edge
+    dx, dy = x1 - x0, y1 - y0
+    part = ((point[0] - x0) * dx + (point[1] - y0) * dy) / (dx * dx + dy * dy)
+    held = max(0.0, min(1.0, part))
+    return math.hypot(x0 + held * dx - point[0], y0 + held * dy - point[1])

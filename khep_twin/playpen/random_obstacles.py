@@ -1,0 +1,103 @@
+"""Fields of obstacles by chance: a playpen whose blocks and cylinders cover a given part of the floor.
+
+Obstacles are as far apart as a lane is wide, and as far from the walls, so that a robot fits between any two
+of them; the middle is left free for it.
+"""
+
+import math
+
+import numpy as np
+
+from khep_twin.errors import PlaypenError
+from khep_twin.playpen.footprint import Circle, Footprint, Rectangle, overlap
+from khep_twin.playpen.model import Arena, Block, Cylinder, Playpen, Robot
+from khep_twin.units import BODY_RADIUS
+
+LANE_MM = 70.0
+"""Between any two obstacles [mm]: a robot of 55 mm and some room."""
+
+HIGHEST_DENSITY = 0.1
+"""Part of the floor that obstacles with lanes between them can cover."""
+
+_TRIES = 20_000
+
+
+def obstacle_field(
+    name: str, width_mm: float, height_mm: float, density: float, chance: np.random.Generator
+) -> Playpen:
+    """Draws a field.
+
+    Args:
+        name: of the playpen.
+        width_mm: of the arena.
+        height_mm: likewise.
+        density: part of the floor that obstacles cover, 0 to `HIGHEST_DENSITY`.
+        chance: draws kinds, sizes, places and angles.
+
+    Raises:
+        PlaypenError: the density is beyond its range, or there was no room for so much.
+    """
+    if not 0 <= density <= HIGHEST_DENSITY:
+        raise PlaypenError(f"density = {density:g}: right is from 0 to {HIGHEST_DENSITY:g}")
+    arena = Arena(width_mm=width_mm, height_mm=height_mm)
+    middle = Circle(width_mm / 2, height_mm / 2, 1000 * BODY_RADIUS)
+    kept: list[Footprint] = [middle]
+    blocks: list[Block] = []
+    cylinders: list[Cylinder] = []
+    wanted, covered = density * width_mm * height_mm, 0.0
+    for _ in range(_TRIES):
+        if covered >= wanted:
+            robot = Robot(x_mm=middle.x_mm, y_mm=middle.y_mm, heading_deg=0)
+            things = {"block": tuple(blocks), "cylinder": tuple(cylinders), "robot": (robot,)}
+            return Playpen.model_validate({"version": 1, "name": name, "arena": arena, **things})
+        size, other, along, across, turn = chance.uniform(size=5).tolist()
+        item: Block | Cylinder
+        if chance.uniform() < 0.5:
+            radius_mm = round(12.5 + 45 * size, 1)
+            x_mm, y_mm = _place(arena, radius_mm + LANE_MM, along, across)
+            if x_mm < 0:
+                continue
+            item = Cylinder(x_mm=x_mm, y_mm=y_mm, radius_mm=radius_mm, height_mm=50)
+        else:
+            length_mm, thick_mm = round(60 + 140 * size, 1), round(20 + 50 * other, 1)
+            x_mm, y_mm = _place(arena, math.hypot(length_mm, thick_mm) / 2 + LANE_MM, along, across)
+            if x_mm < 0:
+                continue
+            item = Block(
+                x_mm=x_mm,
+                y_mm=y_mm,
+                length_mm=length_mm,
+                width_mm=thick_mm,
+                height_mm=50,
+                angle_deg=round(180 * turn, 1),
+            )
+        room = _grown(item.footprint, LANE_MM)
+        if any(overlap(room, shape) for shape in kept):
+            continue
+        kept.append(item.footprint)
+        if isinstance(item, Cylinder):
+            cylinders.append(item)
+            covered += math.pi * item.radius_mm**2
+        else:
+            blocks.append(item)
+            covered += item.length_mm * item.width_mm
+    part = covered / (width_mm * height_mm)
+    raise PlaypenError(
+        f"density = {density:g}: with lanes of {LANE_MM:g} mm there was room for {part:.3f} of the floor; "
+        "right is less, or another seed"
+    )
+
+
+def _place(arena: Arena, margin_mm: float, along: float, across: float) -> tuple[float, float]:
+    """A place with so much room to the walls; below 0 where there is none."""
+    spans = arena.width_mm - 2 * margin_mm, arena.height_mm - 2 * margin_mm
+    if min(spans) <= 0:
+        return -1.0, -1.0
+    return round(margin_mm + spans[0] * along, 1), round(margin_mm + spans[1] * across, 1)
+
+
+def _grown(shape: Footprint, by_mm: float) -> Footprint:
+    if isinstance(shape, Circle):
+        return Circle(shape.x_mm, shape.y_mm, shape.radius_mm + by_mm)
+    length_mm, width_mm = shape.length_mm + 2 * by_mm, shape.width_mm + 2 * by_mm
+    return Rectangle(shape.x_mm, shape.y_mm, length_mm, width_mm, shape.angle_deg)

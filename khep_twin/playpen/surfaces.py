@@ -1,0 +1,48 @@
+"""Surfaces: what walls and objects are made of, as the infrared sensors and the eye see it."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated
+
+from pydantic import Field
+
+from khep_twin.files.toml_files import Table
+
+Colour = Annotated[int, Field(ge=0, le=255)]
+
+
+class Surface(Table):
+    """What something is made of.
+
+    Attributes:
+        reflectance: infrared, relative to the calibration's reference wall.
+        rgb: its colour, for looks only.
+        resistance_ohm: between two fingers that grip it [ohm]; without it, it does not conduct.
+    """
+
+    reflectance: Annotated[float, Field(ge=0, le=2)]
+    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three whole numbers from 0 to 255")]
+    resistance_ohm: Annotated[float | None, Field(ge=1, le=1e9)] = None
+
+    @property
+    def conductance(self) -> float:
+        """Between two fingers [S]."""
+        return 0.0 if self.resistance_ohm is None else 1 / self.resistance_ohm
+
+
+BUILT_IN_SURFACES: Mapping[str, Surface] = MappingProxyType(
+    {
+        "white": Surface(reflectance=1.0, rgb=(244, 243, 238)),
+        "grey": Surface(reflectance=0.145, rgb=(138, 141, 145)),
+        "black": Surface(reflectance=0.022, rgb=(38, 38, 42)),
+        "wood": Surface(reflectance=0.91, rgb=(196, 154, 108)),
+        "styropor": Surface(reflectance=0.87, rgb=(120, 178, 110)),
+        "sponge": Surface(reflectance=0.55, rgb=(232, 150, 160)),
+        "copper": Surface(reflectance=0.73, rgb=(190, 110, 64), resistance_ohm=1),
+        "lego": Surface(reflectance=0.8, rgb=(196, 62, 48)),
+    }
+)
+"""White is the calibration's reference by definition. Grey and black plastic, wood, green styropor, pink
+sponge and copper, beside white plastic: fitted to the counts over distance in the manual's figure 11, all
+with one gain, to 11.5 counts rms (the manual's other wood is 0.78). Lego bricks of mixed colours: assumed.
+Copper conducts as well as a surface can."""

@@ -1,0 +1,50 @@
+"""The far ends of a served twin's cables, from what the user asks for."""
+
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+
+from khep_twin.errors import PortError
+from khep_twin.ports.host_connection import Cable
+from khep_twin.ports.network import TcpPort, is_loopback, parse_address
+from khep_twin.ports.pty import PtyPort
+
+
+@contextmanager
+def far_ends(
+    bauds: Mapping[int, int], *, link: str | None, tcp: str | None, rfc2217: str | None, expose: bool
+) -> Generator[Sequence[Cable], None, None]:
+    """One cable for each robot: pseudo-terminals, or TCP servers at ports one after the other.
+
+    Args:
+        bauds: speed of each robot's line, by the robot's number.
+        link: path of the link to the pseudo-terminal, as typed.
+        tcp: HOST:PORT to serve plain bytes at instead.
+        rfc2217: HOST:PORT to serve RFC 2217 at instead.
+        expose: whether other machines may reach these.
+
+    Of several robots the links end in the robot's number: khepera0, khepera1 …
+
+    Raises:
+        PortError: one cannot be made, or too much is asked for at once.
+    """
+    given = [option for option in (link, tcp, rfc2217) if option is not None]
+    if len(given) > 1:
+        raise PortError("--link, --tcp and --rfc2217 are one cable each; right is one of them")
+    address = tcp or rfc2217
+    with ExitStack() as stack:
+        cables: list[Cable] = []
+        for count, (robot, baud) in enumerate(bauds.items()):
+            if address is None:
+                name = link if link is None or len(bauds) == 1 else f"{link}{robot}"
+                cable: Cable = PtyPort(name, baud)
+            else:
+                host, port = parse_address(address)
+                if not is_loopback(host) and not expose:
+                    raise PortError(
+                        f"{address}: other machines could drive the robot from there; right is "
+                        f"127.0.0.1:{port}, or --expose if that is wanted"
+                    )
+                port += count if port else 0
+                cable = TcpPort(host, port, rfc2217=rfc2217 is not None, baud=baud)
+            cables.append(stack.enter_context(closing(cable)))
+        yield cables

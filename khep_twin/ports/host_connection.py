@@ -1,0 +1,69 @@
+"""What joins one robot of a served twin and its host: a pseudo-terminal, or a connection over a network."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from khep_twin.board.uart import LineSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Bytes from the hosts of a cable since the last call, and news about the hosts.
+
+    Attributes:
+        data: Bytes sent by hosts that are here.
+        left: All hosts that were here have left, even if another came since; what they left is cleared.
+        last: Bytes sent by hosts that have left.
+        notices: Lines for whoever runs the server.
+    """
+
+    data: bytes = b""
+    left: bool = False
+    last: bytes = b""
+    notices: Sequence[str] = ()
+
+
+class Cable(Protocol):
+    """The far end of one robot's line."""
+
+    @property
+    def path(self) -> str:
+        """What a host opens."""
+        ...
+
+    @property
+    def dropped(self) -> int:
+        """Bytes that no host took in time."""
+        ...
+
+    @property
+    def occupied(self) -> bool:
+        """Whether a host is there, as far as that can be known."""
+        ...
+
+    def descriptors(self, room: bool) -> Sequence[int]:
+        """What becomes readable when a host comes, goes or, if there is room for it, writes."""
+        ...
+
+    def settings(self) -> LineSettings | None:
+        """How the host has set its end; None where it has not, or where that cannot be seen."""
+        ...
+
+    def receive(self, limit: int, answered: bool = False) -> Received:
+        """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them.
+
+        Args:
+            limit: Most bytes that the robot's line takes now.
+            answered: All that was taken so far is carried out and answered: a host that has finished sending
+                and waits for its replies is let go.
+        """
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Sends to the host."""
+        ...
+
+    def close(self) -> None:
+        """Takes the far end away."""
+        ...

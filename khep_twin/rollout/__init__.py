@@ -1,0 +1,1 @@
+"""Episodes without a serial line, compiled and on all cores."""

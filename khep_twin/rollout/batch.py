@@ -1,0 +1,302 @@
+"""Many lives at once, on all cores.
+
+    from khep_twin import playpen
+    from khep_twin.rollout.batch import rollout
+    from khep_twin.rollout.minds import Network
+
+    network = Network(hidden=(5,), recurrent=True)
+    genes = numpy.random.default_rng(0).normal(size=(100, network.n_genes))
+    lives = rollout(playpen.load("looping-maze"), network, range(100), 60.0, genes=genes)
+    print(lives.numbers["obstacle_avoidance"].max(), lives.failures)
+
+Each life depends on its own seed, genes, start and lamps alone: results are the same, bit for bit, with any
+number of threads, and the same as of a single `Life` on the same ground. Memory does not grow with the number
+of lives but for their results: every thread has room for one life and uses it again.
+"""
+
+import itertools
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
+from khep_twin.errors import DivergedError
+from khep_twin.playpen import Lamp, Playpen
+from khep_twin.rollout.life import NUMBERS, Ground, Life, Start, is_compiled
+from khep_twin.rollout.minds import Driver, Floats, Network, Policy
+
+LANES = 64
+"""So many lives a policy is asked about at once: enough for arrays to pay, and no more memory than that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A life that ended early.
+
+    Attributes:
+        index: its place in the batch.
+        seed: its seed.
+        step: of the physics, at which it ended.
+        reason: in a line.
+    """
+
+    index: int
+    seed: int
+    step: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Lives:
+    """What became of a batch of n lives.
+
+    Attributes:
+        numbers: what each is measured by, not a number for those that failed, each (n,); `life.NUMBERS`.
+        registers: of each board at the end (n, N_REGISTERS).
+        poses: x, y [m] and heading [rad] at the end (n, 3).
+        failures: those that ended early, in the batch's order.
+    """
+
+    numbers: Mapping[str, Floats]
+    registers: NDArray[np.int64]
+    poses: Floats
+    failures: tuple[Failure, ...]
+
+
+def rollout(
+    playpen: Playpen | Ground,
+    driver: Driver,
+    seeds: Sequence[int] | range,
+    seconds: float,
+    *,
+    genes: Floats | None = None,
+    starts: Sequence[Start] | None = None,
+    lamps: Sequence[Sequence[Lamp]] | None = None,
+    noise: bool = True,
+    spread: bool = False,
+    home: tuple[float, float, float, float] | None = None,
+    step_ns: int | None = None,
+    period_ns: int = units.SCAN_NS,
+    planar: bool = False,
+    threads: int | None = None,
+    compiled: bool | None = None,
+) -> Lives:
+    """Lives through a batch.
+
+    Args:
+        playpen: with one robot; or ground that is made ready, which has its own step and period and is planar
+            or not.
+        driver: what drives all of them.
+        seeds: of the lives (n,).
+        seconds: how long each lasts [s], whole control periods.
+        genes: of each life's driver (n, n_genes).
+        starts: where each begins: x, y [mm] and heading [deg]; without, as in the playpen.
+        lamps: of each life; without, the playpen's.
+        noise: whether sensors are noisy.
+        spread: whether each life has the sensors of another robot, by its seed.
+        home: x, y, radius [mm] and how long a charge lasts [s], for the number "homing".
+        step_ns: of the physics [ns]: 2.5 ms as on the robot, or 5 or 10 ms; without, 2.5 ms, and 10 ms in a
+            plane.
+        period_ns: of the controller [ns].
+        planar: whether robots move in a plane instead of MuJoCo, for screening.
+        threads: how many; without, as many as there are cores. Plain lives use one.
+        compiled: None for compiled where numba is installed.
+
+    Raises:
+        ValueError: genes, starts or lamps are not as many as seeds, or a number is out of its range.
+        ControllerError: genes do not fit the driver, or numba cannot compile it.
+        PlaypenError: the playpen has what lives cannot have.
+    """
+    fast = is_compiled(compiled)
+    ground = _ground(playpen, step_ns, period_ns, planar)
+    count = len(seeds)
+    for name, given in (("genes", genes), ("starts", starts), ("lamps", lamps)):
+        if given is not None and len(given) != count:
+            raise ValueError(f"{len(given)} {name} for {count} seeds; right are as many")
+    if isinstance(driver, Network) and genes is None:
+        raise ValueError(f"no genes for {driver}; right are ({count}, {driver.n_genes})")
+    weights = np.zeros((count, 0)) if genes is None else np.asarray(genes, np.float64)
+    if weights.ndim != 2 or not np.isfinite(weights).all():
+        raise ValueError(f"genes are of shape {weights.shape}; right are finite numbers (n, n_genes)")
+    if threads is not None and threads < 1:
+        raise ValueError(f"{threads} threads; right is 1 or more")
+    for index, start in enumerate(() if starts is None else starts):
+        _check(f"starts[{index}]", start, "x, y [mm] and heading [deg]", 3)
+    for index, each in enumerate(() if lamps is None else lamps):
+        if isinstance(each, Lamp):
+            raise ValueError(f"lamps[{index}] is one lamp; right is a list of lamps for each life")
+    ground.light.during(0, ground.periods(seconds) * ground.wiring.steps_per_period)
+    place = (0.0,) * 4
+    if home is not None:
+        _check("home", home, "x, y, radius [mm] and how long a charge lasts [s]", 4)
+        if home[2] <= 0 or home[3] <= 0:
+            raise ValueError(f"home = {home}: right are a radius and a charge above 0")
+        place = (units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3])
+    results = _Results(count)
+
+    def begin(life: Life, index: int) -> None:
+        life.begin(
+            int(seeds[index]),
+            start=None if starts is None else tuple(starts[index]),  # type: ignore[arg-type]
+            noise=noise,
+            spread=spread,
+            light=None if lamps is None else ground.lit(lamps[index]),
+            genes=weights[index],
+            home=place,
+        )
+
+    workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
+    made = (Life(ground, driver, compiled=fast) for _ in itertools.count())
+    with ThreadPoolExecutor(workers) as pool:
+        if isinstance(driver, Policy):
+            lanes = list(itertools.islice(made, min(LANES, count)))
+            for first in range(0, count, LANES):
+                group = list(zip(range(first, count), lanes, strict=False))
+                _live_together(pool, workers, driver, group, begin, seeds, seconds, ground, results)
+        else:
+            _share_out(
+                pool, list(itertools.islice(made, min(workers, count))), begin, seeds, seconds, results
+            )
+    return results.lives()
+
+
+def _ground(playpen: Playpen | Ground, step_ns: int | None, period_ns: int, planar: bool) -> Ground:
+    """The ground of a batch; one that is made ready stays as it is."""
+    if isinstance(playpen, Playpen):
+        return Ground(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar)
+    if not isinstance(playpen, Ground):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise TypeError(f"playpen = {playpen!r}: right is a Playpen, such as playpen.load('obstacles')")
+    given = (
+        step_ns not in (None, playpen.step_ns)
+        or period_ns not in (units.SCAN_NS, playpen.period_ns)
+        or (planar and playpen.outline is None)
+    )
+    if given:
+        raise ValueError(
+            "the ground has its own step and period and is planar or not; right are step_ns, period_ns and "
+            "planar where it is made"
+        )
+    return playpen
+
+
+def _check(name: str, numbers: Sequence[float], what: str, count: int) -> None:
+    """Refuses what are not so many finite numbers."""
+    try:
+        fits = np.shape(numbers) == (count,) and bool(np.isfinite(np.asarray(numbers, np.float64)).all())
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise ValueError(f"{name} = {numbers!r}: right are {what}, {count} finite numbers")
+
+
+class _Results:
+    """What is kept of each life."""
+
+    def __init__(self, count: int) -> None:
+        self.numbers = {name: np.full(count, np.nan) for name in NUMBERS}
+        self.registers = np.zeros((count, N_REGISTERS), np.int64)
+        self.poses = np.zeros((count, 3))
+        self.failures: list[Failure] = []
+
+    def keep(self, index: int, seed: int, life: Life, failure: DivergedError | None) -> None:
+        """Keeps a life that has ended."""
+        self.registers[index], self.poses[index] = life.registers, life.pose
+        if failure is not None:
+            self.failures.append(Failure(index, seed, life.steps, str(failure)))
+            return
+        for name, value in life.numbers().items():
+            self.numbers[name][index] = value
+
+    def lives(self) -> Lives:
+        """All of them."""
+        failures = tuple(sorted(self.failures, key=lambda failure: failure.index))
+        return Lives(self.numbers, self.registers, self.poses, failures)
+
+
+def _share_out(
+    pool: ThreadPoolExecutor,
+    rooms: Sequence[Life],
+    begin: Callable[[Life, int], None],
+    seeds: Sequence[int],
+    seconds: float,
+    results: _Results,
+) -> None:
+    """Each room lives through whichever life is next; which one that is makes no difference."""
+    turns = iter(range(len(seeds)))
+
+    def work(life: Life) -> None:
+        for index in turns:  # one thread at a time gets the next one
+            failure = None
+            try:
+                begin(life, index)
+                life.live(seconds)
+            except DivergedError as error:
+                failure = error
+            results.keep(index, int(seeds[index]), life, failure)
+
+    try:
+        for done in [pool.submit(work, life) for life in rooms]:
+            done.result()
+    finally:
+        # Whoever is interrupted waits for lives that have begun, not for all of them.
+        for _ in turns:
+            pass
+
+
+def _live_together(
+    pool: ThreadPoolExecutor,
+    workers: int,
+    policy: Policy,
+    group: Sequence[tuple[int, Life]],
+    begin: Callable[[Life, int], None],
+    seeds: Sequence[int],
+    seconds: float,
+    ground: Ground,
+    results: _Results,
+) -> None:
+    """Lives go on side by side, from one control period to the next."""
+    failures: dict[int, DivergedError] = {}
+
+    def attempt(index: int, deed: Callable[..., None], *given: Any) -> None:
+        if index not in failures:
+            try:
+                deed(*given)
+            except DivergedError as error:
+                failures[index] = error
+
+    def all_at_once(deed: Callable[[int, Life], None]) -> None:
+        def work(share: Sequence[tuple[int, Life]]) -> None:
+            for index, life in share:
+                attempt(index, deed, index, life)
+
+        for done in [pool.submit(work, group[worker::workers]) for worker in range(workers)]:
+            done.result()
+
+    all_at_once(lambda index, life: begin(life, index))
+    steps = ground.wiring.steps_per_period
+    for _ in range(ground.periods(seconds)):
+        living = [(index, life) for index, life in group if index not in failures]
+        if not living:
+            break
+        board = np.stack([life.registers for _, life in living])
+        which = np.array([index for index, _ in living])
+        decided = policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which)
+        try:
+            speeds = np.asarray(decided, np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"the policy gave what are no speeds: {error}; right is an array ({len(living)}, 2)"
+            ) from error
+        if speeds.shape != (len(living), 2):
+            raise ValueError(f"the policy gave speeds of shape {speeds.shape}; right is ({len(living)}, 2)")
+        for (index, life), (left, right) in zip(living, speeds.tolist(), strict=True):
+            attempt(index, life.drive, left, right)
+        all_at_once(lambda _, life: life.go_on(steps))
+    for index, life in group:
+        results.keep(index, int(seeds[index]), life, failures.get(index))

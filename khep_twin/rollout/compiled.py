@@ -1,0 +1,159 @@
+"""The episode compiled by numba: one loop without the interpreter and its lock.
+
+Only imported where numba is installed. Compiling takes some ten seconds; numba keeps what it has compiled
+beside this file, or in the user's cache, for as long as no source has changed.
+"""
+
+# numba is not typed.
+# pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
+
+import hashlib
+from contextlib import ExitStack
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import mujoco
+import numba
+import numpy as np
+from numba import carray, cfunc, njit, types  # pyright: ignore
+from numba.core import event
+from numba.core.errors import NumbaError, UnsupportedBytecodeError
+
+from khep_twin import units
+from khep_twin.board import kernel
+from khep_twin.board.compiled_kernel import compiled_copy, compiled_kernel
+from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
+from khep_twin.errors import ControllerError
+from khep_twin.rollout import addresses, compiled_casting, episode, fitness, networks
+from khep_twin.sensing import optics, raycast
+from khep_twin.status_line import announced
+
+SOURCES = (kernel, units, fitness, optics, raycast, networks, episode, compiled_casting, addresses)
+"""What is compiled."""
+
+_EPISODE = compiled_copy(
+    episode,
+    {
+        "kernel": compiled_kernel(),
+        "units": compiled_copy(units),
+        "fitness": compiled_copy(fitness),
+        "networks": compiled_copy(networks),
+        "raycast": compiled_casting,
+        "optics": compiled_copy(optics, {"raycast": compiled_casting}),
+    },
+)
+
+
+def stamp_of(sources: tuple[ModuleType, ...]) -> int:
+    """What tells these sources from any others."""
+    digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
+    for module in sources:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return int.from_bytes(digest.digest()[:7], "big")
+
+
+def stamped(function: Any, sources: tuple[ModuleType, ...]) -> Any:
+    """The function, by a name with the stamp of the sources that it calls.
+
+    numba keeps compiled code in a file of the function's name, and looks for changes in that function's own
+    source alone.
+    """
+    function.__qualname__ = f"{function.__name__}_{stamp_of(sources):x}"
+    return function
+
+
+class _Announcer(event.Listener):
+    """Announces each compilation of one function; code from the cache is not compiled."""
+
+    def __init__(self, function: Any) -> None:
+        self._function = function
+        self._shown = ExitStack()
+
+    def on_start(self, event: Any) -> None:
+        if event.data["dispatcher"] is self._function:
+            self._shown.enter_context(announced(COMPILING))
+
+    def on_end(self, event: Any) -> None:
+        if event.data["dispatcher"] is self._function:
+            self._shown.close()
+
+
+COMPILING = "khep_twin: compiling with numba, once per version (10 to 30 s)"
+"""Announcement of a compilation."""
+
+
+def announce_compilation(function: Any) -> Any:
+    """Return a function compiled by numba; its compilations are announced on standard error."""
+    event.register("numba:compile", _Announcer(function))
+    return function
+
+
+def _advance(body, mind, span, n_steps):
+    return _EPISODE.advance(body, mind, span, n_steps)
+
+
+advance: Any = announce_compilation(njit(nogil=True, cache=True)(stamped(_advance, SOURCES)))
+"""`episode.advance`, compiled."""
+
+
+@cache
+def address_of(function: Any) -> int:
+    """Where compiled code finds a controller.
+
+    Args:
+        function: of proximity (8,), ambient (8,), memory and genes, plain or by `numba.njit`; it returns left
+            and right speed [pulses/10 ms].
+
+    Raises:
+        ControllerError: numba cannot compile it.
+    """
+    first_near, first_ambient, count = PROXIMITY[0], AMBIENT[0], len(PROXIMITY)
+    whole, real = types.CPointer(types.int64), types.CPointer(types.float64)
+
+    def call(registers, memory, n_memory, genes, n_genes, speeds):
+        board, both = carray(registers, (N_REGISTERS,)), carray(speeds, (2,))
+        both[:] = np.nan
+        try:
+            left, right = decide(
+                board[first_near : first_near + count],
+                board[first_ambient : first_ambient + count],
+                carray(memory, (n_memory,)),
+                carray(genes, (n_genes,)),
+            )
+            both[0], both[1] = left, right
+        except Exception:  # nothing can be raised through MuJoCo's loop: no speed is what tells of it
+            pass
+
+    signature = types.void(whole, real, types.int64, real, types.int64, real)
+    try:
+        decide = _within_bounds(function)
+        made = cfunc(signature)(call)
+    # numba leaves it to Python to tell what is no function, or what a module does not have.
+    except (NumbaError, UnsupportedBytecodeError, TypeError, AttributeError) as error:
+        name = getattr(function, "__name__", "controller")
+        lines = [line for line in str(error).strip().splitlines() if not line.startswith(_GENERAL)]
+        reason = lines[0].rstrip(":.") if lines else type(error).__name__
+        raise ControllerError(
+            f"{name}: numba cannot compile it: {reason}; right is a function of proximity, ambient, memory "
+            "and genes that returns two numbers"
+        ) from error
+    _KEPT.append(made)
+    return int(made.address or 0)
+
+
+_KEPT: list[Any] = []
+
+_GENERAL = "Failed in nopython mode"
+"""How a line of numba's begins that tells nothing yet."""
+
+
+def _within_bounds(function: Any) -> Any:
+    """A controller, compiled so that places beyond its arrays are errors, not whatever lies there."""
+    if not hasattr(function, "py_func"):
+        return njit(boundscheck=True)(function)
+    if function.targetoptions.get("boundscheck") is not None:
+        return function
+    options: dict[str, Any] = {**function.targetoptions, "boundscheck": True}
+    return numba.jit(**options)(function.py_func)

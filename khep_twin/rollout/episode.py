@@ -1,0 +1,364 @@
+"""A robot's life without a serial line: scan, physics, control loops and controller in one loop.
+
+The order is that of `khep_twin.world.World.advance_to`, and so are the answers, bit for bit. In the place of
+the line's bytes stands the controller: at the start of every control period it reads the registers and sets
+both wheels' speeds in them at once, as the firmware would on a command D.
+
+Like `kernel`, this is plain arithmetic that runs as it stands and compiled; `life` gives it what it works on.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from khep_twin import units
+from khep_twin.board import kernel
+from khep_twin.rollout import fitness, networks
+from khep_twin.sensing import optics, raycast
+
+HOLD, WANDER, NETWORK, FUNCTION = 0, 1, 2, 3
+"""What drives: nothing (speeds stay as they are), the ROM's Braitenberg vehicle, a network, a function."""
+
+FINE, WARNED, OUT_OF_BOUNDS, NO_SPEED = 0, 1, 2, 3
+"""How a life goes: MuJoCo has warned, the physics has left its bounds, a controller gave no number."""
+
+STEPS, POWERED, DEMO, TROUBLE = 0, 1, 2, 3
+"""Places in `Body.state`: steps done, whether the processor runs, whether the demo does, how it goes."""
+N_STATE = 4
+
+PERIODS, AVOIDANCE, SEEKING, HOMING, FOLLOWING, WAY, CHARGE, LAST_X, LAST_Y = 0, 1, 2, 3, 4, 5, 6, 7, 8
+"""Places in `Mind.sums`: control periods, sums of fitness over them, the way [m], the charge left [s], where
+the robot was last [m]."""
+FORWARD = 9
+"""Likewise the way forwards less that backwards [m]."""
+N_SUMS = 10
+
+FASTEST = 1000.0
+"""What no joint exceeds [m/s or rad/s], as in the world."""
+
+_SPEED_LIMIT = 127
+_CONVERSION = units.STEP_NS * 1e-9
+_PROXIMITY, _AMBIENT, _SCAN = (
+    int(kernel.Board.PROXIMITY),
+    int(kernel.Board.AMBIENT),
+    int(kernel.Board.SCAN),
+)
+_RIGHT = kernel.RIGHT
+_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
+_LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
+_SIDES = (int(units.Sensor.LEFT_90), int(units.Sensor.RIGHT_90))
+_N = units.N_SENSORS
+_LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
+
+
+class Wiring(NamedTuple):
+    """Where in the scene's numbers the robot is, and how time is divided.
+
+    Attributes:
+        left_angle: of the wheel in qpos.
+        right_angle: likewise.
+        left_motor: in ctrl and forces.
+        right_motor: likewise.
+        pose: of the robot in qpos.
+        motor_constant: torque per current [N m/A].
+        limit: what no place exceeds [m].
+        conversions: of sensors in each step.
+        steps_per_tick: of the control loops.
+        steps_per_feed: of the supply's measurement.
+        steps_per_period: of the controller.
+    """
+
+    left_angle: int
+    right_angle: int
+    left_motor: int
+    right_motor: int
+    pose: int
+    motor_constant: float
+    limit: float
+    conversions: int
+    steps_per_tick: int
+    steps_per_feed: int
+    steps_per_period: int
+
+
+class Body(NamedTuple):
+    """A robot in its scene.
+
+    Attributes:
+        scene: as its sensors see it.
+        near: how proximity comes about.
+        eyes: how ambient light does.
+        bulbs: that may shine.
+        wiring: where what is.
+        registers: the board's state.
+        qpos: of the scene, live.
+        qvel: live.
+        ctrl: live.
+        force: of the actuators, live.
+        places: of the scene's bodies, live, all numbers in a row [m].
+        warnings: that MuJoCo has counted, live.
+        state: N_STATE whole numbers.
+        voltage: of the supply (1,) [V].
+    """
+
+    scene: raycast.Scene
+    near: optics.Proximity
+    eyes: optics.Ambient
+    bulbs: optics.Bulbs
+    wiring: Wiring
+    registers: Any
+    qpos: Any
+    qvel: Any
+    ctrl: Any
+    force: Any
+    places: Any
+    warnings: Any
+    state: Any
+    voltage: Any
+
+
+class Mind(NamedTuple):
+    """What drives a robot, and how well it does.
+
+    Attributes:
+        kind: HOLD, WANDER, NETWORK or FUNCTION.
+        function: address of a compiled function, or the function itself where nothing is compiled.
+        sizes: of the network: inputs, layers, outputs.
+        recurrent: whether it hears itself.
+        top_speed: of an output of 1 [pulses/10 ms].
+        genes: weights, or whatever the function takes them for.
+        memory: that lasts from one control period to the next.
+        values: room for the network's values.
+        speeds: room for what a function decides (2,) [pulses/10 ms].
+        home: x, y and radius of the home [m], and how long the charge lasts [s]; radius 0 for none.
+        sums: N_SUMS numbers.
+    """
+
+    kind: int
+    function: Any
+    sizes: Any
+    recurrent: bool
+    top_speed: float
+    genes: Any
+    memory: Any
+    values: Any
+    speeds: Any
+    home: Any
+    sums: Any
+
+
+class Span(NamedTuple):
+    """Chance and supply of some steps.
+
+    Attributes:
+        powers: of the lamps (n_steps or 1, n_lamps) [W].
+        volts: of the supply, whenever it is measured (n_feeds,) [V].
+        noisy: whether there is chance; without, the next three are not looked at.
+        proximity: standard normal (n_conversions,).
+        ambient: likewise.
+        idle: standard exponential (n_conversions,).
+    """
+
+    powers: Sequence[Sequence[float]]
+    volts: Sequence[float]
+    noisy: bool
+    proximity: Sequence[float]
+    ambient: Sequence[float]
+    idle: Sequence[float]
+
+
+def advance(body: Body, mind: Mind, span: Span, n_steps: int) -> int:
+    """Lets a robot live for some steps; returns how it goes, FINE or why it ended.
+
+    Each step runs in this order:
+
+        1. at the start of a control period the controller, and its fitness
+        2. physics, with the motor voltages of the last control tick
+        3. the sensors whose turn it is are converted, as of the pose at the step's start
+        4. every 10 ms the control tick: encoders, speed, controllers, duty, voltage
+        5. every 20 ms the supply is measured
+
+    Args:
+        body: the robot in its scene.
+        mind: what drives it.
+        span: chance and supply of these steps.
+        n_steps: how many, below 0 to switch the robot on: the scan before time 0, so that every register
+            holds a conversion, with encoders and supply.
+    """
+    # What is called is given the parts that it needs: whole bodies make for slow compiling.
+    state, wiring, registers, qpos = body.state, body.wiring, body.registers, body.qpos
+    conversions = wiring.conversions
+    on, feeds = n_steps >= 0, 0
+    if not on:
+        raycast.step(body.scene)
+    for i in range(n_steps if on else _N // conversions):
+        step = state[STEPS] if on else i
+        if on and step % wiring.steps_per_period == 0:
+            if state[POWERED] and not _control(registers, mind, body.eyes.dark, body.eyes.floor):
+                state[TROUBLE] = NO_SPEED
+                break
+            period = wiring.steps_per_period * conversions * _CONVERSION
+            place = qpos[wiring.pose], qpos[wiring.pose + 1]
+            ahead = raycast.heading(qpos, wiring.pose)
+            note(registers, mind.sums, mind.home, body.eyes.dark, body.eyes.floor, place, ahead, period)
+        raycast.step(body.scene)
+        row = 0 if len(span.powers) == 1 else i
+        for turn in range(conversions):
+            chance, draw = (0.0, 0.0, 0.0), i * conversions + turn
+            if span.noisy:
+                chance = (span.proximity[draw], span.ambient[draw], span.idle[draw])
+            channel = (step * conversions + turn) % _N
+            proximity, ambient = optics.convert(
+                body.scene, body.near, body.eyes, body.bulbs, span.powers[row], channel, chance
+            )
+            kernel.convert(registers, proximity, ambient)
+        if not on:
+            continue
+        state[STEPS] = step + 1
+        if (step + 1) % wiring.steps_per_tick == 0:
+            if not _fits(body.places, body.qvel, qpos, wiring.limit):
+                state[TROUBLE] = OUT_OF_BOUNDS
+                break
+            _tick(wiring, registers, state, qpos, body.ctrl, body.voltage[0])
+        if (step + 1) % wiring.steps_per_feed == 0:
+            if _warned(body.warnings):
+                state[TROUBLE] = WARNED
+                break
+            body.voltage[0] = span.volts[feeds]
+            _feed(wiring, registers, state, body.force, body.voltage[0])
+            feeds += 1
+    if not on:
+        registers[_LEFT_ENCODER] = units.wheel_pulses(qpos[wiring.left_angle])
+        registers[_RIGHT_ENCODER] = units.wheel_pulses(qpos[wiring.right_angle])
+        body.voltage[0] = span.volts[0]
+        _feed(wiring, registers, state, body.force, body.voltage[0])
+        if not _fits(body.places, body.qvel, qpos, wiring.limit):
+            state[TROUBLE] = OUT_OF_BOUNDS
+        elif _warned(body.warnings):
+            state[TROUBLE] = WARNED
+    return state[TROUBLE]
+
+
+def note(
+    registers: kernel.Registers,
+    sums: Any,
+    home: Any,
+    dark: float,
+    floor: float,
+    place: tuple[float, float],
+    ahead: tuple[float, float],
+    period: float,
+) -> None:
+    """Adds the fitness of a control period's beginning, with the speeds just set.
+
+    Args:
+        registers: the board's state.
+        sums: of the life, changed in place (N_SUMS,).
+        home: as in `Mind`.
+        dark: ambient reading in the dark [counts].
+        floor: in the brightest light.
+        place: x and y of the robot [m].
+        ahead: cosine and sine of its heading.
+        period: of the controller [s].
+    """
+    nearest, darkest = registers[_PROXIMITY], registers[_AMBIENT]
+    for sensor in range(1, _N):
+        nearest = max(nearest, registers[_PROXIMITY + sensor])
+        darkest = min(darkest, registers[_AMBIENT + sensor])
+    side = max(registers[_PROXIMITY + _SIDES[0]], registers[_PROXIMITY + _SIDES[1]]) / units.COUNTS_LIMIT
+    left, right = float(registers[_LEFT_SETPOINT]), float(registers[_RIGHT_SETPOINT])
+    part = nearest / units.COUNTS_LIMIT
+    x, y = place
+    dx, dy = x - sums[LAST_X], y - sums[LAST_Y]
+    if sums[PERIODS] > 0:
+        sums[WAY] += math.sqrt(dx * dx + dy * dy)
+        sums[FORWARD] += dx * ahead[0] + dy * ahead[1]
+    sums[LAST_X], sums[LAST_Y] = x, y
+    sums[PERIODS] += 1
+    sums[AVOIDANCE] += fitness.obstacle_avoidance(left, right, part)
+    sums[SEEKING] += fitness.light_seeking(float(darkest), dark, floor)
+    sums[FOLLOWING] += fitness.wall_following(left, right, side)
+    if home[2] > 0 and sums[CHARGE] > 0:
+        dx, dy = x - home[0], y - home[1]
+        if dx * dx + dy * dy <= home[2] * home[2]:
+            sums[CHARGE] = home[3]  # at home nothing counts, and the cells are full at once
+        else:
+            sums[HOMING] += fitness.homing(left, right, part)
+            sums[CHARGE] -= period
+
+
+def drive(registers: kernel.Registers, left: float, right: float) -> bool:
+    """Sets both speeds [pulses/10 ms] as command D does, rounded and cut; False for what is no number."""
+    if not (math.isfinite(left) and math.isfinite(right)):
+        return False
+    limit = float(_SPEED_LIMIT)
+    kernel.set_speed(registers, 0, round(min(max(left, -limit), limit)))
+    kernel.set_speed(registers, _RIGHT, round(min(max(right, -limit), limit)))
+    return True
+
+
+def _control(registers: kernel.Registers, mind: Mind, dark: float, floor: float) -> bool:
+    """The controller's turn; False if it gave what is no number."""
+    if mind.kind == WANDER:
+        kernel.wander(registers)
+    elif mind.kind == NETWORK:
+        values = mind.values
+        for sensor in range(_N):
+            values[sensor] = registers[_PROXIMITY + sensor] / units.COUNTS_LIMIT
+        for sensor in range(mind.sizes[0] - _N):
+            values[_N + sensor] = (dark - registers[_AMBIENT + sensor]) / (dark - floor)
+        out = networks.think(mind.sizes, mind.recurrent, mind.genes, mind.memory, values)
+        return drive(registers, mind.top_speed * values[out], mind.top_speed * values[out + 1])
+    elif mind.kind == FUNCTION:
+        raycast.decide(mind.function, registers, mind.memory, mind.genes, mind.speeds)
+        return drive(registers, mind.speeds[0], mind.speeds[1])
+    return True
+
+
+def _tick(
+    wiring: Wiring, registers: kernel.Registers, state: Any, qpos: Any, ctrl: Any, voltage: float
+) -> None:
+    """One control period of the board's own loops: from encoders to motor voltages."""
+    if state[POWERED]:
+        left = units.wheel_pulses(qpos[wiring.left_angle])
+        right = units.wheel_pulses(qpos[wiring.right_angle])
+        kernel.tick(registers, left, right)
+        if state[DEMO] and registers[_SCAN] == 0:
+            kernel.wander(registers)
+    ctrl[wiring.left_motor] = units.duty_voltage(registers[_LEFT_DUTY], voltage)
+    ctrl[wiring.right_motor] = units.duty_voltage(registers[_RIGHT_DUTY], voltage)
+
+
+def _feed(wiring: Wiring, registers: kernel.Registers, state: Any, force: Any, voltage: float) -> None:
+    """Measures the supply; below what it needs, the processor is reset and stands still."""
+    left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
+    current = units.IDLE_CURRENT
+    current += units.supply_current(left, force[wiring.left_motor] / wiring.motor_constant)
+    current += units.supply_current(right, force[wiring.right_motor] / wiring.motor_constant)
+    kernel.measure(registers, units.supply_counts(voltage), round(current * 1000))
+    if voltage < units.PROCESSOR_VOLTAGE and state[POWERED]:
+        kernel.reset(registers)
+        registers[_LEFT_DUTY], registers[_RIGHT_DUTY] = left, right
+        state[POWERED] = 0
+
+
+def _fits(places: Any, speeds: Any, joints: Any, limit: float) -> bool:
+    """Whether a state is physics still."""
+    if not _square(places) <= len(places) * limit * limit:
+        return False
+    return _square(speeds) <= len(speeds) * FASTEST * FASTEST and _square(joints) < math.inf
+
+
+def _warned(warnings: Any) -> bool:
+    """Whether MuJoCo has."""
+    for i in range(len(warnings)):
+        if warnings[i]:
+            return True
+    return False
+
+
+def _square(numbers: Any) -> float:
+    total = 0.0
+    for i in range(len(numbers)):
+        total += numbers[i] * numbers[i]
+    return total

@@ -1,0 +1,461 @@
+"""A life: one robot in its playpen without a serial line, from its start to its end.
+
+    ground = Ground(playpen.load("obstacles"))
+    life = Life(ground, Wander())
+    life.begin(seed=1)
+    life.live(60.0)
+    print(life.pose, life.numbers())
+
+The same seed gives the same counts, registers and places as a `World` whose robot is told the same speeds at
+the same times by a line that costs no time, compiled or not, however often the life's memory was used before.
+Left out, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but are seen nowhere.
+
+On `Ground(..., planar=True)` the robot moves in a plane (`planar`), which is for screening: the same firmware
+and sensors, thirty times faster and more, and about the same ways.
+"""
+
+import copy
+import importlib.util
+import math
+import warnings
+from collections.abc import Sequence
+from operator import index
+from threading import Lock
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.board import kernel
+from khep_twin.board.battery import Supply
+from khep_twin.board.rom import DEMO, ROMS
+from khep_twin.clock import n_steps, to_ns
+from khep_twin.errors import DivergedError, PlaypenError, pip_install_extra
+from khep_twin.playpen import Lamp, Playpen, placed
+from khep_twin.playpen_to_mjcf import set_step, to_spec
+from khep_twin.randomness import stream
+from khep_twin.rollout import episode
+from khep_twin.rollout.minds import Driver, Floats, Function, Hold, mind_of
+from khep_twin.rollout.mujoco_room import MujocoRoom, Start, places
+from khep_twin.rollout.planar.planar import Outline, PlanarRoom, as_record
+from khep_twin.sensing import calibration
+from khep_twin.sensing.ambient import ambient_optics, bulbs
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.occlusion import SightLines
+from khep_twin.sensing.optics import Bulbs
+from khep_twin.sensors import proximity_optics
+
+NUMBERS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
+"""What a life is measured by: means over its control periods, the way, and that forwards less that back."""
+
+SPAN_NS = 2_000_000_000
+"""Chance is drawn for so long at a time [ns]."""
+
+PLANAR_SPAN_NS = 20_000_000_000
+"""Likewise in a plane, where two seconds are over before numbers are drawn; it makes no other difference."""
+
+PLANAR_STEP_NS = 4 * units.STEP_NS
+"""In a plane nothing is lost by a step of one tick [ns], but that sensors are converted four at a time."""
+
+_PREFIX = "khepera0/"
+
+
+class SlowerWarning(UserWarning):
+    """numba is not installed, so that lives go the plain way, with the same results."""
+
+
+def is_compiled(wish: bool | None) -> bool:
+    """Whether lives run compiled: as wished; with no wish where numba is installed, with a warning if not."""
+    if wish is not None:
+        return wish
+    if importlib.util.find_spec("numba") is not None:
+        return True
+    warnings.warn(
+        "numba is not installed: lives go the plain way, many times slower, with the same results; "
+        f"to install it: {pip_install_extra('batch')}",
+        SlowerWarning,
+        stacklevel=3,
+    )
+    return False
+
+
+class Light:
+    """The lamps of a life: where they are, what may hide them, and how they shine step by step.
+
+    Args:
+        playpen: with these lamps.
+        model: the scene.
+        step_ns: of the scene [ns].
+    """
+
+    def __init__(self, playpen: Playpen, model: mujoco.MjModel, step_ns: int) -> None:
+        # Lamps that are all on draw no chance.
+        self._lamps = Lamps(playpen, stream(0, "lamps"))
+        self._step_ns = step_ns
+        self.bulbs: Bulbs = bulbs(SightLines(model, _PREFIX, self._lamps.positions), playpen.lighting)
+        self._first = list(self._lamps.powers)
+        self._rows: list[list[float]] = []
+        self._turn = Lock()
+
+    def at_start(self) -> list[list[float]]:
+        """Powers before the first step (1, n_lamps) [W]."""
+        return [self._first]
+
+    def during(self, first: int, count: int) -> list[list[float]]:
+        """Powers after each of some steps, or one row if nothing changes them (n, n_lamps) [W]."""
+        if self._lamps.steady:
+            return [self._first]
+        # Environments in threads share the ground, and so its light.
+        with self._turn:
+            while len(self._rows) < first + count:
+                self._lamps.update((len(self._rows) + 1) * self._step_ns, ())
+                self._rows.append(list(self._lamps.powers))
+        return self._rows[first : first + count]
+
+
+class Ground:
+    """A playpen made ready for any number of lives; threads may share it.
+
+    Args:
+        playpen: with one robot.
+        step_ns: of the physics [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; without, 2.5 ms, and
+            10 ms in a plane.
+        period_ns: of the controller [ns], whole ticks of 10 ms.
+        planar: whether the robot moves in a plane instead of MuJoCo.
+
+    Raises:
+        PlaypenError: it has what lives cannot have.
+        ValueError: the step or the period divides nothing whole.
+        TypeError: one of them is no whole number.
+    """
+
+    def __init__(
+        self,
+        playpen: Playpen,
+        *,
+        step_ns: int | None = None,
+        period_ns: int = units.SCAN_NS,
+        planar: bool = False,
+    ) -> None:
+        _refuse(playpen)
+        # Where whole numbers are wanted, 5e6 is none.
+        period_ns, step_ns = index(period_ns), None if step_ns is None else index(step_ns)
+        if period_ns <= 0 or period_ns % units.TICK_NS:
+            raise ValueError(
+                f"a control period of {period_ns / 1e6:g} ms; right are whole ticks of "
+                f"{units.TICK_NS / 1e6:g} ms"
+            )
+        mujoco.set_mju_user_warning(_keep_quiet)
+        if step_ns is None:
+            step_ns = PLANAR_STEP_NS if planar else units.STEP_NS
+        self.playpen, self.step_ns, self.period_ns = playpen, step_ns, period_ns
+        spec = to_spec(playpen)
+        if step_ns != units.STEP_NS:
+            set_step(spec, step_ns)
+        self.model = spec.compile()
+        # Compiled lives cast rays themselves, where something is near enough to be seen.
+        self.without_sensors = copy.copy(self.model)
+        self.without_sensors.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        self.entry = playpen.robots[0]
+        self.calibration = calibration.read(self.entry.calibration)[0]
+        self.light = self.lit(playpen.lamps)
+        self.outline = Outline(playpen, self.model, step_ns) if planar else None
+        width, height = playpen.arena.width_mm, playpen.arena.height_mm
+        self.wiring = episode.Wiring(
+            *(places(self.model) if self.outline is None else Outline.PLACES),
+            self.calibration.motors.constant,
+            1.0 + max(units.metres(width), units.metres(height)),
+            step_ns // units.STEP_NS,
+            n_steps(units.TICK_NS, step_ns),
+            n_steps(units.SCAN_NS, step_ns),
+            n_steps(period_ns, step_ns),
+        )
+
+    def periods(self, seconds: float) -> int:
+        """How many control periods a time [s] has.
+
+        Raises:
+            ValueError: it is no whole number of them, or below 0.
+        """
+        if not 0 <= seconds < math.inf:
+            raise ValueError(f"{seconds} s; right is a time from 0, of whole control periods")
+        duration_ns = to_ns(seconds)
+        if duration_ns % self.period_ns:
+            raise ValueError(
+                f"{seconds:g} s is no whole number of control periods of {self.period_ns / 1e6:g} ms"
+            )
+        return duration_ns // self.period_ns
+
+    def lit(self, lamps: Sequence[Lamp]) -> Light:
+        """The light of other lamps on this ground."""
+        return Light(self.playpen.model_copy(update={"lamps": tuple(lamps)}), self.model, self.step_ns)
+
+    def start(self, seed: int) -> Start:
+        """Where a robot starts: in its place, or at the spot that the seed draws."""
+        robot = self.entry
+        if robot.spots:
+            robot = placed(self.playpen, stream(seed, "spots")).robots[0]
+        return robot.x_mm, robot.y_mm, robot.heading_deg
+
+    def another(self, seed: int) -> Calibration:
+        """Another robot of the same make, by the seed."""
+        return calibration.spread(self.calibration, stream(seed, "robot", 0, "spread"))
+
+
+class Life:
+    """Room for one life at a time; `begin` starts a new one in it.
+
+    Args:
+        ground: where it goes on.
+        driver: what drives; a policy is left to whoever calls it.
+        compiled: None for compiled where numba is installed.
+
+    Attributes:
+        registers: the board's state (N_REGISTERS,).
+    """
+
+    def __init__(self, ground: Ground, driver: Driver | None = None, *, compiled: bool | None = None) -> None:
+        self._ground, self._driver = ground, driver or Hold()
+        self._compiled = is_compiled(compiled)
+        self.registers: NDArray[np.int64] = np.zeros(kernel.N_REGISTERS, np.int64)
+        self._numbers = _as_arrays if self._compiled else _as_it_is
+        self._optics = as_record if self._compiled and ground.outline else self._numbers
+        self._room: MujocoRoom | PlanarRoom
+        if ground.outline is None:
+            self._room = MujocoRoom(
+                ground.without_sensors if self._compiled else ground.model, self._compiled
+            )
+        else:
+            self._room = PlanarRoom(ground.outline, self._compiled)
+        self._state = np.zeros(episode.N_STATE, np.int64)
+        self._proximity = self._optics(proximity_optics(ground.model, _PREFIX, ground.calibration))
+        self._ambient = self._optics(ambient_optics(ground.calibration.ambient))
+        self._supply = Supply(ground.entry.battery_used_min)
+        self._chance: list[np.random.Generator] = []
+        self._seed = 0
+        self._light = ground.light
+        self._begun = False
+
+    def begin(
+        self,
+        seed: int = 0,
+        *,
+        start: Start | None = None,
+        noise: bool = True,
+        spread: bool = False,
+        light: Light | None = None,
+        genes: Sequence[float] | Floats = (),
+        home: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    ) -> None:
+        """Starts a life.
+
+        Args:
+            seed: of every chance in it.
+            start: x, y [mm] and heading [deg]; None for the playpen's.
+            noise: whether sensors are noisy.
+            spread: draws the sensors anew, as no two robots are alike.
+            light: other lamps than the playpen's (`Ground.lit`).
+            genes: of the driver.
+            home: x, y, radius [m] and how long a charge lasts [s]; radius 0 for none.
+
+        Raises:
+            ControllerError: the genes do not fit the driver.
+            DivergedError: the physics does not even stand.
+        """
+        ground, room = self._ground, self._room
+        self._seed, self._light = seed, light or ground.light
+        near, eyes = self._proximity, self._ambient
+        if spread:
+            measured = ground.another(seed)
+            near = self._optics(proximity_optics(ground.model, _PREFIX, measured))
+            eyes = self._optics(ambient_optics(measured.ambient))
+        self._chance = []
+        if noise:
+            self._chance = [stream(seed, "robot", 0, name) for name in ("proximity", "ambient", "idle")]
+        begins = start or ground.start(seed)
+        own = ground.entry.x_mm, ground.entry.y_mm, ground.entry.heading_deg
+        room.put(None if begins == own else begins)
+        self.registers[:] = 0
+        kernel.reset(self.registers.data)
+        driver = self._driver
+        rom = ROMS[ground.entry.rom]
+        self._state[:] = 0, 1, rom.modes[ground.entry.mode].function == DEMO, episode.FINE
+        self._body = episode.Body(
+            room.scene,
+            near,
+            eyes,
+            self._numbers(self._light.bulbs),
+            ground.wiring,
+            self.registers if self._compiled else self.registers.data,
+            *room.live,
+            self._state if self._compiled else self._state.data,
+            np.zeros(1),
+        )
+        weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
+        self._mind = mind_of(driver, weights, place, self._compiled)
+        self._begun = True
+        if isinstance(driver, Hold) and (driver.left or driver.right):
+            self.drive(driver.left, driver.right)
+        self._room.advance(self._body, self._mind, self._span(self._light.at_start(), units.N_SENSORS, 1), -1)
+        self._complain()
+
+    @property
+    def _data(self) -> mujoco.MjData:
+        """The scene's state, where it has one."""
+        if isinstance(self._room, PlanarRoom):
+            raise ValueError(
+                "a life in a plane has no scene of MuJoCo's; right is one on ground that is not planar"
+            )
+        return self._room.data
+
+    @property
+    def steps(self) -> int:
+        """How many steps of the physics it has lived."""
+        return int(self._state[episode.STEPS])
+
+    @property
+    def time_ns(self) -> int:
+        """How long it has lived [ns]."""
+        return self.steps * self._ground.step_ns
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """True x, y [m] and heading [rad] in the playpen."""
+        return self._room.pose
+
+    @property
+    def joints(self) -> Floats:
+        """All places of the scene, MuJoCo's qpos or `plane.N_JOINTS` numbers, as a copy."""
+        return self._room.joints
+
+    def readings(self) -> tuple[list[int], list[int]]:
+        """Proximity and ambient counts in the registers, each (8,)."""
+        return self.registers[kernel.PROXIMITY].tolist(), self.registers[kernel.AMBIENT].tolist()
+
+    def live(self, seconds: float) -> None:
+        """Lets it go on for a time [s], in whole control periods.
+
+        Raises:
+            ValueError: the time is no whole number of control periods, or no life has begun.
+            DivergedError: the physics left its bounds, or the controller gave what is no number.
+        """
+        steps = self._ground.periods(seconds) * self._ground.wiring.steps_per_period
+        longest = (SPAN_NS if self._ground.outline is None else PLANAR_SPAN_NS) // self._ground.step_ns
+        while steps > 0:
+            self.go_on(min(steps, longest))
+            steps -= longest
+
+    def go_on(self, steps: int) -> None:
+        """Lets it go on for some steps; errors as for `live`."""
+        self._insist()
+        wiring = self._ground.wiring
+        feeds = steps // wiring.steps_per_feed + 1
+        span = self._span(self._light.during(self.steps, steps), steps * wiring.conversions, feeds)
+        if self._room.advance(self._body, self._mind, span, steps):
+            self._complain()
+
+    def drive(self, left: float, right: float) -> None:
+        """Sets both speeds [pulses/10 ms], as a driver does.
+
+        Raises:
+            DivergedError: a speed is no number.
+        """
+        self._insist()
+        if self._state[episode.POWERED] and not episode.drive(self.registers.data, left, right):
+            self._state[episode.TROUBLE] = episode.NO_SPEED
+            self._complain()
+
+    def numbers(self) -> dict[str, float]:
+        """What it is measured by up to now (`NUMBERS`); homing is not a number without a home."""
+        self._insist()
+        sums = self._mind.sums
+        periods = max(float(sums[episode.PERIODS]), 1.0)
+        means = [
+            float(sums[each]) / periods
+            for each in (episode.AVOIDANCE, episode.SEEKING, episode.HOMING, episode.FOLLOWING)
+        ]
+        if not self._mind.home[2]:
+            means[2] = math.nan
+        ways = [float(sums[each]) for each in (episode.WAY, episode.FORWARD)]
+        return dict(zip(NUMBERS, [*means, *ways], strict=True))
+
+    def _insist(self) -> None:
+        """Refuses what only a life that has begun can do."""
+        if not self._begun:
+            raise ValueError("no life has begun; right is begin() first")
+
+    def _span(self, powers: list[list[float]], conversions: int, feeds: int) -> episode.Span:
+        """Chance and supply of the next steps."""
+        draws: list[Any] = [np.zeros(0)] * 3
+        if self._chance:
+            near, ambient, idle = self._chance
+            draws = [
+                near.standard_normal(conversions),
+                ambient.standard_normal(conversions),
+                idle.standard_exponential(conversions),
+            ]
+        wiring, step_ns = self._ground.wiring, self._ground.step_ns
+        fed = self.steps // wiring.steps_per_feed + (feeds > 1 or self.steps > 0)
+        feed_ns = wiring.steps_per_feed * step_ns
+        if self._supply.steady:
+            volts = np.full(feeds, self._supply.voltage(0))
+        else:
+            volts = np.array([self._supply.voltage((fed + i) * feed_ns) for i in range(feeds)])
+        noisy = bool(self._chance)
+        if not self._compiled:
+            return episode.Span(powers, volts.tolist(), noisy, *(draw.tolist() for draw in draws))
+        return episode.Span(np.array(powers).reshape(len(powers), -1), volts, noisy, *draws)  # type: ignore
+
+    def _complain(self) -> None:
+        """Raises what ended the life, if anything has."""
+        trouble = int(self._state[episode.TROUBLE])
+        if trouble == episode.FINE:
+            return
+        reason = "the physics left its bounds"
+        if trouble == episode.WARNED:
+            reason = f"MuJoCo warns of {self._room.warning}"
+        elif trouble == episode.NO_SPEED:
+            reason = "the controller gave a speed that is no number"
+            if isinstance(self._driver, Function):
+                reason += ", or raised an error"
+        raise DivergedError(
+            f"the life of seed {self._seed} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: {reason}"
+        )
+
+
+def _refuse(playpen: Playpen) -> None:
+    """Refuses a playpen that has what lives cannot have."""
+    name, robots = playpen.name, playpen.robots
+    if len(robots) != 1:
+        raise PlaypenError(f"{name}: has {len(robots)} robots; right is one for lives without a serial line")
+    if robots[0].turrets:
+        raise PlaypenError(
+            f"{name}: its robot has turrets = {list(robots[0].turrets)}; right are none for lives without a "
+            "serial line"
+        )
+    if playpen.lighting.mode != "all":
+        raise PlaypenError(
+            f"{name}: lighting: mode = {playpen.lighting.mode!r}; right is 'all' for lives without a serial "
+            "line"
+        )
+
+
+def _as_arrays(numbers: Any) -> Any:
+    """A named tuple whose lists are arrays, as compiled code takes it."""
+    return type(numbers)(
+        *(
+            np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
+            for name, value in zip(numbers._fields, numbers, strict=True)
+        )
+    )
+
+
+def _as_it_is(numbers: Any) -> Any:
+    return numbers
+
+
+def _keep_quiet(warning: str) -> None:
+    """Leaves a warning to the check of MuJoCo's counters."""

@@ -1,0 +1,153 @@
+"""What drives robots that live without a serial line: nothing, the ROM's vehicle, networks, functions.
+
+All but a policy drive inside the compiled loop; a policy is plain Python and is asked about many at once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import ControllerError
+from khep_twin.rollout import episode, networks
+from khep_twin.rollout.fitness import TOP_SPEED_PULSES
+from khep_twin.units import N_SENSORS
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Nothing that drives; both wheels begin with a speed [pulses/10 ms]."""
+
+    left: int = 0
+    right: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Wander:
+    """The Braitenberg vehicle of the ROM: speed = proximity x weights / 400 + 10."""
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """A neural network from sensors to speeds; `networks` has its law and the order of its genes.
+
+    Attributes:
+        hidden: neurons of each hidden layer; none for sensors straight to motors.
+        recurrent: whether the first layer behind the sensors hears its own last values.
+        ambient: whether it sees light too, 0 dark to 1 bright, behind proximity, 0 to 1.
+        top_speed: of an output of 1 [pulses/10 ms].
+    """
+
+    hidden: tuple[int, ...] = ()
+    recurrent: bool = False
+    ambient: bool = False
+    top_speed: float = TOP_SPEED_PULSES
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Inputs, neurons of each layer, outputs: left and right."""
+        return (N_SENSORS * (1 + self.ambient), *self.hidden, 2)
+
+    @property
+    def n_genes(self) -> int:
+        """Length of its genome."""
+        return networks.n_genes(self.sizes, self.recurrent)
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """A function of a robot's proximity (8,), ambient (8,), memory and genes.
+
+    It returns left and right speed [pulses/10 ms], is rounded and cut to 127 as by command D, and changes
+    nothing but its memory. `numba.njit` may stand before it; without, it is compiled all the same.
+
+    Attributes:
+        decide: the function.
+        n_memory: how many numbers its memory has, all 0 at first.
+    """
+
+    decide: Callable[..., tuple[float, float]]
+    n_memory: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """A function of many robots at once, in plain Python, called once per control period.
+
+    Attributes:
+        decide: takes proximity (n, 8), ambient (n, 8) and which lives these are (n,), and returns speeds
+            (n, 2) [pulses/10 ms]; a life's row may depend on no other row.
+    """
+
+    decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], Any]
+
+
+Driver = Hold | Wander | Network | Function | Policy
+
+_DRIVERS = "right is a Hold, Wander, Network, Function or Policy"
+
+
+def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> episode.Mind:
+    """A life's mind.
+
+    Args:
+        driver: what drives; for a policy it only notes how well that does.
+        genes: a network's weights, or what a function takes (n_genes,).
+        home: x, y, radius [m] and lasting of the charge [s] (4,).
+        compiled: whether a function is given by its address.
+
+    Raises:
+        ControllerError: there are too few or too many genes, numba cannot compile the function, or it is none
+            of those that drive.
+    """
+    kind, function, sizes, recurrent, top_speed, n_memory = episode.HOLD, 0, (), False, 0.0, 0
+    match driver:
+        case Wander():
+            kind = episode.WANDER
+        case Network():
+            if len(genes) != driver.n_genes:
+                raise ControllerError(f"{len(genes)} genes for {driver}; right are {driver.n_genes}")
+            kind, sizes, recurrent = episode.NETWORK, driver.sizes, driver.recurrent
+            top_speed, n_memory = float(driver.top_speed), sizes[1]
+        case Function():
+            kind, function, n_memory = episode.FUNCTION, driver.decide, driver.n_memory
+            if compiled:
+                from khep_twin.rollout.compiled import address_of
+
+                function = address_of(driver.decide)
+        case Hold() | Policy():
+            pass
+        case _:
+            raise ControllerError(f"{driver!r} drives nothing; {_DRIVERS}")
+    sums = np.zeros(episode.N_SUMS)
+    sums[episode.CHARGE] = home[3]
+    mind = episode.Mind(
+        kind,
+        function,
+        np.array(sizes, np.int64),
+        recurrent,
+        top_speed,
+        np.ascontiguousarray(genes, np.float64),
+        np.zeros(n_memory),
+        np.zeros(sum(sizes)),
+        np.zeros(2),
+        home,
+        sums,
+    )
+    return mind if compiled else _as_lists(mind)
+
+
+def _as_lists(mind: episode.Mind) -> episode.Mind:
+    """The same in lists, which Python is quicker with; a function is given arrays."""
+    if mind.kind == episode.FUNCTION:
+        return mind
+    return mind._replace(
+        sizes=mind.sizes.tolist(),
+        genes=mind.genes.tolist(),
+        memory=mind.memory.tolist(),
+        values=mind.values.tolist(),
+    )

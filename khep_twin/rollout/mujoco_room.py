@@ -1,0 +1,105 @@
+"""Room for one life in MuJoCo."""
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from khep_twin import units
+from khep_twin.errors import MissingExtraError
+from khep_twin.rollout import episode
+from khep_twin.rollout.minds import Floats
+from khep_twin.sensing import raycast
+
+Start = tuple[float, float, float]
+"""x [mm], y [mm], heading [deg]."""
+
+Live = tuple[Any, Any, Any, Any, Any, Any]
+"""Places, speeds, voltages, torques, places of bodies and warnings, live, as `episode.Body` has them."""
+
+_PREFIX = "khepera0/"
+
+
+class MujocoRoom:
+    """A scene's state, in which one life after another goes on.
+
+    Args:
+        model: the scene; for compiled lives it needs no rangefinders.
+        compiled: whether it is for compiled code.
+
+    Attributes:
+        data: the state.
+        scene: as the robot's sensors see it.
+        advance: `episode.advance` on it.
+    """
+
+    def __init__(self, model: mujoco.MjModel, compiled: bool) -> None:
+        self._model, self._compiled = model, compiled
+        self.data = mujoco.MjData(model)
+        self.scene: Any
+        if compiled:
+            try:
+                from khep_twin.rollout import compiled as fast
+                from khep_twin.rollout import compiled_casting
+            except ImportError as error:
+                raise MissingExtraError("numba", "batch") from error
+            self.advance = fast.advance
+            self.scene = compiled_casting.scene_of(model, self.data, _PREFIX)
+        else:
+            self.advance = episode.advance
+            self.scene = raycast.scene_of(model, self.data, _PREFIX)
+        self._pose = int(model.joint(f"{_PREFIX}pose").qposadr[0])
+
+    def put(self, start: Start | None) -> None:
+        """Puts everything to its start, and the robot elsewhere if a place is given."""
+        mujoco.mj_resetData(self._model, self.data)
+        if start is not None:
+            self.data.qpos[self._pose : self._pose + 7] = _free_joint(start)
+
+    @property
+    def live(self) -> Live:
+        """The numbers that the episode knows."""
+        data = self.data
+        arrays = (data.qpos, data.qvel, data.ctrl, data.actuator_force, data.xpos.reshape(-1))
+        qpos, qvel, ctrl, force, bodies = arrays if self._compiled else (array.data for array in arrays)
+        return qpos, qvel, ctrl, force, bodies, data.warning.number
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """True x, y [m] and heading [rad]."""
+        x, y, _, qw, qx, qy, qz = self.data.qpos[self._pose : self._pose + 7].tolist()
+        return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+
+    @property
+    def joints(self) -> Floats:
+        """All places of the scene, as a copy."""
+        return self.data.qpos.copy()
+
+    @property
+    def warning(self) -> str:
+        """The name of what MuJoCo has warned of."""
+        return mujoco.mjtWarning(int(np.flatnonzero(self.data.warning.number)[0])).name
+
+
+def places(model: mujoco.MjModel) -> tuple[int, int, int, int, int]:
+    """The first five numbers of `episode.Wiring`."""
+    axles = [int(model.joint(f"{_PREFIX}{side}_axle").qposadr[0]) for side in ("left", "right")]
+    motors = [int(model.actuator(f"{_PREFIX}{side}_motor").id) for side in ("left", "right")]
+    return axles[0], axles[1], motors[0], motors[1], int(model.joint(f"{_PREFIX}pose").qposadr[0])
+
+
+def _free_joint(start: Start) -> Floats:
+    """The numbers of a robot's free joint at a start (7,): what MuJoCo itself makes of the place."""
+    x_mm, y_mm, heading_deg = start
+    heading = units.radians(heading_deg)
+    spec = mujoco.MjSpec()
+    frame = spec.worldbody.add_frame(
+        pos=[units.metres(x_mm), units.metres(y_mm), 0],
+        quat=[math.cos(heading / 2), 0, 0, math.sin(heading / 2)],
+    )
+    child = mujoco.MjSpec()
+    body = child.worldbody.add_body(name="base", mass=1, inertia=[1, 1, 1])
+    body.add_freejoint()
+    spec.attach(child, prefix="robot/", frame=frame)
+    return spec.compile().qpos0

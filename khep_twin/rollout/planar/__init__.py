@@ -1,0 +1,1 @@
+"""Episodes in a plane instead of MuJoCo, for screening."""

@@ -1,0 +1,221 @@
+"""`casting` for screening: the same questions, asked of a plane instead of MuJoCo.
+
+The robot is a disc on two wheels, what stands around it are upright boxes and cylinders with their heights.
+Its way is worked out in `planar_motion`, what its sensors see in `planar_rays` and `planar_shadows`, as by
+MuJoCo for upright things and a robot that does not tilt. This source runs as it stands and compiled.
+
+Nothing is left out for being far off. But for each thing a distance is kept that it surely is away, less the
+way since; things are looked at in that order, and no longer than they can matter.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from khep_twin.rollout.planar import motion, shadows
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.rollout.planar import rays as planar_rays
+from khep_twin.rollout.planar.plane import (
+    CENTRE_X,
+    CENTRE_Y,
+    COSINE,
+    DISTANCE,
+    HEADING,
+    HEADING_COSINE,
+    HEADING_SINE,
+    LENGTH,
+    MOVED,
+    REFLECTANCE,
+    SEEN,
+    SINE,
+    WIDTH,
+    Plane,
+)
+from khep_twin.sensing import raycast
+
+__all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY", "Scene"]
+
+Scene = Plane
+
+FEW, MANY, LENGTH_AND_NORMAL = raycast.FEW, raycast.MANY, raycast.LENGTH_AND_NORMAL
+
+decide = raycast.decide
+
+_ROUNDING = 1e-9
+"""What is so much farther off than all rays have met cannot be met [m]."""
+
+
+def step(scene: Scene) -> None:
+    """One step of the way."""
+    motion.step(scene)
+
+
+def heading(qpos: Sequence[float], pose: int) -> tuple[float, float]:
+    """As `raycast.heading`."""
+    angle = qpos[pose + HEADING]
+    return math.cos(angle), math.sin(angle)
+
+
+def body_frame(scene: Scene) -> Sequence[float]:
+    """As `raycast.body_frame`."""
+    c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
+    return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
+
+
+def position(scene: Scene, channel: int) -> tuple[float, float, float]:
+    """As `raycast.position`."""
+    last, mounts = scene.robot.last, scene.robot.mounts
+    c, s = last[HEADING_COSINE], last[HEADING_SINE]
+    ahead, left = mounts[channel, 0], mounts[channel, 1]
+    return last[CENTRE_X] + c * ahead - s * left, last[CENTRE_Y] + s * ahead + c * left, scene.robot.height
+
+
+def sensor_frame(scene: Scene, channel: int) -> Sequence[float]:
+    """As `raycast.sensor_frame`."""
+    last, mounts = scene.robot.last, scene.robot.mounts
+    c, s = last[HEADING_COSINE], last[HEADING_SINE]
+    x = c * mounts[channel, 2] - s * mounts[channel, 3]
+    y = s * mounts[channel, 2] + c * mounts[channel, 3]
+    return y, 0.0, -x, -x, 0.0, -y, 0.0, 1.0, 0.0
+
+
+def direction(
+    scene: Scene, frame: Sequence[float], channel: int, ray: int, aside: float
+) -> tuple[float, float, float]:
+    """As `raycast.direction`."""
+    c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
+    ways, n_wide = scene.robot.ways, len(scene.robot.hits)
+    ahead, left = ways[channel, ray], ways[channel, n_wide + ray]
+    return c * ahead - s * left, s * ahead + c * left, 0.0
+
+
+def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int:
+    """As `raycast.rays`, but none where nothing can be near enough to count."""
+    robot, things, order = scene.robot, scene.things, scene.order
+    away = robot.mounts[channel, 4] + robot.last[MOVED]
+    gain, offset = near.gain[channel] * near.brightest, near.offset[channel]
+    n = len(order)
+    if level < 0:
+        # As far off as this nothing passes the threshold; a little less, for rounding.
+        if n == 0:
+            return 0
+        least = max(things[order[0], DISTANCE] - away, 0.0) + offset
+        if gain * 1.000001 <= -level * least * least:
+            return 0
+    place = position(scene, channel)
+    x, y = place[0], place[1]
+    c, s = robot.last[HEADING_COSINE], robot.last[HEADING_SINE]
+    cones = scene.robot.cones
+    right_x = c * cones[channel, 0] - s * cones[channel, 1]
+    right_y = s * cones[channel, 0] + c * cones[channel, 1]
+    left_x = c * cones[channel, 2] - s * cones[channel, 3]
+    left_y = s * cones[channel, 2] + c * cones[channel, 3]
+    cone = right_x, right_y, left_x, left_y
+    reach = math.inf
+    if level < 0:
+        reach = math.sqrt(gain / -level) * 1.000001 - offset
+        if not _within(scene, x, y, cone, reach, away):
+            return 0
+    n_rays, n_wide = len(found) // 4, len(robot.hits)
+    for ray in range(n_wide):
+        ahead, left = robot.ways[channel, ray], robot.ways[channel, n_wide + ray]
+        robot.looks[ray] = c * ahead - s * left
+        robot.looks[n_wide + ray] = s * ahead + c * left
+        robot.lengths[ray] = math.inf
+        robot.hits[ray] = -1
+    farthest, next_look = math.inf, reach
+    for i in range(n):
+        thing = order[i]
+        least = things[thing, DISTANCE] - away
+        if least > farthest:
+            break
+        if least > next_look:
+            # All that is left is farther off than this.
+            light = planar_rays.most(robot, near.weights[channel], offset, least)
+            if gain * light * 1.000001 <= -level:
+                return 0
+            next_look = least + reach
+        if not things[thing, SEEN] or not planar_rays.in_cone(things, thing, x, y, cone):
+            continue
+        if farthest < math.inf and flat.distance_to(things, thing, x, y) > farthest + _ROUNDING:
+            continue
+        if things[thing, WIDTH] < 0:
+            planar_rays.meet_circle(scene, thing, x, y)
+        else:
+            planar_rays.meet_box(scene, thing, x, y)
+        farthest = 0.0
+        for ray in range(n_rays):
+            farthest = max(farthest, robot.lengths[ray])
+    if level < 0:
+        light = planar_rays.most(robot, near.weights[channel], offset, math.inf)
+        if gain * light * 1.000001 <= -level:
+            return 0
+    for ray in range(n_rays):
+        length, hit = robot.lengths[ray], robot.hits[ray]
+        found[4 * ray] = -1.0
+        found[4 * ray + 1] = found[4 * ray + 2] = found[4 * ray + 3] = 0.0
+        if hit < 0:
+            continue
+        found[4 * ray] = length
+        thing, face = hit >> 2, hit & 3
+        if things[thing, WIDTH] < 0:
+            dx = x + length * robot.looks[ray] - things[thing, CENTRE_X]
+            dy = y + length * robot.looks[n_wide + ray] - things[thing, CENTRE_Y]
+            found[4 * ray + 1], found[4 * ray + 2] = dx / things[thing, LENGTH], dy / things[thing, LENGTH]
+        else:
+            sign = -1.0 if face & 1 else 1.0
+            normal_x, normal_y = sign * things[thing, COSINE], sign * things[thing, SINE]
+            if face & 2:
+                normal_x, normal_y = -normal_y, normal_x
+            found[4 * ray + 1], found[4 * ray + 2] = normal_x, normal_y
+    return len(found)
+
+
+def _within(
+    scene: Scene,
+    x: float,
+    y: float,
+    cone: tuple[float, float, float, float],
+    reach: float,
+    away: float,
+) -> bool:
+    """Whether anything is within reach [m] and the cone of a sensor; sure if it says no."""
+    things = scene.things
+    for i in range(len(scene.order)):
+        thing = scene.order[i]
+        if things[thing, DISTANCE] - away > reach:
+            return False
+        if not scene.things[thing, SEEN]:
+            continue
+        distance = flat.distance_to(things, thing, x, y)
+        if distance <= reach and planar_rays.in_cone(things, thing, x, y, cone):
+            return True
+    return False
+
+
+def surfaces(scene: Scene, channel: int, directions: Any, cutoff: float, found: Any) -> None:
+    """As `raycast.surfaces`: what `rays` has hit with the same rays."""
+    for ray in range(len(found)):
+        hit = scene.robot.hits[ray]
+        found[ray] = scene.things[hit >> 2, REFLECTANCE] if hit >= 0 else 0.0
+
+
+def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: float) -> bool:
+    """As `raycast.stopped`."""
+    return shadows.stopped(scene, position(scene, channel), (x, y, z), glass)
+
+
+def blocked(
+    scene: Scene,
+    channel: int,
+    disc: int,
+    left: tuple[float, float, float],
+    up: tuple[float, float, float],
+    way: tuple[float, float, float],
+    cutoff: float,
+    glass: float,
+) -> float:
+    """As `raycast.blocked`."""
+    n_few, n_points = scene.robot.n_few, len(scene.robot.points)
+    first, last = (0, n_few) if disc == FEW else (n_few, n_points)
+    return shadows.blocked(scene, position(scene, channel), first, last, left, up, way, glass)

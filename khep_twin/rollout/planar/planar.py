@@ -1,0 +1,308 @@
+"""The plane of a playpen: its robot's constants and what stands around, taken from the scene for MuJoCo.
+
+    ground = Ground(playpen.load("looping-maze"), planar=True)
+
+Nothing here is fitted: masses, inertias, friction, motors, places and heights are those of that scene.
+"""
+
+# numba is not typed.
+# pyright: reportMissingTypeStubs=false
+
+import math
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.board.compiled_kernel import another_copy
+from khep_twin.errors import MissingExtraError, PlaypenError
+from khep_twin.playpen import Playpen
+from khep_twin.playpen_to_mjcf import SHELL_FRICTION, TYRE_FRICTION
+from khep_twin.rollout import episode
+from khep_twin.rollout.mujoco_room import Live, Start
+from khep_twin.rollout.planar import casting as planar_casting
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.rollout.planar.plane import Plane, Robot
+from khep_twin.sensing import optics, raycast
+
+N_CONTACTS = 8
+"""So many things can push the robot at once: more than there is room for around it."""
+
+WIDE = 8
+"""Room for rays is for a multiple of this, as processors work on so many at once; the last go nowhere."""
+
+_PREFIX = "khepera0/"
+_NAME = "in a plane"
+
+LIVE = ("joints", "speeds", "ctrl", "force")
+"""Fields of `Robot` that the episode knows."""
+
+ROOM = (*LIVE, "grips", "last", "contacts")
+"""Fields of `Robot` that begin anew with each life."""
+
+Floats = NDArray[np.float64]
+
+
+def as_record(numbers: Any) -> Any:
+    """A named tuple as a record of the same fields: one address to hand on in compiled code."""
+    values = [np.asarray(value) for value in numbers]
+    kinds = [
+        (name, np.int64 if value.dtype.kind == "i" else value.dtype, value.shape)
+        for name, value in zip(numbers._fields, values, strict=True)
+    ]
+    record = np.zeros(1, np.dtype(kinds, align=True)).view(np.recarray)[0]
+    for name, value in zip(numbers._fields, values, strict=True):
+        record[name] = value
+    return record
+
+
+class Outline:
+    """What a plane needs to know of a scene; threads may share it.
+
+    `PLACES` are the first five numbers of `episode.Wiring`.
+
+    Args:
+        playpen: with one robot.
+        model: the scene that it makes.
+        step_ns: of the plane [ns].
+
+    Raises:
+        PlaypenError: it has what a plane cannot have.
+    """
+
+    PLACES = (flat.LEFT_ANGLE, flat.RIGHT_ANGLE, 0, 1, flat.X)
+
+    def __init__(self, playpen: Playpen, model: mujoco.MjModel, step_ns: int) -> None:
+        for name, items in (("block", playpen.blocks), ("cylinder", playpen.cylinders)):
+            for number, item in enumerate(items, 1):
+                if item.movable:
+                    raise PlaypenError(
+                        f"{playpen.name}: {name} {number} is movable; right are fixed ones in the plane, "
+                        "where nothing is pushed"
+                    )
+        robot = playpen.robots[0]
+        self.place = robot.x_mm, robot.y_mm, robot.heading_deg
+        self.chassis = _chassis(model, step_ns)
+        shell = model.geom(f"{_PREFIX}shell")
+        low, high = _span(model, shell.id)
+        cameras = [model.camera(f"{_PREFIX}{sensor.name.lower()}").id for sensor in units.Sensor]
+        self.height = float(model.cam_pos[cameras[0], 2])
+        fixed = np.flatnonzero((model.geom_bodyid == 0) & (model.geom_rgba[:, 3] > 0)).tolist()
+        upright = [geom for geom in fixed if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE]
+        self.things = np.zeros((len(upright), flat.N_COLUMNS))
+        for row, geom in zip(self.things, upright, strict=True):
+            row[: flat.TOP + 1] = _thing(model, geom)
+        bottoms, tops = self.things[:, flat.BOTTOM], self.things[:, flat.TOP]
+        self.things[:, flat.TOUCHED] = (tops > low) & (bottoms < high)
+        self.things[:, flat.SEEN] = (tops >= self.height) & (bottoms <= self.height)
+        self.things[:, flat.REFLECTANCE] = model.geom_user[upright, 0]
+        self.mounts = np.array([_mount(model, camera) for camera in cameras])
+        n_rays = int(model.cam_resolution[cameras[0], 0])
+        ways = np.array([_ways(model, camera, n_rays) for camera in cameras])
+        wide = np.zeros((len(cameras), 2, -(-n_rays // WIDE) * WIDE))
+        wide[:, :, :n_rays] = ways.transpose(0, 2, 1)
+        self.ways = wide.reshape(len(cameras), -1)
+        # To the inside of a cone: left of its rightmost ray, right of its leftmost.
+        left, right = ways[:, 0], ways[:, -1]
+        self.cones = np.column_stack([-right[:, 1], right[:, 0], left[:, 1], -left[:, 0]])
+
+
+class PlanarRoom:
+    """Room for one life in a plane, in arrays or, for plain Python, in what that is quick with.
+
+    Args:
+        outline: of the plane.
+        compiled: whether it is for compiled code.
+
+    Attributes:
+        scene: as its robot's sensors see it.
+        live: the numbers that the episode knows.
+        advance: `episode.advance` on it.
+    """
+
+    def __init__(self, outline: Outline, compiled: bool) -> None:
+        self._outline = outline
+        if compiled:
+            try:
+                from khep_twin.rollout.planar import compiled as compiled_planar
+            except ImportError as error:
+                raise MissingExtraError("numba", "batch") from error
+            self.advance = compiled_planar.advance
+        else:
+            self.advance = _plain_episode().advance
+
+        n_wide = outline.ways.shape[1] // 2
+        points = [raycast.points_of_a_bulb(number) for number in (raycast.FEW, raycast.MANY)]
+        numbers: dict[str, Any] = {
+            **outline.chassis,
+            "height": outline.height,
+            "mounts": outline.mounts,
+            "ways": outline.ways,
+            "cones": outline.cones,
+            "looks": np.zeros(2 * n_wide),
+            "hits": np.zeros(n_wide, np.int64),
+            "lengths": np.zeros(n_wide),
+            "shares": np.zeros(n_wide),
+            "n_few": len(points[0]),
+            "points": np.concatenate(points),
+            "hidden": np.zeros(sum(map(len, points)), np.int64),
+            "contacts": np.zeros((N_CONTACTS, 4)),
+            "joints": np.zeros(flat.N_JOINTS),
+            "speeds": np.zeros(flat.N_JOINTS),
+            "ctrl": np.zeros(2),
+            "force": np.zeros(2),
+            "grips": np.zeros(3),
+            "last": np.zeros(flat.N_LAST),
+        }
+        self._things, self._order = outline.things.copy(), np.zeros(len(outline.things), np.int64)
+        if compiled:
+            robot: Any = as_record(Robot(**numbers))
+            self.scene: Any = Plane(self._things, self._order, robot)
+            self._room = {name: robot[name] for name in ROOM}
+            live: list[Any] = [robot[name] for name in LIVE]
+        else:
+            self._room = {name: numbers[name] for name in ROOM}
+            views: dict[str, Any] = {
+                name: value.data if isinstance(value, np.ndarray) else value
+                for name, value in numbers.items()
+            }
+            self.scene = Plane(self._things.data, self._order.data, Robot(**views))
+            live = [views[name] for name in LIVE]
+
+        # The robot is the only body, and there are no warnings.
+        joints, speeds, ctrl, force = live
+        none: Any = np.zeros(0) if compiled else np.zeros(0).data
+        self.live: Live = joints, speeds, ctrl, force, joints[: flat.HEADING], none
+
+    def put(self, start: Start | None) -> None:
+        """Puts the robot down at rest, in its place or elsewhere [mm, deg]; nothing is left of what was."""
+        x_mm, y_mm, heading_deg = start or self._outline.place
+        x, y, heading = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
+        for array in self._room.values():
+            array[:] = 0
+        self._room["joints"][:3] = x, y, heading
+        # Far from anywhere: the first step measures all distances.
+        self._room["last"][flat.ANCHOR_X] = np.inf
+        self._things[:, flat.ALONG] = self._things[:, flat.ACROSS] = 0
+        # Nearly in order, which is soon put right.
+        things = self._things
+        away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
+        self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """True x, y [m] and heading [rad]."""
+        x, y, heading = self._room["joints"][:3].tolist()
+        return x, y, math.atan2(math.sin(heading), math.cos(heading))
+
+    @property
+    def joints(self) -> Floats:
+        """All places, as a copy."""
+        return self._room["joints"].copy()
+
+    @property
+    def warning(self) -> str:
+        """There is none in a plane."""
+        return ""
+
+
+@cache
+def _plain_episode() -> ModuleType:
+    """The episode in a plane, as it stands."""
+    return another_copy(
+        episode,
+        {"raycast": planar_casting, "optics": another_copy(optics, {"raycast": planar_casting}, _NAME)},
+        _NAME,
+    )
+
+
+def _chassis(model: mujoco.MjModel, step_ns: int) -> dict[str, float | int]:
+    """The robot's constants, from the scene."""
+    base = model.body(f"{_PREFIX}base").id
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    masses = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, masses)
+    turning = int(model.joint(f"{_PREFIX}pose").dofadr[0]) + 5
+    axle = int(model.joint(f"{_PREFIX}left_axle").dofadr[0])
+    mass, inertia, spin = (
+        float(model.body_subtreemass[base]),
+        float(masses[turning, turning]),
+        float(masses[axle, axle]),
+    )
+    wheel = float(model.geom(f"{_PREFIX}left_tyre").size[0])
+    left, right = (float(model.body(f"{_PREFIX}{side}_wheel").pos[1]) for side in ("left", "right"))
+    track, h = left - right, units.STEP_NS * 1e-9
+    resistance, constant = model.actuator_gainprm[model.actuator(f"{_PREFIX}left_motor").id, :2].tolist()
+    stall, damping = constant / resistance, constant * constant / resistance
+    # Of each of both wheels; the body weighs on them as if it were at their rims.
+    going = mass / 2 * wheel * wheel + spin
+    swinging = 2 * inertia / (track * track) * wheel * wheel + spin
+    # What speeds up weighs on the support behind it: the mass at its height, and the wheels that turn faster.
+    height = float(data.subtree_com[base, 2])
+    arm = abs(float(model.geom(f"{_PREFIX}front_support").pos[0]))
+    weight = mass * abs(float(model.opt.gravity[2]))
+    behind = (mass * height + 2 * spin / wheel) / arm
+    return dict(
+        substep=h,
+        n_substeps=step_ns // units.STEP_NS,
+        radius=float(model.geom(f"{_PREFIX}shell").size[0]),
+        track=track,
+        wheel=wheel,
+        mass=mass,
+        inertia=float(inertia),
+        spin=float(spin),
+        stall=stall,
+        damping=damping,
+        free_speed=wheel / constant,
+        going=float(going / (going + h * damping)),
+        turning=float(swinging / (swinging + h * damping)),
+        grip=TYRE_FRICTION * weight / 2,
+        relief=TYRE_FRICTION * behind / 2,
+        friction=SHELL_FRICTION,
+    )
+
+
+def _span(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
+    """Lowest and highest height of an upright geom [m]."""
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    half = size[2] if kind == mujoco.mjtGeom.mjGEOM_BOX else size[1]
+    at = float(model.geom_pos[geom, 2])
+    return at - float(half), at + float(half)
+
+
+def _thing(model: mujoco.MjModel, geom: int) -> list[float]:
+    """A row of `Plane.things`."""
+    x, y, _ = model.geom_pos[geom].tolist()
+    w, _, _, z = model.geom_quat[geom].tolist()
+    angle, size = 2 * math.atan2(z, w), model.geom_size[geom].tolist()
+    sides = size[:2] if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX else [size[0], -1.0]
+    return [x, y, math.cos(angle), math.sin(angle), *sides, *_span(model, geom)]
+
+
+def _mount(model: mujoco.MjModel, camera: int) -> list[float]:
+    """A row of `Scene.mounts`."""
+    x, y, _ = model.cam_pos[camera].tolist()
+    ahead = _ahead(model, camera)
+    return [x, y, *ahead, math.hypot(x, y)]
+
+
+def _ahead(model: mujoco.MjModel, camera: int) -> tuple[float, float]:
+    """Where a camera looks, in the robot's frame."""
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.cam_quat[camera])
+    return -float(turn[2]), -float(turn[5])
+
+
+def _ways(model: mujoco.MjModel, camera: int, n_rays: int) -> Floats:
+    """Where a sensor's rays go in the robot's frame, left to right (n_rays, 2)."""
+    c, s = _ahead(model, camera)
+    width, height = model.cam_resolution[camera].tolist()
+    focal_length = height / 2 / math.tan(math.radians(float(model.cam_fovy[camera])) / 2)
+    aside = (np.arange(n_rays) + 0.5 - width / 2) / focal_length
+    ways = np.column_stack([c + aside * s, s - aside * c])
+    return ways / np.sqrt(1 + aside * aside)[:, None]

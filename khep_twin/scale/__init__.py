@@ -1,1 +1,0 @@
-"""Scale: many robots' lives, compiled and on all cores."""

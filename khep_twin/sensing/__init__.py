@@ -1,0 +1,1 @@
+"""Models of the sensors: rays, optics of proximity, ambient light, calibrations."""

@@ -1,0 +1,122 @@
+"""Lamps: where they are and how brightly each shines, as time passes.
+
+A lamp burns with its power times its dim. It can blink, `on_s` says from when to when it is on, and with
+`fade_s` it goes on and off slowly, as a filament does. The playpen's lighting says which of them are on: all,
+or one at a time. Then the next one, by chance or in the file's order, is on when a robot comes near the one
+that is on, or near a wall of the arena. Robots have to go away before they can come near again. A hand can
+switch a lamp off and on again, whatever else switches it.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
+from khep_twin.playpen.polygon import distance
+from khep_twin.units import metres
+
+
+class Lamps:
+    """The lamps of one world.
+
+    Args:
+        playpen: says where they are and what switches them.
+        chance: draws the next one in mode "random".
+        time_ns: now [ns].
+
+    Attributes:
+        names: as in the scene, or as the playpen calls them.
+        positions: of the bulbs' centres (n, 3) [m].
+        powers: with which they shine now (n,) [W].
+        steady: whether nothing ever changes them.
+    """
+
+    def __init__(self, playpen: Playpen, chance: np.random.Generator, time_ns: int = 0) -> None:
+        self._lamps, self._lighting = playpen.lamps, playpen.lighting
+        self._corners = [(metres(x_mm), metres(y_mm)) for x_mm, y_mm in playpen.arena.corners]
+        self._chance = chance
+        self._near_lamp = self._near_wall = True
+        self.names = [lamp.name or f"lamp{index}" for index, lamp in enumerate(self._lamps)]
+        self.positions = [(metres(lamp.x_mm), metres(lamp.y_mm), metres(lamp.z_mm)) for lamp in self._lamps]
+        self._full = [lamp.power_w * lamp.dim for lamp in self._lamps]
+        one_by_one = self._lighting.mode != "all" and bool(self._lamps)
+        self.steady = not one_by_one and not any(lamp.blink_period_s or lamp.on_s for lamp in self._lamps)
+        self._off: set[int] = set()
+        self._lit: int | None = None
+        if one_by_one:
+            random = self._lighting.mode == "random"
+            self._lit = int(chance.integers(len(self._lamps))) if random else 0
+        self._time_ns = time_ns
+        self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
+
+    @property
+    def lit(self) -> int | None:
+        """Which one is on, where they are on one at a time; else None."""
+        return self._lit
+
+    def turn(self, index: int, on: bool, time_ns: int) -> None:
+        """Switch a lamp by hand at a time [ns]: off, or back to what it does by itself."""
+        (self._off.discard if on else self._off.add)(index)
+        if self.steady:  # nobody has called `update` so far
+            self._time_ns = time_ns
+        self.steady = False
+
+    def turned_off(self, index: int) -> bool:
+        """Whether a hand has switched it off."""
+        return index in self._off
+
+    def update(self, time_ns: int, robots: Sequence[tuple[float, float, float]]) -> bool:
+        """Lets time pass.
+
+        Args:
+            time_ns: now [ns].
+            robots: places of their centres and their radii: x, y, radius [m].
+
+        Returns:
+            Whether another lamp is on now.
+        """
+        elapsed_s, self._time_ns = (time_ns - self._time_ns) * 1e-9, time_ns
+        switched = self._lit is not None and self._switch(self._lit, robots)
+        for index, lamp in enumerate(self._lamps):
+            wanted, power = self._full[index] * self._wanted(index), self.powers[index]
+            step = self._full[index] * elapsed_s / lamp.fade_s if lamp.fade_s else math.inf
+            self.powers[index] = min(max(wanted, power - step), power + step)
+        return switched
+
+    def _wanted(self, index: int) -> bool:
+        """Whether a lamp is on."""
+        if self._lit not in (None, index) or index in self._off:
+            return False
+        return _in_its_turn(self._lamps[index], self._time_ns)
+
+    def _switch(self, lit: int, robots: Sequence[tuple[float, float, float]]) -> bool:
+        """Goes on to the next lamp if a robot has just come near this one, or near a wall."""
+        reach = metres(self._lighting.switch_distance_mm)
+        near_wall = any(distance(self._corners, x, y) < reach + radius for x, y, radius in robots)
+        near_lamp = self._near(lit, reach, robots)
+        came = (near_wall and not self._near_wall) or (near_lamp and not self._near_lamp)
+        self._near_wall, self._near_lamp = near_wall, near_lamp
+        if not came or len(self._lamps) == 1:
+            return False
+        step = 1
+        if self._lighting.mode == "random":
+            step = 1 + int(self._chance.integers(len(self._lamps) - 1))
+        self._lit = (lit + step) % len(self._lamps)
+        self._near_lamp = self._near(self._lit, reach, robots)
+        return True
+
+    def _near(self, index: int, reach: float, robots: Sequence[tuple[float, float, float]]) -> bool:
+        x, y, _ = self.positions[index]
+        reach += metres(BULB_RADIUS_MM)
+        return any(math.hypot(x - at_x, y - at_y) < reach + radius for at_x, at_y, radius in robots)
+
+
+def _in_its_turn(lamp: Lamp, time_ns: int) -> bool:
+    """Whether a lamp is on by its times, and by its blinking; each period begins with it on."""
+    if lamp.on_s and not any(round(on * 1e9) <= time_ns < round(off * 1e9) for on, off in lamp.on_s):
+        return False
+    if not lamp.blink_period_s:
+        return True
+    period_ns = round(lamp.blink_period_s * 1e9)
+    return time_ns % period_ns < round(period_ns * lamp.blink_duty)

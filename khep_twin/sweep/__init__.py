@@ -1,0 +1,1 @@
+"""Studies over many rollouts, in processes that may die."""

@@ -1,0 +1,69 @@
+"""Programs and measures of a study: functions that travel as text, so that no worker needs a file of them."""
+
+import hashlib
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from types import ModuleType
+from typing import Any
+
+from khep_twin.errors import ControllerError, choices, in_a_line
+from khep_twin.rollout.minds import Driver, Function
+from khep_twin.signals import is_interruption
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A function in the text of a file, to be made where it is needed.
+
+    Attributes:
+        text: of the file.
+        file: what to call it.
+        function: its name.
+        memory: how many numbers it keeps, if it drives.
+    """
+
+    text: str
+    file: str
+    function: str
+    memory: int
+
+
+def driver_of(driver: Driver | Program) -> Driver:
+    """What drives, compiled where it is a program; the same one each time.
+
+    Raises:
+        ControllerError: the program fails, or has no such function.
+    """
+    return _compiled(driver) if isinstance(driver, Program) else driver
+
+
+@lru_cache(maxsize=16)
+def _compiled(program: Program) -> Driver:
+    return Function(function_of(program), program.memory)
+
+
+@lru_cache(maxsize=32)
+def function_of(program: Program) -> Callable[..., Any]:
+    """The function, as Python has it.
+
+    Raises:
+        ControllerError: the text fails, or has no such function.
+    """
+    name = f"khep_twin_study_{hashlib.sha256(program.text.encode()).hexdigest()[:16]}"
+    module = ModuleType(name)
+    module.__file__ = program.file
+    # What numba compiles is looked up by its module.
+    sys.modules[name] = module
+    try:
+        exec(compile(program.text, program.file, "exec"), vars(module))  # the user's own program
+    except BaseException as error:
+        if is_interruption(error):
+            raise
+        raise ControllerError(f"{program.file}: {in_a_line(error)}") from error
+    found: Any = vars(module).get(program.function)
+    if not callable(found):
+        offers = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise ControllerError(f"no function {program.function!r}; {choices(program.function, offers)}")
+    return found

@@ -1,0 +1,237 @@
+"""A sweep's folder: a part for each task that was done, then one table of all.
+
+    study.json                    which study, and how many tasks
+    parts/task-000012.parquet     the results of a task, there as a whole or not at all
+    results.parquet               all lives in their order; the parts go when it is whole
+
+A part's name is its task's number, and what it holds follows from the study alone: a task that was done twice
+is there once. The same study gives the same bytes of results.parquet, whatever has happened on the way.
+"""
+
+# pyarrow is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false
+
+import fcntl
+import io
+import json
+import os
+import shutil
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from khep_twin import __version__
+from khep_twin.errors import StudyError
+from khep_twin.files.atomic import is_part, open_regular, read_regular, write_whole
+from khep_twin.sweep.study import COLUMNS
+from khep_twin.sweep.task_lives import Columns
+from khep_twin.sweep.tasks import Task, Work
+
+_STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
+
+_TYPES = {"failed_step": pa.int64(), "failure": pa.string()}
+"""Of columns that may have no value at all."""
+
+_MOST_ROWS = 12
+"""Longest list of means in a summary."""
+
+
+def encoded(work: Work, task: Task, columns: Columns) -> bytes:
+    """A task's results as the bytes of its part."""
+    # What is no number has no value.
+    arrays = {name: pa.array(values, _TYPES.get(name), from_pandas=True) for name, values in columns.items()}
+    marked = pa.table(arrays).replace_schema_metadata({_STUDY: work.digest, _TASK: str(task.index)})
+    file = io.BytesIO()
+    pq.write_table(marked, file)
+    return file.getvalue()
+
+
+class SweepFolder:
+    """Where a sweep's results are kept.
+
+    Args:
+        path: of the folder.
+        work: whose results they are.
+    """
+
+    def __init__(self, path: Path, work: Work) -> None:
+        self._path, self._work = path, work
+        self._parts = path / "parts"
+        self.table = path / "results.parquet"
+
+    @contextmanager
+    def opened(self, resume: bool) -> Generator[None]:
+        """Makes the folder, or goes on with it, for this process alone.
+
+        Raises:
+            StudyError: it belongs to something else, or to this study and is not to be resumed.
+        """
+        try:
+            self._path.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self._path, os.O_RDONLY)
+        except OSError as error:
+            raise StudyError(f"{self._path}: cannot be made: {error.strerror}") from error
+        try:
+            self._lock(descriptor)
+            self._begin(resume)
+            yield
+        finally:
+            os.close(descriptor)
+
+    def missing(self) -> list[Task]:
+        """Tasks whose results are not there as a whole."""
+        if self.table.exists():
+            if not self._holds(self.table, self._work.lives):
+                raise StudyError(f"{self.table}: is damaged; right is to delete it, and --resume")
+            return []
+        return [
+            task
+            for task in self._work.tasks
+            if not self._holds(self._part(task), task.count, str(task.index).encode())
+        ]
+
+    def keep(self, task: Task, data: bytes) -> None:
+        """Keeps a task's results."""
+        write_whole(self._part(task), data)
+
+    def finish(self) -> Path:
+        """Makes one table of all parts.
+
+        Returns:
+            Its path.
+
+        Raises:
+            StudyError: it cannot be written, or a life is missing or there twice; the parts stay.
+        """
+        if not self.table.exists():
+            self._join()
+        shutil.rmtree(self._parts, ignore_errors=True)
+        return self.table
+
+    def _lock(self, descriptor: int) -> None:
+        """Keeps other sweeps away; the lock goes with the process, even if that is killed."""
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StudyError(
+                f"{self._path}: another sweep is at work there; right is to wait for its end"
+            ) from None
+        except OSError as error:
+            raise StudyError(f"{self._path}: cannot be locked: {error.strerror}") from error
+
+    def _begin(self, resume: bool) -> None:
+        file, work = self._path / "study.json", self._work
+        known = _json(file)
+        # A sweep that was killed at once may have left the beginning of its file.
+        found = sorted(path for path in self._path.iterdir() if not is_part(path, file))
+        if known is None and found:
+            raise StudyError(f"{self._path}: holds {found[0].name} and no study.json; right is a new folder")
+        # One that came to nothing, as with a program that does not compile, may be mended and begun anew.
+        if known is None or not self._has_results():
+            told = {
+                "name": work.study.name,
+                "lives": work.lives,
+                "tasks": len(work.tasks),
+                "khep_twin": __version__,
+                "digest": work.digest,
+            }
+            write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
+        elif known.get("digest") != work.digest:
+            raise StudyError(
+                f"{self._path}: holds results of another study, or of this one before it changed; right is a "
+                "new folder"
+            )
+        elif not resume:
+            raise StudyError(
+                f"{self._path}: holds results of this study already; right is --resume, or a new folder"
+            )
+        try:
+            self._parts.mkdir(exist_ok=True)
+        except OSError as error:
+            raise StudyError(f"{self._parts}: cannot be made: {error.strerror}") from error
+
+    def _has_results(self) -> bool:
+        """Whether a task was done, of whichever study."""
+        return self.table.exists() or (self._parts.is_dir() and any(self._parts.iterdir()))
+
+    def _part(self, task: Task) -> Path:
+        return self._parts / f"task-{task.index:06}.parquet"
+
+    def _holds(self, file: Path, lives: int, task: bytes | None = None) -> bool:
+        """Whether a file ends as one does that was written as a whole, with lives of this study."""
+        try:
+            with open_regular(file) as content:
+                known = pq.read_metadata(content)
+        except (OSError, pa.ArrowInvalid):
+            return False
+        told = known.metadata or {}
+        ours = told.get(_STUDY) == self._work.digest.encode() and told.get(_TASK) == task
+        return ours and known.num_rows == lives
+
+    def _join(self) -> None:
+        scratch = self.table.with_name(f".{self.table.name}.part")
+        schema = self._read(self._work.tasks[0]).schema
+        try:
+            with pq.ParquetWriter(scratch, schema) as writer:
+                for task in self._work.tasks:
+                    writer.write_table(self._read(task))
+            # The parts go when it is there, even if the power does.
+            with scratch.open("rb") as file:
+                os.fsync(file.fileno())
+            os.replace(scratch, self.table)
+        except OSError as error:
+            raise StudyError(f"{self.table}: cannot be written: {error.strerror or error}") from error
+        finally:
+            scratch.unlink(missing_ok=True)
+
+    def _read(self, task: Task) -> pa.Table:
+        """A part, with each of its lives there once."""
+        file = self._part(task)
+        try:
+            # read_table would make columns of folders such as a=1.
+            with pq.ParquetFile(file) as part:
+                table = part.read()
+            whole = table["life"].to_pylist() == list(range(task.first, task.first + task.count))
+        except (OSError, pa.ArrowException):
+            table, whole = pa.table({}), False
+        if not whole:
+            raise StudyError(
+                f"{file}: does not hold lives {task.first} to {task.first + task.count - 1}, each once; "
+                "right is to delete it, and --resume"
+            )
+        return table.replace_schema_metadata({_STUDY: self._work.digest})
+
+
+def summary(table: Path) -> Iterator[str]:
+    """Yield how many lives a table holds, and the means of each controller in each playpen."""
+    measures = [name for name in pq.read_schema(table).names if name not in COLUMNS]
+    results = pq.ParquetFile(table).read(["playpen", "controller", "failure", *measures])
+    yield f"{results.num_rows} lives, {results.num_rows - results['failure'].null_count} failed; means:"
+    groups = results.group_by(["playpen", "controller"], use_threads=False)
+    rows = groups.aggregate([(name, "mean") for name in measures]).to_pylist()
+    for row in rows[:_MOST_ROWS]:
+        means = [(name, row[f"{name}_mean"]) for name in measures]
+        told = [f"{name} {mean:.4g}" for name, mean in means if mean is not None]
+        yield "  ".join([row["playpen"], row["controller"], *told])
+    if len(rows) > _MOST_ROWS:
+        yield f"and {len(rows) - _MOST_ROWS} more"
+
+
+def _json(file: Path) -> dict[str, Any] | None:
+    """What a file says; None where there is none."""
+    try:
+        found = json.loads(read_regular(file))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        found = None
+    if not isinstance(found, dict):
+        raise StudyError(
+            f"{file}: cannot be read, so nobody knows whose results these are; right is a new folder"
+        )
+    return found  # pyright: ignore[reportUnknownVariableType]

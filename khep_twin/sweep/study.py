@@ -1,0 +1,226 @@
+"""Studies: which lives a sweep goes through, as a TOML file.
+
+    version = 1
+    name = "noise"
+    playpens = ["looping-maze"]
+    controllers = ["braitenberg"]
+    seeds = 100
+    seconds = 60
+    output = "noise"
+
+    [grid]
+    noise = [true, false]
+
+Every playpen is lived in with every controller, genome and seed, at every point of the grid. The models are
+the format: their attributes are the file's keys, but for the tuples of `[[network]]`, `[[program]]` and
+`[[measure]]`.
+Paths in a study are seen from the folder that it is in.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from khep_twin.clock import n_steps, to_ns
+from khep_twin.errors import KhepTwinError, StudyError
+from khep_twin.files import toml_files
+from khep_twin.files.toml_files import Name, Problem, Problems, Table, show
+from khep_twin.files.toml_lines import Lines, Location
+from khep_twin.randomness import SEED_LIMIT
+from khep_twin.rollout.fitness import TOP_SPEED_PULSES
+from khep_twin.rollout.life import NUMBERS
+from khep_twin.rollout.minds import Network
+
+Fitness = Literal[
+    "obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m"
+]
+"""What a life can be measured by; `life.NUMBERS`."""
+
+COLUMNS = frozenset(
+    "life playpen controller genome seed noise spread lighting start start_x_mm start_y_mm start_heading_deg "
+    "end_x_m end_y_m end_heading_rad failed_step failure".split()
+)
+"""Of the results, beside what lives are measured by."""
+
+Switches = Annotated[tuple[bool, ...], Field(min_length=1, description="a list of true and false")]
+Lightings = Annotated[
+    tuple[Literal["all", "off"], ...], Field(min_length=1, description='a list of "all" and "off"')
+]
+Texts = Annotated[tuple[str, ...], Field(min_length=1, description="a list of texts, at least one")]
+
+
+class NetworkTable(Table):
+    """A `[[network]]`: its shape, as of `minds.Network`, and where its genomes come from."""
+
+    name: Name
+    hidden: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=1000)], ...],
+        Field(description="neurons of each hidden layer, from 1 to 1000"),
+    ] = ()
+    recurrent: bool = False
+    ambient: bool = False
+    top_speed_pulses: Annotated[float, Field(gt=0, le=127)] = float(TOP_SPEED_PULSES)
+    genomes: Annotated[str | None, Field(description="the path of a .npy or .csv file")] = None
+    drawn: Annotated[int | None, Field(ge=1, le=10**7)] = None
+    drawn_seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT)] = 0
+    drawn_sd: Annotated[float, Field(gt=0, le=1000)] = 1.0
+
+    def network(self) -> Network:
+        """What drives."""
+        return Network(self.hidden, self.recurrent, self.ambient, self.top_speed_pulses)
+
+
+class ProgramTable(Table):
+    """A `[[program]]`: a function of one's own, as of `minds.Function`."""
+
+    name: Name
+    file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
+    memory: Annotated[int, Field(ge=0, le=10**6)] = 0
+    genomes: Annotated[str | None, Field(description="the path of a .npy or .csv file")] = None
+
+
+class MeasureTable(Table):
+    """A `[[measure]]`: a fitness of one's own, a function of a life's end (`task_lives.measured`)."""
+
+    name: Name
+    file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
+
+
+class Grid(Table):
+    """Parameters, each with all the values it takes."""
+
+    noise: Switches = (True,)
+    spread: Switches = (False,)
+    lighting: Lightings = ("all",)
+    starts: Texts = ("playpen",)
+
+
+class Home(Table):
+    """Where the fitness `homing` has its home."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: Annotated[float, Field(gt=0)]
+    charge_s: Annotated[float, Field(gt=0)]
+
+
+class Study(Table):
+    """A whole study."""
+
+    version: Annotated[int, Field(ge=1, le=1, description="1")]
+    name: Name
+    playpens: Texts
+    controllers: Annotated[
+        tuple[Literal["braitenberg"], ...], Field(description='a list of built-in ones: "braitenberg"')
+    ] = ()
+    networks: Annotated[tuple[NetworkTable, ...], Field(alias="network")] = ()
+    programs: Annotated[tuple[ProgramTable, ...], Field(alias="program")] = ()
+    measures: Annotated[tuple[MeasureTable, ...], Field(alias="measure")] = ()
+    seeds: Annotated[int, Field(ge=1, le=10**9)]
+    first_seed: Annotated[int, Field(ge=0, le=2**62)] = 0
+    seconds: Annotated[float, Field(gt=0, le=10**6)]
+    planar: Annotated[bool, Field(description="true or false")] = False
+    step_ms: Annotated[float | None, Field(gt=0, description="2.5, 5 or 10")] = None
+    period_ms: Annotated[int, Field(ge=10, le=10**4, multiple_of=10, description="a multiple of 10")] = 20
+    fitness: Annotated[
+        tuple[Fitness, ...], Field(min_length=1, description=f"a list of {', '.join(NUMBERS)}")
+    ] = ("obstacle_avoidance", "distance_m")
+    home: Home | None = None
+    grid: Grid = Grid()
+    rollouts_per_task: Annotated[int, Field(ge=1, le=10**6)] = 1000
+    output: Annotated[str, Field(min_length=1, description="the path of a folder")]
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if problems := list(self._problems()):
+            raise Problems(problems)
+        return self
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.step_ms not in (None, 2.5, 5.0, 10.0):
+            yield Problem(("step_ms",), f"step_ms = {self.step_ms:g}: right is 2.5, 5 or 10")
+        try:
+            n_steps(to_ns(self.seconds), self.period_ms * 1_000_000)
+        except ValueError:
+            wish = f"right are whole control periods of {self.period_ms} ms"
+            yield Problem(("seconds",), f"seconds = {self.seconds:g}: {wish}")
+        if not (self.controllers or self.networks or self.programs):
+            yield Problem((), "no controller; right are controllers, a [[network]] or a [[program]]")
+        if "homing" in self.fitness and self.home is None:
+            yield Problem(("fitness",), 'fitness = "homing": there is no [home]')
+        for key, values in self._lists():
+            for value in sorted({str(each) for each in values if values.count(each) > 1}):
+                yield Problem(key, f"{key[-1]} has {show(value)} twice; right is once")
+        taken: set[str] = {*self.controllers}
+        for kind, tables in (("network", self.networks), ("program", self.programs)):
+            for index, table in enumerate(tables):
+                if table.name in taken:
+                    text = f'{kind} {index + 1}: name = "{table.name}": taken; right is a name of its own'
+                    yield Problem((kind, index, "name"), text)
+                taken.add(table.name)
+        columns = {*COLUMNS, *NUMBERS}
+        for index, table in enumerate(self.measures):
+            if table.name in columns:
+                text = f'measure {index + 1}: name = "{table.name}": taken; right is a name of its own'
+                yield Problem(("measure", index, "name"), text)
+            columns.add(table.name)
+        for index, table in enumerate(self.networks):
+            if (table.genomes is None) == (table.drawn is None):
+                given = "both" if table.drawn else "neither"
+                text = f"network {index + 1}: has {given} of genomes and drawn; right is one of them"
+                yield Problem(("network", index), text)
+
+    def _lists(self) -> Iterator[tuple[Location, tuple[Any, ...]]]:
+        for key in ("playpens", "controllers", "fitness"):
+            yield (key,), getattr(self, key)
+        for key in Grid.model_fields:
+            yield ("grid", key), getattr(self.grid, key)
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFile:
+    """A study as it was read.
+
+    Attributes:
+        study: what it says.
+        source: what to call the file in messages.
+        folder: in which it is.
+        lines: where its keys stand.
+    """
+
+    study: Study
+    source: str
+    folder: Path
+    lines: Lines
+
+    @property
+    def output(self) -> Path:
+        """Where results go."""
+        return self.folder / self.study.output
+
+    def error(self, location: Location, text: str) -> StudyError:
+        """What is wrong at a place of the file."""
+        line = self.lines.of(location)
+        return StudyError(f"{self.source}{'' if line is None else f':{line}'}: {text}")
+
+
+def load(path: Path) -> StudyFile:
+    """A study by its path.
+
+    Raises:
+        StudyError: there is none, or it cannot be used; one line per problem.
+    """
+    if not path.exists():
+        raise StudyError(f"{path}: no such file; right is the path of a study")
+    text, source = toml_files.read("studies", path, StudyError)
+    return StudyFile(
+        toml_files.validate(Study, text, source, StudyError), source, path.parent.absolute(), Lines(text)
+    )
+
+
+def checked(file: StudyFile, location: Location, key: str, error: KhepTwinError) -> StudyError:
+    """What was found wrong with what a study names, as trouble of the study."""
+    return file.error(location, f"{key}: {str(error).splitlines()[0]}")

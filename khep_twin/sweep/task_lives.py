@@ -1,0 +1,130 @@
+"""The lives of a task: led, and told as columns."""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from khep_twin import playpen
+from khep_twin.errors import ControllerError, in_a_line
+from khep_twin.lab.experiment import start_poses
+from khep_twin.rollout.batch import Lives, rollout
+from khep_twin.rollout.life import Ground, Start
+from khep_twin.rollout.minds import Floats
+from khep_twin.signals import is_interruption
+from khep_twin.sweep.programs import Program, driver_of, function_of
+from khep_twin.sweep.tasks import Task, Work
+
+Columns = Mapping[str, Any]
+"""Values of each life, by what they are called; None, or what is no number, for none."""
+
+NS_PER_MS = 1_000_000
+
+
+def results(work: Work, task: Task, threads: int | None = 1, compiled: bool | None = None) -> Columns:
+    """Lives through a task.
+
+    Args:
+        work: of which it is.
+        task: to do.
+        threads: how many; None for as many as there are cores. The results are the same.
+        compiled: None for compiled where numba is installed. The results are the same.
+
+    Returns:
+        Columns, with a row for each life in their order.
+
+    Raises:
+        KhepTwinError: the lives cannot be led.
+    """
+    study, group = work.study, work.groups[task.group]
+    controller = work.controllers[group.controller]
+    ground = _ground(
+        work.playpens[group.playpen], group.lighting, study.planar, study.step_ms, study.period_ms
+    )
+    numbers = np.arange(task.first - group.first, task.first - group.first + task.count)
+    others, seeds = np.divmod(numbers, study.seeds)
+    genomes, which = np.divmod(others, len(group.starts))
+    seeds += study.first_seed
+    # np.divmod is typed for single numbers alone.
+    words: list[str] = [group.starts[each] for each in which.tolist()]  # pyright: ignore
+    begins = [_begin(ground, word, seed) for word, seed in zip(words, seeds.tolist(), strict=True)]
+    home = study.home
+    lives = rollout(
+        ground,
+        driver_of(controller.driver),
+        seeds.tolist(),
+        study.seconds,
+        genes=controller.genomes[genomes],
+        starts=begins,
+        noise=group.noise,
+        spread=group.spread,
+        home=None if home is None else (home.x_mm, home.y_mm, home.radius_mm, home.charge_s),
+        threads=threads,
+        compiled=compiled,
+    )
+    failed = {failure.index: failure for failure in lives.failures}
+    count = task.count
+    return {
+        "life": np.arange(task.first, task.first + count),
+        "playpen": [study.playpens[group.playpen]] * count,
+        "controller": [controller.name] * count,
+        "genome": genomes,
+        "seed": seeds,
+        "noise": np.full(count, group.noise),
+        "spread": np.full(count, group.spread),
+        "lighting": [group.lighting] * count,
+        "start": words,
+        "start_x_mm": np.array([begin[0] for begin in begins], np.float64),
+        "start_y_mm": np.array([begin[1] for begin in begins], np.float64),
+        "start_heading_deg": np.array([begin[2] for begin in begins], np.float64),
+        **{name: lives.numbers[name] for name in study.fitness},
+        **{name: measured(measure, lives) for name, measure in work.measures},
+        "end_x_m": lives.poses[:, 0],
+        "end_y_m": lives.poses[:, 1],
+        "end_heading_rad": lives.poses[:, 2],
+        "failed_step": [failed[i].step if i in failed else None for i in range(count)],
+        "failure": [failed[i].reason if i in failed else None for i in range(count)],
+    }
+
+
+def measured(measure: Program, lives: Lives) -> Floats:
+    """What a function of a user's own makes of lives (n,); not a number for those that failed.
+
+    It is given a life's numbers by name, its board's registers (N_REGISTERS,) and its pose at the end, x, y
+    [m] and heading [rad], in plain Python.
+
+    Raises:
+        ControllerError: it fails, or returns no number.
+    """
+    function = function_of(measure)
+    found = np.full(len(lives.poses), np.nan)
+    failed = {failure.index for failure in lives.failures}
+    for life in range(len(found)):
+        if life in failed:
+            continue
+        numbers = {name: float(values[life]) for name, values in lives.numbers.items()}
+        try:
+            found[life] = float(
+                function(numbers, lives.registers[life].copy(), tuple(lives.poses[life].tolist()))
+            )
+        except BaseException as error:  # the user's own function may raise anything
+            if is_interruption(error):
+                raise
+            where = f"{measure.file}:{measure.function}"
+            raise ControllerError(f"{where}: {in_a_line(error)}") from error
+    return found
+
+
+def _begin(ground: Ground, word: str, seed: int) -> Start:
+    if word == "playpen":
+        return ground.start(seed)
+    start = start_poses.starts([word], ground.playpen, 0, 1, seed)[0]
+    return start.x_mm, start.y_mm, start.heading_deg
+
+
+@lru_cache(maxsize=4)
+def _ground(text: str, lighting: str, planar: bool, step_ms: float | None, period_ms: int) -> Ground:
+    place = start_poses.lit(playpen.parse(text, "a study's playpen"), "off" if lighting == "off" else None)
+    step_ns = None if step_ms is None else round(step_ms * NS_PER_MS)
+    return Ground(place, step_ns=step_ns, period_ns=period_ms * NS_PER_MS, planar=planar)

@@ -1,0 +1,1 @@
+"""The Khepera Toolbox for Matlab by its own names."""

@@ -1,0 +1,196 @@
+"""Control algorithms in the Khepera Toolbox's own form, a function with its own loops, as a controller.
+
+    def brait(port_id, cycles_per_run, runs, pause_stat):
+        run_count = 0
+        while run_count < runs:
+            cycle_count = 0
+            while cycle_count < cycles_per_run:
+                motors = rps(port_id) @ Intercon / 400 + speed
+                sms(port_id, motors[0], motors[1])
+                cycle_count = cycle_count + 1
+            run_count = run_count + 1
+        sms(port_id, 0, 0)
+
+The function is called once for each run, with `runs` = 1 and `pause_stat` = 0, so that a run is measured,
+kept and followed by a pause as any other controller's. What has to last from run to run is global, as in the
+toolbox.
+"""
+
+import sys
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from types import CodeType, FrameType, FunctionType
+from typing import Any, cast
+
+from khep_twin.errors import ControllerError
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.controllers import LoopingController
+from khep_twin.toolbox import serial_commands as host
+from khep_twin.toolbox import simulator
+from khep_twin.toolbox.simulator import OpenPlaypen
+
+ARGUMENTS = ("port_id", "cycles_per_run", "runs", "pause_stat")
+"""Of such a function, in this order, by any name."""
+
+
+class ToolboxController(LoopingController):
+    """A function of the toolbox's form.
+
+    Its variables are all that it has when it returns: its own, the global ones that it names, and what it
+    returns.
+
+    Args:
+        function: of `ARGUMENTS`.
+
+    Attributes:
+        unpaced: whether it drives by `sim_` commands and `kheprom`, and not through a port.
+    """
+
+    passes_time = "kheprom(btmap1) in each cycle of a simulated robot, or a command to a real one"
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        open_ones = [each for each in function.__globals__.values() if isinstance(each, OpenPlaypen)]
+        self.playpen = open_ones[0].twin.world.playpen if open_ones else None
+        self.unpaced = _names_the_simulator(function, set())
+
+    def loop(
+        self, robot: Khepera, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]
+    ) -> int | None:
+        """Call the function for one run."""
+        function: Callable[..., Any] = self.function
+        run = _Run(robot, function.__code__, end_cycle, stop)
+        run.heard_by = robot.listen(run.hear)
+        try:
+            with simulator.lent(robot) as btmap1, host.lent(robot, self.port_id) as port_id:
+                if self.unpaced and btmap1 is None:
+                    raise ControllerError(
+                        f"{function.__name__}: drives by sim_ commands, not through {robot.name}; "
+                        "expected a twin in this process, or a function without sim_ and kheprom"
+                    )
+                with _open_for(function, btmap1):
+                    returned = function(port_id, _Cycles(cycles, run), 1, 0)
+        except _Stopped:
+            return None
+        finally:
+            robot.listen(run.heard_by)
+        if not run.counts and run.ended == robot.time:
+            end_cycle()  # which tells that no time has passed
+        self._told = {**_globals(function), **run.variables(), **_returned(returned)}
+        return run.count if run.counts else cycles
+
+
+class _Stopped(BaseException):
+    """The series is to end, though the function is in the middle of its run."""
+
+
+class _Run:
+    """One run of a function: its cycles, and its variables afterwards."""
+
+    def __init__(
+        self, robot: Khepera, code: CodeType, end_cycle: Callable[[], bool], stop: Callable[[], bool]
+    ) -> None:
+        self._robot, self._code, self._end_cycle, self._stop = robot, code, end_cycle, stop
+        self._frame: FrameType | None = None
+        self.heard_by: Callable[[str, str], None] | None = None
+        self.counts = False
+        self.count = 0
+        self.ended = robot.time
+
+    def compare(self, count: int, cycles: int) -> None:
+        """Take note that the function compares its count of cycles with their number."""
+        self._find_frame()
+        if self.counts and count > self.count:
+            self._end_cycle()
+        if self._stop() and count < cycles:
+            raise _Stopped
+        self.counts, self.count = True, int(count)
+
+    def hear(self, request: str, reply: str) -> None:
+        """Pass an exchange on; a function that does not count by `compare` ends a cycle with each speed."""
+        if self.heard_by is not None:
+            self.heard_by(request, reply)
+        self._find_frame()
+        if self._stop():
+            raise _Stopped
+        if not self.counts and request.startswith("D,") and self._robot.time != self.ended:
+            self.ended = self._robot.time
+            self._end_cycle()
+
+    def variables(self) -> dict[str, Any]:
+        """Return the function's own variables as of its end."""
+        held = {} if self._frame is None else dict(self._frame.f_locals)
+        arguments = self._code.co_varnames[: len(ARGUMENTS)]
+        return {name: value for name, value in held.items() if name not in arguments}
+
+    def _find_frame(self) -> None:
+        """Keep the function's frame: it has the variables even when the function has returned."""
+        frame = sys._getframe() if self._frame is None else None  # pyright: ignore[reportPrivateUsage]
+        while frame is not None and frame.f_code is not self._code:
+            frame = frame.f_back
+        self._frame = self._frame or frame
+
+
+class _Cycles(int):
+    """The number of cycles in a run, which hears of each `cycle_count < cycles_per_run`."""
+
+    def __new__(cls, number: int, run: _Run) -> "_Cycles":
+        return super().__new__(cls, number)
+
+    def __init__(self, number: int, run: _Run) -> None:
+        self._run = run
+
+    # What is asked of the other side of a comparison is asked of a subclass first.
+    def __gt__(self, count: int) -> bool:
+        self._run.compare(count, int(self))
+        return int(self) > count
+
+    def __ge__(self, count: int) -> bool:
+        self._run.compare(count - 1, int(self))
+        return int(self) >= count
+
+
+@contextmanager
+def _open_for(function: Callable[..., Any], btmap1: OpenPlaypen | None) -> Generator[None]:
+    """Let `btmap1`, and other playpens among a function's globals, be the one that is open, for a while."""
+    names = function.__globals__
+    before = {name: value for name, value in names.items() if isinstance(value, OpenPlaypen)}
+    names.update(dict.fromkeys({*before, "btmap1"}, btmap1))
+    try:
+        yield
+    finally:
+        names.pop("btmap1", None)
+        names.update(before)
+
+
+def _names_the_simulator(function: Callable[..., Any], seen: set[CodeType]) -> bool:
+    """Tell whether a function, or one that it calls in its own file, names a simulated command."""
+    code = function.__code__
+    if code in seen:
+        return False
+    seen.add(code)
+    if any(name == "kheprom" or name.startswith("sim_") for name in code.co_names):
+        return True
+    called = [function.__globals__.get(name) for name in code.co_names]
+    return any(
+        _names_the_simulator(each, seen)
+        for each in called
+        if isinstance(each, FunctionType) and each.__module__ == function.__module__
+    )
+
+
+def _globals(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return the global variables that a function names."""
+    names = function.__globals__
+    return {name: names[name] for name in function.__code__.co_names if name in names}
+
+
+def _returned(value: Any) -> Mapping[str, Any]:
+    """Return what a function returns by name: as it names them, or var1, var2, ... as the manual has it."""
+    if isinstance(value, Mapping):
+        mapping = cast(Mapping[Any, Any], value)
+        return {str(name): each for name, each in mapping.items()}
+    if value is None:
+        return {}
+    several = cast(tuple[Any, ...], value) if isinstance(value, tuple) else (value,)
+    return {f"var{number}": each for number, each in enumerate(several, 1)}

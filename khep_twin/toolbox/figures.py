@@ -1,0 +1,185 @@
+"""The Khepera Toolbox's graphs of sensor tests: `ddl`, `ddlg`, `ddr`, `ddrg`, `disonel`, and their files.
+
+    dv, khep_pos = tstsense(2, linear_cm=12)
+    ddlg(dv, khep_pos)
+    dataprnt("wall.pdf")
+
+`dv` has a row for each look: two position counters and eight sensors. `khep_pos` is how far a wheel went in
+the test [pulses]. A graph opens a window where there is a screen, and is returned in any case. Neither of the
+two tells the sensors' kind and the speed: the graph has those of the test that has given `dv`, or what is
+said.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, SupportsFloat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import SensorTestError, choices
+from khep_twin.lab.sensor_test.sensor_test import (
+    PULSES_PER_CM,
+    PULSES_PER_DEGREE,
+    SENSORS,
+    SensorRun,
+    SensorTest,
+    What,
+)
+from khep_twin.toolbox.sense import test_of
+from khep_twin.toolbox.windows import show
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Matrix = NDArray[Any] | Sequence[Sequence[SupportsFloat]]
+"""`dv` (n, 10)."""
+
+
+def ddl(
+    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+) -> "Figure":
+    """All sensors over a straight way, which counts down to 0 cm at its end.
+
+    Args:
+        dv: what the test has gathered (n, 10).
+        khep_pos: how far it went [pulses], 5 to 60 cm.
+        what: the sensors told, "proximity" or "light"; without, as the test that has given `dv`.
+        speed: that was driven [pulses/10 ms]; likewise, and none is named where it is unknown.
+
+    Raises:
+        SensorTestError: `dv` is no such matrix, or no test goes so far.
+    """
+    return _drawn(dv, khep_pos, "linear", what, speed)
+
+
+def ddlg(
+    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+) -> "Figure":
+    """As `ddl`, with a grid."""
+    return _drawn(dv, khep_pos, "linear", what, speed, grid=True)
+
+
+def ddr(
+    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+) -> "Figure":
+    """All sensors over a turn, in degrees; arguments as for `ddl`, 15 to 360 degrees."""
+    return _drawn(dv, khep_pos, "rotational", what, speed)
+
+
+def ddrg(
+    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+) -> "Figure":
+    """As `ddr`, with a grid."""
+    return _drawn(dv, khep_pos, "rotational", what, speed, grid=True)
+
+
+def disonel(
+    dv: Matrix,
+    khep_pos: SupportsFloat,
+    which_one: int | str,
+    what: What | None = None,
+    *,
+    y_min: int = 0,
+    grid: bool = False,
+    speed: int | None = None,
+) -> "Figure":
+    """One sensor over the way or the turn; the counters tell which it was.
+
+    Args:
+        dv: what the test has gathered (n, 10).
+        khep_pos: how far it went [pulses].
+        which_one: the sensor, 1 to 8 in the order of `rps`, or its name, such as "left 10".
+        what: the sensors told, as for `ddl`.
+        y_min: where the axis of counts begins.
+        grid: whether there are lines behind.
+        speed: that was driven, as for `ddl`.
+
+    Raises:
+        SensorTestError: there is no such sensor, or as for `ddl`.
+    """
+    numbers = range(1, len(SENSORS) + 1)
+    if which_one not in numbers and which_one not in SENSORS:
+        raise SensorTestError(f"which_one = {which_one!r}: no such sensor; {choices(which_one, SENSORS)}")
+    sensor = which_one if isinstance(which_one, str) else SENSORS[which_one - 1]
+    rows = _matrix(dv)
+    motion = "rotational" if rows[-1, 0] * rows[-1, 1] < 0 else "linear"
+    return _drawn(dv, khep_pos, motion, what, speed, sensor=sensor, y_min=y_min, grid=grid)
+
+
+def dataprnt(file: str | Path = "graph_data.pdf") -> Path:
+    """Writes the latest graph on a page to print: as PDF, or as PNG or SVG by the name's suffix.
+
+    Raises:
+        SensorTestError: there is no graph yet.
+        KhepTwinError: the file cannot be written, or has another suffix.
+    """
+    from khep_twin.drawing import map as drawing
+
+    if not _graphs:
+        raise SensorTestError("there is no graph yet; right is ddl, ddlg, ddr, ddrg or disonel before")
+    drawing.save(_graphs[-1], Path(file))
+    return Path(file)
+
+
+def datameta(file: str | Path = "graph_data.svg") -> Path:
+    """Writes the latest graph for a text: as SVG, which scales as the toolbox's metafile does.
+
+    Raises:
+        SensorTestError: there is no graph yet.
+        KhepTwinError: the file cannot be written, or has another suffix.
+    """
+    return dataprnt(file)
+
+
+_graphs: list["Figure"] = []
+"""The latest one."""
+
+
+def _drawn(
+    dv: Matrix,
+    khep_pos: SupportsFloat,
+    motion: Literal["linear", "rotational"],
+    what: What | None,
+    speed: int | None,
+    *,
+    sensor: str | None = None,
+    y_min: int = 0,
+    grid: bool = False,
+) -> "Figure":
+    from khep_twin.lab.sensor_test import sensor_figure
+
+    rows = _matrix(dv)
+    left, right = int(rows[-1, 0]), int(rows[-1, 1])
+    driven = test_of(dv)
+    what = what or (driven.what if driven else "proximity")
+    speed = speed if speed is not None or driven is None else driven.speed
+    if motion == "linear":
+        test = SensorTest(what, _amount(khep_pos, left + right, PULSES_PER_CM), None, speed, None)
+    else:
+        test = SensorTest(what, None, _amount(khep_pos, right - left, PULSES_PER_DEGREE), speed, None)
+    run = SensorRun(test, rows, np.full(len(rows), np.nan))
+    figure = sensor_figure.draw([run], sensor=sensor, y_min=y_min, grid=grid)
+    _graphs[:] = [figure]
+    show(figure, "graph_data")
+    return figure
+
+
+def _matrix(dv: Matrix) -> NDArray[np.int64]:
+    rows = np.asarray(dv, np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 10 or not len(rows):
+        shape = " x ".join(map(str, rows.shape))
+        raise SensorTestError(f"dv: is {shape}; right are rows of 10, two counters and eight sensors")
+    # Not the other way round: comparing what is not a number is false.
+    if not ((np.abs(rows) < 2**31) & (rows == np.round(rows))).all():
+        raise SensorTestError("dv: not all are whole numbers; right are counters and counts")
+    return rows.astype(np.int64)
+
+
+def _amount(khep_pos: SupportsFloat, direction: int, scale: float) -> float:
+    """How far a test went [cm or degrees], below 0 if the counters fell."""
+    amount = abs(float(khep_pos)) / scale
+    # Pulses are whole: 15 degrees are 85 pulses, which are 14.98 degrees.
+    if amount < 1e6 and abs(amount - round(amount)) * scale <= 0.5:
+        amount = float(round(amount))
+    return -amount if direction < 0 else amount

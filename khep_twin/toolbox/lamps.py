@@ -1,0 +1,99 @@
+"""The Khepera Toolbox's lamps: RoboRunner's Place Lamp, Remove Lamp and Lamp Control, for programs.
+
+    open_default()
+    place_lamp(450, 250)                # 7 W, as the toolbox's light model was measured
+    move_lamp(450, 250, 450, 400)       # the one nearest to a place
+    remove_lamp(450, 400)
+    lamp_control("sequenced")
+
+They work at any time, in the playpen that is open. The sensors see the change at once.
+"""
+
+import math
+from typing import SupportsFloat
+
+from khep_twin.errors import PlaypenError
+from khep_twin.lab.experiment.start_poses import lit, nearest_lamp, without_nearest_lamp
+from khep_twin.placing import scan
+from khep_twin.playpen import Lamp, Playpen
+from khep_twin.switching import relight
+from khep_twin.toolbox.simulator import opened
+
+POWER_W = 7.0
+"""Of the lamp that the toolbox's light model was measured with [W]."""
+
+
+def place_lamp(
+    xabs: SupportsFloat, yabs: SupportsFloat, power_w: SupportsFloat = POWER_W, z: SupportsFloat = 15.0
+) -> None:
+    """Place a lamp in the playpen, RoboRunner's Place Lamp.
+
+    Args:
+        xabs: of the bulb's centre, from the arena's lower left inner corner [mm].
+        yabs: likewise.
+        power_w: of the bulb.
+        z: of the bulb's centre above the floor [mm].
+
+    Raises:
+        PlaypenError: it lies outside the arena, or cannot be like that.
+    """
+    lamp = Lamp.model_construct(x_mm=float(xabs), y_mm=float(yabs), z_mm=float(z), power_w=float(power_w))
+    playpen = _playpen()
+    _set_up("place_lamp", playpen.model_copy(update={"lamps": (*playpen.lamps, lamp)}))
+
+
+def move_lamp(xabs: SupportsFloat, yabs: SupportsFloat, to_x: SupportsFloat, to_y: SupportsFloat) -> None:
+    """Move the lamp that is nearest to a place.
+
+    Args:
+        xabs: near the lamp, from the arena's lower left inner corner [mm].
+        yabs: likewise.
+        to_x: its new place [mm].
+        to_y: likewise.
+
+    Raises:
+        PlaypenError: there is no lamp, or its new place lies outside the arena.
+    """
+    playpen = _playpen()
+    nearest = nearest_lamp(playpen, float(xabs), float(yabs))
+    moved = nearest.model_copy(update={"x_mm": float(to_x), "y_mm": float(to_y)})
+    lamps = tuple(moved if lamp is nearest else lamp for lamp in playpen.lamps)
+    _set_up("move_lamp", playpen.model_copy(update={"lamps": lamps}))
+
+
+def remove_lamp(xabs: SupportsFloat, yabs: SupportsFloat) -> None:
+    """Take away the lamp that is nearest to a place [mm], RoboRunner's Remove Lamp.
+
+    Raises:
+        PlaypenError: there is no lamp.
+    """
+    _set_up("remove_lamp", without_nearest_lamp(_playpen(), float(xabs), float(yabs)))
+
+
+def lamp_control(mode: str) -> None:
+    """Let the lamps shine "all", or one by one, "random" or "sequenced", RoboRunner's Lamp Control.
+
+    Args:
+        mode: one of these, which begins now; "off" takes all lamps away.
+
+    Raises:
+        PlaypenError: it is none of them.
+    """
+    _set_up("lamp_control", lit(_playpen(), mode))
+
+
+def _playpen() -> Playpen:
+    return opened().twin.world.playpen
+
+
+def _set_up(command: str, playpen: Playpen) -> None:
+    """Replace the lamps and the lighting of the playpen that is open."""
+    world = opened().twin.world
+    places = [(lamp.x_mm, lamp.y_mm, lamp.z_mm, lamp.power_w) for lamp in playpen.lamps]
+    if wrong := next((place for place in places if not all(map(math.isfinite, place))), None):
+        raise PlaypenError(f"{command}: x, y, z, power = {wrong}: expected finite numbers")
+    try:
+        relight(world, playpen.lamps, playpen.lighting)
+    except PlaypenError as error:
+        raise PlaypenError(f"{command}: {error}") from None
+    scan(world)

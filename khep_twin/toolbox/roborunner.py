@@ -1,0 +1,217 @@
+"""The Khepera Toolbox's RoboRunner for programs: series of runs, their statistics, and its windows' page.
+
+    runs = roborun2(brait, port_id=2, cycles_per_run=500, runs=3, save="out/brait")
+    getstat()["fitness"].mean
+    plotrun()
+    user1(save="out/brait.csv")
+
+`khep-twin run` and `khep-twin series` do the same from the command line, with more options.
+"""
+
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from khep_twin.errors import ControllerError, KhepTwinError
+from khep_twin.files.atomic import write_whole
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment import series_files
+from khep_twin.lab.experiment.controller_source import source_of
+from khep_twin.lab.experiment.controllers import AnyController, write_template
+from khep_twin.lab.experiment.experiment import call_after, find_after, find_controller
+from khep_twin.lab.experiment.series import OneRobot, Plan, Run, run_series
+from khep_twin.lab.experiment.series_statistics import Summary, measured, summary, table, values
+from khep_twin.toolbox.controller import ToolboxController
+from khep_twin.toolbox.form import as_toolbox_form
+from khep_twin.toolbox.serial_commands import Port, robot_at
+from khep_twin.toolbox.simulator import opened
+from khep_twin.toolbox.windows import show
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+UserFunction = str | Callable[..., Any]
+"""A function that is called after each run, or where it stands, FILE.py:NAME."""
+
+
+def roborun2(
+    ctrl_name: str | AnyController | Callable[..., Any] | None = None,
+    *,
+    port_id: Port | None = None,
+    cycles_per_run: int = 500,
+    runs: int = 1,
+    pause: float = 0.0,
+    save: str | Path | None = None,
+    user: UserFunction | Sequence[UserFunction] = (),
+) -> list[Run]:
+    """Run a control algorithm again and again; without one, open the page that has RoboRunner's controls.
+
+    Args:
+        ctrl_name: a function of `port_id, cycles_per_run, runs, pause_stat`, a controller, or where either
+            stands, FILE.py:NAME.
+        port_id: of the robot; without it, the robot of the playpen that is open.
+        cycles_per_run: the toolbox has 500 to 10000.
+        runs: the toolbox has 1 to 20.
+        pause: between two runs, in the port's own time [s].
+        save: folder that keeps each run's numbers and variables as soon as it has ended, Save@Run End.
+        user: called after each run, with it or with those of its variables that the function names.
+
+    Returns:
+        The runs, with what each is measured by and the variables of the algorithm as of its end.
+
+    Raises:
+        ControllerError: there is no such algorithm, or it failed.
+        KhepTwinError: the port failed, no playpen is open, or the folder cannot be used.
+    """
+    if ctrl_name is None:
+        play_pen()
+        return []
+    controller = (
+        find_controller(ctrl_name, as_toolbox_form)
+        if isinstance(ctrl_name, str)
+        else as_toolbox_form(ctrl_name)
+    )
+    functions = [user] if isinstance(user, str) or callable(user) else user
+    after = [find_after(each, controller) if isinstance(each, str) else each for each in functions]
+    robot = _robot(controller, port_id)
+    plan = Plan(runs, cycles_per_run, pause=float(pause))
+    folder = None
+    if save is not None:
+        settings = {"port": robot.name, "cycles": cycles_per_run, "pause": plan.pause}
+        folder = series_files.SeriesFolder(Path(save), settings | source_of(controller).identity)
+    _runs.clear()
+    for run in run_series(controller, OneRobot(robot), plan):
+        _runs.append(run)
+        if folder is not None:
+            folder.keep(run)
+        print(run.line(runs))
+        for each in after:
+            call_after(each, run)
+    return list(_runs)
+
+
+def getstat(*, runs: Sequence[Run] | str | Path | None = None) -> dict[str, Summary]:
+    """Return the statistics of runs: mean, spread and confidence of each number, by its name.
+
+    Args:
+        runs: those of `roborun2`, or the folder that keeps them; without, those of the latest `roborun2`.
+
+    Raises:
+        ControllerError: there are no runs.
+    """
+    rows = _rows(runs)
+    return {name: summary(values(rows, name)) for name in measured([rows])}
+
+
+def plotrun(
+    *names: str, runs: Sequence[Run] | str | Path | None = None, picture: str | Path | None = None
+) -> "Figure":
+    """Draw what runs are measured by, run after run, in a window where there is a screen.
+
+    Args:
+        names: of the numbers, such as "fitness"; without, the usual ones.
+        runs: as for `getstat`.
+        picture: a PNG, SVG or PDF file to write.
+
+    Raises:
+        ControllerError: there are no runs, or no such number.
+        KhepTwinError: the picture cannot be written.
+    """
+    from khep_twin.drawing import map as drawing
+    from khep_twin.lab.experiment.series_figure import draw, shown
+
+    rows = _rows(runs)
+    figure = draw(["runs"], [rows], measured([rows], names) if names else shown(measured([rows])))
+    if picture is not None:
+        drawing.save(figure, Path(picture))
+    show(figure, "plotrun")
+    return figure
+
+
+def user1(*, runs: Sequence[Run] | str | Path | None = None, save: str | Path | None = None) -> None:
+    """Print the statistics of runs, and save their table.
+
+    Args:
+        runs: as for `getstat`.
+        save: a CSV, Parquet or MAT file with a row for each run.
+
+    Raises:
+        ControllerError: there are no runs.
+        KhepTwinError: the file cannot be written, or has another suffix.
+    """
+    rows = _rows(runs)
+    tables = series_files.tables(rows)
+    if save is not None and Path(save).suffix.lower() not in tables:
+        raise KhepTwinError(f"user1: save = {str(save)!r}: expected a name that ends in {', '.join(tables)}")
+    print(table(["runs"], [rows], measured([rows])))
+    if save is not None:
+        write_whole(Path(save), tables[Path(save).suffix.lower()])
+
+
+def template(file: str | Path) -> Path:
+    """Write the toolbox's template, a function to fill in and to hand to `roborun2` or `khep-twin run`.
+
+    Raises:
+        ControllerError: the file is there already, or is no FILE.py.
+        KhepTwinError: it cannot be written.
+    """
+    if Path(file).suffix != ".py":
+        raise ControllerError(f"template: {file}: expected a name that ends in .py")
+    if Path(file).exists():
+        raise ControllerError(f"template: {file}: is there already; expected another name")
+    write_template("toolbox", Path(file))
+    return Path(file)
+
+
+def play_pen(file: str | Path | None = None) -> None:
+    """Open the page in which playpens are built and robots are run, until Ctrl-C, as `khep-twin design` does.
+
+    Args:
+        file: a playpen file below the current folder; it may still have to be made.
+
+    Raises:
+        KhepTwinError: the page could not be opened; why is told by the page's own process.
+    """
+    command = [sys.executable, "-m", "khep_twin", "design", *([] if file is None else [str(file)])]
+    with subprocess.Popen(command) as page:
+        try:
+            status = page.wait()
+        except KeyboardInterrupt:
+            page.terminate()
+            page.wait()
+            return
+    if status not in (0, 130):
+        raise KhepTwinError(f"play_pen: the page ended with status {status}")
+
+
+_runs: list[Run] = []
+"""The latest ones."""
+
+
+def _robot(controller: AnyController, port_id: Port | None) -> Khepera:
+    """Return the robot of a series."""
+    simulated = isinstance(controller, ToolboxController) and controller.unpaced
+    if port_id is None and not simulated:
+        raise ControllerError(
+            "roborun2: no port_id is given; expected 1 to 4, or a port such as '/dev/ttyUSB0'"
+        )
+    if simulated:
+        scene = opened()
+        return scene.robots[scene.index(port_id if isinstance(port_id, int) else 1)]
+    assert port_id is not None
+    if isinstance(controller, ToolboxController) and isinstance(port_id, int):
+        controller.port_id = port_id
+    return robot_at(port_id)
+
+
+def _rows(runs: Sequence[Run] | str | Path | None) -> list[series_files.Row]:
+    """Return runs as rows of a table."""
+    if isinstance(runs, str | Path):
+        rows = series_files.read_series(Path(runs))[1]
+    else:
+        rows = [series_files.row_of(run) for run in (_runs if runs is None else runs)]
+    if not rows:
+        raise ControllerError("there are no runs yet; expected roborun2 before, or the folder of a series")
+    return rows

@@ -1,0 +1,140 @@
+"""The Khepera Toolbox's sensor tests without windows: `tstsense` at a port, `simsense` in the simulator.
+
+    dv, khep_pos = tstsense(2, "light", linear_cm=55, return_to_zero=True, save="lamp.mat")
+    putkhep(300, 400, 90)
+    dv, khep_pos = simsense(rotate_deg=360)
+    ddrg(dv, khep_pos)
+
+`khep-twin sense` does the same from the command line.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import SensorTestError
+from khep_twin.host import Khepera
+from khep_twin.lab.sensor_test import sensor_files
+from khep_twin.lab.sensor_test.sensor_test import (
+    DEFAULT_ACCELERATION,
+    DEFAULT_SPEED,
+    BrokenOffError,
+    InterruptedTest,
+    SensorRun,
+    SensorTest,
+    What,
+    sense,
+)
+from khep_twin.toolbox.serial_commands import Port, robot_at
+from khep_twin.toolbox.simulator import opened
+
+EXCHANGE = 0.03
+"""What a question costs in `simsense` [s] (assumed: about the mean of H and N at 9600 baud)."""
+
+
+def tstsense(
+    port_id: Port,
+    what: What = "proximity",
+    *,
+    linear_cm: float | None = None,
+    rotate_deg: float | None = None,
+    max_speed: int = DEFAULT_SPEED,
+    max_acc: int = DEFAULT_ACCELERATION,
+    return_to_zero: bool = False,
+    save: str | Path | None = None,
+    dlgstr: str = "",
+) -> tuple[NDArray[np.int64], int]:
+    """Drives a robot straight or turns it, and reads its sensors on the way.
+
+    Ctrl-C, a blocked wheel or a lost line end it early: the motors stop, and the rows so far are in `save`
+    and in `lasttest()`.
+
+    Args:
+        port_id: where the robot is.
+        what: "proximity" or "light".
+        linear_cm: how far straight on, 5 to 60, or backwards below 0 [cm].
+        rotate_deg: in its place, how far to turn on the spot, 15 to 360, clockwise below 0 [degrees].
+        max_speed: of both wheels [pulses/10 ms].
+        max_acc: of both wheels [3.125 mm/s^2].
+        return_to_zero: whether it waits 5 s at the end and drives back.
+        save: a MAT file with `dv` and `dlgstr`, or a CSV or MCAP file, to write.
+        dlgstr: a description to keep with the data.
+
+    Returns:
+        `dv` (n, 10), two position counters and eight sensors for each look, and `khep_pos`, how far a wheel
+        was to go [pulses].
+
+    Raises:
+        SensorTestError: that is no test, or a wheel is blocked.
+        KhepTwinError: the file cannot be written.
+    """
+    test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
+    return _driven(robot_at(port_id), test, save, dlgstr)
+
+
+def simsense(
+    what: What = "proximity",
+    *,
+    linear_cm: float | None = None,
+    rotate_deg: float | None = None,
+    max_speed: int = DEFAULT_SPEED,
+    max_acc: int = DEFAULT_ACCELERATION,
+    return_to_zero: bool = False,
+    save: str | Path | None = None,
+    dlgstr: str = "",
+    port_id: int = 1,
+) -> tuple[NDArray[np.int64], int]:
+    """As `tstsense`, with a robot of the playpen that is open; time passes meanwhile.
+
+    Raises:
+        PlaypenError: none is open.
+        SensorTestError: that is no test, or a wheel is blocked.
+        KhepTwinError: the file cannot be written.
+    """
+    test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
+    scene = opened()
+    robot = Khepera(scene.robots[scene.index(port_id)].port)
+    # Talking takes time here: else it would be asked for ever at one place.
+    robot.listen(lambda request, reply: robot.sleep(EXCHANGE))
+    return _driven(robot, test, save, dlgstr)
+
+
+def lasttest() -> tuple[NDArray[np.int64], int]:
+    """Return `dv` and `khep_pos` of the latest test, as far as it came, also of one that was interrupted.
+
+    Raises:
+        SensorTestError: there was none yet.
+    """
+    if not _latest:
+        raise SensorTestError("there was no test yet; expected tstsense or simsense before")
+    return _latest[-1].dv, abs(_latest[-1].test.target[1])
+
+
+def test_of(dv: object) -> SensorTest | None:
+    """Return the latest test if it has given `dv`."""
+    return _latest[-1].test if _latest and _latest[-1].dv is dv else None
+
+
+_latest: list[SensorRun] = []
+"""What the latest test has gathered."""
+
+
+def _driven(
+    robot: Khepera, test: SensorTest, save: str | Path | None, dlgstr: str
+) -> tuple[NDArray[np.int64], int]:
+    if save is not None:
+        sensor_files.checked_suffix(Path(save))  # before the robot moves
+    try:
+        _keep(sense(robot, test, text=dlgstr), save)
+    except (BrokenOffError, InterruptedTest) as ended:
+        _keep(ended.run, save)
+        raise
+    return lasttest()
+
+
+def _keep(run: SensorRun, save: str | Path | None) -> None:
+    """Keep what a test has gathered, in a file where one is wanted."""
+    _latest[:] = [run]
+    if save is not None and len(run.dv):
+        sensor_files.save(Path(save), run)

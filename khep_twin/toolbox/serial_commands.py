@@ -1,0 +1,256 @@
+"""The Khepera Toolbox for Matlab's own commands, by their own names, arguments and order.
+
+    from khep_twin.toolbox.serial_commands import ports, rps, sms
+
+    ports({2: "/dev/ttyUSB0"})          # or in the shell: export KHEP_PORT_2=/dev/ttyUSB0
+    motors = rps(2) @ Intercon / 400 + speed
+    sms(2, motors[0], motors[1])
+
+`port_id` is 1 to 4, as in the toolbox; `ports` or the environment says which port that is. The port's own URL
+or a `Khepera` will do in its place. A row of Matlab's, 1x2, 1x6 or 1x8, is an array of one dimension here, so
+that `motors(1)` is `motors[0]`; scipy's `savemat` makes a row of it again. A number that is not whole is
+rounded, halves away from zero, as Matlab does.
+
+`khep_twin.toolbox.names` has these and all other names of the toolbox, the simulator's among them.
+"""
+
+import atexit
+import math
+import os
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from typing import SupportsFloat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import PortError, ProtocolError
+from khep_twin.host.khepera import Khepera
+from khep_twin.host.opening import PORT_IDS, VARIABLE
+
+__all__ = [
+    "cls",
+    "con",
+    "cpid",
+    "cspc",
+    "ports",
+    "rad",
+    "rls",
+    "rmc",
+    "rms",
+    "robot_at",
+    "rpc",
+    "rps",
+    "skp",
+    "sms",
+    "spc",
+]
+
+Port = int | str | Khepera
+"""1 to 4, the URL of a port, or a robot."""
+
+Row = NDArray[np.int64]
+"""Whole numbers, one for each column of a row in Matlab."""
+
+# Ports ---------------------------------------------------------------------------------------------------
+
+
+def ports(choice: Mapping[int, str | Khepera]) -> None:
+    """Says which ports 1 to 4 are, in place of what was said before, and closes the ports of then.
+
+    Args:
+        choice: URLs such as "/dev/ttyUSB0" or "khep://default?seed=1", by number; a robot that is open
+            already will do.
+
+    Raises:
+        PortError: a number is none of 1 to 4.
+    """
+    for number in choice:
+        if number not in PORT_IDS:
+            raise PortError(f"ports: {number!r}: right is a number from 1 to 4")
+    for robot in _open.values():
+        robot.close()
+    _open.clear()
+    _chosen.clear()
+    _chosen.update(choice)
+
+
+def robot_at(port_id: Port) -> Khepera:
+    """The robot at a port, which is opened when it is first asked for.
+
+    Raises:
+        PortError: the number is none of 1 to 4, or says nothing, or the port cannot be opened.
+    """
+    if isinstance(port_id, Khepera):
+        return port_id
+    port = port_id if isinstance(port_id, str) else _port(port_id)
+    if isinstance(port, Khepera):
+        return port
+    if port not in _open:
+        _open[port] = Khepera(port)
+    return _open[port]
+
+
+@contextmanager
+def lent(robot: Khepera, port_id: int | None = None) -> Generator[int]:
+    """Let the numbers of ports that mean nothing yet mean a robot that is open already, for a while.
+
+    Args:
+        robot: to be meant.
+        port_id: the number that means it in any case.
+
+    Returns:
+        A number that means it: `port_id`, or without it the first one that is free.
+    """
+    before = dict(_chosen)
+    free = [number for number in PORT_IDS if _meaning(number) is None]
+    number = port_id or (free or PORT_IDS)[0]
+    _chosen.update(dict.fromkeys({*free, number}, robot))
+    try:
+        yield number
+    finally:
+        _chosen.clear()
+        _chosen.update(before)
+
+
+# Motors --------------------------------------------------------------------------------------------------
+
+
+def con(port_id: Port, Kp: SupportsFloat, Ki: SupportsFloat, Kd: SupportsFloat) -> None:
+    """A: sets the gains of the speed controller; 3800, 800, 100 after a reset."""
+    robot_at(port_id).configure_speed_controller(*_whole("con", Kp=Kp, Ki=Ki, Kd=Kd))
+
+
+def skp(port_id: Port, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
+    """C: sends the wheels to these places [pulses of 0.08 mm], at most 2^23 - 2 away from 0."""
+    robot_at(port_id).set_target(*_whole("skp", pos_left=pos_left, pos_right=pos_right))
+
+
+def sms(port_id: Port, speed_left: SupportsFloat, speed_right: SupportsFloat) -> None:
+    """D: drives the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127."""
+    robot_at(port_id).set_speed(*_whole("sms", speed_left=speed_left, speed_right=speed_right))
+
+
+def rms(port_id: Port) -> Row:
+    """E: measured speed of the left and the right wheel (2,) [pulses/10 ms]."""
+    return _row(robot_at(port_id).speed())
+
+
+def cpid(port_id: Port, Kp: SupportsFloat, Ki: SupportsFloat, Kd: SupportsFloat) -> None:
+    """F: sets the gains of the position controller; 3000, 20, 4000 after a reset."""
+    robot_at(port_id).configure_position_controller(*_whole("cpid", Kp=Kp, Ki=Ki, Kd=Kd))
+
+
+def spc(port_id: Port, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
+    """G: sets the position counters [pulses]."""
+    robot_at(port_id).set_position(*_whole("spc", pos_left=pos_left, pos_right=pos_right))
+
+
+def rpc(port_id: Port) -> Row:
+    """H: position counters of the left and the right wheel (2,) [pulses], 12.5 to a millimetre."""
+    return _row(robot_at(port_id).position())
+
+
+def cspc(
+    port_id: Port,
+    max_speed_left: SupportsFloat,
+    acc_left: SupportsFloat,
+    max_speed_right: SupportsFloat,
+    acc_right: SupportsFloat,
+) -> None:
+    """J: trapezoid of `skp`: speeds [pulses/10 ms], accelerations [3.125 mm/s^2]; 20, 64 after a reset."""
+    values = _whole(
+        "cspc",
+        max_speed_left=max_speed_left,
+        acc_left=acc_left,
+        max_speed_right=max_speed_right,
+        acc_right=acc_right,
+    )
+    robot_at(port_id).configure_profile(*values)
+
+
+def rmc(port_id: Port) -> Row:
+    """K: motion control of the left and the right wheel, [T, M, E, T, M, E] (6,).
+
+    T is 1 on the target. M is 0 for speed, 1 for position and 2 for a fixed duty with ROM 5.02, and with the
+    toolbox's ROM 4.06 it is 0 for position and 1 for speed. E is the controller's error.
+    """
+    # As the robot tells them: the host's own status translates the modes of all ROMs into one.
+    robot = robot_at(port_id)
+    answer = robot.ask("K")
+    try:
+        head, *fields = answer.split(",")
+        values = [int(field) for field in fields]
+    except ValueError:
+        head, values = "", []
+    if head != "k" or len(values) != 6:
+        raise ProtocolError(f"{robot.name}: 'K' was answered {answer!r}; right is 'k' and 6 whole numbers")
+    return _row(tuple(values))
+
+
+# Senses and lights ---------------------------------------------------------------------------------------
+
+
+def rad(port_id: Port, channel_number: SupportsFloat) -> int:
+    """I: one channel of the converter, 0 to 1023; 1024 would be 4.09 V."""
+    return robot_at(port_id).converter(*_whole("rad", channel_number=channel_number))
+
+
+def cls(port_id: Port, led_number: SupportsFloat, action_number: SupportsFloat) -> None:
+    """L: LED 0 or 1; action 0 off, 1 on, 2 over to the other."""
+    robot_at(port_id).set_led(*_whole("cls", led_number=led_number, action_number=action_number))
+
+
+def rps(port_id: Port) -> Row:
+    """N: proximity (8,), 0 to 1023; left 90, 45, 10, right 10, 45, 90, back right, back left."""
+    return _row(robot_at(port_id).proximity())
+
+
+def rls(port_id: Port) -> Row:
+    """O: ambient light (8,) in the order of `rps`; about 500 in the dark, less where it is bright."""
+    return _row(robot_at(port_id).ambient())
+
+
+# The rest ------------------------------------------------------------------------------------------------
+
+_chosen: dict[int, str | Khepera] = {}
+_open: dict[str, Khepera] = {}
+# A program that ends, by Ctrl-C too, leaves no robot driving on.
+atexit.register(ports, {})
+
+
+def _port(port_id: int) -> str | Khepera:
+    """What a number stands for."""
+    if port_id not in PORT_IDS:
+        raise PortError(f"port_id = {port_id!r}: right is 1 to 4, or a port such as '/dev/ttyUSB0'")
+    port = _meaning(port_id)
+    if port is None:
+        raise PortError(
+            f"port_id = {port_id}: no port is chosen; right is ports({{{port_id}: '/dev/ttyUSB0'}}), or "
+            f"{VARIABLE}{port_id}=/dev/ttyUSB0 in the environment"
+        )
+    return port
+
+
+def _meaning(port_id: int) -> str | Khepera | None:
+    return _chosen.get(port_id) or os.environ.get(f"{VARIABLE}{int(port_id)}")
+
+
+def _whole(command: str, **values: SupportsFloat) -> list[int]:
+    """Whole numbers, rounded with halves away from zero."""
+    numbers: list[int] = []
+    for name, value in values.items():
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not abs(number) < 2**31:
+            raise ValueError(f"{command}: {name} = {number}: right is a number of less than 2^31")
+        # Not trunc(x + 0.5), which makes a 1 of the largest number below a half.
+        whole = math.trunc(number)
+        numbers.append(whole + int(math.copysign(abs(number - whole) >= 0.5, number)))
+    return numbers
+
+
+def _row(values: tuple[int, ...]) -> Row:
+    return np.array(values, np.int64)

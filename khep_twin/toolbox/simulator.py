@@ -1,0 +1,291 @@
+"""The Khepera Toolbox's simulated commands, on a twin in lock-step.
+
+    btmap1 = open_default(seed=1)       # or open_custom("obstacles"), open_custom("scan.mat")
+    sim_sms(2, 1, 1)
+    a = sim_rps(2)
+    kheprom(btmap1)                     # 50 ms pass
+
+A command takes no time at all: it reaches the board's registers at once and is answered from them, and what
+it started happens while `kheprom` lets time pass. Between two of them the robot stands still in time. It is
+the board and the physics of every other twin: speeds have sizes, wheels differ, counters count pulses.
+
+One playpen is open at a time, as in the toolbox. In one with a single robot `port_id` says nothing; where
+there are several it is the robot's number, from 1.
+"""
+
+import atexit
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, SupportsFloat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import playpen as playpens
+from khep_twin.board.kernel import LEFT, RIGHT, Wheel
+from khep_twin.clock import NS_PER_S, to_ns
+from khep_twin.errors import BitmapError, PlaypenError, PortError, choices
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.start_poses import lit
+from khep_twin.placing import scan
+from khep_twin.playpen import Playpen, bitmap, bitmap_files
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.toolbox import serial_commands
+from khep_twin.toolbox.serial_commands import Row
+
+CYCLE = 0.05
+"""What `kheprom` lets pass by default [s] (assumed: about what `rps` and `sms` take on a robot)."""
+
+
+class OpenPlaypen:
+    """A playpen that is open in the simulator: what a program hands on as `btmap1`.
+
+    Attributes:
+        twin: the world in it, for those who want the truth.
+        robots: one to talk to for each that stands in it; their lines take no time.
+    """
+
+    def __init__(self, twin: Twin, robots: tuple[Khepera, ...] = ()) -> None:
+        self.twin = twin
+        views = [Twin(twin.world, (robot,), twin.options) for robot in twin.robots]
+        self.robots = robots or tuple(Khepera(Serial.of(view, timeout=1.0)) for view in views)
+
+    @property
+    def time(self) -> float:
+        """Simulated time since it was opened [s]."""
+        return self.twin.world.time_ns / NS_PER_S
+
+    def index(self, port_id: int) -> int:
+        """Which robot a port's number means, from 0.
+
+        Raises:
+            PortError: there are several, and none of this number.
+        """
+        numbers = range(1, len(self.robots) + 1)
+        if len(self.robots) > 1 and port_id not in numbers:
+            raise PortError(f"port_id = {port_id!r}: no such robot; {choices(port_id, numbers)}")
+        return int(port_id) - 1 if len(self.robots) > 1 else 0
+
+    def pass_time(self, duration: float) -> None:
+        """Lets time pass [s]."""
+        self.twin.advance_to(self.twin.world.time_ns + to_ns(duration))
+
+
+def open_default(
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    rom: str | None = None,
+    lighting: str | None = None,
+    log: str | Path | None = None,
+) -> OpenPlaypen:
+    """Opens four walls with a robot in their middle, RoboRunner's Open Default; closes what was open.
+
+    Args:
+        seed: of every chance.
+        noise: whether sensors are noisy.
+        rom: of the robot, as for `open_custom`.
+        lighting: Lamp Control, as for `open_custom`; lamps come by `place_lamp`.
+        log: file to record the run in.
+    """
+    return open_custom("default", seed=seed, noise=noise, rom=rom, lighting=lighting, log=log)
+
+
+def open_custom(
+    playpen: str | Path | Playpen | NDArray[Any],
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    rom: str | None = None,
+    lighting: str | None = None,
+    log: str | Path | None = None,
+) -> OpenPlaypen:
+    """Opens a playpen, RoboRunner's Open Custom; closes what was open.
+
+    Args:
+        playpen: the name of a shipped one, a playpen file, a scanned MAT file of the toolbox or a PNG, or the
+            matrix `btmap1` of one (rows, columns), 44 where something stands, its first row at the bottom.
+        seed: of every chance.
+        noise: whether sensors are noisy.
+        rom: of the robots, if not what the playpen says; with "4.06" `sim_rmc` counts modes as the toolbox.
+        lighting: Lamp Control, "all", "random" or "sequenced", or "off" for no lamps at all; without, as the
+            playpen says.
+        log: file to record the run in.
+
+    Raises:
+        PlaypenError: it cannot be used.
+        BitmapError: the matrix or picture cannot become a playpen.
+        PortError: no robot stands in it.
+        LogError: the log cannot be written.
+    """
+    global _current
+    options = TwinOptions(seed=seed, robot=None, noise=noise, rom=rom, unpaced=True, log=log and str(log))
+    chosen = lit(_playpen(playpen), lighting)
+    if not chosen.robots:
+        raise PlaypenError(f"{chosen.name}: no robot stands in it; right is a [[robot]] in its file")
+    close_playpen()
+    _current = OpenPlaypen(open_twin(chosen, options))
+    return _current
+
+
+def close_playpen() -> None:
+    """Closes the playpen that is open and completes its log, RoboRunner's Close Playpen."""
+    global _current
+    if _current is not None:
+        before, _current = _current, None
+        before.twin.close()
+
+
+def opened(btmap1: object = None) -> OpenPlaypen:
+    """The playpen that is open.
+
+    Args:
+        btmap1: what a program takes for it; None for whatever is open.
+
+    Raises:
+        PlaypenError: none is open, or it is another one.
+    """
+    if _current is None:
+        raise PlaypenError("no playpen is open; right is btmap1 = open_default(), or open_custom('NAME')")
+    if btmap1 is not None and btmap1 is not _current:
+        raise PlaypenError("btmap1 is not the playpen that is open; right is what open_custom has returned")
+    return _current
+
+
+@contextmanager
+def lent(robot: Khepera) -> Generator[OpenPlaypen | None]:
+    """Let the twin in this process behind a robot be the playpen that is open, for a while.
+
+    Returns:
+        The playpen; None for a robot that is no twin in this process.
+    """
+    global _current
+    before, twin = _current, getattr(robot.port, "twin", None)
+    if isinstance(twin, Twin) and (before is None or robot not in before.robots):
+        _current = OpenPlaypen(twin, (robot,))
+    try:
+        yield _current if isinstance(twin, Twin) else None
+    finally:
+        _current = before
+
+
+def kheprom(btmap1: OpenPlaypen, cycle: float = CYCLE) -> None:
+    """Lets the simulated robots do what they were told, for one cycle [s].
+
+    Raises:
+        PlaypenError: `btmap1` is not what `open_default` or `open_custom` has returned last.
+    """
+    opened(btmap1).pass_time(cycle)
+
+
+def upsv(btmap1: OpenPlaypen) -> None:
+    """Convert all sensors of the simulated robots as of now; `kheprom` does so by itself as time passes.
+
+    Raises:
+        PlaypenError: `btmap1` is not what `open_default` or `open_custom` has returned last.
+    """
+    scan(opened(btmap1).twin.world)
+
+
+def ulsv() -> None:
+    """Convert all sensors as `upsv` does; the lamps are those of the playpen that is open.
+
+    Raises:
+        PlaypenError: none is open.
+    """
+    scan(opened().twin.world)
+
+
+def sim_skp(port_id: int, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
+    """Sends the wheels to these places [pulses of 0.08 mm], any mixture of way and turn."""
+    serial_commands.skp(_robot(port_id), pos_left, pos_right)
+
+
+def sim_sms(port_id: int, speed_left: SupportsFloat, speed_right: SupportsFloat) -> None:
+    """Drives the wheels at these speeds [pulses/10 ms = 8 mm/s], each at its own."""
+    serial_commands.sms(_robot(port_id), speed_left, speed_right)
+
+
+def sim_rms(port_id: int) -> Row:
+    """Measured speed of the left and the right wheel (2,) [pulses/10 ms], in position mode, too."""
+    return serial_commands.rms(_robot(port_id))
+
+
+def sim_spc(port_id: int, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
+    """Sets the position counters [pulses]."""
+    serial_commands.spc(_robot(port_id), pos_left, pos_right)
+
+
+def sim_rpc(port_id: int) -> Row:
+    """Position counters of the left and the right wheel (2,) [pulses]."""
+    return serial_commands.rpc(_robot(port_id))
+
+
+def sim_rmc(port_id: int) -> Row:
+    """Motion control, [T, M, E] of the left and the right wheel (6,); M as `rmc` has it, E is alive."""
+    return serial_commands.rmc(_robot(port_id))
+
+
+def sim_rps(port_id: int) -> Row:
+    """Proximity (8,), as last converted."""
+    return serial_commands.rps(_robot(port_id))
+
+
+def sim_rls(port_id: int) -> Row:
+    """Ambient light (8,), as last converted."""
+    return serial_commands.rls(_robot(port_id))
+
+
+def userdata(btmap1: OpenPlaypen, port_id: int = 1) -> NDArray[np.float64]:
+    """What the toolbox kept in the robot's drawing: 31 numbers in its columns' order (31,).
+
+    They are true x and y [mm] and rotation from 0 to 360 [degrees], proximity (8), light (8), the speeds that
+    are wanted (2) [pulses/10 ms], [T, M, E] twice, position counters (2) and targets (2) [pulses].
+    """
+    scene = opened(btmap1)
+    robot = scene.twin.robots[scene.index(port_id)]
+    x, y, heading = robot.pose
+    wheels = [robot.registers[side : side + len(Wheel)] for side in (LEFT, RIGHT)]
+    return np.concatenate(
+        [
+            [x * 1e3, y * 1e3, np.degrees(heading) % 360],
+            sim_rps(port_id),
+            sim_rls(port_id),
+            [wheel[Wheel.SPEED_SETPOINT] for wheel in wheels],
+            sim_rmc(port_id),
+            [wheel[Wheel.POSITION] for wheel in wheels],
+            [wheel[Wheel.TARGET] for wheel in wheels],
+        ]
+    )
+
+
+_current: OpenPlaypen | None = None
+# A log is whole though the program forgot to close the playpen.
+atexit.register(close_playpen)
+
+
+def _robot(port_id: int) -> Khepera:
+    scene = opened()
+    return scene.robots[scene.index(port_id)]
+
+
+def _playpen(source: str | Path | Playpen | NDArray[Any]) -> Playpen:
+    """A playpen from whatever may be one."""
+    if isinstance(source, Playpen):
+        return source
+    if isinstance(source, np.ndarray):
+        if source.ndim != 2:
+            raise BitmapError(f"btmap1: {source.ndim} dimensions; right is a matrix, such as 500 x 600")
+        # The toolbox scans upside down.
+        return bitmap.to_playpen(source[::-1] == bitmap_files.SOLID, bitmap_files.SCAN).playpen
+    path = Path(source)
+    if path.suffix.lower() not in (".mat", ".png"):
+        return playpens.load(source)
+    found = bitmap_files.read(path)
+    solid = found.solid[::-1] if found.scanned else found.solid
+    try:
+        return bitmap.to_playpen(solid, "imported").playpen
+    except BitmapError as error:
+        raise BitmapError(f"{path}: {error}") from None

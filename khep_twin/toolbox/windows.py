@@ -1,0 +1,75 @@
+"""Windows for the Khepera Toolbox's pictures, where there is a screen.
+
+They stay open when a program has come to its end, until somebody closes them or presses Ctrl-C.
+"""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+import atexit
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+from khep_twin.toolbox.serial_commands import ports
+from khep_twin.toolbox.simulator import close_playpen
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def show(figure: "Figure", title: str) -> bool:
+    """Opens a window with a figure and goes on at once.
+
+    Returns:
+        Whether there is one: matplotlib must have found a screen, or been told of one.
+    """
+    import matplotlib
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    name = matplotlib.get_backend()
+    if name.lower() not in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
+        return False
+    canvas: Any = backend_registry.load_backend_module(name).FigureCanvas  # pyright: ignore
+    manager: Any = canvas.new_manager(figure, len(_windows) + 1)
+    manager.set_window_title(title)
+    manager.show()
+    _windows.append(manager)
+    figure.canvas.mpl_connect("close_event", lambda _: _windows.remove(manager))
+    refresh(figure)
+    return True
+
+
+def refresh(figure: "Figure") -> None:
+    """Brings a window up to date, unless somebody has closed it."""
+    if any(manager.canvas is figure.canvas for manager in _windows):
+        figure.canvas.draw()
+        figure.canvas.flush_events()
+
+
+def wait_until_closed() -> None:
+    """Keep the windows of a program that has ended until they are closed, with its robots at rest.
+
+    Nothing is waited for at a prompt, which keeps them itself, and after an error or Ctrl-C.
+    """
+    failed = hasattr(sys, "last_type")
+    if not _windows or failed or hasattr(sys, "ps1") or sys.flags.interactive:
+        return
+    ports({})
+    close_playpen()
+    print("the program has ended; close its windows, or press Ctrl-C", file=sys.stderr)
+    try:
+        while _windows:
+            _windows[-1].canvas.flush_events()
+            time.sleep(_LOOK)
+    except KeyboardInterrupt:
+        _windows.clear()
+
+
+atexit.register(wait_until_closed)
+
+_LOOK = 0.03
+"""How often the windows are looked after [s]."""
+
+_windows: list[Any] = []
+"""Kept, because a window that nobody holds is closed."""

@@ -1,0 +1,128 @@
+"""Faults on purpose: each does what it says, by its own chance, and is told."""
+
+from typing import Any
+
+import pytest
+import serial
+from notes import Notes
+
+import khep_twin  # noqa: F401  (teaches pyserial khep://)
+from khep_twin.board.fault_injection import parse
+from khep_twin.errors import FaultError
+
+
+def open_with(fault: str, seed: int = 1) -> tuple[Any, Notes]:
+    port = serial.serial_for_url(f"khep://default?seed={seed}&fault={fault}", timeout=0.5)
+    notes = Notes()
+    port.twin.world.taps.append(notes)
+    return port, notes
+
+
+def ask(port: Any, line: bytes) -> bytes:
+    port.write(line + b"\n")
+    return port.read_until(b"\n")
+
+
+def test_a_fault_is_read_from_its_words() -> None:
+    fault = parse("late:0.1:60@2.5")
+    assert (fault.kind, fault.probability, fault.delay_ns) == ("late", 0.1, 60_000_000)
+    assert fault.start_ns == 2_500_000_000
+    assert parse("dead:right").which == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("drob:0.1", "fault 'drob:0.1': unknown; did you mean 'drop'? (choices: drop, garble, late, stuck, "),
+        ("drop", "fault 'drop': right is drop:PROBABILITY, such as drop:0.01, and @SECONDS behind it"),
+        ("drop:2", "fault 'drop:2': right is drop:PROBABILITY"),
+        ("drop:nan", "fault 'drop:nan': right is drop:PROBABILITY"),
+        ("late:0.1", "fault 'late:0.1': right is late:PROBABILITY:MILLISECONDS"),
+        ("stuck:8", "fault 'stuck:8': right is stuck:SENSOR, 0 to 7"),
+        ("stuck:1.5", "fault 'stuck:1.5': right is stuck:SENSOR, 0 to 7"),
+        ("dead:both", "fault 'dead:both': right is dead:left or dead:right"),
+        ("brown-out:1", "fault 'brown-out:1': right is brown-out alone"),
+        ("brown-out@-1", "fault 'brown-out@-1': right is brown-out alone"),
+        ("", "fault '': unknown"),
+    ],
+)
+def test_a_fault_that_there_is_not_is_refused(text: str, line: str) -> None:
+    with pytest.raises(FaultError) as caught:
+        parse(text)
+    assert str(caught.value).startswith(line)
+
+
+def test_dropped_bytes_are_missing_and_told() -> None:
+    port, notes = open_with("drop:0.05")
+    replies = [ask(port, b"B") for _ in range(100)]
+    good = replies.count(b"b,5.02,5.01\r\n")
+    assert 20 < good < 80
+    assert len(notes.told) > 50
+    assert "dropped" in notes.told[0]
+
+
+def test_garbled_bytes_have_one_bit_turned() -> None:
+    port, notes = open_with("garble:1")
+    port.write(b"B\n")
+    port.read(100)
+    assert "2 of b'B\\n' garbled" in notes.told[0]
+
+
+def test_late_replies_are_late_by_what_is_asked() -> None:
+    times = []
+    for fault in ("late:0:60", "late:1:60"):
+        port, _ = open_with(fault)
+        start_ns = port.time_ns
+        ask(port, b"B")
+        times.append(port.time_ns - start_ns)
+    assert times[1] - times[0] == 60_000_000
+
+
+def test_a_stuck_sensor_reads_what_it_read_last() -> None:
+    port, notes = open_with("stuck:2@1")
+    port.sleep(1.1)
+    seen = []
+    for _ in range(30):
+        seen.append([int(count) for count in ask(port, b"O").split(b",")[1:]])
+    assert len({counts[2] for counts in seen}) == 1
+    assert len({counts[3] for counts in seen}) > 5
+    assert notes.told == ["fault stuck:2@1 begins"]
+
+
+def test_a_dead_motor_turns_freely_and_the_other_drives() -> None:
+    port, notes = open_with("dead:left")
+    ask(port, b"D,10,10")
+    port.sleep(1)
+    left, right = (int(count) for count in ask(port, b"H").split(b",")[1:])
+    assert right > 800
+    assert abs(left) < 200
+    assert notes.told == ["fault dead:left begins"]
+
+
+def test_a_brown_out_resets_the_board_once() -> None:
+    port, notes = open_with("brown-out@0.5")
+    assert ask(port, b"G,5,5") == b"g\r\n"
+    port.sleep(1)
+    assert port.read(200).startswith(b"ROM of minirobot KHEPERA")
+    assert ask(port, b"H") == b"h,0,0\r\n"
+    port.sleep(5)
+    assert port.read(10) == b""
+    assert notes.told == ["fault brown-out@0.5 begins"]
+
+
+def test_the_same_seed_gives_the_same_faults_and_another_does_not() -> None:
+    def talk(seed: int) -> list[bytes]:
+        port, _ = open_with("drop:0.1,garble:0.05", seed)
+        return [ask(port, b"B") for _ in range(20)]
+
+    assert talk(1) == talk(1)
+    assert talk(1) != talk(2)
+
+
+def test_a_fault_on_the_line_leaves_the_sensors_chance_alone() -> None:
+    counts = []
+    for url in ("khep://default?seed=3", "khep://default?seed=3&fault=late:0.5:1"):
+        port = serial.serial_for_url(url, timeout=1)
+        port.sleep(1)
+        counts.append(port.twin.robot.registers.tolist())
+    assert counts[0] == counts[1]

@@ -1,0 +1,118 @@
+"""Turrets: how they are found and plugged on."""
+
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint, EntryPoints
+from typing import Any
+
+import numpy as np
+import pytest
+
+from khep_twin.board import turrets
+from khep_twin.board.protocol import turret_reply
+from khep_twin.board.rom import ROMS
+from khep_twin.board.turrets import TurretKind, find, installed
+from khep_twin.errors import TurretError
+from khep_twin.firmware import Firmware
+
+
+class Radio:
+    """A turret without a body: counts its messages, and the ticks since its reset."""
+
+    def __init__(self) -> None:
+        self.registers = np.zeros(2, np.int64)
+
+    def receive(self, message: bytes) -> bytes:
+        self.registers[0] += 1
+        return turret_reply(4, "S", message.decode(), int(self.registers[0]))
+
+    def tick(self) -> None:
+        self.registers[1] += 1
+
+    def reset(self) -> None:
+        self.registers[1] = 0
+
+
+RADIO = TurretKind("radio", 4, "counts messages", "0.1", Radio)
+SECOND = TurretKind("second", 4, "has the same number", "0.1", Radio)
+BEYOND = TurretKind("beyond", 32, "has a number that the bus has not", "0.1", Radio)
+NOTHING = 5
+
+
+@pytest.fixture
+def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """Names in this file that packages offer as turrets, for a test to fill."""
+    names: list[str] = []
+
+    def entry_points(group: str) -> EntryPoints:
+        assert group == "khep_twin.turrets"
+        return EntryPoints(
+            EntryPoint(name.lower().split("=")[0], f"{__name__}:{name.split('=')[-1]}", group)
+            for name in names
+        )
+
+    monkeypatch.setattr(turrets, "entry_points", entry_points)
+    installed.cache_clear()
+    yield names
+    installed.cache_clear()
+
+
+def test_the_gripper_comes_with_the_twin() -> None:
+    (kind,) = find(["gripper"])
+    assert (kind.name, kind.number) == ("gripper", 1)
+    assert kind.scene is not None
+    assert kind.scene.exists()
+
+
+def test_any_package_may_offer_a_turret(offered: list[str]) -> None:
+    offered += ["RADIO"]
+    assert find(["radio"]) == (RADIO,)
+
+
+@pytest.mark.parametrize(
+    ("names", "line"),
+    [
+        (["radoi"], "unknown turret 'radoi'; did you mean 'radio'? (choices: radio, second)"),
+        (["radio", "second"], "turret 'second' and 'radio' are both number 4"),
+    ],
+)
+def test_turrets_that_cannot_be_plugged_on_are_told(offered: list[str], names: list[str], line: str) -> None:
+    offered += ["RADIO", "SECOND"]
+    with pytest.raises(TurretError) as caught:
+        find(names)
+    assert str(caught.value) == line
+
+
+@pytest.mark.parametrize(
+    ("names", "part"),
+    [
+        (["MISSING"], ":MISSING cannot be loaded"),
+        (["NOTHING"], ":NOTHING is 5; right is a TurretKind"),
+        (["BEYOND"], "right is a TurretKind of this name with a number from 0 to 31"),
+        (["other=RADIO"], "right is a TurretKind of this name"),
+    ],
+)
+def test_a_package_that_offers_no_turret_is_named(offered: list[str], names: list[str], part: str) -> None:
+    offered += names
+    with pytest.raises(TurretError) as caught:
+        installed()
+    assert part in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_board_passes_messages_ticks_and_resets_on() -> None:
+    radio = Radio()
+    firmware = Firmware(ROMS["5.02"], 1, {RADIO: radio})
+    assert firmware.receive(b"T,4,S,hello\nT,4,x\nT,5,S\n") == (
+        b"t,4,s,S,hello,1\r\nt,4,s,x,2\r\nz,Turret order not supported\r\n"
+    )
+    firmware.tick(0, 0)
+    firmware.tick(0, 0)
+    assert radio.registers.tolist() == [2, 2]
+    firmware.receive(b"restart\n")
+    assert radio.registers.tolist() == [2, 0]
+
+
+@pytest.mark.parametrize("line", [b"T", b"T,1", b"T,1,", b"T,x,B", b"T,,B"])
+def test_a_message_without_turret_or_text_is_a_protocol_error(line: bytes) -> None:
+    answer: Any = Firmware(ROMS["5.02"], 1, {RADIO: Radio()}).receive(line + b"\n")
+    assert answer == b"z,Protocol error\r\n"

@@ -1,0 +1,146 @@
+"""The command `khep-twin playpen import`: what it writes, tells and refuses."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from drawn_bitmap import drawn, seen_from_above
+from PIL import Image
+from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
+
+from khep_twin import playpen
+
+DRAWN = drawn()
+PAGE = (Path(__file__).parents[2] / "docs" / "import.md").read_text()
+
+
+def command(*arguments: str | int | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-m", "khep_twin", "playpen", *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=60, cwd=cwd, check=False)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """One with scans, which stand upside down, and a picture."""
+    scan = np.where(DRAWN, 44, 1)[::-1]
+    savemat(tmp_path / "old scan.mat", {"btmap1": scan.astype(np.float64)}, format="4")
+    savemat(tmp_path / "scan.mat", {"btmap1": scan.astype(np.uint8)}, do_compression=True)
+    Image.fromarray(~DRAWN).save(tmp_path / "painted.png")
+    return tmp_path
+
+
+@pytest.mark.parametrize("file", ["old scan.mat", "scan.mat", "painted.png"])
+def test_scan_and_picture_become_the_playpen_as_it_was_drawn(file: str, folder: Path) -> None:
+    done = command("import", file, "-o", "out.toml", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    found = playpen.load(folder / "out.toml")
+    np.testing.assert_array_equal(seen_from_above(found), DRAWN[10:-10, 10:-10])
+    assert found.name == Path(file).stem.replace(" ", "-")
+    text = (folder / "out.toml").read_text()
+    assert text.startswith(f'# Imported from "{file}" by khep-twin playpen import.\n\nversion = 1\n')
+    assert command("check", "out.toml", cwd=folder).returncode == 0
+
+
+def test_the_command_tells_what_it_found_and_made(folder: Path) -> None:
+    assert command("import", "scan.mat", cwd=folder).stdout == (
+        f"bitmap   btmap1, 500 x 600 pixels of 1 mm, {DRAWN.sum()} of them solid\n"
+        "flip     its first row is the bottom (the toolbox's scan turned the right way up); "
+        "--no-flip for the other way\n"
+        "walls    10 mm left, 10 mm right, 10 mm bottom, 10 mm top; now 10 mm thick\n"
+        "arena    580 x 480 mm within the walls\n"
+        "blocks   136\n"
+        "robot    at (290, 240), heading 90 degrees\n"
+        "playpen  scan.toml\n"
+    )
+    told = command("import", "painted.png", cwd=folder).stdout
+    assert "flip     its first row is the top; --flip for the other way\n" in told
+
+
+@pytest.mark.parametrize(("file", "option"), [("scan.mat", "--no-flip"), ("painted.png", "--flip")])
+def test_the_other_way_up_is_an_option(file: str, option: str, folder: Path) -> None:
+    assert command("import", file, option, "-o", "out.toml", cwd=folder).returncode == 0
+    found = playpen.load(folder / "out.toml")
+    np.testing.assert_array_equal(seen_from_above(found), DRAWN[::-1][10:-10, 10:-10])
+
+
+def test_options_name_scale_and_place(folder: Path) -> None:
+    words = "--name maze --mm-per-pixel 2 --height-mm 80 --robot 500,240.5,-45 -o out.toml".split()
+    done = command("import", "scan.mat", *words, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    found = playpen.load(folder / "out.toml")
+    (robot,) = found.robots
+    assert (robot.x_mm, robot.y_mm, robot.heading_deg) == (500, 240.5, -45)
+    assert (found.name, found.arena.width_mm, found.arena.wall_thickness_mm) == ("maze", 1160, 20)
+    assert {block.height_mm for block in found.blocks} == {80}
+    assert "robot    at (500, 240.5), heading -45 degrees\n" in done.stdout
+
+
+def test_a_playpen_may_have_no_robot(folder: Path) -> None:
+    done = command("import", "scan.mat", "--robot", "none", cwd=folder)
+    assert "robot    none\n" in done.stdout
+    assert playpen.load(folder / "scan.toml").robots == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "words", "line"),
+    [
+        (
+            {"a": np.eye(50), "b": np.ones((20, 30))}, "",
+            "several matrices (a: 50 x 50, b: 20 x 30); right is --variable with one of them",
+        ),
+        (
+            {"objects": np.ones((5, 4))}, "",
+            "no bitmap among its variables (objects: 5 x 4): probably an editable playpen; right is the "
+            "scanned one, with btmap1, which Scan Playpen writes",
+        ),
+        (
+            {"btmap1": np.eye(200) * 44}, "--robot 100,100,0",
+            "robot 1 at (100, 100) overlaps block 81 at (119.5, 119.5); right is a place clear of it",
+        ),
+        (
+            {"btmap1": np.eye(200) * 44}, "--mm-per-pixel 0.6",
+            "a block of 0.6 mm; right is at least 1 mm, as a picture of fewer pixels with a larger "
+            "--mm-per-pixel gives",
+        ),
+        (
+            {"btmap1": np.eye(200) * 44}, "--name a/b",
+            "name = \"a/b\": right is 1 to 64 letters, digits, '_' or '-'",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_imported_is_told_in_one_line_and_nothing_is_written(
+    values: dict[str, Any], words: str, line: str, tmp_path: Path
+) -> None:
+    savemat(tmp_path / "x.mat", values)
+    done = command("import", "x.mat", *words.split(), "-o", "out.toml", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr == f"khep-twin: x.mat: {line}\n"
+    assert not (tmp_path / "out.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("none.mat", "none.mat: cannot be read: No such file or directory"),
+        ("painted.png --solid 1", "painted.png: a PNG; right is a MAT file for --variable and --solid"),
+        ("painted.png --robot 1,2", '--robot 1,2: right is X,Y,HEADING, such as 300,250,90, or "none"'),
+        ("painted.png -o no/out.toml", "no/out.toml: cannot be written: there is no directory no"),
+    ],
+)
+def test_a_mistake_in_the_command_is_told_in_one_line(words: str, line: str, folder: Path) -> None:
+    done = command("import", *words.split(), cwd=folder)
+    assert (done.returncode, done.stderr) == (1, f"khep-twin: {line}\n")
+
+
+def test_the_page_on_the_import_tells_what_the_command_does(tmp_path: Path, monkeypatch: Any) -> None:
+    (paints,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    (told,) = re.findall(r"```\n(bitmap .*?)```", PAGE, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(paints, "import.md", "exec"), {})
+    assert command("import", "scan.mat", "-o", "scan.toml", cwd=tmp_path).stdout == told
+    (block,) = playpen.load(tmp_path / "scan.toml").blocks
+    assert (block.x_mm, block.y_mm) == (300, 120)

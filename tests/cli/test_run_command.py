@@ -1,0 +1,596 @@
+"""`khep-twin run` in series, `series` and `new`, as processes."""
+
+import csv
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from fake_robot import FakeRobot
+from scipy.io import loadmat
+
+from khep_twin.cli.app import main
+from khep_twin.log.reader import read
+from khep_twin.playpen import dump, load
+
+PROGRAM = (sys.executable, "-m", "khep_twin")
+# Slow enough for a signal to come in between, and its own chance as the robot's.
+LEARNS = """
+from khep_twin.lab.experiment.controllers import Controller
+class Learns(Controller):
+    def __init__(self):
+        self.speed = 3
+        self.seen = []
+    def start(self, robot):
+        self.speed += 1
+        self.seen = []
+    def cycle(self, robot):
+        self.seen.append(max(robot.proximity()))
+        robot.ambient()
+        robot.set_speed(self.speed, 5)
+"""
+PLAIN = """
+def controller(robot):
+    near = max(robot.proximity())
+    robot.set_speed(5, -5 if near > 300 else 5)
+    return {"near": near}
+"""
+ACROSS = ("--playpen", "obstacles", "--cycles", "60", "--runs", "4")
+
+
+def run(*words: object, folder: Path) -> "subprocess.CompletedProcess[str]":
+    """A command, here in this process: starting one takes longer than most of what is tested."""
+    out, errors, code = StringIO(), StringIO(), 0
+    with (
+        chdir(folder),
+        pytest.MonkeyPatch.context() as patch,
+        redirect_stdout(out),
+        redirect_stderr(errors),
+    ):
+        patch.setattr(sys, "argv", ["khep-twin", *map(str, words)])
+        patch.setattr(sys, "path", [*sys.path])
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+    # In a fresh checkout the first compiled run is announced.
+    told = re.sub(r"khep_twin: compiling with numba.*\n", "", errors.getvalue())
+    return subprocess.CompletedProcess(words, code, out.getvalue(), told)
+
+
+def good(*words: object, folder: Path) -> str:
+    result = run(*words, folder=folder)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def complaint(*words: object, folder: Path) -> str:
+    result = run(*words, folder=folder)
+    assert result.returncode in (1, 2), result.stdout
+    assert result.stderr.startswith("khep-twin: ")
+    assert result.stderr.count("\n") == 1, result.stderr
+    return result.stderr.removeprefix("khep-twin: ").rstrip()
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "runs.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@contextmanager
+def served(folder: Path, *words: str) -> "Iterator[tuple[subprocess.Popen[str], str]]":
+    command = [*PROGRAM, "serve", *words]
+    with subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield process, process.stdout.readline().strip()
+        finally:
+            if process.poll() is None:
+                process.terminate()
+            process.communicate(timeout=60)
+
+
+@contextmanager
+def begun(folder: Path, *words: object) -> "Iterator[subprocess.Popen[str]]":
+    """`khep-twin run`, of which a run has ended."""
+    command = [*PROGRAM, "run", *map(str, words)]
+    with subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            end = time.monotonic() + 120
+            while not (folder / "series" / "runs.csv").exists():
+                assert process.poll() is None, process.communicate()
+                assert time.monotonic() < end, "no run has ended"
+                time.sleep(0.02)
+            yield process
+        finally:
+            process.kill()
+
+
+def heard(folder: Path, short: bool = False) -> list[dict[str, str]]:
+    """What does not hang on the kind of port; with `short` not on the time at which it was asked, either."""
+    names = ["run", "cycles", "fitness", "near_share", "proximity_max", "proximity_mean", "speed_mean"]
+    names += ["ambient_mean", "ambient_min", "speed"]
+    assert {*names} <= {*rows(folder)[0]}
+    return [{name: row[name] for name in (names[:2] if short else names)} for row in rows(folder)]
+
+
+def test_a_script_comes_out_the_same_in_this_process_and_behind_a_terminal(tmp_path: Path) -> None:
+    (tmp_path / "learns.py").write_text(LEARNS)
+    length = ("--cycles", "60", "--runs", "4")
+    good(
+        "run",
+        "learns.py",
+        "--playpen",
+        "obstacles",
+        "--noise",
+        "off",
+        *length,
+        "--save",
+        "a",
+        folder=tmp_path,
+    )
+    url = "khep://obstacles?noise=off"
+    good("run", "learns.py", "--port", url, *length, "--save", "b", folder=tmp_path)
+    with served(tmp_path, "obstacles", "--noise", "off", "--clock", "wire") as (_, path):
+        good("run", "learns.py", "--port", path, *length, "--save", "c", folder=tmp_path)
+    assert heard(tmp_path / "a") == heard(tmp_path / "b") == heard(tmp_path / "c")
+    assert [row["speed"] for row in rows(tmp_path / "c")] == ["4", "5", "6", "7"]
+    for number in range(1, 5):
+        one, other = (loadmat(tmp_path / name / f"run-00{number}.mat")["seen"] for name in "ac")
+        assert one.tolist() == other.tolist()
+
+
+def test_in_real_time_it_comes_out_the_same_up_to_timing(tmp_path: Path) -> None:
+    (tmp_path / "learns.py").write_text(LEARNS)
+    words = ("run", "learns.py", "--cycles", "12", "--runs", "2", "--save")
+    good(*words, "a", "--noise", "off", folder=tmp_path)
+    with served(tmp_path, "default", "--noise", "off") as (_, path):
+        good(*words, "b", "--port", path, folder=tmp_path)
+    one, other = rows(tmp_path / "a"), rows(tmp_path / "b")
+    for name in ("run", "cycles", "speed", "fitness", "speed_mean", "proximity_max", "ambient_mean"):
+        assert [row[name] for row in one] == [row[name] for row in other]
+    # A busy machine is late, never early.
+    assert all(float(b["duration_s"]) > 0.9 * float(a["duration_s"]) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("script", "more"),
+    [(LEARNS, ()), (LEARNS, ("--start", "random")), (PLAIN, ("--start", "grid:3x1", "--start", "playpen"))],
+)
+def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
+    script: str, more: Sequence[str], tmp_path: Path
+) -> None:
+    (tmp_path / "mine.py").write_text(script)
+    words = ("mine.py", "--playpen", "obstacles", "--cycles", "150", *more)
+    with begun(tmp_path, *words, "--runs", "40", "--save", "series", "--log", "run.mcap") as process:
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    kept = len(rows(tmp_path / "series"))
+    assert errors.endswith(f"stopped before its end; {kept} of 40 runs are kept, go on with --resume\n")
+    assert "khep-twin series series" in output
+    log = read(sorted(tmp_path.glob("run*.mcap"))[-1])
+    # The last setpoints of the log are those of motors that stand.
+    assert [line.text for line in log.robots["khepera0"].serial if line.text.startswith("D")][-1] == "D,0,0"
+    assert not [*tmp_path.glob("*.part")]
+    total = str(kept + 2)
+    told = good("run", *words, "--runs", total, "--save", "series", "--resume", folder=tmp_path)
+    assert told.count("run ") >= 2
+    good("run", *words, "--runs", total, "--save", "whole", folder=tmp_path)
+    names = sorted(path.name for path in (tmp_path / "whole").iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "series").iterdir())
+    for name in names:
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "series" / name).read_bytes(), name
+
+
+def test_only_the_same_series_goes_on(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(PLAIN)
+    words = ("run", "mine.py", "--cycles", "3", "--save", "s")
+    good(*words, folder=tmp_path)
+    before = (tmp_path / "s" / "series.json").read_bytes()
+    for more, line in (
+        (("--seed", "1"), "s: was made with another seed: 0, now 1; right is the same"),
+        (("--playpen", "obstacles"), "s: was made with another playpen: "),
+        (("--start", "playpen"), "s: was made with another starts: [], now ['playpen']"),
+        (("--lighting", "random"), 's: was made with another playpen: mode = "all", now mode = "random"'),
+    ):
+        assert complaint(*words, "--resume", *more, folder=tmp_path).startswith(line)
+    assert complaint(*words, folder=tmp_path).startswith("s: has a series of 1 runs already; right is --res")
+    mine.write_text(PLAIN.replace("300", "301"))
+    assert "another controller source: sha256" in complaint(*words, "--resume", folder=tmp_path)
+    assert (tmp_path / "s" / "series.json").read_bytes() == before
+
+
+def test_a_controller_that_draws_on_chance_of_its_own_is_told_on_resume(tmp_path: Path) -> None:
+    text = (
+        "import random\n\ndef controller(robot):\n    robot.position()\n    return {'luck': random.random()}"
+    )
+    (tmp_path / "mine.py").write_text(text)
+    words = ("run", "mine.py", "--cycles", "3", "--save", "s", "--start", "playpen")
+    good(*words, folder=tmp_path)
+    line = complaint(*words, "--runs", "2", "--resume", folder=tmp_path)
+    assert line.startswith("s: run 1, done again, came out with luck ")
+    assert len(rows(tmp_path / "s")) == 1
+
+
+def test_a_refused_series_leaves_an_earlier_log_alone(tmp_path: Path) -> None:
+    words = ("run", "--cycles", "3", "--save", "s", "--log", "run.mcap")
+    good(*words, folder=tmp_path)
+    before = (tmp_path / "run.mcap").read_bytes()
+    complaint(*words, "--seed", "5", folder=tmp_path)
+    assert (tmp_path / "run.mcap").read_bytes() == before
+    assert not [*tmp_path.glob("*.part")]
+
+
+def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        PLAIN + "\nseen = []\n\ndef after(run):\n"
+        "    seen.append(run.numbers['fitness'])\n"
+        "    print('after', run.number, run.cycles, len(seen), run.variables['near'])\n"
+    )
+    words = ("run", "mine.py", "--after", "mine.py", "--cycles", "3", "--noise", "off", "--save", "s")
+    told = good(*words, "--runs", "2", folder=tmp_path)
+    assert [line for line in told.splitlines() if line.startswith("after")] == [
+        "after 1 3 1 0",
+        "after 2 3 2 0",
+    ]
+    told = good(*words, "--runs", "3", "--resume", folder=tmp_path)
+    assert [line for line in told.splitlines() if line.startswith("after")] == ["after 3 3 1 0"]
+    assert told.count("as before") == 2
+    for text, line in (
+        ("def after(run):\n    run.nothing", "bad.py:2: AttributeError: "),
+        ("def after(run, more): ...", "bad.py: 'after' takes (run, more); right is one run"),
+        ("def other(run): ...\ndef another(run): ...", "bad.py: no function 'after' that takes a run"),
+        ("x = (", "bad.py:1: SyntaxError"),
+    ):
+        (tmp_path / "bad.py").write_text(text)
+        told = complaint("run", "--after", "bad.py", "--cycles", "1", folder=tmp_path)
+        assert told.removeprefix(f"{tmp_path}/").startswith(line)
+    assert "no such function; right is" in complaint("run", "--after", "bad", folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    "place", ["__init__(self)", "start(self, robot)", "end(self, robot)", "stop(self, robot)"]
+)
+def test_a_place_that_fails_is_one_line(place: str, tmp_path: Path) -> None:
+    text = "from khep_twin.lab.experiment.controllers import Controller\n"
+    text += f"class Mine(Controller):\n    def {place}:\n"
+    text += "        raise ValueError('mine')\n    def cycle(self, robot): robot.position()\n"
+    (tmp_path / "mine.py").write_text(text)
+    line = complaint("run", "mine.py", "--cycles", "2", folder=tmp_path)
+    assert line.startswith("mine.py:4: ") or "/mine.py:4: " in line
+    assert "ValueError: mine" in line
+
+
+def test_before_each_run_a_person_is_waited_for(tmp_path: Path) -> None:
+    command = [*PROGRAM, "run", "--confirm", "--cycles", "1", "--runs", "2"]
+    result = subprocess.run(
+        command, cwd=tmp_path, input="\nready\n", capture_output=True, text=True, timeout=60
+    )
+    assert result.returncode == 0
+    assert result.stderr.count("put the robot right, then press Enter") == 2
+    ended = subprocess.run(command, cwd=tmp_path, input="\n", capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1
+    assert "--confirm: the input ended before run 2; right is a terminal" in ended.stderr
+
+
+def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
+    host, terminal = pty.openpty()
+    command = [*PROGRAM, "run", "--confirm", "--cycles", "1", "--save", "s"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdin=terminal, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stderr is not None
+        assert os.read(process.stderr.fileno(), 100).startswith(b"run 1: put")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+        assert b"0 of 1 runs are kept" in process.stderr.read()
+    os.close(host)
+    os.close(terminal)
+    good("run", "--cycles", "1", "--save", "s", "--resume", folder=tmp_path)
+
+
+def test_a_twin_that_is_killed_in_mid_run_is_one_error_and_nothing_is_lost(tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    options = ("obstacles", "--clock", "wire", "--log", "served.mcap", "--link", str(link))
+    with served(tmp_path, *options) as (twin, _):
+        words = ("--port", link, "--cycles", "20", "--runs", "100000", "--save", "series")
+        with begun(tmp_path, *words) as process:
+            twin.kill()
+            _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert errors.count("\n") == 1, errors
+    assert "the motors may still run" in errors
+    assert rows(tmp_path / "series")[0]["run"] == "1"
+    assert "run" in good("series", "series", folder=tmp_path)
+    recovered = run("recover", "served.mcap.part", folder=tmp_path)
+    assert recovered.returncode in (0, 3), recovered.stderr
+    assert len(read(tmp_path / "served.mcap").robots["khepera0"].times_ns) >= 1
+
+
+def test_a_terminal_that_closes_and_a_peer_that_goes_are_one_error(tmp_path: Path) -> None:
+    with FakeRobot() as robot:
+        words = ("--port", robot.url, "--cycles", "5", "--runs", "100000", "--save", "series")
+        with begun(tmp_path, *words) as process:
+            robot.hang_up(for_good=True)
+            _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert errors.count("\n") == 1, errors
+    assert "the motors may still run" in errors
+    host, terminal = pty.openpty()
+    path = os.ttyname(terminal)
+    with subprocess.Popen(
+        [*PROGRAM, "run", "--port", path], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert os.read(host, 1)
+        os.close(terminal)
+        os.close(host)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert errors.startswith(f"khep-twin: {path}: ")
+    assert errors.count("\n") == 1, errors
+
+
+def test_starts_have_logs_and_tracks_of_their_own(tmp_path: Path) -> None:
+    words = (
+        "run",
+        "--start",
+        "grid:2x1",
+        "--runs",
+        "3",
+        "--cycles",
+        "9",
+        "--log",
+        "run.mcap",
+        "--picture",
+        "p.svg",
+    )
+    told = good(*words, folder=tmp_path)
+    assert "log      run-001.mcap to run-003.mcap" in told
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "p.svg",
+        *(f"run-00{number}.mcap" for number in (1, 2, 3)),
+    ]
+    pose = [read(tmp_path / f"run-00{number}.mcap").robots["khepera0"].pose[0] for number in (1, 2, 3)]
+    assert [round(float(place[0]), 3) for place in pose] == [0.15, 0.45, 0.15]
+
+
+def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
+    for name, seed in (("one", 1), ("other", 2)):
+        words = ("run", "--start", "random", "--seed", seed, "--runs", "3", "--cycles", "9", "--save", name)
+        good(*words, folder=tmp_path)
+    told = good(
+        "series", "one", "other", "--picture", "s.png", "--columns", "fitness,distance_m", folder=tmp_path
+    )
+    lines = told.splitlines()
+    assert [line.split()[0] for line in lines[1:4]] == ["fitness", "other", "less"]
+    assert lines[-1] == "picture  s.png"
+    assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
+    for words, line in (
+        (("one", "none"), "none/series.json: cannot be read: No such file"),
+        (
+            ("one", "--columns", "fitnes"),
+            "column fitnes: is no number of these runs; did you mean 'fitness'?",
+        ),
+        (("one", "--picture", "s.jpg"), "--picture s.jpg: right is a name that ends in"),
+        (("one", "--picture", "no/s.png"), "no/s.png: cannot be written: there is no directory no"),
+    ):
+        assert complaint("series", *words, folder=tmp_path).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--resume",), "--resume goes on with a series that was saved; right is to give --save FOLDER too"),
+        (("--save", "s", "--resume"), "s: holds no series to go on with; right is a folder that --save made"),
+        (("--start", "5,5,0"), "start 5,5,0: robot 1 at (5, 5) overlaps the left wall"),
+        (("--start", "playpen", "--robot", "3"), "robot = 3: not in playpen 'default'; (choices: 0)"),
+        (("--lighting", "dark"), "lighting 'dark': unknown; (choices: all, random, sequenced, off)"),
+        (("--without-lamp", "1"), "--without-lamp 1: right is X,Y in mm, such as 50,450"),
+        (("--without-lamp", "1,1"), "default: no lamp is left; expected one to take away or move"),
+        (
+            ("--port", "khep://default", "--start", "random"),
+            "--start is for a twin in this process, not for one",
+        ),
+        (("--pause", "inf"), "a pause of inf s; right is 0 or more"),
+        (("--save", "mine.py"), "mine.py: no folder can be made here: File exists"),
+    ],
+)
+def test_a_mistake_is_one_line(words: Sequence[str], line: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(PLAIN)
+    assert complaint("run", "--cycles", "1", *words, folder=tmp_path).startswith(line)
+
+
+def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
+    assert "khep-twin run mine.py" in good("new", "controller", "mine.py", folder=tmp_path)
+    good("run", "mine.py", "--playpen", "obstacles", "--seconds", "20", "--save", "s", folder=tmp_path)
+    assert int(rows(tmp_path / "s")[0]["turns"]) >= 1
+    assert complaint("new", "controller", "mine.py", folder=tmp_path).startswith("mine.py: is there already")
+    assert complaint("new", "controller", "mine.txt", folder=tmp_path).startswith("mine.txt: right is a name")
+
+
+@pytest.mark.parametrize("kind", [(), ("--fast", "--planar", "--period", "20")])
+def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Sequence[str]) -> None:
+    second = run("run", "--model", "khepera2", "--seconds", "0.2", *kind, folder=tmp_path)
+    assert (second.returncode, second.stderr) == (0, "")
+    refused = run("run", "--model", "khepera3", *kind, folder=tmp_path)
+    assert refused.stderr == (
+        "khep-twin: model = 'khepera3': unknown; did you mean 'khepera2'? (choices: khepera1, khepera2)\n"
+    )
+
+
+@pytest.mark.parametrize("kind", [(), ("--fast", "--planar", "--period", "20")])
+def test_the_firmware_of_a_khepera_2_alone_is_told_of_in_one_line(
+    tmp_path: Path, kind: Sequence[str]
+) -> None:
+    done = run("run", "--rom", "khepera2", "--seconds", "0.2", *kind, folder=tmp_path)
+    assert done.returncode == 0
+    assert done.stderr == (
+        "khep-twin: --rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
+        "--model khepera2 changes all three\n"
+    )
+    assert run("run", "--rom", "4.06", "--seconds", "0.2", *kind, folder=tmp_path).stderr == ""
+
+
+def test_starts_have_room_for_the_body_that_is_run(tmp_path: Path) -> None:
+    words = ("run", "--start", "29,250,0", "--seconds", "0.1")
+    assert run(*words, folder=tmp_path).returncode == 0
+    assert "start 29,250,0" in run(*words, "--model", "khepera2", folder=tmp_path).stderr
+
+
+TOOLBOX = """
+from khep_twin.toolbox.names import *
+btmap1 = open_custom("two-lamps", noise=False)
+total = 0
+def brait(port_id, cycles_per_run, runs, pause_stat):
+    global total
+    run_count = 0
+    while run_count < runs:
+        cycle_count = 0
+        while cycle_count < cycles_per_run:
+            near = max(rps(2))
+            sms(port_id, 5, -5 if near > 300 else 5)
+            cycle_count = cycle_count + 1
+            total = total + 1
+        run_count = run_count + 1
+    return near, port_id
+def samp(port_id, cycles_per_run, runs, pause_stat):
+    for run in range(runs):
+        for cycle in range(cycles_per_run):
+            sim_sms(2, 5, 5)
+            light = sim_rls(2)
+            step()
+def step():
+    kheprom(btmap1)
+def user1():
+    print("user1")
+def user2(near, total):
+    print("user2", near, total)
+"""
+
+
+def test_a_function_in_the_toolboxs_form_is_run_in_a_series(tmp_path: Path) -> None:
+    (tmp_path / "tb.py").write_text(TOOLBOX)
+    words = (*ACROSS, "--pause", "1", "--save", "kept", "--after", "tb.py:user2", "--log", "run.mcap")
+    told = good("run", "tb.py:brait", *words, folder=tmp_path)
+    kept = rows(tmp_path / "kept")
+    assert [row["total"] for row in kept] == ["60", "120", "180", "240"]
+    assert [row["cycle_count"] for row in kept] == ["60"] * 4
+    assert all(float(row["fitness"]) > 0 for row in kept)
+    assert [f"user2 {row['near']} {row['total']}" in told for row in kept] == [True] * 4
+    variables = loadmat(tmp_path / "kept" / "run-002.mat")
+    assert variables["near"].item() == variables["var1"].item()
+    texts = [line.text for line in read(tmp_path / "run.mcap").events]
+    assert [text for text in texts if text.startswith("run 2")] == ["run 2 begins", "run 2 ends"]
+    assert good("run", "tb.py:brait", *words, "--resume", folder=tmp_path).count("as before") == 4
+
+
+def test_a_function_for_the_toolboxs_simulator_is_run_in_its_own_playpen_or_another(tmp_path: Path) -> None:
+    (tmp_path / "tb.py").write_text(TOOLBOX)
+    told = good(
+        "run", "tb.py:samp", "--cycles", 40, "--save", "own", "--after", "tb.py:user1", folder=tmp_path
+    )
+    assert "40 cycles in 2.0 s" in told
+    assert "user1" in told
+    # The lamps of two-lamps are seen; in the dark default there are none.
+    good("run", "tb.py:samp", "--cycles", 40, "--save", "dark", "--playpen", "default", folder=tmp_path)
+    own, dark = (loadmat(tmp_path / name / "run-001.mat")["light"].min() for name in ("own", "dark"))
+    assert own < dark - 20
+    told = complaint("run", "tb.py:samp", "--seconds", 5, folder=tmp_path)
+    assert "samp: counts its cycles; expected cycles, no seconds" in told
+
+
+def test_a_function_in_the_toolboxs_form_is_stopped_in_the_middle_of_its_run(tmp_path: Path) -> None:
+    (tmp_path / "tb.py").write_text(TOOLBOX)
+    words = ("tb.py:brait", "--cycles", 800, "--runs", 500, "--save", "series")
+    with begun(tmp_path, *words) as process:
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "runs are kept" in errors
+
+
+def test_a_template_in_the_toolboxs_form_runs_as_it_stands(tmp_path: Path) -> None:
+    assert "--cycles 500" in good("new", "toolbox", "mine.py", folder=tmp_path)
+    assert "30 cycles" in good("run", "mine.py:name", "--cycles", 30, folder=tmp_path)
+
+
+BAD_END = """
+class Own(BaseException):
+    def __str__(self):
+        return "first\\n  second" if self.args else 1 / 0
+
+def controller(robot):
+    robot.set_speed(5, 5)
+    if robot.time > 0.1:
+        {}
+
+def after(run):
+    {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("raise GeneratorExit", "GeneratorExit"),
+        ("raise GeneratorExit('mine')", "GeneratorExit: mine"),
+        ("raise SystemExit(0)", "SystemExit: 0"),
+        ("raise KeyboardInterrupt", "KeyboardInterrupt"),
+        ("raise StopIteration(3)", "StopIteration: 3"),
+        ("raise Own('mine')", "Own: first; second"),
+        ("raise Own", "Own: (its text fails: ZeroDivisionError)"),
+    ],
+)
+@pytest.mark.parametrize("where", ["cycle", "after"])
+def test_whatever_a_controller_raises_is_its_fault_and_its_log_is_whole(
+    text: str, told: str, where: str, tmp_path: Path
+) -> None:
+    parts = (text, "pass") if where == "cycle" else ("pass", text)
+    (tmp_path / "mine.py").write_text(BAD_END.format(*parts))
+    line = 9 if where == "cycle" else 12
+    words = ("run", "mine.py:controller", "--after", "mine.py", "--cycles", "20", "--log", "run.mcap")
+    result = run(*words, folder=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr == f"khep-twin: {tmp_path / 'mine.py'}:{line}: {told}\n"
+    assert [line.text for line in read(tmp_path / "run.mcap").robots["khepera0"].serial][-2:] == [
+        "D,0,0",
+        "d",
+    ]
+    assert {path.name for path in tmp_path.iterdir()} == {"mine.py", "run.mcap"}
+
+
+@pytest.mark.parametrize("when", ["import os; os.chdir('away')", ""])
+def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, tmp_path: Path) -> None:
+    (tmp_path / "here" / "away" / "away").mkdir(parents=True)
+    folder = tmp_path / "here"
+    (folder / "goes.py").write_text(
+        f"{when}\nimport os\n\ndef controller(robot):\n"
+        "    os.path.isdir('away') and os.chdir('away')\n    robot.set_speed(5, 5)\n"
+    )
+    (folder / "then.py").write_text("def after(run):\n    open('own', 'w').close()\n")
+    (folder / "arena.toml").write_text(dump(load("default")))
+    words = ("--playpen", "arena.toml", "--start", "playpen", "--runs", "2", "--cycles", "3")
+    files = ("--after", "then.py", "--log", "run.mcap", "--picture", "run.png", "--save", "series")
+    told = good("run", "goes.py", *words, *files, folder=folder)
+    assert told.splitlines()[-3].startswith("picture  run.png")
+    assert told.splitlines()[-2].startswith("log      run-001.mcap to run-002.mcap")
+    assert told.splitlines()[-1].startswith("series   series ")
+    made = {"run-001.mcap", "run-002.mcap", "run.png", "series"}
+    assert {path.name for path in folder.iterdir()} == {"goes.py", "then.py", "arena.toml", "away", *made}
+    assert len(rows(folder / "series")) == 2
+    assert (folder / "away" / "away" / "own").exists()
+    assert read(folder / "run-002.mcap").robots["khepera0"].serial

@@ -1,0 +1,51 @@
+"""Playpens as a camera sees them, where there is OpenGL."""
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from khep_twin import playpen as playpens
+from khep_twin.drawing.render import HEIGHT, WIDTH, render
+from khep_twin.errors import KhepTwinError
+
+ARENA = 'version = 1\nname = "seen"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
+
+
+def seen(text: str) -> NDArray[np.int64]:
+    """Return the pixels of an arena with these tables (HEIGHT, WIDTH, 3)."""
+    try:
+        picture = render(playpens.parse(ARENA + text, "seen"), Path("seen.png"))
+    except KhepTwinError as error:
+        if "no OpenGL" in str(error):
+            pytest.skip(str(error))
+        raise
+    return np.asarray(Image.open(BytesIO(picture)).convert("RGB"), np.int64)
+
+
+def test_blocks_differ_from_the_floor_and_their_tops_from_their_sides() -> None:
+    # A square in the middle; the picture's centre, away from the lines, is on its top or on the floor.
+    at = HEIGHT // 2 - 20, WIDTH // 2 + 20
+    floor = seen("")
+    for surface in ("white", "grey"):
+        block = "[[block]]\nx_mm = 300\ny_mm = 250\nlength_mm = 200\nwidth_mm = 200\nheight_mm = 50\n"
+        pixels = seen(f'{block}surface = "{surface}"\n')
+        top = pixels[at]
+        assert np.abs(top - floor[at]).max() > 25, surface
+        column = pixels[:, at[1]]
+        side = column[np.flatnonzero(np.abs(column - top).max(axis=1) < 2)[-1] + 20]
+        assert top.sum() > side.sum() + 15, surface
+
+
+def test_the_floor_has_a_shadow_beside_a_block_and_lines() -> None:
+    floor = seen("")
+    block = "[[block]]\nx_mm = 300\ny_mm = 250\nlength_mm = 50\nwidth_mm = 50\nheight_mm = 80\n"
+    darker = (floor - seen(block)).min(axis=2) > 30
+    assert darker.sum() > 500
+    inside = floor[HEIGHT // 2 - 100 : HEIGHT // 2 + 100, WIDTH // 2 - 200 : WIDTH // 2 + 200]
+    colours = {tuple(colour) for colour in inside.reshape(-1, 3)}
+    assert len(colours) > 1
+    assert max(max(colour) for colour in colours) < 250

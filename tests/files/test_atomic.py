@@ -1,0 +1,186 @@
+"""Files of users: what is no file is refused at once, and nothing that is read is replaced or moved."""
+
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from mcap.writer import MCAP0_MAGIC
+
+from khep_twin import playpen
+from khep_twin.cli import app as cli
+from khep_twin.errors import KhepTwinError, LogError
+from khep_twin.files.atomic import write_whole
+from khep_twin.lab.experiment.experiment import find_controller
+from khep_twin.lab.experiment.series_files import read_series
+from khep_twin.lab.sensor_test import sensor_files
+from khep_twin.log.reader import read
+from khep_twin.log.recover import recover
+from khep_twin.log.tail import GrowingLog
+from khep_twin.playpen import bitmap_files
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.sensing import calibration
+from khep_twin.sweep import study
+from khep_twin.sweep.tasks import work_of
+
+LONG = 60.0
+"""How long anything may take on a busy machine [s]."""
+
+STUDY = """version = 1
+name = "study"
+playpens = ["default"]
+controllers = ["braitenberg"]
+seeds = 1
+seconds = 1
+output = "out"
+
+[[{kind}]]
+name = "one"
+{key}
+"""
+
+
+def _genomes(path: Path) -> None:
+    file = path.with_name("study.toml")
+    file.write_text(STUDY.format(kind="network", key='genomes = "genomes.csv"'))
+    work_of(study.load(file))
+
+
+def _program(path: Path) -> None:
+    file = path.with_name("study.toml")
+    file.write_text(STUDY.format(kind="program", key='file = "program.py:mind"'))
+    work_of(study.load(file))
+
+
+def _log(path: Path) -> None:
+    open_twin("default", TwinOptions(log=str(path.with_suffix(""))))
+
+
+READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "playpen": ("arena.toml", playpen.load),
+    "calibration": ("robot.toml", lambda path: calibration.read(str(path))),
+    "bitmap": ("scan.mat", bitmap_files.read),
+    "picture": ("scan.png", bitmap_files.read),
+    "sensor test": ("run.csv", sensor_files.load),
+    "log": ("run.mcap", read),
+    "interrupted log": ("run.mcap.part", recover),
+    "growing log": ("run.mcap.part", GrowingLog),
+    "part of a new log": ("run.mcap.part", _log),
+    "controller": ("mine.py", lambda path: find_controller(str(path))),
+    "series": ("series.json", lambda path: read_series(path.parent)),
+    "study": ("study.toml", study.load),
+    "genomes": ("genomes.csv", _genomes),
+    "program": ("program.py", _program),
+}
+
+
+@contextmanager
+def odd(kind: str, path: Path) -> Iterator[None]:
+    """Something that is no file, under a name."""
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as end:
+            end.bind(os.path.relpath(path))  # such names may be short only
+            yield
+        return
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    yield
+
+
+def failure(call: Callable[[], object]) -> BaseException | None:
+    """What a call that must not wait for anybody has failed with."""
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            call()
+        except BaseException as error:  # told by whoever asked
+            failures.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(LONG)
+    assert not thread.is_alive(), "it waits"
+    return failures[0] if failures else None
+
+
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device", "directory"])
+@pytest.mark.parametrize("reader", READERS)
+def test_what_is_no_file_is_refused_at_once(reader: str, kind: str, tmp_path: Path) -> None:
+    name, call = READERS[reader]
+    path = tmp_path / name
+    with odd(kind, path):
+        before = path.lstat()
+        error = failure(lambda: call(path))
+        assert (path.lstat().st_ino, path.lstat().st_mode) == (before.st_ino, before.st_mode)
+    assert isinstance(error, KhepTwinError), repr(error)
+    told = str(error)
+    assert name in told
+    assert "\n" not in told
+    expected = "this is no regular file; expected the name of a file"
+    assert ("s a directory" if kind == "directory" and reader != "controller" else expected) in told
+
+
+def test_a_log_moves_nothing_away_but_logs(tmp_path: Path, field: playpen.Playpen) -> None:
+    arena = tmp_path / "run.mcap.part"
+    arena.write_text(playpen.dump(field))
+    with pytest.raises(LogError, match=r"run\.mcap\.part: this is no unfinished log; expected another name"):
+        open_twin(str(arena), TwinOptions(log=str(tmp_path / "run.mcap")))
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap.part"]
+    for torn in (b"", MCAP0_MAGIC[:3]):
+        arena.write_bytes(torn)
+        with open_twin(field, TwinOptions(log=str(tmp_path / "run.mcap"))):
+            pass
+        assert (tmp_path / "run.mcap.part.1").read_bytes() == torn
+        (tmp_path / "run.mcap.part.1").unlink()
+
+
+def test_a_file_that_is_written_takes_no_other_ones_name_meanwhile(tmp_path: Path) -> None:
+    path, others = tmp_path / "a.csv", [tmp_path / ".a.csv.part", tmp_path / ".a.csv.part1"]
+    others[0].write_text("mine")
+    others[1].symlink_to("nowhere")
+    write_whole(path, b"data")
+    assert path.read_bytes() == b"data"
+    assert others[0].read_text() == "mine"
+    assert os.readlink(others[1]) == "nowhere"
+    assert {*tmp_path.iterdir()} == {path, *others}
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "playpen draw arena.png -o arena.png",
+        "playpen draw arena.png -o linked.png",
+        "playpen compile arena.png -o arena.png --force",
+        "playpen import arena.png -o arena.png --force",
+        "run --fast --seconds 1 --playpen arena.png --picture arena.png",
+        "run --seconds 1 --playpen arena.png --log run.mcap --picture arena.png",
+        "fit run.csv=wall@22mm --start arena.png -o arena.png --force",
+    ],
+)
+def test_what_is_read_is_not_replaced(
+    typed: str,
+    tmp_path: Path,
+    field: playpen.Playpen,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arena.png").write_text(playpen.dump(field))
+    Path("linked.png").symlink_to("arena.png")
+    monkeypatch.setattr("sys.argv", ["khep-twin", *typed.split()])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 1
+    name = "linked.png" if "linked" in typed else "arena.png"
+    told = f"khep-twin: {name}: this is what is read; expected a file of its own\n"
+    assert capsys.readouterr() == ("", told)
+    assert Path("arena.png").read_text() == playpen.dump(field)
+    assert {path.name for path in tmp_path.iterdir()} == {"arena.png", "linked.png"}

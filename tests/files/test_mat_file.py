@@ -1,0 +1,203 @@
+"""MAT files: what scipy writes is read, what is damaged or a bomb is an error."""
+
+import io
+import struct
+import time
+import zlib
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
+from scipy.sparse import csc_array  # pyright: ignore[reportMissingTypeStubs]
+
+from khep_twin.errors import MatError
+from khep_twin.files import mat_file
+from khep_twin.files.mat_file import Foreign, read_variables
+
+
+def saved(values: dict[str, Any], **options: Any) -> bytes:
+    file = io.BytesIO()
+    savemat(file, values, **options)
+    return file.getvalue()
+
+
+def element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8 if kind != 15 else 0)
+
+
+def five(*elements: bytes) -> bytes:
+    return b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + b"".join(elements)
+
+
+def matrix(
+    shape: list[int], kind: int = 9, content: bytes = b"", stored: int = 2, name: bytes = b"x"
+) -> bytes:
+    dimensions = struct.pack(f"<{len(shape)}i", *shape)
+    flags = struct.pack("<II", kind, 0)
+    return element(
+        14, element(6, flags) + element(5, dimensions) + element(1, name) + element(stored, content)
+    )
+
+
+@pytest.mark.parametrize("dtype", ["u1", "i1", "u2", "i2", "i4", "f4", "f8", "u4", "i8", "u8", "bool"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_matrix_of_any_numbers_is_read(dtype: str, packed: bool) -> None:
+    values = (np.arange(12) % 2 * 44).reshape(3, 4).astype(dtype)
+    found = read_variables(saved({"a": values}, do_compression=packed))["a"]
+    assert isinstance(found, np.ndarray)
+    np.testing.assert_array_equal(found, values)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "i2", "u2", "i4", "f4", "f8"])
+def test_a_matrix_of_matlab_4_is_read(dtype: str) -> None:
+    values = np.arange(12).reshape(3, 4).astype(dtype)
+    found = read_variables(saved({"a": values}, format="4"))["a"]
+    assert isinstance(found, np.ndarray)
+    np.testing.assert_array_equal(found, values)
+
+
+def test_what_is_no_matrix_of_real_numbers_is_told_by_kind() -> None:
+    values = {
+        "cells": np.array([1, "x"], dtype=object), "struct": {"a": 1}, "sparse": csc_array(np.eye(3)),
+        "complex": np.array([1j]), "text": ["ab", "cd"],
+    }  # fmt: skip
+    assert read_variables(saved(values)) == {
+        "cells": Foreign("a cell array"), "struct": Foreign("a struct"), "sparse": Foreign("a sparse matrix"),
+        "complex": Foreign("complex"), "text": ("ab", "cd"),
+    }  # fmt: skip
+    del values["cells"], values["struct"]
+    assert read_variables(saved(values, format="4")) == {
+        "sparse": Foreign("a sparse matrix"), "complex": Foreign("complex"), "text": ("ab", "cd"),
+    }  # fmt: skip
+
+
+def test_an_object_of_a_class_is_passed_over() -> None:
+    # Matlab's strings and tables: a name without a size, and a store without a name behind them.
+    opaque = element(14, element(6, struct.pack("<II", 17, 0)) + element(1, b"str") + element(1, b"MCOS"))
+    store = matrix([1, 3], content=b"abc", name=b"")
+    found = read_variables(five(opaque, store, matrix([1, 2], content=b"\1\2")))
+    assert found["str"] == Foreign("an object")
+    assert list(found) == ["str", "x"]
+
+
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        (b"short", "no MAT file: only 5 bytes; right is one of Matlab 4 to 7.2"),
+        (b"x" * 200, "no MAT file: begins b'xxxxxxxxxxxxxxxxxxxx'; right is one of Matlab 4 to 7.2"),
+        (
+            b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM",
+            "a MAT file of Matlab 7.3; right is one of Matlab 4 to 7.2, as save -v7 writes it",
+        ),
+        (
+            b"\x89HDF\r\n\x1a\n".ljust(200),
+            "a MAT file of Matlab 7.3; right is one of Matlab 4 to 7.2, as save -v7 writes it",
+        ),
+        (
+            five(matrix([2, 2], content=b"abc")),
+            "'x': 3 values; right are 2 x 2",
+        ),
+        (
+            five(matrix([-1, 2])),
+            "no whole MAT file: a matrix of -1 x 2; right is the file as saved",
+        ),
+        (
+            five(matrix([1] * 33, content=b"a")),
+            "no whole MAT file: a matrix of 33 dimensions; right is the file as saved",
+        ),
+        (
+            five(matrix([2**31 - 1] * 4 + [0])),
+            "no whole MAT file: a matrix of 2147483647 x 2147483647 x 2147483647 x 2147483647 x 0; "
+            "right is the file as saved",
+        ),
+        (
+            five(matrix([1, 1], content=b"a", stored=8)),
+            "no whole MAT file: numbers of type 8; right is the file as saved",
+        ),
+        (
+            five(matrix([2, 2], content=b"abcd"))[:-8],
+            "no whole MAT file: 8 bytes are missing at its end; right is the file as saved",
+        ),
+        (
+            five(element(14, element(6, b"1234"))),
+            "no whole MAT file: a matrix without its kind; right is the file as saved",
+        ),
+        (
+            five(element(15, b"no zlib")),
+            "no whole MAT file: Error -3 while decompressing data: incorrect header check; "
+            "right is the file as saved",
+        ),
+        (
+            struct.pack("<5I", 7, 1, 1, 0, 2) + b"a\0" + bytes(8),
+            "no MAT file: a matrix of kind 7 at byte 0; right is one of Matlab 4 to 7.2",
+        ),
+        (
+            struct.pack("<5I", 0, 2**31, 2**31, 0, 2) + b"a\0" + bytes(8),
+            "no whole MAT file: 36893488147419103224 bytes are missing at its end; "
+            "right is the file as saved",
+        ),
+    ],
+)  # fmt: skip
+def test_a_broken_file_is_told_in_one_line(data: bytes, line: str) -> None:
+    with pytest.raises(MatError) as caught:
+        read_variables(data)
+    assert str(caught.value) == line
+
+
+def bomb() -> bytes:
+    packed = element(15, zlib.compress(matrix([2**15, 2**10], content=bytes(2**25)), 9))
+    return five(packed, packed, packed)
+
+
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        (bomb(), f"unpacked larger than {mat_file.SIZE_LIMIT} bytes, the most that is read"),
+        (bytes(mat_file.SIZE_LIMIT + 1), f"larger than {mat_file.SIZE_LIMIT} bytes, the most that is read"),
+        (five(matrix([0, 0]) * 10_001), "more than 10000 variables; right is a file with fewer"),
+        (five(element(1, b"") * 10_001), "more than 10000 variables; right is a file with fewer"),
+        (
+            (struct.pack("<5I", 50, 0, 0, 0, 2) + b"a\0") * 10_001,
+            "more than 10000 variables; right is a file with fewer",
+        ),
+        (
+            five(matrix([1, 2**21], 4, bytes(2**21))),
+            "text of 2097152 characters; right is up to 1048576",
+        ),
+        (
+            five(matrix([1, 2**21], 4, b"a" * 2**21, stored=16)),
+            "text of 2097152 characters; right is up to 1048576",
+        ),
+    ],
+)  # fmt: skip
+def test_a_bomb_is_refused(data: bytes, line: str) -> None:
+    with pytest.raises(MatError) as caught:
+        read_variables(data)
+    assert str(caught.value) == line
+
+
+def test_much_text_in_many_rows_and_matrices_is_refused_in_time() -> None:
+    rows = matrix([2**20, 1], 4, "♞".encode("utf-16-le") * 2**20, stored=17)
+    begun = time.process_time()
+    with pytest.raises(MatError, match="text of 2097152 characters; right is up to 1048576"):
+        read_variables(five(rows * 30))
+    assert time.process_time() - begun < 2
+
+
+@pytest.mark.parametrize(
+    ("codes", "stored"),
+    [
+        (np.array([97, -1, 1e300, np.nan, 0xD800, 98]), 9),
+        (np.array([97, -1, -128, -2, -3, 98], dtype=np.int8), 1),
+        (np.array([97, -1, 2**62, 0xDC00, 0x110000, 98], dtype=np.int64), 12),
+    ],
+)
+def test_characters_that_there_are_none_of_become_marks(codes: NDArray[Any], stored: int) -> None:
+    data = five(matrix([1, 6], 4, codes.tobytes(), stored))
+    assert read_variables(data)["x"] == ("a\ufffd\ufffd\ufffd\ufffdb",)
+
+
+def test_no_text_in_very_many_rows_is_no_text() -> None:
+    assert read_variables(five(matrix([2**31 - 1, 0], 4)))["x"] == ()

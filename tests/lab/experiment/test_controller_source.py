@@ -1,0 +1,119 @@
+"""The controller in the log: the very text that was run, and nothing of the machine."""
+
+import importlib.machinery
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from khep_twin.lab.experiment import controller_source
+from khep_twin.lab.experiment.controller_source import source_of
+from khep_twin.lab.experiment.controllers import braitenberg
+from khep_twin.lab.experiment.experiment import find_controller
+from khep_twin.log.reader import read, read_label
+
+TEXT = "def controller(robot):\r\n    robot.set_speed(3, 4)  # für beide Räder"
+"""With the line ends of Windows, letters beyond ASCII and no line end at its end."""
+
+
+def run(folder: Path, controller: object, *options: str) -> Path:
+    """Runs a controller and returns the log."""
+    log = folder / "run.mcap"
+    command = [sys.executable, "-m", "khep_twin", "run", str(controller), "--seconds", "0.5"]
+    subprocess.run([*command, "--log", str(log), *options], check=True, capture_output=True, text=True)
+    return log
+
+
+def test_a_users_file_is_attached_as_it_was_read_and_the_run_repeats(tmp_path: Path) -> None:
+    logs: list[Path] = []
+    for name in ("here", "there"):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "mine.py").write_bytes(TEXT.encode("utf-8"))
+        logs.append(run(folder, folder / "mine.py"))
+        assert sorted(path.name for path in folder.iterdir()) == ["mine.py", "run.mcap"]
+    label = read_label(logs[0])
+    assert label.attachments["controller/mine.py"] == TEXT
+    assert label.metadata["controller"] == "mine.py:controller"
+    # Wherever the file lies, the log is the same.
+    data = logs[0].read_bytes()
+    assert data == logs[1].read_bytes()
+    assert str(tmp_path).encode() not in data
+    assert [line.text for line in read(logs[0]).robots["khepera0"].serial][:2] == ["D,3,4", "d"]
+    done = subprocess.run(
+        [sys.executable, "-m", "khep_twin", "repeat", str(logs[0])],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout[:10]) == (0, "identical:"), done
+
+
+def test_a_built_in_controller_is_attached_with_its_module() -> None:
+    found = source_of(braitenberg)
+    assert found.facts == {"controller": "braitenberg"}
+    ((name, text),) = found.attachments.items()
+    assert name == "controller/controllers.py"
+    assert text == Path(sys.modules[braitenberg.__module__].__file__ or "").read_text("utf-8")
+    assert "def braitenberg(robot: Khepera)" in text
+
+
+def test_what_is_changed_after_it_was_read_is_kept_as_it_was_run(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("def first(robot): ...\n")
+    controller = find_controller(f"{file}:first")
+    file.write_text("def second(robot): ...\n")
+    found = source_of(controller)
+    assert found.attachments == {"controller/mine.py": "def first(robot): ...\n"}
+    assert found.facts == {"controller": "mine.py:first"}
+    # And the next one is not run from what was compiled before.
+    assert find_controller(str(file)).__name__ == "second"
+
+
+def test_a_source_in_another_encoding_is_read_as_python_reads_it(tmp_path: Path) -> None:
+    file = tmp_path / "old.py"
+    text = "# -*- coding: latin-1 -*-\ndef controller(robot):\n    '''für alle'''\n"
+    file.write_bytes(text.encode("latin-1"))
+    assert source_of(find_controller(str(file))).attachments == {"controller/old.py": text}
+
+
+def test_a_very_long_source_is_left_out_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controller_source, "MOST_BYTES", 50)
+    file = tmp_path / "long.py"
+    for length, kept in ((50, True), (51, False)):
+        file.write_text("def controller(robot): ...\n".ljust(length, "#"))
+        found = source_of(find_controller(str(file)))
+        assert bool(found.attachments) is kept
+    assert found.facts["controller_source"] == "left out: 51 bytes, more than 50"
+
+
+def test_a_source_that_cannot_be_read_is_left_out_and_that_is_said(tmp_path: Path) -> None:
+    # Loaded by somebody else, and gone since.
+    file = tmp_path / "gone.py"
+    file.write_text("def controller(robot): ...\n")
+    spec = importlib.util.spec_from_file_location("gone", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    sys.modules["gone"] = module
+    file.unlink()
+    found = source_of(module.controller)
+    del sys.modules["gone"]
+    assert not found.attachments
+    assert found.facts["controller_source"] == "left out: cannot be read: No such file or directory"
+
+
+def test_a_controller_typed_into_python_has_no_source_and_that_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # As in `python -c`, whose module comes out of no file.
+    monkeypatch.setattr(sys.modules["__main__"], "__loader__", importlib.machinery.BuiltinImporter)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    exec("def controller(robot): pass", names)
+    assert "left out" in source_of(names["controller"]).facts["controller_source"]

@@ -1,0 +1,95 @@
+"""What runs are measured by, against what was worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen as playpens
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.measures import Heard, Truth, coverage
+from khep_twin.playpen import Playpen
+from khep_twin.rollout.fitness import obstacle_avoidance
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "nearest", "value"),
+    [
+        (20, 20, 0, 1.0),
+        (-20, -20, 0, 1.0),
+        (10, 10, 0.5, 0.25),
+        (20, -20, 0, 0.0),
+        (20, 0, 0, 0.5 * (1 - math.sqrt(0.5))),
+        (127, 20, 0, 1.0),
+        (20, 20, 1, 0.0),
+        (0, 0, 0, 0.0),
+    ],
+)
+def test_the_fitness_is_floreanos_and_mondadas(left: int, right: int, nearest: float, value: float) -> None:
+    assert obstacle_avoidance(left, right, nearest) == pytest.approx(value)
+
+
+def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
+    heard = Heard()
+    for request, reply in [
+        ("N", "n,0,0,0,0,0,0,0,1023"),
+        ("D,20,20", "d"),
+        ("O", "o,500,500,500,500,500,500,500,100"),
+    ]:
+        heard(request, reply)
+    heard.end_cycle()
+    heard("N", "n,0,0,0,0,0,0,0,0")
+    heard("D,10,-10", "z,Protocol error")  # refused: the wheels go on
+    heard.end_cycle()
+    assert heard.numbers() == {
+        "fitness": 0.5,
+        "near_share": 0.5,
+        "proximity_max": 1023,
+        "proximity_mean": pytest.approx(1023 / 16),
+        "ambient_mean": 450,
+        "ambient_min": 100,
+        "speed_mean": 20,
+    }
+
+
+@pytest.mark.parametrize("reply", ["n,1,2,x,4,5,6,7,8", "n,1,2", "", "n", "\xff\xfe", "z,Protocol error"])
+def test_a_garbled_reply_counts_for_nothing(reply: str) -> None:
+    heard = Heard()
+    heard("N", reply)
+    heard("D,1", "d")
+    assert heard.numbers() == {}
+
+
+def test_coverage_counts_cells_that_the_robot_can_stand_in() -> None:
+    # 600 x 500 mm: 12 x 10 cells, of which the outermost are too near to the walls for 27.5 mm.
+    playpen = playpens.load("default")
+    places = np.array([[0.301, 0.301], [0.31, 0.31], [0.36, 0.301], [0.01, 0.01]])
+    assert coverage(places, playpen, 0.0275) == pytest.approx(2 / (10 * 8))
+
+
+def test_the_truth_of_a_straight_way_is_closed_form(field: Playpen) -> None:
+    from khep_twin.ports.protocol_khep import Serial
+    from khep_twin.ports.twin import TwinOptions, open_twin
+
+    twin = open_twin(field, TwinOptions(noise=False))
+    with Khepera(Serial.of(twin, timeout=1.0)) as robot:
+        robot.set_speed(20, 20)
+        robot.sleep(1)
+        truth = Truth(twin.world, 0)
+        robot.sleep(2)
+        truth.end()
+        numbers = truth.numbers()
+        assert not [tap for tap in twin.world.taps if isinstance(tap, Truth)]
+    assert numbers["distance_m"] == pytest.approx(2 * 20 * 0.008, rel=0.01)
+    assert numbers["mean_speed_m_per_s"] == pytest.approx(0.16, rel=0.01)
+    assert numbers["turn_rate_rad_per_s"] == pytest.approx(0, abs=0.01)
+    assert numbers["collisions"] == numbers["collision_s"] == numbers["near_s"] == 0
+    # Cells of 50 mm: 0.32 m touch 7 or 8 of 100 x 100, without the outermost.
+    assert round(numbers["coverage"] * 98 * 98) in (7, 8)
+
+
+def test_the_shortest_run_has_a_truth() -> None:
+    with Khepera("khep://default") as robot:
+        truth = Truth(robot.port.twin.world, 0)
+        truth.end()
+    assert truth.numbers()["distance_m"] == 0

@@ -1,0 +1,289 @@
+"""Repeating: a run is the same again from its log alone, and any other is found out, with its time."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from log_rewriting import rewritten
+
+from khep_twin import playpen
+from khep_twin.board.uart import Act, HostAct, LineSettings
+from khep_twin.errors import LogError
+from khep_twin.host import Gripper, Khepera
+from khep_twin.lab.experiment.controllers import braitenberg
+from khep_twin.lab.experiment.multi_robot import run_together
+from khep_twin.lab.experiment.repeat import Difference, elsewhere, read_recorded, repeat
+from khep_twin.log.channels import Line, line_message
+from khep_twin.log.decoding import read_line
+from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.log.recover import recover
+from khep_twin.log.wire import acts_message, read_acts
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.sensing import calibration
+
+SECOND = 1_000_000_000
+
+
+def khep_twin(*words: object, seed: int = 1) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "khep_twin", *map(str, words)]
+    environment = {**os.environ, "PYTHONHASHSEED": str(seed)}
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+
+
+def again(path: Path) -> Difference | None:
+    return repeat(read_recorded(path))
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of ten seconds of a Braitenberg vehicle."""
+    path = tmp_path_factory.mktemp("logs") / "run.mcap"
+    done = khep_twin("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def test_a_minute_with_noise_spread_and_faults_is_the_same_in_another_process(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    faults = ("drop:0.001", "garble:0.001", "late:0.1:60", "stuck:2@5", "dead:left@30")
+    words = [word for fault in faults for word in ("--fault", fault)]
+    program = tmp_path / "patient.py"
+    program.write_text(
+        "from khep_twin.errors import KhepTwinError\n"
+        "def controller(robot):\n"
+        "    try:\n"
+        "        robot.set_speed(6, 4 if max(robot.proximity()) < 300 else -4)\n"
+        "    except KhepTwinError:\n"
+        "        robot.sleep(0.1)\n"
+    )
+    options = ("--playpen", "obstacles", "--seed", 9, "--spread", "on", "--battery-used-min", 20)
+    done = khep_twin("run", program, *options, "--seconds", 60, "--log", path, *words, seed=11)
+    assert done.returncode == 0, done.stderr
+    done = khep_twin("repeat", path, seed=12)
+    assert (done.returncode, done.stderr) == (0, ""), done
+    assert done.stdout.startswith("identical: 60.")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        TwinOptions(seed=2, mode=2),
+        TwinOptions(seed=2, unpaced=True),
+        TwinOptions(seed=2, faults=("brown-out@3",)),
+        TwinOptions(seed=2, noise=False, rom="khepera2", mode=9),
+    ],
+    ids=["19200 baud", "unpaced", "brown-out", "Khepera II"],
+)
+def test_ways_to_run_repeat(tmp_path: Path, options: TwinOptions) -> None:
+    with open_twin("two-lamps", options) as twin:
+        twin.record(tmp_path / "run.mcap")
+        for _ in range(50):
+            twin.robot.send(b"N\nO\nD,5,3\n")
+            twin.advance_to(twin.world.time_ns + SECOND // 7)
+    assert again(tmp_path / "run.mcap") is None
+
+
+def test_the_demonstration_program_repeats_without_a_host(tmp_path: Path) -> None:
+    with open_twin("obstacles", TwinOptions(mode=0, log=str(tmp_path / "run.mcap"))) as twin:
+        twin.advance_to(10 * SECOND)
+    assert again(tmp_path / "run.mcap") is None
+
+
+def test_a_gripper_repeats(tmp_path: Path) -> None:
+    with Khepera(f"khep://gripper?log={tmp_path}/run.mcap") as robot:
+        gripper = Gripper(robot)
+        gripper.lower()
+        gripper.wait()
+        robot.set_speed(5, 5)
+        robot.sleep(2)
+    assert again(tmp_path / "run.mcap") is None
+
+
+def test_two_robots_repeat(tmp_path: Path) -> None:
+    text = playpen.dump(playpen.load("default"))
+    second = "\n[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 45\n"
+    both = playpen.parse(text + second, "both")
+
+    def drive(robot: Khepera) -> None:
+        for _ in range(100):
+            braitenberg(robot)
+
+    run_together(both, [drive, drive], TwinOptions(seed=4, log=str(tmp_path / "run.mcap")))
+    recorded = read_recorded(tmp_path / "run.mcap")
+    assert {index for _, index, _ in recorded.acts} == {0, 1}
+    assert repeat(recorded) is None
+
+
+def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path: Path) -> None:
+    options = TwinOptions(strict_line=True, log=str(tmp_path / "run.mcap"))
+    with Serial.of(open_twin("default", options), timeout=0.5) as port:
+        port.write(b"D,5,5\nN\nO\nE\n")
+        port.sleep(0.01)
+        port.reset_output_buffer()
+        port.write(b"\n")
+        port.readline()
+        port.baudrate = 19200
+        with pytest.warns(UserWarning, match="garbled"):
+            port.write(b"N\nN\n")
+        port.sleep(0.3)
+        port.baudrate = 9600
+        port.write(b"\nD,9,9\nH\nE")
+        port.twin.robot.hang_up()
+        port.sleep(1)
+    recorded = read_recorded(tmp_path / "run.mcap")
+    assert {act.kind for _, _, act in recorded.acts} == {Act.SEND, Act.HANG_UP, Act.TAKE_BACK, Act.SET}
+    assert repeat(recorded) is None
+
+
+def test_a_run_served_by_the_clock_on_the_wall_repeats(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "khep_twin", "serve", "--link", str(tmp_path / "link")]
+    server = subprocess.Popen(
+        [*command, "--log", str(tmp_path / "run.mcap")], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    try:
+        assert server.stdout is not None
+        server.stdout.readline()
+        for _ in range(2):
+            with Khepera(str(tmp_path / "link")) as robot:
+                robot.set_speed(4, 5)
+                start = time.monotonic()
+                while time.monotonic() < start + 1:
+                    robot.proximity()
+                robot.port.write(b"N\nO\nD,0,0\nE")
+            time.sleep(1)  # until the twin knows that its host has gone
+    finally:
+        server.terminate()
+        server.communicate()
+    recorded = read_recorded(tmp_path / "run.mcap")
+    assert Act.HANG_UP in {act.kind for _, _, act in recorded.acts}
+    assert repeat(recorded) is None
+
+
+def test_one_altered_byte_of_a_reply_is_found(tmp_path: Path, driven: Path) -> None:
+    altered: list[tuple[int, str]] = []
+
+    def alter(topic: str, time_ns: int, data: bytes) -> bytes:
+        if not topic.endswith("/serial") or time_ns < 6 * SECOND or altered:
+            return data
+        line = read_line(data)
+        if line.name != "robot" or not line.text.startswith("n,"):
+            return data
+        altered.append((time_ns, line.text))
+        text = line.text[:-1] + ("0" if line.text[-1] != "0" else "1")
+        return line_message(Line(line.time_ns, line.level, line.name, text))
+
+    path = rewritten(driven, tmp_path / "altered.mcap", alter)
+    found = again(path)
+    assert found is not None
+    ((time_ns, text),) = altered
+    assert (found.time_ns, found.channel) == (time_ns, "/khepera0/serial")
+    assert text in found.repeated
+    done = khep_twin("repeat", path)
+    assert done.returncode == 3
+    first, *_ = done.stdout.splitlines()
+    assert first == f"different from {time_ns / 1e9:.4f} s on, /khepera0/serial"
+
+
+def test_a_wheel_larger_by_a_thousandth_is_found(tmp_path: Path, driven: Path) -> None:
+    def enlarge(name: str, data: bytes) -> bytes:
+        if not name.startswith("calibration/"):
+            return data
+        radius = calibration.read("khepera1")[0].wheels.radius_mm
+        changed = f"[wheels]\nradius_mm = {radius * 1.001}\n"
+        return data + changed.encode()
+
+    found = again(rewritten(driven, tmp_path / "run.mcap", attachment=enlarge))
+    assert found is not None
+    assert found.channel == "/state"
+    assert found.time_ns < SECOND
+
+
+def test_an_altered_byte_of_a_host_is_found(tmp_path: Path, driven: Path) -> None:
+    def alter(topic: str, time_ns: int, data: bytes) -> bytes:
+        if not topic.endswith("/wire"):
+            return data
+        return acts_message([(known_ns, altered(act)) for known_ns, act in read_acts(data)])
+
+    def altered(act: HostAct) -> HostAct:
+        return replace(act, data=b"H\n") if 5 * SECOND < act.at_ns < 5.02 * SECOND else act
+
+    found = again(rewritten(driven, tmp_path / "run.mcap", alter))
+    assert found is not None
+    assert 5 * SECOND < found.time_ns < 5.1 * SECOND
+
+
+def test_a_calibration_by_path_comes_from_the_log(tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text(calibration.read("khepera1")[1])
+    text = playpen.dump(playpen.load("obstacles"))
+    assert "[[robot]]\n" in text
+    found = playpen.parse(text, "own")
+    robots = tuple(each.model_copy(update={"calibration": str(own)}) for each in found.robots)
+    found = found.model_copy(update={"robots": robots})
+    with open_twin(found, TwinOptions(log=str(tmp_path / "run.mcap"))) as twin:
+        twin.robot.send(b"D,5,5\n")
+        twin.advance_to(2 * SECOND)
+    own.unlink()
+    assert again(tmp_path / "run.mcap") is None
+
+
+def test_a_rescued_log_repeats_as_far_as_it_goes(tmp_path: Path, driven: Path) -> None:
+    part = tmp_path / "torn.mcap.part"
+    data = driven.read_bytes()
+    for size in (len(data) * 6 // 10, len(data) * 9 // 10):
+        part.write_bytes(data[:size])
+        assert again(recover(part).path) is None
+
+
+def test_what_differs_from_here_is_said_before_it_starts(tmp_path: Path, driven: Path) -> None:
+    assert elsewhere(read_recorded(driven)) == []
+    path = rewritten(driven, tmp_path / "run.mcap", facts={"mujoco": "3.0.0", "machine": "Plan9 pdp11"})
+    done = khep_twin("repeat", path)
+    assert done.returncode == 0
+    first, second = done.stderr.splitlines()
+    assert "made with mujoco 3.0.0, here is " in first
+    assert "made with machine Plan9 pdp11, here is " in second
+
+
+def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> None:
+    def without(name: str) -> Callable[[str, bytes], bytes | None]:
+        return lambda each, data: None if each == name else data
+
+    def with_log(name: str, data: bytes) -> bytes:
+        if name != "configuration.json":
+            return data
+        return json.dumps({**json.loads(data), "log": str(tmp_path / "trap.mcap"), "seed": "x"}).encode()
+
+    paths = [
+        rewritten(driven, tmp_path / f"{number}.mcap", attachment=change)
+        for number, change in enumerate(
+            (without("playpen.toml"), without("calibration/khepera0.toml"), with_log)
+        )
+    ]
+    (tmp_path / "text.mcap").write_text("no log")
+    through = LineRecorder(tmp_path / "robot.mcap", {"through": "/dev/ttyUSB0"}, lambda: 0)
+    through.wire(True, b"N\n")
+    through.close()
+    for path in (*paths, tmp_path / "text.mcap", tmp_path / "robot.mcap", tmp_path / "none.mcap", tmp_path):
+        done = khep_twin("repeat", path)
+        assert (done.returncode, done.stdout) == (1, ""), done
+        assert len(done.stderr.splitlines()) == 1, done
+    with pytest.raises(LogError, match="made at a real robot; right is --port"):
+        again(tmp_path / "robot.mcap")
+    assert not (tmp_path / "trap.mcap").exists()
+
+
+def test_an_act_survives_its_message() -> None:
+    acts = [
+        (12_345_678_902, HostAct(Act.SEND, 12_345_678_901, LineSettings(9600, 2), bytes(range(256)))),
+        (12_345_678_903, HostAct(Act.SET, 0, None)),
+        (12_345_678_904, HostAct(Act.TAKE_BACK, 5, LineSettings(0, 1))),
+    ]
+    assert list(read_acts(acts_message(acts))) == acts

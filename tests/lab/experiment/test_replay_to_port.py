@@ -1,0 +1,102 @@
+"""Sending a log's bytes to another port: the same twin answers the same, another one differs in numbers."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from khep_twin.errors import LogError, PortError
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.repeat import read_recorded
+from khep_twin.lab.experiment.replay_to_port import resend
+from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+URL = "khep://obstacles?seed=5"
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of three seconds of a host that asks this and that."""
+    path = tmp_path_factory.mktemp("logs") / "run.mcap"
+    with Khepera(f"{URL}&log={path}") as robot:
+        robot.set_speed(5, 3)
+        while robot.time < 3:
+            robot.proximity()
+            robot.speed()
+            robot.position()
+            robot.sleep(0.05)
+    return path
+
+
+def test_the_same_twin_answers_the_same(driven: Path) -> None:
+    found = resend(read_recorded(driven), URL)
+    assert found.identical
+    assert {letter for letter, each in found.letters.items() if each.compared > 10} == {"n", "e", "h"}
+
+
+def test_another_twin_differs_in_numbers(driven: Path) -> None:
+    found = resend(read_recorded(driven), "khep://default?seed=5&noise=off")
+    assert not found.identical
+    assert found.letters["d"].different == 0
+    near = found.letters["n"]
+    assert near.differences.shape == (near.compared, 8)
+    lines = found.text().splitlines()
+    assert lines[0].startswith("khepera0: ")
+    assert lines[-1].startswith("first difference at 0.0")
+
+
+def test_lost_bytes_do_not_bring_the_rest_out_of_step(driven: Path) -> None:
+    found = resend(read_recorded(driven), f"{URL}&fault=drop:0.003")
+    assert 0 < found.letters["h"].different < found.letters["h"].compared
+    assert found.missing + found.more < 20
+
+
+def test_a_line_that_is_silent_leaves_all_missing(driven: Path) -> None:
+    recorded = read_recorded(driven)
+    found = resend(recorded, f"{URL}&fault=drop:1")
+    assert found.missing == sum(line.name == "robot" for line in recorded.lines[0])
+    assert not found.identical
+
+
+def test_what_a_real_robot_was_told_can_be_sent_to_a_twin(tmp_path: Path) -> None:
+    now = [0]
+    through = LineRecorder(tmp_path / "robot.mcap", {"through": "/dev/ttyUSB0", "baud": 9600}, lambda: now[0])
+    for time_ns, to_robot, data in (
+        (0, True, b"D,5,5\n"),
+        (20_000_000, False, b"d\r\n"),
+        (500_000_000, True, b"H\n"),
+        (520_000_000, False, b"h,10,20\r\n"),
+    ):
+        now[0] = time_ns
+        through.wire(to_robot, data)
+    through.close()
+    found = resend(read_recorded(tmp_path / "robot.mcap"), "khep://default")
+    assert found.letters["d"].different == 0
+    assert found.letters["h"].differences.shape == (1, 2)
+
+
+def test_a_served_twin_answers_over_its_terminal(tmp_path: Path, driven: Path) -> None:
+    link = tmp_path / "link"
+    command = [sys.executable, "-m", "khep_twin", "serve", "obstacles", "--seed", "5", "--link", str(link)]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    try:
+        assert server.stdout is not None
+        server.stdout.readline()
+        found = resend(read_recorded(driven), str(link))
+    finally:
+        server.terminate()
+        server.communicate()
+    assert (found.missing, found.more) == (0, 0)
+    # Of 1500 pulses on the left; on a busy machine the first command may be late by half a second.
+    assert abs(found.letters["h"].differences).max() < 250
+
+
+def test_what_cannot_be_sent_is_one_line(tmp_path: Path, driven: Path) -> None:
+    with open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap"))) as twin:
+        twin.advance_to(100_000_000)
+    with pytest.raises(LogError, match="no host has sent anything"):
+        resend(read_recorded(tmp_path / "run.mcap"), URL)
+    with pytest.raises(PortError, match="nowhere"):
+        resend(read_recorded(driven), "khep://nowhere")

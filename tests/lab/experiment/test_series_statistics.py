@@ -1,0 +1,80 @@
+"""Series in numbers, against scipy's own."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from khep_twin.errors import ControllerError
+from khep_twin.lab.experiment.series_figure import draw, shown
+from khep_twin.lab.experiment.series_files import Row
+from khep_twin.lab.experiment.series_statistics import difference, measured, summary, table, values
+
+RNG = np.random.default_rng(5)
+ONE, OTHER = RNG.normal(3.0, 0.5, 12).tolist(), RNG.normal(3.8, 1.5, 7).tolist()
+
+
+def test_a_summary_has_students_interval() -> None:
+    told, by_scipy = summary(ONE), stats.ttest_1samp(ONE, 0).confidence_interval(0.95)
+    assert told.mean == pytest.approx(np.mean(ONE))
+    assert told.spread == pytest.approx(np.std(ONE, ddof=1))
+    assert (told.mean - told.within, told.mean + told.within) == pytest.approx([*by_scipy])
+    assert (told.count, told.low, told.high) == (12, min(ONE), max(ONE))
+
+
+def test_a_difference_has_welchs_interval() -> None:
+    told = difference(ONE, OTHER)
+    by_scipy = stats.ttest_ind(OTHER, ONE, equal_var=False)
+    interval = by_scipy.confidence_interval(0.95)
+    assert (told.mean - told.within, told.mean + told.within) == pytest.approx([*interval])
+    assert told.clear == (by_scipy.pvalue < 0.05)
+
+
+def test_single_and_equal_runs_have_no_interval_or_none_at_all() -> None:
+    assert math.isnan(summary([2.0]).spread)
+    assert math.isnan(summary([2.0]).within)
+    assert summary([2.0, 2.0]).within == 0
+    assert not difference([1.0], [2.0]).clear
+    assert difference([1.0, 1.0], [2.0, 2.0]).clear
+    assert not difference([1.0, 1.0], [1.0, 1.0]).clear
+
+
+ROWS: list[Row] = [
+    {"run": number + 1, "cycles": 5, "fitness": value, "word": "a", "learned": number / 2}
+    for number, value in enumerate(ONE)
+]
+OTHERS: list[Row] = [
+    {"run": number + 1, "cycles": 5, "fitness": value, "odd": math.nan} for number, value in enumerate(OTHER)
+]
+
+
+def test_columns_are_numbers_that_were_measured() -> None:
+    assert measured([ROWS, OTHERS]) == ["fitness", "learned"]
+    assert measured([ROWS], ["learned", "learned"]) == ["learned"]
+    assert values(OTHERS, "odd") == []
+    with pytest.raises(ControllerError, match=r"column fitnes: is no number of these runs; did you mean 'fi"):
+        measured([ROWS], ["fitnes"])
+
+
+def test_the_table_has_a_line_for_each_series_and_difference() -> None:
+    lines = table(["old", "new"], [ROWS, OTHERS], ["fitness", "learned"]).splitlines()
+    assert lines[0].split() == ["series", "runs", "mean", "+-", "95", "%", "spread", "least", "most"]
+    assert lines[1].split()[:4] == ["fitness", "old", "12", f"{np.mean(ONE):.4g}"]
+    assert lines[3].split()[:3] == ["less", "the", "first"]
+    assert len(lines) == 5
+
+
+def test_a_figure_has_a_panel_for_each_number(tmp_path: Path) -> None:
+    from khep_twin.drawing.map import save
+
+    names = ["fitness", "learned"]
+    figure = draw(["old", "new"], [ROWS, OTHERS], names)
+    assert [axes.get_ylabel() for axes in figure.axes] == names
+    lines = figure.axes[0].get_lines()
+    assert [*lines[0].get_ydata()] == ONE
+    assert shown(["light_gained", "fitness", "mine"]) == ["fitness", "light_gained"]
+    for suffix in ("png", "svg", "pdf"):
+        save(figure, tmp_path / f"series.{suffix}")
+        assert (tmp_path / f"series.{suffix}").stat().st_size > 2000

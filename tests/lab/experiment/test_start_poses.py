@@ -1,0 +1,138 @@
+"""Where runs start, and by which light."""
+
+import pytest
+
+from khep_twin import playpen as playpens
+from khep_twin.errors import PlaypenError
+from khep_twin.lab.experiment.start_poses import (
+    Start,
+    at_start,
+    lit,
+    numbers,
+    own_starts,
+    starts,
+    without_nearest_lamp,
+)
+
+DEFAULT, OBSTACLES, TWO_LAMPS = (playpens.load(name) for name in ("default", "obstacles", "two-lamps"))
+
+
+def test_starts_are_listed_in_their_order() -> None:
+    found = starts(["100,200,90", "playpen", "300.5,250,-45"], DEFAULT, 0, 5, 1)
+    own = DEFAULT.robots[0]
+    assert found == [
+        Start(100, 200, 90),
+        Start(own.x_mm, own.y_mm, own.heading_deg),
+        Start(300.5, 250, -45),
+    ]
+    assert str(found[2]) == "300.5,250,-45"
+
+
+def test_a_grid_is_the_middles_of_its_cells() -> None:
+    found = starts(["grid:3x2@90"], DEFAULT, 0, 1, 0)
+    assert found == [Start(x, y, 90) for y in (125, 375) for x in (100, 300, 500)]
+
+
+def test_a_grid_leaves_out_places_without_room() -> None:
+    found = starts(["grid:10x10"], OBSTACLES, 0, 1, 0)
+    assert 30 < len(found) < 100
+    assert not [start for start in found if (start.x_mm - 455) ** 2 + (start.y_mm - 300) ** 2 < 42**2]
+
+
+def test_random_starts_are_the_seeds_and_have_room() -> None:
+    found = starts(["random"], OBSTACLES, 0, 20, 3)
+    assert len({*found}) == 20
+    assert found == starts(["random"], OBSTACLES, 0, 20, 3)
+    assert found[:5] == starts(["random"], OBSTACLES, 0, 5, 3)
+    assert found != starts(["random"], OBSTACLES, 0, 20, 4)
+    for start in found:
+        assert starts([str(start)], OBSTACLES, 0, 1, 0) == [start]
+
+
+def test_a_robot_with_spots_starts_at_each() -> None:
+    text = """
+version = 1
+name = "spots"
+[arena]
+width_mm = 600
+height_mm = 500
+[[spot]]
+name = "left"
+x_mm = 100
+y_mm = 250
+heading_deg = 10
+[[spot]]
+name = "right"
+x_mm = 500
+y_mm = 250
+heading_deg = 20
+[[robot]]
+spots = ["right", "left"]
+"""
+    playpen = playpens.parse(text, "spots")
+    assert own_starts(playpen, 0) == [Start(500, 250, 20), Start(100, 250, 10)]
+    assert at_start(playpen, 0, Start(300, 200, 0)).robots[0].spots == ()
+
+
+@pytest.mark.parametrize(
+    ("wish", "line"),
+    [
+        ("455,300,0", "start 455,300,0: "),
+        ("5,5,0", "start 5,5,0: robot 1 at (5, 5) overlaps the left wall"),
+        ("9e9,0,0", "start 9e9,0,0: "),
+        ("1,2", "start '1,2': right is X,Y,HEADING"),
+        ("1,2,nan", "start '1,2,nan': right is"),
+        ("somewhere", "start 'somewhere': right is"),
+        ("grid:0x3", "start 'grid:0x3': right is grid:COLUMNSxROWS"),
+        ("grid:999x999", "of up to 1000 places"),
+        ("grid:1x1@x", "right is grid:"),
+    ],
+)
+def test_a_start_that_cannot_be_is_told_in_one_line(wish: str, line: str) -> None:
+    with pytest.raises(PlaypenError) as caught:
+        starts([wish], OBSTACLES, 0, 1, 0)
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_grid_of_places_without_room_is_refused() -> None:
+    text = (
+        'version = 1\nname = "full"\n[arena]\nwidth_mm = 200\nheight_mm = 200\n'
+        "[[cylinder]]\nx_mm = 100\ny_mm = 100\nradius_mm = 20\nheight_mm = 50\n"
+        "[[robot]]\nx_mm = 40\ny_mm = 40\nheading_deg = 0\n"
+    )
+    playpen = playpens.parse(text, "full")
+    with pytest.raises(PlaypenError, match="none of the 1 places has room"):
+        starts(["grid:1x1"], playpen, 0, 1, 0)
+
+
+@pytest.mark.parametrize("robot", [1, -1])
+def test_a_robot_that_is_not_there_has_no_starts(robot: int) -> None:
+    with pytest.raises(PlaypenError, match=rf"robot = {robot}: not in playpen 'default'; \(choices: 0\)"):
+        starts(["playpen"], DEFAULT, robot, 1, 0)
+
+
+def test_lamps_are_on_as_wanted() -> None:
+    assert lit(TWO_LAMPS, None) is TWO_LAMPS
+    assert lit(TWO_LAMPS, "off").lamps == ()
+    for mode in ("all", "random", "sequenced"):
+        changed = lit(TWO_LAMPS, mode)
+        assert changed.lighting.mode == mode
+        assert changed.lamps == TWO_LAMPS.lamps
+    with pytest.raises(PlaypenError, match=r"lighting 'randon': unknown; did you mean 'random'\?"):
+        lit(TWO_LAMPS, "randon")
+
+
+def test_the_nearest_lamp_goes_first() -> None:
+    first, second = TWO_LAMPS.lamps
+    assert without_nearest_lamp(TWO_LAMPS, first.x_mm + 1, first.y_mm).lamps == (second,)
+    left = without_nearest_lamp(TWO_LAMPS, second.x_mm, second.y_mm)
+    assert left.lamps == (first,)
+    dark = without_nearest_lamp(left, second.x_mm, second.y_mm)
+    with pytest.raises(PlaypenError, match="no lamp is left"):
+        without_nearest_lamp(dark, 0, 0)
+
+
+def test_numbers_are_as_many_as_wanted_and_finite() -> None:
+    assert numbers("1,-2.5", 2) == [1, -2.5]
+    assert [numbers(text, 2) for text in ("1", "1,2,3", "1,inf", "a,b", "")] == [None] * 5

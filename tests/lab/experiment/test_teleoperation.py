@@ -1,0 +1,159 @@
+"""Driving by hand: the dead-man's switch, what is sent, and what is to be seen."""
+
+import pytest
+from fake_robot import FakeRobot
+
+from khep_twin.errors import PortError, PortTimeout
+from khep_twin.host import Khepera, SensorCounts, Speeds
+from khep_twin.lab.experiment.drive_screen import HEIGHT, WIDTH, draw
+from khep_twin.lab.experiment.teleoperation import (
+    FASTEST,
+    FIRST_HOLD,
+    REPEAT_HOLD,
+    DeadManSwitch,
+    Teleoperation,
+    View,
+    Way,
+)
+
+
+def test_a_press_drives_for_a_moment_and_a_key_that_is_held_drives_on() -> None:
+    switch = DeadManSwitch()
+    assert switch.way(0.0) is Way.STOP
+    switch.press(Way.FORWARD, 1.0)
+    assert switch.way(1.0 + FIRST_HOLD - 0.01) is Way.FORWARD
+    assert switch.way(1.0 + FIRST_HOLD) is Way.STOP
+    # Held: the keyboard repeats it, and the switch falls soon after the last one.
+    for tick in range(20):
+        switch.press(Way.FORWARD, 10 + 0.1 * tick)
+    assert switch.way(10 + 1.9 + REPEAT_HOLD - 0.01) is Way.FORWARD
+    assert switch.way(10 + 1.9 + REPEAT_HOLD) is Way.STOP
+    # Another way is a first press again, and space stops at once.
+    switch.press(Way.LEFT, 20.0)
+    assert switch.way(20.0 + REPEAT_HOLD) is Way.LEFT
+    switch.press(Way.STOP, 20.1)
+    assert switch.way(20.1) is Way.STOP
+
+
+@pytest.mark.parametrize(
+    ("way", "speed", "speeds"),
+    [
+        (Way.FORWARD, 5, (5, 5)),
+        (Way.BACK, 40, (-40, -40)),
+        (Way.LEFT, 5, (-3, 3)),
+        (Way.RIGHT, 1, (1, -1)),
+        (Way.STOP, 9, (0, 0)),
+    ],
+)
+def test_ways_are_speeds_of_the_wheels(way: Way, speed: int, speeds: tuple[int, int]) -> None:
+    assert way.speeds(speed) == speeds
+
+
+def test_only_what_changes_is_sent() -> None:
+    now = 0.0
+    with FakeRobot() as fake, Khepera(fake.url) as robot:
+        operation = Teleoperation(robot, 5, lambda: now)
+        operation.cycle()
+        assert fake.requests == ["D,0,0", "L,0,0", "L,1,0", "N", "O", "E", "I,0"]
+        operation.press(Way.FORWARD)
+        operation.switch_leds()
+        for now in (0.1, 0.2, FIRST_HOLD - 0.01, FIRST_HOLD):
+            fake.requests.clear()
+            operation.cycle()
+            if now == 0.1:
+                assert fake.requests == ["D,5,5", "L,0,1", "L,1,0", "N", "O", "E"]
+            elif now < FIRST_HOLD:
+                assert fake.requests == ["N", "O", "E"]
+        assert fake.requests == ["D,0,0", "N", "O", "E"]
+        view = operation.view
+        assert (view.way, view.leds, view.lost) == (Way.STOP, (1, 0), 0)
+        assert view.proximity.back_left == 1023
+        assert view.ambient.left_90 == 500
+        assert view.supply == pytest.approx(5.0)
+
+
+def test_the_speed_stays_within_its_bounds() -> None:
+    with FakeRobot() as fake, Khepera(fake.url) as robot:
+        operation = Teleoperation(robot, 5)
+        operation.choose(0)
+        assert operation.view.speed == 1
+        operation.choose(99)
+        assert operation.view.speed == FASTEST
+
+
+def test_one_lost_reply_is_lived_with_and_a_lost_line_is_not() -> None:
+    with FakeRobot() as fake, Khepera(fake.url, 0.2) as robot:
+        operation = Teleoperation(robot, 5)
+        fake.answers["D"] = "x"
+        operation.cycle()
+        assert operation.view.lost == 1
+        del fake.answers["D"]
+        fake.requests.clear()
+        operation.cycle()
+        # What has been carried out before is not known: all is sent again.
+        assert fake.requests[0] == "D,0,0"
+        fake.silent = True
+        operation.cycle()
+        with pytest.raises(PortTimeout):
+            operation.cycle()
+        fake.silent = False
+
+
+def test_a_supply_that_is_not_told_is_not_shown() -> None:
+    with FakeRobot() as fake, Khepera(fake.url) as robot:
+        fake.answers["I"] = "z,Protocol error"
+        operation = Teleoperation(robot, 5)
+        for _ in range(3):
+            operation.cycle()
+        assert fake.requests.count("I,0") == 2  # asked, and once more as any read is
+        assert operation.view.supply is None
+        assert "supply" not in "\n".join(draw(operation.view, "port", 80, 24))
+
+
+def test_the_end_stops_the_motors_even_when_the_line_has_gone() -> None:
+    with FakeRobot() as fake, Khepera(fake.url) as robot:
+        operation = Teleoperation(robot, 5)
+        operation.press(Way.FORWARD)
+        asked = iter([False, False, True])
+        operation.run(lambda: next(asked))
+        assert fake.requests.count("D,5,5") == 1
+        assert fake.requests[-1] == "D,0,0"
+
+
+@pytest.mark.filterwarnings("ignore:unclosed <socket", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_line_that_breaks_ends_the_drive_and_a_robot_that_comes_back_is_stopped() -> None:
+    def drive(fake: FakeRobot) -> None:
+        with Khepera(fake.url) as robot:
+            operation = Teleoperation(robot, 5)
+            operation.press(Way.FORWARD)
+            operation.cycle()
+            fake.hang_up()
+            operation.run(lambda: False)
+
+    with FakeRobot() as fake:
+        with pytest.raises(PortError, match="the port was opened again and the motors were stopped"):
+            drive(fake)
+        assert fake.requests[-1] == "D,0,0"
+
+
+def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
+    near = SensorCounts(0, 1023, 512, 0, 0, 0, 0, 0)
+    dark = SensorCounts(0, 512, 0, 0, 0, 0, 0, 0)
+    view = View(7, Way.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
+    for width in (WIDTH, 80, 133):
+        lines = draw(view, "a port with a long name" * 9, width, HEIGHT)
+        assert len(lines) <= HEIGHT
+        assert max(map(len, lines)) < width
+        assert lines[3].count("#") == 0
+        assert lines[4].count(".") == 0
+        assert abs(lines[5].count("#") * 4 - lines[4].count("#")) <= 2
+    assert "left   -3  right    4 pulses/10 ms   (-24, 32 mm/s)" in "\n".join(lines)
+    assert "left, speed 7   2 replies lost" in "\n".join(lines)
+    assert "lateral on   frontal off   supply about 4.8 V" in "\n".join(lines)
+
+
+def test_a_small_terminal_is_told_how_large_it_must_be() -> None:
+    assert draw(View(5), "port", 60, 24) == ["64 x 18 characters are needed, 60 x 24 are here; q ends"]
+    assert draw(View(5), "port", 80, 5) == ["64 x 18 characters are needed, 80 x 5 are here; q ends"]
+    assert draw(View(5), "port", 9, 5) == ["64 x 18 "]
+    assert draw(View(5), "port", 0, 0) == [""]

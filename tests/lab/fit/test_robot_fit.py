@@ -1,0 +1,293 @@
+"""A whole robot from recorded tests: what a twin was made with is found, what cannot be told is refused."""
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.errors import FitError
+from khep_twin.files.toml_files import dump
+from khep_twin.host import Khepera
+from khep_twin.lab.fit.fit_inputs import SensorData, measured
+from khep_twin.lab.fit.motor_fit import read_drive
+from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels
+from khep_twin.lab.sensor_test.sensor_files import save
+from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.sensing import calibration
+
+KHEPERA1 = calibration.read("khepera1")[0]
+FACTORS = np.array([1.2, 0.85, 0.9, 1.1, 1.0, 1.15, 0.8, 0.95])
+
+
+def times(values: tuple[float, ...], factors: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.array(values) * factors)
+
+
+HIDDEN = KHEPERA1.model_copy(
+    update={
+        "wheels": calibration.WheelCalibration(radius_mm=7.83, base_mm=53.4),
+        "motors": calibration.MotorCalibration(no_load_speed_rad_s=131.0, stall_torque_n_m=0.0142),
+        "proximity": KHEPERA1.proximity.model_copy(
+            update={
+                "gain_counts_mm2": times(KHEPERA1.proximity.gain_counts_mm2, FACTORS),
+                "threshold_counts": tuple(each + 40 for each in KHEPERA1.proximity.threshold_counts),
+            }
+        ),
+        "ambient": KHEPERA1.ambient.model_copy(
+            update={
+                "gain_counts_mm2_per_w": times(KHEPERA1.ambient.gain_counts_mm2_per_w, FACTORS[::-1]),
+                "dark_counts": 470.0,
+            }
+        ),
+    }
+)
+
+
+class Bench:
+    """A table with the hidden robot on it, and what was recorded of it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.robot_time = 0.0
+        (folder / "hidden.toml").write_text(dump(HIDDEN))
+
+    def robot(self, x_mm: float, more: str = "", log: str = "", seed: int = 0) -> Khepera:
+        text = (
+            'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
+            f"[[robot]]\nx_mm = {x_mm}\ny_mm = 500\nheading_deg = 0\n"
+            f"calibration = '{self.folder / 'hidden.toml'}'\n{more}"
+        )
+        options = TwinOptions(seed=seed, log=str(self.folder / log) if log else None)
+        return Khepera(Serial.of(open_twin(playpen.parse(text, "bench"), options), timeout=1.0))
+
+    def drive(self, log: str, left: int, right: int) -> tuple[float, float]:
+        """By position control; the true way [m] and turning [rad], as a ruler and patience find them."""
+        with self.robot(100, log=log) as robot:
+            body = robot.port.twin.robot
+            start, turned, heading = body.pose, 0.0, body.pose[2]
+            robot.set_position(0, 0)
+            robot.position()
+            robot.set_target(left, right)
+            while not all(wheel.on_target for wheel in robot.status()):
+                turned += (body.pose[2] - heading + math.pi) % (2 * math.pi) - math.pi
+                heading = body.pose[2]
+            robot.sleep(0.5)
+            robot.position()
+            self.robot_time += robot.time
+            return math.dist(start[:2], body.pose[:2]), turned + body.pose[2] - heading
+
+    def steps(self, log: str, *duties: int) -> None:
+        with self.robot(500, log=log) as robot:
+            for duty in duties:
+                robot.set_duty(duty, duty)
+                for _ in range(60):
+                    robot.speed()
+            self.robot_time += robot.time
+
+    def turn(self, name: str, robot: Khepera, test: SensorTest) -> str:
+        with robot:
+            save(self.folder / name, sense(robot, test))
+            self.robot_time += robot.time
+        return str(self.folder / name)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[str], Path]:
+    """Words for the command line: tests of less than three minutes, and others to check with."""
+    bench = Bench(tmp_path_factory.mktemp("recorded"))
+    path = bench.folder
+    way, _ = bench.drive("straight.mcap", 10_000, 10_000)
+    _, turned = bench.drive("spin.mcap", -10_000, 10_000)
+    bench.steps("steps.mcap", 40, 0, -40, 0, 30, -10, 0)
+    words = [
+        f"{path}/straight.mcap={way * 1e3:.0f}mm",
+        f"{path}/spin.mcap={turned / 2 / math.pi:.3f}turns",
+        f"{path}/steps.mcap=duty",
+    ]
+    around, light = (
+        SensorTest("proximity", rotate_deg=360, speed=1),
+        SensorTest("light", rotate_deg=360, speed=5),
+    )
+    for seed, distance_mm in enumerate((12, 17, 21, 25, 29)):
+        robot = bench.robot(1000 - 27.5 - distance_mm, seed=seed)
+        words.append(f"{bench.turn(f'wall{seed}.csv', robot, around)}=wall@{distance_mm}mm")
+    for seed, distance_mm in enumerate((60, 150)):
+        lamp = f"[[lamp]]\nx_mm = {300 + 27.5 + 10 + distance_mm}\ny_mm = 500\npower_w = 2\n"
+        robot = bench.robot(300, lamp, seed=seed)
+        words.append(f"{bench.turn(f'lamp{seed}.mat', robot, light)}=lamp:2W@{distance_mm}mm")
+    assert bench.robot_time < 180
+    other, _ = bench.drive("other.mcap", 7_000, 7_000)
+    can = f"[[cylinder]]\nx_mm = {300 + 27.5 + 15 + 12.5}\ny_mm = 500\nradius_mm = 12.5\nheight_mm = 50\n"
+    unused = [
+        f"{path}/other.mcap={other * 1e3:.1f}mm",
+        f"{bench.turn('can.mcap', bench.robot(300, can), around)}=cylinder:12.5mm@15mm",
+    ]
+    return words, unused, path
+
+
+def fit(*words: str) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-m", "khep_twin", "fit", *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
+def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
+    recorded: tuple[list[str], list[str], Path],
+) -> None:
+    words, unused, folder = recorded
+    checks = [part for word in unused for part in ("--check", word)]
+    target, picture = folder / "mine.toml", folder / "fit.png"
+    done = fit(*words, *checks, "-o", str(target), "--picture", str(picture))
+    assert done.returncode == 0, done.stderr
+    found = calibration.read(str(target))[0]
+    assert found.name == "mine"
+    assert found.wheels.radius_mm == pytest.approx(HIDDEN.wheels.radius_mm, rel=0.002)
+    assert found.wheels.base_mm == pytest.approx(HIDDEN.wheels.base_mm, rel=0.005)
+    assert found.motors.no_load_speed_rad_s == pytest.approx(HIDDEN.motors.no_load_speed_rad_s, rel=0.01)
+    assert found.motors.stall_torque_n_m == pytest.approx(HIDDEN.motors.stall_torque_n_m, rel=0.03)
+    for part, key in (("proximity", "gain_counts_mm2"), ("ambient", "gain_counts_mm2_per_w")):
+        gains = np.array(getattr(getattr(found, part), key)) / getattr(getattr(HIDDEN, part), key)
+        np.testing.assert_allclose(gains, 1, atol=0.03)
+    assert found.ambient.dark_counts == pytest.approx(470, abs=1)
+    lines = done.stdout.splitlines()
+    drive, can = (line for line in lines if line.endswith("off, not used for the fit"))
+    assert abs(float(drive.split(": ")[1].split(" mm")[0])) < 1
+    assert float(can.split(": ")[1].split(" counts")[0]) < 30
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("kept", "message"),
+    [
+        (["spin.mcap"], "the wheels' radius cannot be told"),
+        (["straight.mcap"], "the wheel base cannot be told"),
+    ],
+)
+def test_without_a_ruler_wheels_are_refused(
+    recorded: tuple[list[str], list[str], Path], kept: list[str], message: str
+) -> None:
+    words = [word for word in recorded[0] if any(name in word for name in kept)]
+    done = fit(*words)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert message in done.stderr
+
+
+def test_one_distance_far_away_tells_no_gain(
+    recorded: tuple[list[str], list[str], Path], tmp_path: Path
+) -> None:
+    bench = Bench(tmp_path)
+    path = bench.turn("far.csv", bench.robot(700), SensorTest("proximity", rotate_deg=360, speed=8))
+    done = fit(f"{path}=wall@272mm")
+    assert done.returncode == 1
+    assert "left 90: the gain cannot be told: 0 readings are neither 0 nor saturated" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("a.csv", "a.csv: right is a file and what was measured"),
+        ("a.csv=wall", "right is a file and what was measured"),
+        ("a.csv=wall@-5mm", "right is a file and what was measured"),
+        ("a.csv=lamp@5mm", "right is a file and what was measured"),
+        ("nowhere.csv=wall@5mm", "nowhere.csv: cannot be read: No such file or directory"),
+        ("nowhere.mcap=duty", "nowhere.mcap: cannot be read: No such file or directory"),
+    ],
+)
+def test_wrong_words_are_told_in_one_line(word: str, message: str) -> None:
+    done = fit(word)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert message in line
+
+
+def test_a_test_of_light_is_no_test_of_a_wall(recorded: tuple[list[str], list[str], Path]) -> None:
+    lamp = next(word for word in recorded[0] if "lamp0" in word).split("=")[0]
+    with pytest.raises(FitError, match="a test of light; right is one of proximity"):
+        measured([f"{lamp}=wall@20mm"])
+
+
+def test_a_drive_with_a_high_duty_or_none_tells_no_motors(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.steps("high.mcap", 60, 0)
+    with pytest.raises(FitError, match="P,60,60: with such a duty the tyres slip"):
+        read_drive(tmp_path / "high.mcap")
+    bench.steps("none.mcap")
+    with pytest.raises(FitError, match="the motors cannot be told: no drive with a fixed duty"):
+        read_drive(tmp_path / "none.mcap")
+
+
+def test_in_a_straight_approach_the_wall_comes_nearer_and_stays_ahead() -> None:
+    dv = np.zeros((3, 10), np.int64)
+    dv[:, :2] = [[0, 0], [100, 100], [250, 250]]
+    run = SensorRun(SensorTest(linear_cm=5), dv, np.array([0.0, 1e6, 2e6]))
+    table = SensorData("approach", run, 0.03).table(KHEPERA1.wheels)
+    np.testing.assert_allclose(table.distances, [0.03, 0.022, 0.01], atol=1e-5)
+    np.testing.assert_allclose(table.bearings, 0, atol=1e-12)
+
+
+def test_a_robot_that_turns_left_has_the_object_on_its_right() -> None:
+    quarter = round(math.pi / 2 * 26 / 0.08)
+    dv = np.zeros((2, 10), np.int64)
+    dv[1, :2] = -quarter, quarter
+    run = SensorRun(SensorTest(rotate_deg=90), dv, np.array([0.0, 1e6]))
+    for table in (
+        SensorData("wall", run, 0.02).table(KHEPERA1.wheels),
+        SensorData("can", run, 0.02, radius=0.0125).table(KHEPERA1.wheels),
+    ):
+        np.testing.assert_allclose(table.distances, 0.02, atol=1e-6)
+        np.testing.assert_allclose(table.bearings, [0, -math.pi / 2], atol=2e-3)
+    lamp = SensorData("lamp", run, 0.1, power=2.0).lamp_table(KHEPERA1.wheels)
+    np.testing.assert_allclose(lamp.places[1], [0, -0.1375, 0.0016], atol=4e-4)
+
+
+def test_a_test_is_given_once_and_no_output_takes_its_place(
+    recorded: tuple[list[str], list[str], Path],
+) -> None:
+    words, _, folder = recorded
+    wall = next(word for word in words if "wall1" in word)
+    twice = fit(wall, wall)
+    assert twice.returncode == 1
+    assert "this file is given twice" in twice.stderr
+    file = Path(wall.split("=")[0])
+    before = file.read_bytes()
+    over = fit(wall, "-o", str(file))
+    assert over.returncode == 1
+    assert "this is a recorded test" in over.stderr
+    both = fit(wall, "-o", str(folder / "x.png"), "--picture", str(folder / "x.png"))
+    assert "this is the calibration" in both.stderr
+    assert file.read_bytes() == before
+    assert not (folder / "x.png").exists()
+
+
+def test_a_wrong_distance_is_asked_about(recorded: tuple[list[str], list[str], Path]) -> None:
+    walls = [word for word in recorded[0] if "wall" in word]
+    done = fit(*walls[:3], walls[3].replace("25mm", "19mm"), walls[4])
+    assert done.returncode == 0
+    asked = [
+        line for line in done.stdout.splitlines() if "is this what stood there, and so far away?" in line
+    ]
+    assert any("wall@19mm" in line for line in asked)
+    right = fit(*walls)
+    assert "so far away" not in right.stdout
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "measured_mm", "turned"),
+    [
+        (1000, 1000, None, 31.0),
+        (-1000, 1000, 80.0, None),
+        (1000, 1000, -80.0, None),
+        (-1000, 1000, None, -3.0),
+    ],
+)
+def test_a_drive_that_is_not_what_was_measured_is_refused(
+    left: int, right: int, measured_mm: float | None, turned: float | None
+) -> None:
+    wrong = Drive("wrong", left, right, measured_mm and measured_mm / 1e3, turned)
+    with pytest.raises(FitError, match=f"wrong: the counters went on by {left} left and {right} right"):
+        fit_wheels([wrong])

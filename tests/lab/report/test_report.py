@@ -1,0 +1,213 @@
+"""Reports: well-formed, whole, self-contained, always the same bytes; of every log what there is in it."""
+
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from khep_twin.cli.app import app
+from khep_twin.lab.report.pages import EVENT_LIMIT, listed
+from khep_twin.lab.report.report import report
+from khep_twin.lab.report.rows import DEFINITIONS
+from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.log.reader import read_series
+from khep_twin.playpen import load
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+SECOND = 1_000_000_000
+HEADINGS = ["Faults and events", "Versions and settings", "What the numbers mean"]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished log of three seconds of two robots: one runs into the other's wall, one turns."""
+    path = tmp_path_factory.mktemp("report") / "run.mcap"
+    one = load("two-lamps")
+    other = one.robots[0].model_copy(update={"x_mm": 500.0, "y_mm": 450.0, "heading_deg": 0.0})
+    both = one.model_copy(update={"robots": (*one.robots, other), "name": "both"})
+    options = TwinOptions(seed=3, robot=None, faults=("dead:left@1",), log=str(path))
+    with open_twin(both, options) as twin:
+        twin.robots[0].send(b"N\nO\nD,4,-4\n")
+        twin.robots[1].send(b"D,9,9\nX\n")
+        twin.advance_to(3 * SECOND)
+        twin.world.tell(0, "<taken> & $away$")
+    return path
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Callable[..., Path]:
+    """Records what crosses a real robot's line, 0.1 s apart."""
+
+    def recorded(*said: tuple[bool, bytes]) -> Path:
+        now = [0]
+        recorder = LineRecorder(tmp_path / "real.mcap", {"through": "/dev/robot"}, lambda: now[0])
+        for to_robot, data in said:
+            now[0] += SECOND // 10
+            recorder.wire(to_robot, data)
+        recorder.close()
+        return tmp_path / "real.mcap"
+
+    return recorded
+
+
+class Page(HTMLParser):
+    """What a page has; refuses tags that are not closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.headings: list[str] = []
+        self.words: list[str] = []
+        self.pictures: list[str] = []
+        self.tags: set[str] = set()
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        if tag == "img":
+            values = dict(attrs)
+            assert (values["src"] or "").startswith("data:image/png;base64,iVBOR")
+            self.pictures.append(values["alt"] or "")
+        elif tag != "meta":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+        if data.strip():
+            self.words.append(data.strip())
+
+
+def write(log: Path, output: Path) -> bytes:
+    result = CliRunner().invoke(app, ["report", str(log), "-o", str(output)], catch_exceptions=False)
+    assert result.exit_code == 0
+    assert result.output == f"report  {output}\n"
+    return output.read_bytes()
+
+
+def refusal(log: Path, output: Path) -> str:
+    result = CliRunner().invoke(app, ["report", str(log), "-o", str(output)])
+    assert result.exit_code == 1
+    (line,) = str(result.exception).splitlines()
+    return line
+
+
+def rows(log: Path, robot: int = 0) -> dict[str, str]:
+    return dict(report(read_series(log), "log").robots[robot].rows)
+
+
+def test_the_page_is_well_formed_and_whole(log: Path, tmp_path: Path) -> None:
+    text = write(log, tmp_path / "run.html").decode("utf-8")
+    page = Page(text)
+    assert page.headings == ["khepera0", "khepera1", *HEADINGS]
+    assert page.words[2] == "Run in the playpen both"
+    assert page.pictures == [
+        "Ways over the playpen",
+        *(f"{what} of khepera{index} over time" for index in (0, 1) for what in ("Sensors", "Wheel speeds")),
+    ]
+    assert {"seed", "mujoco", "('dead:left@1',)"} < set(page.words)
+    assert "<taken> & $away$" in page.words
+    assert "fault dead:left@1 begins" in page.words
+    assert {name for name, _ in DEFINITIONS} < set(page.words)
+
+
+def test_the_page_needs_nothing_else(log: Path, tmp_path: Path) -> None:
+    text = write(log, tmp_path / "run.html").decode("utf-8")
+    assert not re.search(r"https?:|//[a-z]|url\(|@import", re.sub(r"base64,[^\"]+", "", text))
+    assert not Page(text).tags & {"script", "link", "iframe", "object", "embed"}
+
+
+@pytest.mark.parametrize("suffix", [".html", ".pdf"])
+def test_the_same_log_gives_the_same_bytes(suffix: str, log: Path, tmp_path: Path) -> None:
+    assert write(log, tmp_path / f"a{suffix}") == write(log, tmp_path / f"b{suffix}")
+
+
+def test_the_pdf_has_pages_and_no_date(log: Path, tmp_path: Path) -> None:
+    data = write(log, tmp_path / "run.pdf")
+    assert data.startswith(b"%PDF-")
+    assert len(re.findall(rb"/Type /Page\b", data)) >= 3
+    assert b"/CreationDate" not in data
+
+
+def test_the_numbers_have_units_and_fit_the_run(log: Path) -> None:
+    turning, driving = rows(log), rows(log, 1)
+    assert turning["Duration"] == "3.00 s"
+    assert re.fullmatch(r"[0-9]+ mm", driving["Distance"])
+    assert re.fullmatch(r"[1-3], [0-9.]+ s in touch; the first at [0-9.]+ s", driving["Collisions"])
+    assert turning["Collisions"] == "none"
+    assert turning["Commands"] == "3, 1.0 per second: D 1, N 1, O 1"
+    assert turning["Unanswered"] == "0; refused 0"
+    assert driving["Unanswered"] == "0; refused 1"
+    assert re.fullmatch(r"[0-9.]+ ms in the mean, [0-9.]+ ms at most", turning["Reply time"])
+    assert re.fullmatch(
+        r"0.00 turns left, 0.[0-9]+ turns right; net \N{MINUS SIGN}[0-9]+°", turning["Turned"]
+    )
+    assert re.fullmatch(r"[0-9]+ counts, sensor [a-z]+ ?[0-9a-z]*, at [0-9.]+ s", turning["Brightest moment"])
+
+
+def test_a_real_robots_log_tells_what_is_missing(line: Callable[..., Path], tmp_path: Path) -> None:
+    real = line((True, b"N\n"), (False, b"n,0,0,500,0,0,0,0,0\r\n"), (True, b"E\n"), (False, b"e,1,-2\r\n"))
+    (robot,) = report(read_series(real), "log").robots
+    assert robot.missing == (
+        "Not in this log: place and way, ambient light, collisions, the wheels' counters and slip. "
+        "Of a real robot it has what the host asked for, at the time of the reply."
+    )
+    page = Page(write(real, tmp_path / "real.html").decode("utf-8"))
+    assert page.words[2] == "Run of the robot at /dev/robot"
+    assert robot.missing in page.words
+    assert page.pictures == ["Sensors of khepera0 over time", "Wheel speeds of khepera0 over time"]
+    assert dict(robot.rows)["Commands"] == "2, 5.0 per second: E 1, N 1"
+    assert dict(robot.rows)["Reply time"] == "100.0 ms in the mean, 100.0 ms at most"
+    write(real, tmp_path / "real.pdf")
+
+
+@pytest.mark.parametrize("suffix", [".html", ".pdf"])
+def test_a_log_without_samples_has_a_report(suffix: str, line: Callable[..., Path], tmp_path: Path) -> None:
+    write(line(), tmp_path / f"x{suffix}")
+    assert rows(line()) == {"Duration": "0.00 s", "Commands": "none"}
+
+
+def test_a_run_of_no_time_has_a_report(tmp_path: Path) -> None:
+    with open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap"))):
+        pass
+    write(tmp_path / "run.mcap", tmp_path / "run.html")
+    assert rows(tmp_path / "run.mcap")["Duration"] == "0.00 s"
+
+
+def test_of_very_many_events_the_first_are_told() -> None:
+    events = [(f"{second} s", "something") for second in range(100)]
+    assert listed(events)[-1] == ("…", "and 60 more")
+    assert listed(events)[:-1] == tuple(events[:EVENT_LIMIT])
+    assert listed(events[:EVENT_LIMIT]) == tuple(events[:EVENT_LIMIT])
+
+
+def test_what_cannot_be_reported_is_one_line(log: Path, tmp_path: Path) -> None:
+    torn, foreign = tmp_path / "torn.mcap", tmp_path / "foreign.mcap"
+    torn.write_bytes(log.read_bytes()[:-500])
+    foreign.write_bytes(b"\x89PNG\r\n\x1a\n")
+    for path in (torn, foreign):
+        assert "no whole log" in refusal(path, tmp_path / "x.html")
+    assert "right is a name that ends in .html or .pdf" in refusal(log, tmp_path / "x.doc")
+    assert "there is no directory" in refusal(log, tmp_path / "none" / "x.html")
+    own = tmp_path / "log.html"
+    own.write_bytes(log.read_bytes())
+    assert "this is the log" in refusal(own, own)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["foreign.mcap", "log.html", "torn.mcap"]
+
+
+def test_matplotlibs_own_settings_change_nothing(log: Path, tmp_path: Path) -> None:
+    import matplotlib
+
+    plain = write(log, tmp_path / "a.html")
+    changed: Any = {"lines.linewidth": 9, "font.size": 20, "axes.facecolor": "black"}
+    with matplotlib.rc_context(changed):
+        assert write(log, tmp_path / "b.html") == plain

@@ -1,0 +1,124 @@
+"""Pictures of sensor tests: what is where on them, and that they are always the same."""
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+
+from khep_twin.drawing.map import save
+from khep_twin.errors import SensorTestError
+from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, check, draw, mean_and_spread, places
+from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun, SensorTest
+
+LINEAR = SensorTest(linear_cm=10)
+TURN = SensorTest(rotate_deg=360)
+LIGHT = SensorTest("light", rotate_deg=-90)
+
+
+def run(test: SensorTest = LINEAR, counts: int = 100, n: int = 11, part: float = 1.0) -> SensorRun:
+    """Sensors that rise evenly to a level, over a part of the way."""
+    way = np.linspace(0, part, n)
+    dv = np.empty((n, 10), np.int64)
+    dv[:, :2] = np.round(np.outer(way, test.target))
+    dv[:, 2:] = np.round(np.outer(way * counts, np.ones(8)))
+    return SensorRun(test, dv, np.arange(n) / 10, "in $ and $")
+
+
+def test_eight_axes_lie_like_the_sensors_on_a_robot_that_looks_up() -> None:
+    figure = draw([run()])
+    places_of = {axes.get_title(): axes.get_position() for axes in figure.axes if axes.get_title()}
+    assert list(places_of) == list(SENSORS)
+    for side in ("90", "45", "10"):
+        assert places_of[f"left {side}"].x1 < places_of[f"right {side}"].x0
+    assert places_of["back left"].x1 < places_of["back right"].x0
+    assert places_of["left 90"].y1 < places_of["left 45"].y0
+    assert places_of["back left"].y1 < places_of["left 90"].y0
+
+
+def test_a_way_counts_down_to_0_at_the_right_and_a_turn_up() -> None:
+    way = draw([run()], sensor="left 10").axes[0]
+    low, high = way.get_xlim()
+    assert low > 10 > 0 > high
+    assert "[cm]" in way.get_xlabel()
+    turn = draw([run(TURN)], sensor="left 10").axes[0]
+    low, high = turn.get_xlim()
+    assert low < 0 < 360 < high
+    assert "[degrees]" in turn.get_xlabel()
+
+
+@pytest.mark.parametrize("linear_cm", [10, -10])
+def test_the_end_of_the_way_is_0_in_either_direction(linear_cm: float) -> None:
+    np.testing.assert_allclose(places(run(SensorTest(linear_cm=linear_cm)))[[0, -1]], [10, 0], atol=1e-9)
+
+
+def test_proximity_goes_to_1023_and_light_to_about_525() -> None:
+    proximity, light = draw([run()], sensor="left 10").axes[0], draw([run(LIGHT)], sensor="left 10").axes[0]
+    assert proximity.get_ylim()[1] == pytest.approx(1023, rel=0.03)
+    assert light.get_ylim()[1] == pytest.approx(AMBIENT_LIMIT, rel=0.03)
+    assert (proximity.get_ylabel(), light.get_ylabel()) == ("proximity [counts]", "ambient [counts]")
+
+
+def test_one_sensor_is_drawn_from_y_min_on_with_a_grid() -> None:
+    figure = draw([run(counts=900)], sensor="right 45", y_min=200, grid=True)
+    (axes,) = figure.axes
+    assert axes.get_title(loc="left").startswith("right 45")
+    assert 180 < axes.get_ylim()[0] <= 200
+    assert all(line.get_visible() for line in axes.get_xgridlines())
+    assert not any(line.get_visible() for line in draw([run()], sensor="right 45").axes[0].get_xgridlines())
+    x, y = axes.lines[0].get_data()
+    np.testing.assert_allclose(np.asarray(x), np.linspace(10, 0, 11), atol=0.01)
+    np.testing.assert_allclose(np.asarray(y), np.linspace(0, 900, 11), atol=0.5)
+
+
+def test_one_run_has_points_and_several_have_mean_band_and_legend() -> None:
+    alone = draw([run()], sensor="left 10").axes[0]
+    assert len(alone.lines) == 1
+    assert alone.lines[0].get_marker() == "o"
+    assert alone.get_legend() is None
+    several = draw([run(counts=level) for level in (100, 200, 300)], sensor="left 10").axes[0]
+    assert len(several.lines) == 4
+    assert any(isinstance(each, PolyCollection) for each in several.collections)
+    legend = several.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["3 runs", "± 1 standard deviation", "mean"]
+
+
+def test_mean_and_spread_are_those_of_the_runs_where_all_have_been() -> None:
+    runs = [run(counts=100), run(counts=200, n=21), run(counts=300, part=0.5)]
+    x, mean, spread = mean_and_spread(runs)
+    assert x[0] == pytest.approx(5, abs=0.01)
+    assert x[-1] == pytest.approx(10, abs=0.01)
+    # Halfway each has half of its level.
+    assert mean[0] == pytest.approx(np.mean([50, 100, 150]), abs=1)
+    assert spread[0] == pytest.approx(np.std([50, 100, 150], ddof=1), abs=1)
+
+
+@pytest.mark.parametrize(
+    ("runs", "options", "line"),
+    [
+        ([run(LIGHT), run(TURN)], {}, "runs of light, rotational and of proximity, rotational: right are"),
+        ([run(LINEAR), run(TURN)], {}, "runs of proximity, linear and of proximity, rotational: right are"),
+        ([], {}, "runs of no kind"),
+        ([run()], {"sensor": "left 9"}, "sensor = left 9: no such sensor; did you mean 'left 90'"),
+        ([run()], {"y_min": 1023}, "y-min = 1023: right is 0 to 1022 for proximity"),
+        ([run(LIGHT)], {"y_min": -1}, "y-min = -1: right is 0 to 524 for light"),
+        ([run(TURN), run(SensorTest(rotate_deg=-90))], {}, "the runs have no part of the way in common"),
+        ([run(n=0)], {}, "a run without rows"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told_in_one_line(
+    runs: list[SensorRun], options: dict[str, str | int], line: str
+) -> None:
+    with pytest.raises(SensorTestError, match=line):
+        check(runs, **options)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_the_same_runs_give_the_same_bytes_whatever_matplotlib_is_set_to(suffix: str, tmp_path: Path) -> None:
+    runs = [run(), run(counts=200)]
+    save(draw(runs), tmp_path / f"a.{suffix}")
+    with mpl.rc_context({"lines.linewidth": 9, "font.size": 20, "svg.hashsalt": "x", "savefig.dpi": 30}):
+        save(draw(runs), tmp_path / f"b.{suffix}")
+    assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()

@@ -1,0 +1,160 @@
+"""Sensor tests on twins: they go where they are to, read what is there, and leave a robot at rest."""
+
+import math
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.errors import SensorTestError
+from khep_twin.host import Khepera
+from khep_twin.lab.sensor_test.sensor_test import SENSORS, BrokenOffError, SensorRun, SensorTest, sense
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.units import BODY_RADIUS
+
+
+def before_a_wall(distance_mm: float, faults: tuple[str, ...] = ()) -> Khepera:
+    """A robot that looks at a white wall, its front this far off."""
+    text = (
+        'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n[[robot]]\n'
+        f"x_mm = {1000 - BODY_RADIUS * 1000 - distance_mm}\ny_mm = 500\nheading_deg = 0\n"
+    )
+    twin = open_twin(playpen.parse(text, "bench"), TwinOptions(seed=1, noise=False, faults=faults))
+    return Khepera(Serial.of(twin, timeout=1.0))
+
+
+def test_a_way_to_a_wall_begins_with_0_and_ends_saturated_at_the_target() -> None:
+    with before_a_wall(155) as robot:
+        run = sense(robot, SensorTest(linear_cm=15), text="white")
+        assert robot.speed() == pytest.approx((0, 0), abs=1)
+    assert run.dv[0].tolist() == [0] * 10
+    np.testing.assert_allclose(run.dv[-1, :2], 1875, atol=2)
+    assert (run.dv[-1, [4, 5]] == 1023).all()
+    assert not run.dv[:, [8, 9]].any()
+    assert run.times[0] == 0
+    assert (np.diff(run.times) > 0).all()
+    assert run.text == "white"
+    assert run.travelled[-1] == pytest.approx(15, abs=0.02)
+
+
+def test_a_whole_turn_shows_the_wall_to_each_sensor_at_its_own_heading() -> None:
+    with before_a_wall(15) as robot:
+        run = sense(robot, SensorTest(rotate_deg=360, speed=3))
+    np.testing.assert_allclose(run.dv[-1, :2], [-2042, 2042], atol=2)
+    # A sensor sees the wall once the robot has turned as far as it looks the other way; those at the
+    # side sit at 67 degrees and look to 88, so that near a wall they see it in between.
+    for sensor, heading_deg in {"left 90": 283, "right 90": 77, "left 45": 315, "right 45": 45}.items():
+        weights = run.dv[:, 2 + SENSORS.index(sensor)].astype(np.float64)
+        radians = np.radians(run.travelled)
+        seen = math.degrees(math.atan2(weights @ np.sin(radians), weights @ np.cos(radians))) % 360
+        assert seen == pytest.approx(heading_deg, abs=12), sensor
+
+
+def test_below_0_a_test_drives_backwards_and_turns_clockwise() -> None:
+    with before_a_wall(5) as robot:
+        back = sense(robot, SensorTest(linear_cm=-10))
+        turned = sense(robot, SensorTest(rotate_deg=-90))
+    np.testing.assert_allclose(back.dv[-1, :2], -1250, atol=2)
+    assert back.dv[0, 4] == 1023
+    assert back.dv[-1, 4] == 0
+    np.testing.assert_allclose(turned.dv[-1, :2], [511, -511], atol=2)
+    assert turned.travelled[-1] == pytest.approx(-90, abs=0.5)
+
+
+def test_light_is_read_where_it_is_asked_for() -> None:
+    with before_a_wall(300) as robot:
+        run = sense(robot, SensorTest("light", linear_cm=5))
+    assert (run.dv[:, 2:] > 400).all()
+
+
+def test_returning_waits_5_seconds_and_ends_at_0_without_more_rows() -> None:
+    with before_a_wall(300) as robot:
+        run = sense(robot, SensorTest(linear_cm=5, return_to_zero=True))
+        assert robot.time > run.times[-1] + 5
+        np.testing.assert_allclose(robot.position(), 0, atol=2)
+    assert run.dv[-1, 0] == pytest.approx(625, abs=2)
+
+
+def test_the_speed_is_kept_to_and_set_back_afterwards() -> None:
+    with before_a_wall(300) as robot:
+        slow = sense(robot, SensorTest(linear_cm=10, speed=5))
+        assert slow.times[-1] == pytest.approx(1250 / 500, abs=0.7)
+        robot.set_position(0, 0)
+        robot.set_target(1250, 1250)
+        robot.sleep(1.6)
+        assert robot.position()[0] == pytest.approx(1250, abs=5)
+
+
+def test_a_blocked_wheel_ends_the_test_with_how_far_it_came_and_the_rows_so_far() -> None:
+    with before_a_wall(300, faults=("dead:left",)) as robot:
+        with pytest.raises(
+            BrokenOffError, match=r"broke off after \d+\.\d of 20 cm: the left wheel came no"
+        ) as caught:
+            sense(robot, SensorTest(linear_cm=20))
+        robot.sleep(0.5)
+        # A dead motor's wheel rolls on by itself; both are in speed mode, at speed 0.
+        assert [wheel.mode for wheel in robot.status()] == [0, 0]
+        assert robot.speed()[1] == 0
+    assert len(caught.value.run.dv) > 10
+    assert caught.value.run.dv[-1, 0] < 100
+
+
+def test_stopping_leaves_the_motors_at_rest_and_keeps_the_rows_so_far() -> None:
+    with before_a_wall(300) as robot:
+        run = sense(robot, SensorTest(linear_cm=20, return_to_zero=True), stop=lambda: robot.time > 1)
+        assert robot.time < 1.5
+        robot.sleep(0.3)
+        assert robot.speed() == (0, 0)
+    assert 0 < run.travelled[-1] < 15
+
+
+def test_an_interrupt_stops_the_motors() -> None:
+    def interrupt(part: float) -> None:
+        if part > 0.3:
+            raise KeyboardInterrupt
+
+    with before_a_wall(300) as robot:
+        with pytest.raises(KeyboardInterrupt):
+            sense(robot, SensorTest(linear_cm=20), progress=interrupt)
+        robot.sleep(0.3)
+        assert robot.speed() == (0, 0)
+
+
+def test_progress_rises_to_1() -> None:
+    parts: list[float] = []
+    with before_a_wall(300) as robot:
+        sense(robot, SensorTest(rotate_deg=-45), progress=parts.append)
+    assert parts[0] == 0
+    assert parts[-1] == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"what": "lihgt", "linear_cm": 5}, "what = lihgt: right is proximity or light"),
+        ({}, "linear and rotate: none is given; right is one of them"),
+        ({"linear_cm": 5, "rotate_deg": 90}, "linear and rotate: both is given; right is one of them"),
+        ({"linear_cm": 4.9}, "linear = 4.9 cm: right is 5 to 60, or -5 to -60 to drive backwards"),
+        ({"linear_cm": math.nan}, "linear = nan cm: right is 5 to 60, or -5 to -60 to drive backwards"),
+        ({"rotate_deg": -361}, "rotate = -361 degrees: right is 15 to 360, or -15 to -360 for clockwise"),
+        ({"linear_cm": 5, "speed": 128}, "speed = 128: right is a whole number from 1 to 127"),
+        ({"linear_cm": 5, "acceleration": 0}, "acceleration = 0: right is a whole number from 1 to 255"),
+    ],
+)
+def test_what_is_no_test_is_refused(values: dict[str, object], line: str) -> None:
+    with pytest.raises(SensorTestError) as caught:
+        SensorTest(**values)  # pyright: ignore[reportArgumentType]
+    assert str(caught.value) == line
+
+
+def test_a_text_that_no_file_could_hold_is_refused_before_the_robot_moves() -> None:
+    with before_a_wall(300) as robot:
+        with pytest.raises(SensorTestError, match=r"text: has the character '\\r'"):
+            sense(robot, SensorTest(linear_cm=5), text="a\rb")
+        assert robot.position() == (0, 0)
+
+
+def test_rows_of_another_shape_are_a_mistake() -> None:
+    with pytest.raises(ValueError, match=r"\(3, 9\)"):
+        SensorRun(SensorTest(linear_cm=5), np.zeros((3, 9), np.int64), np.zeros(3))

@@ -1,0 +1,193 @@
+"""Bitmaps become playpens: exact blocks, the arena's own walls, a robot in a free place."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from drawn_bitmap import drawn, seen_from_above
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from numpy.typing import NDArray
+
+from khep_twin import playpen
+from khep_twin.errors import BitmapError
+from khep_twin.playpen.bitmap import Borders, rectangles, strip, to_playpen
+from khep_twin.playpen_to_mjcf import to_mjcf
+from khep_twin.units import BODY_RADIUS
+
+
+def field(rows: int = 200, columns: int = 300) -> NDArray[np.bool_]:
+    return np.zeros((rows, columns), dtype=np.bool_)
+
+
+@settings(max_examples=300, derandomize=True, database=None)
+@given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=24)))
+def test_rectangles_cover_exactly_the_solid_pixels_without_overlap(solid: NDArray[np.bool_]) -> None:
+    covered = np.zeros(solid.shape, dtype=np.int64)
+    for row, column, rows, columns in rectangles(solid).tolist():
+        assert rows > 0
+        assert columns > 0
+        covered[row : row + rows, column : column + columns] += 1
+    np.testing.assert_array_equal(covered, solid)
+
+
+@settings(max_examples=100, derandomize=True, database=None)
+@given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=12)), st.booleans())
+def test_any_bitmap_becomes_its_playpen_or_is_told_to_be_solid(
+    solid: NDArray[np.bool_], walled: bool
+) -> None:
+    solid = np.pad(solid, 1, constant_values=walled)
+    if solid.all():
+        with pytest.raises(BitmapError, match="every pixel is solid"):
+            to_playpen(solid, "x", mm_per_pixel=120.0)
+        return
+    made = to_playpen(solid, "x", mm_per_pixel=120.0, find_place=False)
+    inner, borders = strip(solid)
+    assert made.borders == borders
+    middles = [(block.x_mm, block.y_mm, block.length_mm * block.width_mm) for block in made.playpen.blocks]
+    assert sum(area for _, _, area in middles) == 120**2 * inner.sum()
+    assert playpen.parse(playpen.dump(made.playpen), "x") == made.playpen
+
+
+def test_a_drawing_is_the_same_playpen_seen_from_above_to_the_pixel() -> None:
+    solid = drawn()
+    made = to_playpen(solid, "drawn")
+    np.testing.assert_array_equal(seen_from_above(made.playpen), solid[10:-10, 10:-10])
+    assert not (solid == solid[::-1]).all()
+
+
+def test_the_compiled_scene_stands_as_the_drawing() -> None:
+    solid = drawn()
+    made = to_playpen(solid, "drawn", robot=(300.0, 240.0, 0.0))
+    model: Any = mujoco.MjModel.from_xml_string(to_mjcf(made.playpen))
+    data: Any = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    hit = np.array([-1], dtype=np.int32)
+    seen = field(480, 580)
+    names = {model.geom(number).id: model.geom(number).name for number in range(model.ngeom)}
+    places = [(row, column) for row in range(0, 480, 3) for column in range(0, 580, 3)]
+    for row, column in places:
+        above = np.array([(column + 0.5) / 1000, (479.5 - row) / 1000, 0.5])
+        mujoco.mj_ray(model, data, above, np.array([0.0, 0.0, -1.0]), None, 1, -1, hit)
+        seen[row, column] = names[int(hit[0])].startswith("block")
+    wrong = sum(seen[place] != solid[10:-10, 10:-10][place] for place in places)
+    assert wrong <= 0.01 * sum(solid[10:-10, 10:-10][place] for place in places)
+
+
+def test_equal_walls_become_the_arenas_with_their_thickness() -> None:
+    made = to_playpen(drawn(wall=12), "x")
+    assert made.borders == Borders(12, 12, 12, 12)
+    assert (made.playpen.arena.width_mm, made.playpen.arena.height_mm) == (576, 476)
+    assert made.playpen.arena.wall_thickness_mm == 12
+
+
+def test_unequal_walls_are_taken_off_and_become_the_usual_ones() -> None:
+    solid = field()
+    solid[:5], solid[:, -7:] = True, True
+    made = to_playpen(solid, "x")
+    assert made.borders == Borders(left=0, right=7, bottom=0, top=5)
+    assert (made.playpen.arena.width_mm, made.playpen.arena.height_mm) == (293, 195)
+    assert made.playpen.arena.wall_thickness_mm == 10
+    assert made.playpen.blocks == ()
+
+
+def test_without_walls_the_arena_has_the_whole_size() -> None:
+    solid = field()
+    solid[0, 0] = True
+    made = to_playpen(solid, "x", mm_per_pixel=2)
+    assert (made.playpen.arena.width_mm, made.playpen.arena.height_mm) == (600, 400)
+    (block,) = made.playpen.blocks
+    assert (block.x_mm, block.y_mm, block.length_mm, block.width_mm) == (1, 399, 2, 2)
+    assert made.playpen.arena.wall_thickness_mm == 10
+
+
+def test_columns_cost_fewer_blocks_where_they_do() -> None:
+    solid = field()
+    for column in range(0, 300, 10):
+        solid[column % 70 : 150, column] = True
+    assert len(rectangles(solid)) == 30
+    assert len(rectangles(solid.T)) == 30
+
+
+def test_the_robot_stands_in_the_middle_where_it_is_free_and_beside_it_elsewhere() -> None:
+    (robot,) = to_playpen(field(), "x").playpen.robots
+    assert (robot.x_mm, robot.y_mm, robot.heading_deg) == (150, 100, 90)
+    solid = field()
+    solid[80:120, 130:180] = True
+    (robot,) = to_playpen(solid, "x").playpen.robots
+    away = np.hypot(*(np.argwhere(solid) + 0.5 - (200 - robot.y_mm, robot.x_mm)).T).min()
+    assert BODY_RADIUS * 1000 + 1 <= away + 0.8
+    assert np.hypot(robot.x_mm - 150, robot.y_mm - 100) < 50
+
+
+def test_without_a_free_place_there_is_no_robot_and_the_playpen_is_right() -> None:
+    solid = field()
+    solid[::40], solid[:, ::40] = True, True
+    made = to_playpen(solid, "x")
+    assert made.playpen.robots == ()
+    assert playpen.parse(playpen.dump(made.playpen), "x") == made.playpen
+
+
+def test_as_many_blocks_as_a_playpen_may_hold_are_written_so_that_they_load() -> None:
+    solid = np.zeros((200, 200), dtype=np.bool_)
+    solid.reshape(-1)[np.arange(4999) * 2 + np.arange(4999) * 2 // 200 % 2] = True
+    made = to_playpen(solid, "x", mm_per_pixel=33.333333)
+    assert len(made.playpen.blocks) == 4999
+    text = playpen.dump(made.playpen)
+    assert len(text) < 2**20
+    assert len(playpen.parse(text, "x").blocks) == 4999
+
+
+def checkers(side: int) -> NDArray[np.bool_]:
+    return np.indices((side, side)).sum(axis=0) % 2 == 0
+
+
+def spot() -> NDArray[np.bool_]:
+    solid = field()
+    solid[100, 150] = True
+    return solid
+
+
+@pytest.mark.parametrize(
+    ("solid", "options", "line"),
+    [
+        (
+            checkers(200), {},
+            "20000 blocks; right are up to 4999, as a picture of fewer pixels with a larger "
+            "--mm-per-pixel gives",
+        ),
+        (
+            spot(), {"mm_per_pixel": 0.5},
+            "a block of 0.5 mm; right is at least 1 mm, as a picture of fewer pixels with a larger "
+            "--mm-per-pixel gives",
+        ),
+        (np.ones((9, 9), dtype=np.bool_), {}, "every pixel is solid; right is a bitmap with a free floor"),
+        (
+            field(50, 600), {},
+            "an arena of 600 x 50 mm within the walls; right are 100 to 10000 mm a side, which another "
+            "--mm-per-pixel may give",
+        ),
+        (
+            field(4097, 200), {}, "4097 x 200 pixels; right are 1 to 4096 rows and columns",
+        ),
+        (field(0, 200), {}, "0 x 200 pixels; right are 1 to 4096 rows and columns"),
+        (spot(), {"mm_per_pixel": float("nan")}, "--mm-per-pixel nan: right is a number from 0.001 to 1000"),
+        (spot(), {"mm_per_pixel": 0.0}, "--mm-per-pixel 0: right is a number from 0.001 to 1000"),
+        (spot(), {"height_mm": 1001.0}, "--height-mm 1001: right is a number from 1 to 1000"),
+        (
+            spot(), {"robot": (150.0, 100.0, 0.0)},
+            "robot 1 at (150, 100) overlaps block 1 at (150.5, 99.5); right is a place clear of it",
+        ),
+        (spot(), {"robot": (150.0, 30.0, 400.0)},
+         "robot 1: heading_deg = 400.0: right is a number from -360 to 360"),
+        (spot(), {"name": "a b"}, "name = \"a b\": right is 1 to 64 letters, digits, '_' or '-'"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_playpen_is_told_in_one_line(
+    solid: NDArray[np.bool_], options: dict[str, Any], line: str
+) -> None:
+    with pytest.raises(BitmapError) as caught:
+        to_playpen(solid, **{"name": "x", **options})
+    assert str(caught.value) == line

@@ -1,0 +1,756 @@
+"""Playpen files: what they say, what they may not say, and how they are told so."""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from khep_twin import playpen as playpens
+from khep_twin.errors import PlaypenError
+from khep_twin.files.toml_files import PROBLEM_LIMIT
+from khep_twin.playpen import Block, Cylinder, Lamp, Playpen, Robot
+from khep_twin.playpen.footprint import Circle, overlap
+from khep_twin.playpen.overlap import THING_LIMIT
+from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
+
+HEAD = 'version = 1\nname = "p"\n'
+ARENA = "[arena]\nwidth_mm = 600\nheight_mm = 500\n"
+BLOCK = "[[block]]\nx_mm = 120\ny_mm = 200\nlength_mm = 60\nwidth_mm = 20\nheight_mm = 50\n"
+CYLINDER = "[[cylinder]]\nx_mm = 400\ny_mm = 250\nradius_mm = 12.5\nheight_mm = 50\n"
+LAMP = "[[lamp]]\nx_mm = 50\ny_mm = 450\npower_w = 7\n"
+ROBOT = "[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 90\n"
+CARDBOARD = "[surfaces.cardboard]\nreflectance = 0.6\nrgb = [180, 140, 90]\n"
+
+TRIANGLE = "outline_mm = [[0, 0], [600, 0], [0, 500]]\n"
+WALL = "[[wall]]\npoints_mm = [[100, 100], [300, 100], [300, 200]]\n"
+SPOT = '[[spot]]\nname = "a"\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n'
+
+TABLES = {"block": BLOCK, "cylinder": CYLINDER, "lamp": LAMP, "robot": ROBOT}
+
+
+def parse(*parts: str, head: str = HEAD, arena: str = ARENA) -> Playpen:
+    return playpens.parse(head + arena + "".join(parts), "p.toml")
+
+
+def numbered_lines_about(text: str) -> list[str]:
+    with pytest.raises(PlaypenError) as caught:
+        playpens.parse(text, "p.toml")
+    return str(caught.value).splitlines()
+
+
+def lines_about(text: str) -> list[str]:
+    """The same without the numbers of the file's lines."""
+    return [re.sub(r"^p\.toml:\d+:", "p.toml:", line) for line in numbered_lines_about(text)]
+
+
+# What a file says ----------------------------------------------------------------------------------------
+
+
+def test_what_a_file_leaves_out_has_the_defaults_of_the_format() -> None:
+    playpen = parse(BLOCK, CYLINDER, LAMP, ROBOT)
+    assert (playpen.version, playpen.name, playpen.lighting.mode) == (1, "p", "all")
+    arena, block, cylinder = playpen.arena, playpen.blocks[0], playpen.cylinders[0]
+    assert (arena.wall_height_mm, arena.wall_thickness_mm, arena.surface) == (50, 10, "white")
+    assert (block.angle_deg, block.surface, block.movable) == (0, "white", False)
+    assert (cylinder.surface, cylinder.movable) == ("white", False)
+    assert playpen.lamps[0].z_mm == 15
+    robot = playpen.robots[0]
+    assert (robot.model, robot.calibration, robot.mode, robot.rom) == ("khepera1", "khepera1", 1, "5.02")
+    assert robot.turrets == ()
+    assert all(item.name is None for item in (block, cylinder, playpen.lamps[0], robot))
+
+
+def test_every_key_of_the_format_is_read() -> None:
+    playpen = parse(
+        BLOCK + 'angle_deg = 45\nsurface = "black"\nname = "b"\n',
+        CYLINDER + 'movable = true\nmass_g = 12.5\nsurface = "cardboard"\n',
+        LAMP + "z_mm = 40\n",
+        '[lighting]\nmode = "all"\n',
+        ROBOT + 'model = "khepera1"\ncalibration = "mine.toml"\nmode = 3\nrom = "4.06"\nturrets = []\n',
+        CARDBOARD,
+    )
+    assert playpen.blocks == (
+        Block(
+            name="b",
+            x_mm=120,
+            y_mm=200,
+            angle_deg=45,
+            length_mm=60,
+            width_mm=20,
+            height_mm=50,
+            surface="black",
+        ),
+    )
+    assert playpen.cylinders == (
+        Cylinder(
+            x_mm=400, y_mm=250, radius_mm=12.5, height_mm=50, surface="cardboard", movable=True, mass_g=12.5
+        ),
+    )
+    assert playpen.lamps == (Lamp(x_mm=50, y_mm=450, z_mm=40, power_w=7),)
+    assert playpen.robots == (
+        Robot(x_mm=300, y_mm=250, heading_deg=90, calibration="mine.toml", mode=3, rom="4.06"),
+    )
+    assert playpen.surface("cardboard").rgb == (180, 140, 90)
+
+
+def test_whole_numbers_are_lengths_too() -> None:
+    x_mm = parse(ROBOT).robots[0].x_mm
+    assert isinstance(x_mm, float)
+
+
+def test_white_is_the_reference_and_black_hardly_reflects() -> None:
+    reflectances = {name: surface.reflectance for name, surface in BUILT_IN_SURFACES.items()}
+    assert reflectances == {
+        "white": 1.0,
+        "grey": 0.145,
+        "black": 0.022,
+        "wood": 0.91,
+        "styropor": 0.87,
+        "sponge": 0.55,
+        "copper": 0.73,
+        "lego": 0.8,
+    }
+    assert parse().surface("lego") is BUILT_IN_SURFACES["lego"]
+
+
+def test_a_playpen_does_not_change() -> None:
+    with pytest.raises(ValidationError):
+        parse().name = "other"  # type: ignore[misc]
+
+
+# What ships ----------------------------------------------------------------------------------------------
+
+
+def test_the_shipped_playpens_are_listed() -> None:
+    assert {"default", "obstacles", "two-lamps"} <= set(playpens.names())
+
+
+@pytest.mark.parametrize("name", playpens.names())
+def test_a_shipped_playpen_bears_its_file_s_name_and_has_a_robot(name: str) -> None:
+    playpen = playpens.load(name)
+    assert playpen.name == name
+    assert len(playpen.robots) == 1
+
+
+def test_the_default_is_four_walls_and_one_robot_in_the_middle() -> None:
+    playpen = playpens.load("default")
+    assert (playpen.arena.width_mm, playpen.arena.height_mm) == (600, 500)
+    assert (playpen.robots[0].x_mm, playpen.robots[0].y_mm, playpen.robots[0].heading_deg) == (300, 250, 90)
+    assert (playpen.blocks, playpen.cylinders, playpen.lamps) == ((), (), ())
+
+
+def test_no_lane_between_the_obstacles_is_narrower_than_90_mm() -> None:
+    playpen = playpens.load("obstacles")
+    inner = [block for block in playpen.blocks if not (block.name or "").startswith("corner")]
+    things = [item.footprint for item in (*inner, *playpen.cylinders)]
+    # A disc as wide as a lane, anywhere in the arena, meets at most one thing or wall.
+    for x in range(0, 801, 10):
+        for y in range(0, 601, 10):
+            disc = Circle(x, y, 45)
+            met = sum(overlap(disc, thing) for thing in things)
+            met += min(x, 800 - x, y, 600 - y) < disc.radius_mm
+            assert met <= 1, (x, y)
+
+
+# Wrong files ---------------------------------------------------------------------------------------------
+
+SURFACES = "(choices: white, grey, black, wood, styropor, sponge, copper, lego)"
+PLACE = "right is a number from 0 to 10000"
+
+WRONG = {
+    "": "name is missing; right is 1 to 64 letters, digits, '_' or '-'",
+    HEAD: "arena is missing; right is a table",
+    HEAD.replace("1", "2") + ARENA: "version = 2: right is 1",
+    HEAD.replace("1", "true") + ARENA: "version = true: right is 1",
+    HEAD.replace("1", "1.0") + ARENA: "version = 1.0: right is 1",
+    'version = 1\nname = "a b"\n' + ARENA: "name = \"a b\": right is 1 to 64 letters, digits, '_' or '-'",
+    HEAD
+    + "wdith = 3\n"
+    + ARENA: "wdith = 3: unknown key; (choices: version, name, arena, lighting, surfaces, "
+    "block, cylinder, wall, patch, lamp, spot, robot)",
+    HEAD + "arena = 3\n": "arena = 3: right is a table",
+    HEAD + ARENA + "widht_mm = 3\n": "arena: widht_mm = 3: unknown key; did you mean 'width_mm'? (choices: "
+    "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface)",
+    HEAD + ARENA.replace("600", "60"): "arena: width_mm = 60: right is a number from 100 to 10000",
+    HEAD + ARENA.replace("600", "20000"): "arena: width_mm = 20000: right is a number from 100 to 10000",
+    HEAD + ARENA.replace("500", '"500"'): 'arena: height_mm = "500": right is a number from 100 to 10000',
+    HEAD
+    + ARENA
+    + 'surface = "whit"\n': f"arena: surface = \"whit\": unknown; did you mean 'white'? {SURFACES}",
+    HEAD + ARENA + "[block]\nx_mm = 1\n": "block: right is [[block]], in two brackets each",
+    HEAD + ARENA + BLOCK.replace("120", "nan"): f"block 1: x_mm = nan: {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "inf"): f"block 1: x_mm = inf: {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "true"): f"block 1: x_mm = true: {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "-1"): f"block 1: x_mm = -1: {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "1979-05-27"): f"block 1: x_mm = 1979-05-27: {PLACE}",
+    HEAD
+    + ARENA
+    + BLOCK.replace("120", "650"): "block 1: x_mm = 650: outside the arena; right is from 0 to 600",
+    HEAD
+    + ARENA
+    + BLOCK.replace("y_mm = 200\n", ""): "block 1: y_mm is missing; right is a number from 0 to 10000",
+    HEAD + ARENA + BLOCK.replace("60", "0"): "block 1: length_mm = 0: right is a number from 1 to 10000",
+    HEAD
+    + ARENA
+    + BLOCK.replace("= 50", "= 1001"): "block 1: height_mm = 1001: right is a number from 1 to 1000",
+    HEAD
+    + ARENA
+    + BLOCK
+    + "angle_deg = 400\n": "block 1: angle_deg = 400: right is a number from -360 to 360",
+    HEAD
+    + ARENA
+    + BLOCK
+    + "heigth_mm = 50\n": "block 1: heigth_mm = 50: unknown key; did you mean 'height_mm'? "
+    "(choices: name, x_mm, y_mm, angle_deg, length_mm, width_mm, height_mm, surface, movable, mass_g)",
+    HEAD + ARENA + BLOCK + BLOCK + "movable = 1\n": "block 2: movable = 1: right is true or false",
+    HEAD
+    + ARENA
+    + BLOCK
+    + 'name = ""\n': "block 1: name = \"\": right is 1 to 64 letters, digits, '_' or '-'",
+    HEAD
+    + ARENA
+    + BLOCK
+    + 'name = "b"\nsurface = "velvet"\n': f'block 1 (b): surface = "velvet": unknown; {SURFACES}',
+    HEAD
+    + ARENA
+    + CYLINDER
+    + "movable = true\nmass_g = 0\n": "cylinder 1: mass_g = 0: right is a number from 1 to 10000",
+    HEAD + ARENA + CYLINDER.replace("12.5", "12,5"): "not TOML: Expected newline or end of document after a "
+    "statement (at line 9, column 15)",
+    HEAD + ARENA + CYLINDER + "x_mm = 4\n": "not TOML: Cannot overwrite a value (at line 11, column 9)",
+    HEAD + ARENA + LAMP.replace("7", "2000"): "lamp 1: power_w = 2000: right is a number from 0 to 1000",
+    HEAD + ARENA + LAMP + "z_mm = 0\n": "lamp 1: z_mm = 0: right is a number from 1 to 1000",
+    HEAD
+    + ARENA
+    + LAMP.replace("450", "501"): "lamp 1: y_mm = 501: outside the arena; right is from 0 to 500",
+    HEAD + ARENA + LAMP + "blink_duty = 2\n": "lamp 1: blink_duty = 2: right is a number from 0 to 1",
+    HEAD + ARENA + LAMP + "dim = -1\n": "lamp 1: dim = -1: right is a number from 0 to 1",
+    HEAD + ARENA + "[lighting]\nmax_angle_deg = 0\n": "lighting: max_angle_deg = 0: right is a number from 1 "
+    "to 180",
+    HEAD + ARENA + '[lighting]\nmode = "al"\n': "lighting: mode = \"al\": unknown; did you mean 'all'? "
+    "(choices: all, random, sequenced)",
+    HEAD
+    + ARENA
+    + ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; right is a number from "
+    "-360 to 360",
+    HEAD + ARENA + ROBOT + 'model = "khepera3"\n': 'robot 1: model = "khepera3": unknown; did you mean '
+    "'khepera2'? (choices: khepera1, khepera2)",
+    HEAD
+    + ARENA
+    + ROBOT.replace("300", "30")
+    + 'model = "khepera2"\n': "robot 1 at (30, 250) overlaps the left "
+    "wall at x = 0; right is 5 mm further in",
+    HEAD + ARENA + ROBOT + "mode = 4\n": "robot 1: mode = 4: mode 4 runs a user's program from the "
+    "robot's memory, and the twin runs no machine code; right is a running mode that the twin has "
+    "(0, 1, 2, 3, 7)",
+    HEAD + ARENA + ROBOT + 'mode = "1"\n': 'robot 1: mode = "1": right is a whole number from 0 to 15',
+    HEAD
+    + ARENA
+    + ROBOT
+    + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? (choices: 5.02, 4.06, khepera2)",
+    HEAD
+    + ARENA
+    + ROBOT
+    + 'turrets = ["griper"]\n': "robot 1: turrets = ['griper']: unknown turret 'griper'; "
+    "did you mean 'gripper'? (choices: gripper)",
+    HEAD
+    + ARENA
+    + ROBOT
+    + 'turrets = ["gripper", "gripper"]\n': "robot 1: turrets = ['gripper', 'gripper']: turret 'gripper' is "
+    "named twice",
+    HEAD + ARENA + ROBOT + "battery_used_min = -1\n": "robot 1: battery_used_min = -1: right is a number "
+    "from 0 to 1000",
+    HEAD + ARENA + ROBOT + 'turrets = "gripper"\n': 'robot 1: turrets = "gripper": right is names, '
+    'such as ["gripper"]',
+    HEAD
+    + ARENA
+    + ROBOT
+    + 'calibration = ""\n': 'robot 1: calibration = "": right is the name of a calibration, or '
+    "the path of a file",
+    HEAD
+    + ARENA
+    + CARDBOARD.replace("cardboard", "white"): "surfaces white: built in; right is a name other than "
+    "white, grey, black, wood, styropor, sponge, copper, lego",
+    HEAD
+    + ARENA
+    + CARDBOARD.replace("0.6", "2.5"): "surfaces cardboard: reflectance = 2.5: right is a number from 0 to 2",
+    HEAD
+    + ARENA
+    + CARDBOARD.replace("180", "256"): "surfaces cardboard: rgb 1 = 256: right is three whole numbers "
+    "from 0 to 255",
+    HEAD
+    + ARENA
+    + CARDBOARD.replace("180, ", ""): "surfaces cardboard: rgb 3 is missing; right is three whole "
+    "numbers from 0 to 255",
+    HEAD
+    + ARENA
+    + CARDBOARD.replace("cardboard", '"card board"'): 'surfaces: "card board" is no name; right is 1 '
+    "to 64 letters, digits, '_' or '-'",
+    HEAD
+    + ARENA
+    + ROBOT.replace("300", "20"): "robot 1 at (20, 250) overlaps the left wall at x = 0; right is "
+    "7.5 mm further in",
+    HEAD
+    + ARENA
+    + ROBOT.replace("250", "480.25"): "robot 1 at (300, 480.25) overlaps the top wall at y = 500; "
+    "right is 7.8 mm further in",
+    HEAD
+    + ARENA
+    + ROBOT
+    + ROBOT.replace("300", "350"): "robot 2 at (350, 250) overlaps robot 1 at (300, 250); "
+    "right is a place clear of it",
+    HEAD
+    + ARENA
+    + BLOCK.replace("120", "290")
+    + "angle_deg = 60\n"
+    + ROBOT: "robot 1 at (300, 250) overlaps block 1 at (290, 200); right is a place clear of it",
+    HEAD
+    + ARENA
+    + LAMP.replace("50\ny_mm = 450", "330\ny_mm = 250")
+    + ROBOT: "robot 1 at (300, 250) overlaps lamp 1 at (330, 250); right is a place clear of it",
+    HEAD
+    + ARENA
+    + BLOCK
+    + 'name = "wall"\n'
+    + BLOCK.replace("120", "150")
+    + 'movable = true\nname = "box"\n': "block "
+    "2 (box) at (150, 200) overlaps block 1 (wall) at (120, 200); right is a place clear of it",
+    HEAD
+    + ARENA
+    + CYLINDER.replace("400", "595")
+    + "movable = true\n": "cylinder 1 at (595, 250) overlaps the right "
+    "wall at x = 600; right is 7.5 mm further in",
+    HEAD + ARENA + "outline_mm = [[0, 0], [600, 0]]\n": "arena: outline_mm: 2 corners; right are 3 to 200",
+    HEAD
+    + ARENA
+    + "outline_mm = [[0, 0], [700, 0], [0, 500]]\n": "arena: outline_mm 2: 700: outside width and "
+    "height; right is from 0 to 600",
+    HEAD + ARENA + "outline_mm = [[0, 0], [0, 0], [0, 500]]\n": "arena: outline_mm 1: the next one is at its "
+    "place; right is each corner once",
+    HEAD
+    + ARENA
+    + "outline_mm = [[0, 0], [600, 500], [600, 0], [0, 500]]\n": "arena: outline_mm: edges 1 and 3 "
+    "meet; right is an outline that meets itself nowhere",
+    HEAD
+    + ARENA
+    + "outline_mm = [[0, 0], [100, 0], [100, 50], [0, 50]]\n": "arena: outline_mm: 5000 mm2; right "
+    "are 10000 and more",
+    HEAD
+    + ARENA
+    + "outline_mm = [[0, 0, 0], [100, 0], [100, 50]]\n": "arena: outline_mm 1: right is corners, "
+    "such as [[0, 0], [600, 0], [300, 500]]",
+    HEAD + ARENA + TRIANGLE + ROBOT.replace("300", "500").replace("250", "400"): "robot 1 at (500, 400) is "
+    "outside the arena's outline; right is a place within it",
+    HEAD
+    + ARENA
+    + TRIANGLE
+    + ROBOT.replace("300", "100").replace("250", "390"): "robot 1 at (100, 390) overlaps "
+    "the wall after corner 2; right is a place further in",
+    HEAD
+    + ARENA
+    + "[[wall]]\npoints_mm = [[10, 10]]\n": "wall 1: points_mm: right is two points and more, such "
+    "as [[100, 100], [100, 300]]",
+    HEAD
+    + ARENA
+    + "[[wall]]\npoints_mm = [[10, 10], [10, 10]]\n": "wall 1: points_mm 1: the next one is at its "
+    "place; right is each point once",
+    HEAD
+    + ARENA
+    + WALL.replace("300, 100", "700, 100"): "wall 1: points_mm 2: 700: outside the arena; right is "
+    "from 0 to 600",
+    HEAD + ARENA + WALL + ROBOT.replace("250", "120"): "robot 1 at (300, 120) overlaps wall 1 at (200, 100); "
+    "right is a place clear of it",
+    HEAD
+    + ARENA
+    + "wall_height_mm = 14\n"
+    + ROBOT: "arena: wall_height_mm = 14: a robot drives over it at full speed; right is 15 or more",
+    HEAD
+    + ARENA
+    + "wall_height_mm = 20\n"
+    + ROBOT
+    + 'turrets = ["gripper"]\n': "arena: wall_height_mm = 20: a "
+    "robot with a turret topples over it at full speed; right is 30 or more",
+    HEAD
+    + ARENA
+    + "wall_thickness_mm = 9\n"
+    + CYLINDER
+    + "movable = true\n"
+    + ROBOT: "arena: wall_thickness_mm = 9: a robot presses movable things through it; right is 10 or more",
+    HEAD
+    + ARENA
+    + CYLINDER
+    + "movable = true\nmass_g = 4\n"
+    + ROBOT: "cylinder 1: mass_g = 4: a robot presses it through walls; right is 5 or more",
+    HEAD + ARENA + WALL + 'surface = "velvet"\n': f'wall 1: surface = "velvet": unknown; {SURFACES}',
+    HEAD
+    + ARENA
+    + "[[patch]]\nx_mm = 1\ny_mm = 1\nradius_mm = 9\nwidth_mm = 9\n": "patch 1: neither disc nor "
+    "rectangle; right is radius_mm alone, or length_mm and width_mm",
+    HEAD
+    + ARENA
+    + "[[patch]]\nx_mm = 1\ny_mm = 1\n": "patch 1: neither disc nor rectangle; right is radius_mm "
+    "alone, or length_mm and width_mm",
+    HEAD
+    + ARENA
+    + "[[spot]]\nx_mm = 1\ny_mm = 1\nheading_deg = 0\n": "spot 1: name is missing; right is 1 to "
+    "64 letters, digits, '_' or '-'",
+    HEAD
+    + ARENA
+    + SPOT.replace("250", "10"): "spot 1 (a) at (300, 10) overlaps the bottom wall at y = 0; right "
+    "is 17.5 mm further in",
+    HEAD + ARENA + SPOT + '[[robot]]\nspots = ["b"]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n': "robot 1: "
+    'spots: "b": unknown; (choices: a)',
+    HEAD + ARENA + '[[robot]]\nspots = ["b"]\n': 'robot 1: spots: "b": unknown; (choices: none)',
+    HEAD
+    + ARENA
+    + SPOT
+    + SPOT.replace("300", "100"): 'spot 2 (a): name = "a": taken by spot 1 (a); right is a name used once',
+    HEAD + ARENA + LAMP + "on_s = [[5, 2]]\n": "lamp 1: on_s = [5, 2]: right are times that rise, from 0 on",
+    HEAD
+    + ARENA
+    + LAMP
+    + "on_s = [[1, 4], [2, 5]]\n": "lamp 1: on_s = [2, 5]: right are times that rise, from 4 on",
+    HEAD
+    + ARENA
+    + LAMP
+    + "rgb = [1, 2]\n": "lamp 1: rgb 3 is missing; right is three whole numbers from 0 to 255",
+    HEAD
+    + ARENA
+    + BLOCK
+    + 'name = "a"\n'
+    + LAMP
+    + 'name = "a"\n': 'lamp 1 (a): name = "a": taken by block 1 (a); right is a name used once',
+}
+
+
+@pytest.mark.parametrize(("text", "line"), WRONG.items(), ids=range(len(WRONG)))
+def test_a_wrong_file_is_told_place_key_value_and_what_would_be_right(text: str, line: str) -> None:
+    assert f"p.toml: {line}" in lines_about(text)
+
+
+@pytest.mark.parametrize(("text", "line"), WRONG.items(), ids=range(len(WRONG)))
+def test_the_line_that_is_told_has_the_key_or_begins_the_table(text: str, line: str) -> None:
+    numbers = re.findall(r"^p\.toml:(\d+): (.*)$", "\n".join(numbered_lines_about(text)), re.MULTILINE)
+    for number, told in numbers:
+        there = text.splitlines()[int(number) - 1]
+        words = re.findall(r"\w+", told)
+        assert set(re.findall(r"\w+", there.partition("=")[0])) & set(words), (there, told)
+    # Only what is missing or wrong as a whole has no line.
+    if not numbers:
+        assert "is missing" in line or "not TOML" in line or "is no name" in line
+
+
+@pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
+def test_no_line_shows_what_the_file_is_checked_with(text: str) -> None:
+    message = "\n".join(lines_about(text))
+    assert not any(word in message for word in ("pydantic", "http", "Input", "validation", "Traceback"))
+
+
+def test_all_problems_are_told_at_once() -> None:
+    text = HEAD + ARENA.replace("600", "nan") + BLOCK.replace("50", "-50") + ROBOT + "wheels = 3\n"
+    assert len(lines_about(text)) == 3
+    text = HEAD + ARENA + ROBOT + ROBOT + ROBOT.replace("300", "5") + LAMP.replace("450", "550")
+    assert len(lines_about(text)) == 3
+
+
+def test_huge_numbers_and_deep_tables_are_refused() -> None:
+    assert lines_about(HEAD + ARENA + BLOCK.replace("120", "9" * 400)) == [
+        f"p.toml: block 1: x_mm = {'9' * 57}...: {PLACE}"
+    ]
+    assert "not TOML" in lines_about("a = " + "9" * 5000)[0]
+    assert "nested too deeply" in lines_about("a = " + "[" * 50_000)[0]
+    assert lines_about("a." * 20_000 + "a = 1") == ["p.toml: a key has more than 32 parts"]
+
+
+def test_so_many_objects_are_refused_before_they_are_compared() -> None:
+    lamps = ",".join(["{x_mm=50,y_mm=450,power_w=7}"] * (THING_LIMIT + 1))
+    (line,) = lines_about(f"lamp = [{lamps}]\n" + HEAD + ARENA)
+    assert line == "p.toml: 5001 blocks, cylinders, lamps and robots; right is up to 5000 together"
+
+
+def test_of_very_many_problems_of_a_place_only_the_first_are_told() -> None:
+    robots = ",".join(["{x_mm=300,y_mm=250,heading_deg=0}"] * 1000)
+    lines = lines_about(f"robot = [{robots}]\n" + HEAD + ARENA)
+    assert len(lines) == PROBLEM_LIMIT + 1
+    assert lines[-1] == f"p.toml: more than {PROBLEM_LIMIT} problems; the others are told once these are gone"
+
+
+# Where things may stand ----------------------------------------------------------------------------------
+
+
+def test_fixed_objects_may_cross_each_other_and_the_walls() -> None:
+    assert len(parse(BLOCK, BLOCK + "angle_deg = 90\n", CYLINDER.replace("400", "599")).blocks) == 2
+
+
+def test_a_robot_may_touch_a_wall_and_another_robot() -> None:
+    beside = ROBOT.replace("x_mm = 300", "x_mm = 27.5")
+    assert len(parse(beside, beside.replace("27.5", "82.5")).robots) == 2
+
+
+def test_a_robot_fits_beside_the_corner_of_a_turned_block() -> None:
+    # A square of 40 mm on its corner reaches 28.28 mm, plus 27.5 mm of the robot.
+    square = (
+        "[[block]]\nx_mm = 200\ny_mm = 250\nlength_mm = 40\nwidth_mm = 40\nheight_mm = 50\nangle_deg = 45\n"
+    )
+    assert parse(square, ROBOT.replace("300", "255.8"))
+    with pytest.raises(PlaypenError):
+        parse(square, ROBOT.replace("300", "255.7"))
+
+
+def test_a_robot_may_start_below_a_lamp_that_hangs_high() -> None:
+    lamp = LAMP.replace("50\ny_mm = 450", "300\ny_mm = 250")
+    assert parse(lamp + "z_mm = 40\n", ROBOT)
+    with pytest.raises(PlaypenError):
+        parse(lamp + "z_mm = 39\n", ROBOT)
+
+
+# Files ---------------------------------------------------------------------------------------------------
+
+
+def test_a_playpen_loads_by_path(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(HEAD + ARENA)
+    assert playpens.load(file) == playpens.load(str(file)) == parse()
+
+
+def test_a_missing_file_is_told_with_what_ships(tmp_path: Path) -> None:
+    with pytest.raises(
+        PlaypenError, match=r"^defualt: no such file; .*did you mean 'default'\? \(choices: default,"
+    ):
+        playpens.load("defualt")
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"\xff\xfe", "byte 0 is no UTF-8 text"),
+        (b"#" * (2**20 + 1), "larger than 1048576 bytes, the most that is read"),
+    ],
+)
+def test_what_is_no_text_of_a_sensible_size_is_refused(tmp_path: Path, content: bytes, line: str) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_bytes(content)
+    with pytest.raises(PlaypenError) as caught:
+        playpens.load(file)
+    assert str(caught.value) == f"{file}: {line}"
+
+
+def test_a_folder_and_an_impossible_path_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(PlaypenError, match="cannot be read: Is a directory"):
+        playpens.load(tmp_path)
+    with pytest.raises(PlaypenError, match="cannot be read"):
+        playpens.load("a\0b")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
+def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
+    locked = tmp_path / "locked.toml"
+    locked.touch(mode=0)
+    with pytest.raises(PlaypenError, match="cannot be read: Permission denied"):
+        playpens.load(locked)
+
+
+# There and back ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", playpens.names())
+def test_a_shipped_playpen_survives_its_dump(name: str) -> None:
+    playpen = playpens.load(name)
+    text = playpens.dump(playpen)
+    assert playpens.parse(text, "dump") == playpen
+    assert playpens.dump(playpens.parse(text, "dump")) == text
+
+
+def test_a_dump_can_be_given_more_by_hand() -> None:
+    assert len(playpens.parse(playpens.dump(parse(ROBOT)) + LAMP, "dump").lamps) == 1
+
+
+places = st.floats(0, 500, allow_nan=False)
+sizes = st.floats(1, 400, allow_nan=False)
+object_names = st.none() | st.from_regex(r"[A-Za-z0-9_-]{1,64}", fullmatch=True)
+surfaces = st.sampled_from(["white", "grey", "black", "lego"])
+angles = st.floats(-360, 360)
+blocks = st.builds(
+    Block,
+    x_mm=places,
+    y_mm=places,
+    angle_deg=angles,
+    length_mm=sizes,
+    width_mm=sizes,
+    height_mm=sizes,
+    surface=surfaces,
+    mass_g=sizes,
+)
+cylinders = st.builds(Cylinder, x_mm=places, y_mm=places, radius_mm=sizes, height_mm=sizes, surface=surfaces)
+lamps = st.builds(Lamp, x_mm=places, y_mm=places, z_mm=st.floats(41, 1000), power_w=st.floats(0, 1000))
+robots = st.builds(
+    Robot,
+    name=object_names,
+    x_mm=st.floats(30, 470),
+    y_mm=st.floats(30, 470),
+    heading_deg=angles,
+    calibration=st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20),
+    mode=st.integers(1, 3),
+    rom=st.sampled_from(["5.02", "4.06"]),
+)
+
+
+@settings(derandomize=True, database=None, max_examples=60, deadline=None)
+@given(
+    st.lists(blocks, max_size=3).map(tuple),
+    st.lists(cylinders, max_size=3).map(tuple),
+    st.lists(lamps, max_size=3).map(tuple),
+    robots,
+)
+def test_any_playpen_survives_its_dump(
+    blocks: tuple[Block, ...], cylinders: tuple[Cylinder, ...], lamps: tuple[Lamp, ...], robot: Robot
+) -> None:
+    base = parse()
+    for parts in (
+        {"blocks": blocks, "cylinders": cylinders, "lamps": lamps},
+        {"robots": (robot,), "lamps": lamps},
+    ):
+        playpen = base.model_copy(update=parts)
+        assert playpens.parse(playpens.dump(playpen), "dump") == playpen
+
+
+KEYS = [
+    *Playpen.model_fields,
+    *Block.model_fields,
+    *Robot.model_fields,
+    *TABLES,
+    "width_mm",
+    "reflectance",
+    "rgb",
+    "mode",
+    "a.b",
+    '"',
+]
+values = st.one_of(
+    st.integers().map(str),
+    st.floats().map(repr),
+    st.sampled_from(
+        ["true", '"all"', "[]", "[1, 2]", "{}", "{x_mm = 1}", "1979-05-27", "'", '"\\u0000"', "[[[]]]"]
+    ),
+)
+settings_of_keys = st.tuples(st.sampled_from(KEYS), values).map(" = ".join)
+headers = st.sampled_from(
+    ["[arena]", "[lighting]", "[surfaces]", "[surfaces.x]", "[[block]]", "[[robot]]", "[block]"]
+)
+lines = st.one_of(
+    settings_of_keys, headers, st.sampled_from([HEAD, ARENA, BLOCK, ROBOT]), st.text(max_size=20)
+)
+
+
+@settings(derandomize=True, database=None, max_examples=300, deadline=None)
+@given(st.lists(lines, max_size=8).map("\n".join))
+def test_any_text_is_a_playpen_or_is_refused_as_one(text: str) -> None:
+    told: list[str] = []
+    try:
+        playpen = playpens.parse(text, "p.toml")
+        assert playpens.parse(playpens.dump(playpen), "dump") == playpen
+    except PlaypenError as error:
+        told = str(error).splitlines()
+    assert all(re.match(r"p\.toml:(\d+:)? ", line) for line in told)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line"),
+    [
+        ("version = 1", "version = 0x" + "9" * 5000, "version = a number of thousands of digits: right is 1"),
+        (
+            "[arena]",
+            "[lighting]\nmode = 0x" + "9" * 5000 + "\n[arena]",
+            "lighting: mode = a number of thousands of digits: unknown; (choices: all, random, sequenced)",
+        ),
+    ],
+)
+def test_a_number_too_long_to_write_out_is_told(before: str, after: str, line: str) -> None:
+    text = 'version = 1\nname = "x"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
+    with pytest.raises(PlaypenError) as caught:
+        playpens.parse(text.replace(before, after), "x")
+    assert re.sub(r"^x:\d+:", "x:", str(caught.value)) == f"x: {line}"
+
+
+def test_nesting_of_any_depth_is_an_error_of_ours() -> None:
+    for depth in range(440, 500):
+        for head in ("", "[" + ".".join("a" * 31) + "]\n"):
+            with pytest.raises(PlaypenError):
+                playpens.parse(f"{head}b = {'[' * depth}{']' * depth}\n", "x")
+
+
+# Spots ---------------------------------------------------------------------------------------------------
+
+TWO_SPOTS = SPOT + SPOT.replace('"a"', '"b"').replace("300", "100")
+
+
+def drawn(text: str, seed: int) -> list[float]:
+    playpen = playpens.placed(parse(text), np.random.default_rng(seed))
+    assert not any(robot.spots for robot in playpen.robots)
+    return [robot.x_mm for robot in playpen.robots]
+
+
+def test_a_robot_stands_at_one_of_its_spots_by_the_seed() -> None:
+    places = [drawn(TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n', seed) for seed in range(20)]
+    assert {x for (x,) in places} == {100, 300}
+    assert places[0] == drawn(TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n', 0)
+
+
+def test_robots_that_share_spots_always_find_room_where_there_is() -> None:
+    text = TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n[[robot]]\nspots = ["a"]\n'
+    assert all(drawn(text, seed) == [100, 300] for seed in range(20))
+
+
+@pytest.mark.parametrize(
+    "robots",
+    ['[[robot]]\nspots = ["a"]\n[[robot]]\nspots = ["a"]\n', '[[robot]]\nspots = ["a"]\n' + ROBOT],
+)
+def test_too_few_spots_are_told(robots: str) -> None:
+    (line,) = lines_about(HEAD + ARENA + SPOT + robots)
+    assert line == (
+        "p.toml: robots: there is not a spot for each of them, clear of the others; right is a spot more"
+    )
+
+
+def test_a_spot_has_room_for_the_largest_robot_that_may_stand_there() -> None:
+    text = SPOT.replace("300", "30")
+    assert parse(text, '[[robot]]\nspots = ["a"]\n')
+    robots = '[[robot]]\nspots = ["a"]\nturrets = ["gripper"]\n[[robot]]\nspots = ["a"]\n'
+    assert any(
+        "spot 1 (a) at (30, 250) overlaps the left wall" in line
+        for line in lines_about(HEAD + ARENA + text + robots)
+    )
+
+
+def test_a_wall_thicker_than_a_notch_is_refused() -> None:
+    corners = "[0, 0], [600, 0], [600, 500], [204, 500], [204, 300], [200, 300], [200, 500], [0, 500]"
+    notch = f"outline_mm = [{corners}]\n"
+    lines = lines_about(HEAD + ARENA + notch)
+    assert any("is thicker than the room behind it" in line for line in lines)
+    assert parse(arena=ARENA + notch + "wall_thickness_mm = 1\n")
+
+
+# For editors ---------------------------------------------------------------------------------------------
+
+
+def test_the_published_schema_is_that_of_the_format() -> None:
+    published = Path(__file__).parents[2] / "docs" / "playpen.schema.json"
+    assert json.loads(published.read_text()) == playpens.schema(), (
+        "run `khep-twin playpen schema -o docs/...`"
+    )
+
+
+def test_the_schema_names_every_table_and_its_limits() -> None:
+    schema = playpens.schema()
+    tables = {field.alias or name for name, field in Playpen.model_fields.items()}
+    assert set(schema["properties"]) == tables
+    arena = schema["$defs"]["Arena"]
+    assert arena["additionalProperties"] is False
+    width = arena["properties"]["width_mm"]
+    assert (width["minimum"], width["maximum"]) == (100, 10_000)

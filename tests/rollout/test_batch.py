@@ -1,0 +1,229 @@
+"""Batches: the same as single lives, with any number of threads, and one that fails harms no other."""
+
+import importlib.util
+import math
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.errors import ControllerError
+from khep_twin.playpen import Lamp
+from khep_twin.rollout import batch
+from khep_twin.rollout.batch import Lives, rollout
+from khep_twin.rollout.life import NUMBERS, Ground, Life
+from khep_twin.rollout.minds import Function, Hold, Network, Policy, Wander
+
+HAS_NUMBA = importlib.util.find_spec("numba") is not None
+with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
+KINDS = [pytest.param(False, id="plain"), pytest.param(True, id="compiled", marks=with_numba)]
+
+SCENE = playpen.load("obstacles")
+NETWORK = Network(hidden=(4,), recurrent=True, ambient=True)
+N = 6
+SECONDS = 1.0
+CHANCE = np.random.default_rng(5)
+GENES = CHANCE.normal(size=(N, NETWORK.n_genes))
+STARTS = [(120.0, 290.0, 25.0), *((350.0 + 10 * i, 300.0, 60.0 * i) for i in range(N - 1))]
+LAMPS = [
+    tuple(lamp.model_copy(update={"x_mm": 700.0 - 20 * i, "blink_period_s": 0.1 * i}) for lamp in SCENE.lamps)
+    for i in range(N)
+]
+
+
+def batch_of(compiled: bool, **options: Any) -> Lives:
+    found = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "spread": True, "compiled": compiled}
+    return rollout(SCENE, NETWORK, range(N), SECONDS, **(found | options))
+
+
+def same(one: Lives, other: Lives) -> bool:
+    numbers = all(one.numbers[name].tobytes() == other.numbers[name].tobytes() for name in NUMBERS)
+    return numbers and bool((one.registers == other.registers).all() and (one.poses == other.poses).all())
+
+
+@with_numba
+def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_lives() -> None:
+    first = batch_of(True, threads=1)
+    assert same(first, batch_of(True, threads=2))
+    assert same(first, batch_of(True, threads=5))
+    assert same(first, batch_of(False))
+    assert len(set(first.numbers["distance_m"].tolist())) == N
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_each_life_of_a_batch_is_a_single_life(compiled: bool) -> None:
+    found = batch_of(compiled, threads=2)
+    ground = Ground(SCENE)
+    for index in (0, 3):
+        life = Life(ground, NETWORK, compiled=compiled)
+        light = ground.lit(LAMPS[index])
+        life.begin(index, start=STARTS[index], spread=True, light=light, genes=GENES[index])
+        life.live(SECONDS)
+        assert found.registers[index].tolist() == life.registers.tolist()
+        assert tuple(found.poses[index].tolist()) == life.pose
+        assert found.numbers["obstacle_avoidance"][index] == life.numbers()["obstacle_avoidance"]
+
+
+def along(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+    return 10 - proximity[3] / 100, 10 - proximity[2] / 100
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_a_policy_asked_about_many_drives_as_a_function_asked_about_each(compiled: bool) -> None:
+    def many(proximity: Any, ambient: Any, which: Any) -> Any:
+        assert proximity.shape == ambient.shape == (len(which), 8)
+        return np.stack([10 - proximity[:, 3] / 100, 10 - proximity[:, 2] / 100], axis=1)
+
+    options: dict[str, Any] = {"starts": STARTS, "compiled": compiled, "threads": 2}
+    by_function = rollout(SCENE, Function(along), range(N), SECONDS, **options)
+    assert same(by_function, rollout(SCENE, Policy(many), range(N), SECONDS, **options))
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_one_that_fails_is_told_by_seed_and_step_and_harms_no_other(compiled: bool) -> None:
+    genes = np.array([[5.0, 1.0], [5.0, 0.0], [5.0, 2.0]])
+
+    def divide(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+        memory[0] += 1
+        return (float(genes[0]) / float(genes[1]) if memory[0] > 5 else 5.0), 5.0
+
+    divides = Function(divide, n_memory=1)
+    options: dict[str, Any] = {"compiled": compiled, "threads": 2}
+    found = rollout(SCENE, divides, [11, 12, 13], 0.2, genes=genes, **options)
+    (failure,) = found.failures
+    assert (failure.index, failure.seed, failure.step) == (1, 12, 40)
+    assert "no number" in failure.reason
+    assert np.isnan(found.numbers["distance_m"]).tolist() == [False, True, False]
+    without = rollout(SCENE, divides, [11, 13], 0.2, genes=genes[::2], **options)
+    assert (found.registers[::2] == without.registers).all()
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_physics_that_fail_in_several_threads_at_once_harm_no_other(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Thrown(Life):
+        def begin(self, seed: int = 0, **more: Any) -> None:
+            super().begin(seed, **more)
+            if seed % 2:
+                self._data.qvel[0] = np.nan if seed % 4 == 1 else 1e200
+
+    monkeypatch.setattr(batch, "Life", Thrown)
+    found = rollout(SCENE, Wander(), range(12), 0.1, threads=4, compiled=compiled)
+    assert [failure.seed for failure in found.failures] == [1, 3, 5, 7, 9, 11]
+    assert {failure.step for failure in found.failures} == {4}  # it is looked at every tick
+    even = rollout(SCENE, Wander(), range(0, 12, 2), 0.1, compiled=compiled)
+    assert (found.registers[::2] == even.registers).all()
+
+
+def test_memory_does_not_grow_with_the_number_of_lives(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Life] = []
+
+    class Counted(Life):
+        def __init__(self, *given: Any, **more: Any) -> None:
+            super().__init__(*given, **more)
+            made.append(self)
+
+    monkeypatch.setattr(batch, "Life", Counted)
+    peaks = []
+    for count in (10, 40):
+        tracemalloc.start()
+        rollout(SCENE, Wander(), range(count), 0.02, compiled=False)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert len(made) == 2
+    assert peaks[1] - peaks[0] < 30 * 5000
+
+
+def test_what_does_not_fit_is_refused_before_anything_lives() -> None:
+    with pytest.raises(ValueError, match="5 genes for 6 seeds; right are as many"):
+        batch_of(False, genes=GENES[:5])
+    with pytest.raises(ValueError, match="genes are of shape"):
+        batch_of(False, genes=np.full((N, 2), np.nan))
+    with pytest.raises(ValueError, match=r"no genes for Network.*; right are \(6, "):
+        batch_of(False, genes=None)
+    with pytest.raises(ControllerError, match=r"2 genes for Network.*; right are "):
+        batch_of(False, genes=np.zeros((N, 2)))
+    with pytest.raises(ValueError, match=r"0.03 s is no whole number of control periods of 20 ms"):
+        rollout(SCENE, Wander(), [1], 0.03, compiled=False)
+    with pytest.raises(ValueError, match=r"the policy gave speeds of shape \(2,\)"):
+        rollout(SCENE, Policy(lambda proximity, ambient, which: np.zeros(2)), [1], 0.02, compiled=False)
+
+
+@with_numba
+def test_a_function_that_numba_cannot_compile_is_told_by_name() -> None:
+    def odd(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+        return open("x").fileno(), 0.0
+
+    with pytest.raises(
+        ControllerError, match=r"odd: numba cannot compile it: .*open.*; right is a function of"
+    ):
+        rollout(SCENE, Function(odd), [1], 0.02, compiled=True)
+
+
+def beyond(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+    return memory[len(memory)], 1.0
+
+
+@with_numba
+@pytest.mark.parametrize("njit", [False, True])
+def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_lies_there(njit: bool) -> None:
+    decide = beyond
+    if njit:
+        import numba  # pyright: ignore[reportMissingTypeStubs]
+
+        decide = numba.njit(beyond)  # pyright: ignore
+    lives = rollout(SCENE, Function(decide), range(2), 0.04, compiled=True)
+    assert [failure.step for failure in lives.failures] == [0, 0]
+    assert lives.failures[0].reason.endswith(
+        "the controller gave a speed that is no number, or raised an error"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"starts": [(60.0, 250.0)]}, r"starts\[0\] = \(60.0, 250.0\): right are x, y \[mm\] and heading"),
+        ({"starts": [(60.0, math.nan, 0.0)]}, r"starts\[0\] = .*, 3 finite numbers"),
+        ({"starts": ["60"]}, r"starts\[0\] = '60': right are"),
+        ({"home": (60.0, 250.0, 50.0)}, "home = .*, 4 finite numbers"),
+        ({"home": (60.0, 250.0, -50.0, 20.0)}, "home = .*: right are a radius and a charge above 0"),
+        ({"lamps": [Lamp(x_mm=60, y_mm=60, power_w=1)]}, r"lamps\[0\] is one lamp"),
+    ],
+)
+def test_what_lives_begin_with_is_checked_before_anything_lives(options: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        rollout(SCENE, Wander(), [1], 0.02, compiled=False, **options)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
+def test_a_time_that_is_none_is_refused(seconds: float) -> None:
+    with pytest.raises(ValueError, match="right is a time from 0"):
+        rollout(SCENE, Wander(), [1], seconds, compiled=False)
+
+
+def test_what_is_no_driver_or_no_playpen_is_told_so() -> None:
+    with pytest.raises(ControllerError, match=r"drives nothing; right is a Hold, Wander, Network"):
+        rollout(SCENE, along, [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"playpen = 'obstacles': right is a Playpen"):
+        rollout("obstacles", Wander(), [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"the policy gave what are no speeds: .*right is an array \(1, 2\)"):
+        rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
+
+
+def test_ground_that_is_made_ready_takes_no_other_step_period_or_plane() -> None:
+    ground = Ground(SCENE)
+    for options in ({"step_ns": 5_000_000}, {"period_ns": 40_000_000}, {"planar": True}):
+        with pytest.raises(ValueError, match="the ground has its own step and period"):
+            rollout(ground, Wander(), [1], 0.04, compiled=False, **options)
+    flat = Ground(SCENE, planar=True, period_ns=40_000_000)
+    assert not rollout(flat, Wander(), [1], 0.04, compiled=False, planar=True).failures
+    with pytest.raises(TypeError):
+        Ground(SCENE, step_ns=5e6)  # type: ignore[arg-type]
+
+
+def test_constant_speeds_that_are_no_numbers_fail() -> None:
+    lives = rollout(SCENE, Hold(math.nan, 1), [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    assert "no number" in lives.failures[0].reason

@@ -1,0 +1,302 @@
+"""Lives without a serial line: the same, bit for bit, as in the world, plain and compiled."""
+
+import importlib.util
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen, rollout
+from khep_twin.board import kernel
+from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, Wheel
+from khep_twin.errors import DivergedError, MissingExtraError, PlaypenError
+from khep_twin.playpen import Playpen
+from khep_twin.rollout import life as lives
+from khep_twin.rollout.life import Ground, Life
+from khep_twin.rollout.minds import Function, Hold, Network, Wander
+from khep_twin.units import COUNTS_LIMIT
+from khep_twin.world import World
+
+HAS_NUMBA = importlib.util.find_spec("numba") is not None
+with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
+KINDS = [pytest.param(False, id="plain"), pytest.param(True, id="compiled", marks=with_numba)]
+
+SHADOWS = """
+[[lamp]]
+x_mm = 620
+y_mm = 80
+power_w = 9
+blink_period_s = 0.7
+fade_s = 0.2
+"""
+
+
+def arena(more: str = "", **robot: object) -> Playpen:
+    """The shipped obstacles, with more."""
+    text = playpen.dump(playpen.load("obstacles")) + more
+    found = playpen.parse(text, "arena")
+    return found.model_copy(update={"robots": (found.robots[0].model_copy(update=robot),)})
+
+
+def wandering(scene: Playpen, seconds: float, **options: Any) -> World:
+    """A world in which the ROM's vehicle is told its speeds every 20 ms by a line that costs no time."""
+    world = World(scene, **options)
+    cells = world.robots[0].registers.data
+    for period in range(round(seconds * 50)):
+        if world.robots[0].firmware.powered:
+            kernel.wander(cells)
+        world.advance_to((period + 1) * 20_000_000)
+    return world
+
+
+def lived(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **options: Any) -> Life:
+    life = Life(Ground(scene), driver or Wander(), compiled=compiled)
+    life.begin(**options)
+    life.live(seconds)
+    return life
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+@pytest.mark.parametrize(
+    ("scene", "options"),
+    [
+        pytest.param(arena(), {"seed": 1}, id="mixed surfaces"),
+        pytest.param(arena(SHADOWS), {"seed": 2, "spread": True}, id="a lamp that blinks and fades"),
+        pytest.param(arena(SHADOWS), {"noise": False}, id="without noise"),
+        pytest.param(arena(model="khepera2", calibration="khepera2", rom="khepera2"), {}, id="khepera2"),
+        pytest.param(arena(battery_used_min=41.3), {"seed": 3}, id="cells that run out"),
+        pytest.param(playpen.load("two-lamps"), {"seed": 4}, id="two lamps"),
+        pytest.param(playpen.load("light-seeking"), {"seed": 5}, id="light seeking"),
+    ],
+)
+def test_a_life_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, Any], compiled: bool) -> None:
+    world, life = wandering(scene, 4.0, **options), lived(scene, 4.0, compiled, **options)
+    assert life.registers.tolist() == world.robots[0].registers.tolist()
+    assert life.joints.tobytes() == world.data.qpos.tobytes()
+    assert life.pose == world.robots[0].pose
+
+
+@with_numba
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_khepera_2_never_reads_0_without_a_line_plain_and_compiled(planar: bool) -> None:
+    ground = Ground(arena(model="khepera2", calibration="khepera2"), planar=planar)
+    lowest: list[list[int]] = []
+    for compiled in (False, True):
+        life = Life(ground, Wander(), compiled=compiled)
+        life.begin(3)
+        lowest.append([])
+        for _ in range(100):
+            life.live(0.02)
+            lowest[-1].append(min(life.registers[PROXIMITY].tolist()))
+    assert lowest[0] == lowest[1]
+    assert min(lowest[0]) == 4
+
+
+@with_numba
+def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
+    from khep_twin.rollout import compiled_casting
+    from khep_twin.sensing.raycast import scene_of
+    from khep_twin.sensors import proximity_optics
+
+    world = World(
+        arena("[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n")
+    )
+    model, data, prefix = world.model, world.data, "khepera0/"
+    plain, fast = scene_of(model, data, prefix), compiled_casting.scene_of(model, data, prefix)
+    near = proximity_optics(model, prefix, Ground(arena()).calibration)
+    from khep_twin.rollout.life import _as_arrays as as_arrays
+
+    arrays = as_arrays(near)
+    world.robots[0].send(b"D,9,4\n")
+    near_ones = 0
+    for step in range(3000):
+        world.advance_to((step + 1) * 2_500_000)
+        channel = step % 8
+        expected = plain.rays[channel].tolist()
+        assert compiled_casting.rays(fast, arrays, channel, 1.0, arrays.found) == len(expected)
+        assert arrays.found.tolist() == expected
+        # With a threshold it may see nothing, but never where something could be near enough.
+        if not compiled_casting.rays(fast, arrays, channel, -near.threshold[channel], arrays.found):
+            shortest = min((length for length in expected[::4] if length >= 0), default=np.inf)
+            reach = np.sqrt(near.gain[channel] * near.brightest / near.threshold[channel])
+            assert shortest + near.offset[channel] >= reach
+        else:
+            near_ones += 1
+    assert 100 < near_ones < 2500
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_room_that_was_used_before_leaves_no_trace(compiled: bool) -> None:
+    life = Life(Ground(arena()), Wander(), compiled=compiled)
+    found: list[bytes] = []
+    for seed in (1, 2, 1):
+        life.begin(seed, start=(400.0, 290.0, 10.0 * seed))
+        life.live(1.0)
+        found.append(life.registers.tobytes() + life.joints.tobytes())
+    assert found[0] == found[2] != found[1]
+
+
+@with_numba
+@pytest.mark.parametrize("step_ns", [5_000_000, 10_000_000])
+def test_coarser_steps_convert_in_the_same_order_plain_and_compiled_alike(step_ns: int) -> None:
+    # The plain one reads the rangefinders, whose turns are MuJoCo's; the compiled one casts when it converts.
+    both = [Life(Ground(arena(), step_ns=step_ns), Wander(), compiled=each) for each in (False, True)]
+    seen: set[int] = set()
+    for life in both:
+        life.begin(2, start=(330.0, 300.0, 0.0))
+    for _ in range(150):
+        for life in both:
+            life.live(0.02)
+        assert both[0].registers.tolist() == both[1].registers.tolist()
+        seen |= set(np.flatnonzero(both[0].registers[PROXIMITY] > 300).tolist())
+    assert both[0].joints.tobytes() == both[1].joints.tobytes()
+    assert len(seen) >= 5
+
+
+def test_coarser_steps_go_about_the_same_way() -> None:
+    ends: list[tuple[float, float, float]] = []
+    for step_ns in (2_500_000, 5_000_000, 10_000_000):
+        life = Life(Ground(playpen.load("default"), step_ns=step_ns), Hold(8, 6), compiled=False)
+        life.begin(noise=False)
+        life.live(6.0)
+        ends.append(life.pose)
+    for end, places, turned in zip(ends[1:], (0.002, 0.004), (0.011, 0.015), strict=True):
+        assert end[:2] == pytest.approx(ends[0][:2], abs=places)
+        assert end[2] == pytest.approx(ends[0][2], abs=turned)
+
+
+def test_a_step_that_divides_no_tick_is_refused_with_the_choices() -> None:
+    with pytest.raises(ValueError, match=r"3 ms .* 10 ms .* right is one of 2.5, 5, 10 ms"):
+        Ground(arena(), step_ns=3_000_000)
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_a_network_reads_registers_and_sets_speeds(compiled: bool) -> None:
+    # Only biases: the outputs are the same whatever the sensors say.
+    network = Network(top_speed=20)
+    genes = np.zeros(network.n_genes)
+    genes[0], genes[9] = np.arctanh(0.5), np.arctanh(-0.25)
+    life = lived(arena(), 0.2, compiled, network, genes=genes)
+    assert life.registers[SETPOINTS].tolist() == [10, -5]
+    # And only one weight: left 90 drives the right wheel.
+    genes[:] = 0
+    genes[10] = 3.0
+    life = lived(arena(x_mm=44.0, y_mm=290.0, heading_deg=90.0), 0.2, compiled, network, genes=genes)
+    seen = life.registers[PROXIMITY[0]] / COUNTS_LIMIT
+    assert seen > 0.1
+    assert life.registers[SETPOINTS[0]] == 0
+    assert life.registers[SETPOINTS[1]] == pytest.approx(20 * np.tanh(3 * seen), abs=3)
+
+
+def steer(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+    memory[0] += 1
+    return genes[0] + memory[0], -200.0 + ambient[0] * 0 + proximity[0] * 0
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_a_function_has_memory_and_genes_and_its_speeds_are_cut_as_by_the_board(compiled: bool) -> None:
+    life = lived(arena(), 0.1, compiled, Function(steer, n_memory=1), genes=[2.5])
+    assert life.registers[SETPOINTS].tolist() == [round(2.5 + 5), -127]
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_a_controller_that_gives_no_number_ends_its_life(compiled: bool) -> None:
+    life = Life(
+        Ground(arena()),
+        Function(lambda proximity, ambient, memory, genes: (genes[0] / 0.5, 1.0)),
+        compiled=compiled,
+    )
+    life.begin(7, genes=[1.0])
+    life.live(0.02)
+    life.begin(7, genes=[np.inf])
+    with pytest.raises(DivergedError, match=r"seed 7 failed at 0\.0000 s, step 0: .* no number"):
+        life.live(0.02)
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_physics_out_of_bounds_end_a_life_by_step_and_leave_the_next_alone(compiled: bool) -> None:
+    life = Life(Ground(arena()), Wander(), compiled=compiled)
+    life.begin(1)
+    life.live(0.2)
+    life._data.qvel[0] = 1e9
+    with pytest.raises(DivergedError, match=r"seed 1 failed at 0\.2\d+ s, step \d+: "):
+        life.live(0.2)
+    life.begin(1)
+    life.live(0.2)
+    assert life.steps == 80
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_life_ends_its_homing_with_its_charge(compiled: bool) -> None:
+    # Far from home the charge of 0.1 s is used up in five control periods; at home it is always full.
+    def homing(home: tuple[float, float, float, float]) -> float:
+        return lived(arena(), 0.4, compiled, Hold(10, 10), noise=False, home=home).numbers()["homing"]
+
+    assert homing((0.7, 0.5, 0.05, 0.1)) == pytest.approx(0.5 * 5 / 20, abs=0.02)
+    assert homing((0.12, 0.29, 0.2, 0.1)) == 0
+    assert np.isnan(homing((0.0, 0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> None:
+    def ways(left: int, right: int) -> tuple[float, float]:
+        free = playpen.load("default")
+        life = lived(free, 1.0, compiled, Hold(left, right), noise=False, start=(300.0, 250.0, 130.0))
+        numbers = life.numbers()
+        return numbers["forward_m"], numbers["distance_m"]
+
+    forwards, way = ways(5, 5)
+    assert forwards == pytest.approx(way, rel=1e-6) == pytest.approx(0.04, rel=0.1)
+    assert ways(-5, -5)[0] == pytest.approx(-forwards, rel=0.02)
+    # Along an arc it is the arc; on the spot it is nothing.
+    assert ways(4, 6)[0] == pytest.approx(ways(4, 6)[1], rel=1e-3)
+    assert abs(ways(-5, 5)[0]) < 0.002
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"robots": ()}, "has 0 robots; right is one"),
+        ({"lighting": playpen.Lighting(mode="random")}, "mode = 'random'; right is 'all'"),
+    ],
+)
+def test_what_lives_cannot_have_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(PlaypenError, match=message):
+        Ground(arena().model_copy(update=change))
+    with pytest.raises(PlaypenError, match=r"turrets = \['gripper'\]; right are none"):
+        Ground(playpen.load("gripper"))
+
+
+def test_without_numba_lives_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.warns(
+        lives.SlowerWarning, match=r"with the same results; .* -m pip install 'numba<1,>=0.61'$"
+    ):
+        life = Life(Ground(arena()), Wander())
+    life.begin()
+    life.live(0.02)
+    assert life.steps == 8
+
+
+def test_compiled_without_numba_is_one_line_that_tells_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delattr(rollout, "compiled", raising=False)
+    monkeypatch.setitem(sys.modules, "khep_twin.rollout.compiled", None)
+    with pytest.raises(MissingExtraError, match=r"^numba is not installed; .* pip install 'numba<1,>=0.61'$"):
+        Life(Ground(arena()), compiled=True)
+
+
+def test_the_demo_of_the_rom_drives_by_itself() -> None:
+    life = lived(arena(mode=0), 0.5, False, Hold())
+    assert life.registers[LEFT + Wheel.POSITION] > 100
+    assert life.registers[Board.SCAN] == 0
+    assert (life.registers[AMBIENT] > 0).all()
+
+
+def test_a_life_that_has_not_begun_says_so() -> None:
+    life = Life(Ground(arena()), Wander(), compiled=False)
+    for deed in (lambda: life.live(0.02), life.numbers, lambda: life.drive(1, 1)):
+        with pytest.raises(ValueError, match=r"no life has begun; right is begin\(\) first"):
+            deed()

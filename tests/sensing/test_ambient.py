@@ -1,0 +1,138 @@
+"""Light at a robot's receivers: closed form, shadows with soft edges, and the toolbox's law."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.board.kernel import AMBIENT
+from khep_twin.sensing import calibration, optics
+from khep_twin.sensing.ambient import ambient_optics, bulbs
+from khep_twin.sensing.occlusion import SightLines
+from khep_twin.units import BULB_RADIUS, SENSOR_HEIGHT, SENSOR_POSITIONS
+from khep_twin.world import World
+
+KHEPERA1 = calibration.read("khepera1")[0].ambient
+RECEIVERS = ambient_optics(KHEPERA1)
+LIGHTING = playpen.Lighting(law="toolbox", min_angle_deg=20, max_angle_deg=80)
+DARK = round(KHEPERA1.dark_counts)
+LAMP = "[[lamp]]\nx_mm = 700\ny_mm = 250\npower_w = 7\n"
+SCREEN = "[[block]]\nx_mm = 400\ny_mm = 250\nlength_mm = 5\nwidth_mm = 400\nheight_mm = 100\n"
+LEFT_10 = 2
+
+
+def scene(*tables: str, heading_deg: float = 0) -> str:
+    head = 'version = 1\nname = "scene"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
+    robot = f"[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = {heading_deg}\n"
+    return head + robot + "\n".join(tables)
+
+
+def counts(text: str) -> np.ndarray:
+    """What a quiet robot that stands still reads."""
+    return World(playpen.parse(text, "scene"), noise=False).robots[0].registers[AMBIENT]
+
+
+def test_light_falls_with_the_square_of_the_distance() -> None:
+    near, far = (optics.received(RECEIVERS, LEFT_10, distance, 1.0) for distance in (0.2, 0.4))
+    assert near == pytest.approx(KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
+    assert near == pytest.approx(4 * far)
+
+
+def test_off_the_axis_a_lobe_and_a_diffuse_part_are_left() -> None:
+    ahead, aside, behind = (optics.received(RECEIVERS, LEFT_10, 0.2, cosine) for cosine in (1.0, 0.5, -1.0))
+    part, exponent = KHEPERA1.diffuse, KHEPERA1.lobe_exponent[LEFT_10]
+    assert aside / ahead == pytest.approx((1 - part) * 0.5**exponent + part * 0.75)
+    assert behind == 0
+
+
+@pytest.mark.parametrize(("angle_deg", "left"), [(0, 1), (19, 1), (40, math.cos(math.radians(45))), (81, 0)])
+def test_the_toolboxs_law_loses_nothing_up_to_an_angle_and_all_beyond_another(
+    angle_deg: float, left: float
+) -> None:
+    cosine = math.cos(math.radians(angle_deg))
+    world = World(playpen.parse(scene(), "scene"))
+    lamps = bulbs(SightLines(world.model, "khepera0/", []), LIGHTING)
+    found = optics.received_by_toolbox(RECEIVERS, lamps, LEFT_10, 0.2, cosine)
+    assert found == pytest.approx(left * KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
+
+
+def test_a_lamp_ahead_is_seen_ahead() -> None:
+    readings = counts(scene(LAMP))
+    assert readings[2:4].max() < 400
+    assert (readings[6:] == DARK).all()
+
+
+def test_a_scene_gives_what_the_law_says() -> None:
+    x, y = SENSOR_POSITIONS[LEFT_10]
+    way = np.array([0.4 - x, -y, 0.015 - SENSOR_HEIGHT])
+    distance = float(np.linalg.norm(way))
+    heading = math.radians(KHEPERA1.heading_deg[LEFT_10])
+    cosine = float(way @ [math.cos(heading), math.sin(heading), 0]) / distance
+    light = 7 * optics.received(RECEIVERS, LEFT_10, distance, cosine)
+    assert counts(scene(LAMP))[LEFT_10] == pytest.approx(DARK - light, abs=1)
+
+
+def test_behind_a_wall_it_is_dark() -> None:
+    assert (counts(scene(LAMP, SCREEN)) == DARK).all()
+
+
+def test_behind_another_robot_it_is_dark() -> None:
+    other = "[[robot]]\nx_mm = 400\ny_mm = 250\nheading_deg = 0\n"
+    assert (counts(scene(other, LAMP))[2:4] == DARK).all()
+    assert (counts(scene(other.replace("y_mm = 250", "y_mm = 400"), LAMP))[2:4] < 400).all()
+
+
+def test_a_lamp_above_a_low_wall_is_seen_over_it() -> None:
+    low = SCREEN.replace("height_mm = 100", "height_mm = 1")
+    np.testing.assert_array_equal(counts(scene(LAMP, low)), counts(scene(LAMP)))
+
+
+def test_the_toolboxs_lamps_shine_through_walls() -> None:
+    law = '[lighting]\nlaw = "toolbox"\n'
+    np.testing.assert_array_equal(counts(scene(law, LAMP, SCREEN)), counts(scene(law, LAMP)))
+    assert counts(scene(law, LAMP))[LEFT_10] < 400
+
+
+def test_the_edge_of_a_shadow_is_as_soft_as_the_bulb_is_wide() -> None:
+    # The end of a thin screen moves across the bulb: what is left of a disc beside a line.
+    x_mm, y_mm = 300 + SENSOR_POSITIONS[LEFT_10][0] * 1e3, 250 + SENSOR_POSITIONS[LEFT_10][1] * 1e3
+    screen_mm, lamp_mm = 400, 700
+    stretch = (lamp_mm - x_mm) / (screen_mm - x_mm)
+    middle_mm = y_mm + (250 - y_mm) / stretch
+    full = DARK - counts(scene(LAMP))[LEFT_10]
+    seen: list[float] = []
+    shifts_mm = np.arange(-4, 4.1, 0.5)
+    for shift_mm in shifts_mm:
+        screen = (
+            f"[[block]]\nx_mm = {screen_mm + 0.5}\ny_mm = {middle_mm + shift_mm + 100}\nlength_mm = 1\n"
+            "width_mm = 200\nheight_mm = 100\n"
+        )
+        seen.append((DARK - counts(scene(LAMP, screen))[LEFT_10]) / full)
+    across = np.clip(shifts_mm * stretch / (BULB_RADIUS * 1e3), -1, 1)
+    np.testing.assert_allclose(
+        seen, 0.5 + (across * np.sqrt(1 - across**2) + np.arcsin(across)) / np.pi, atol=0.04
+    )
+    assert all(earlier <= later for earlier, later in pairwise(seen))
+
+
+def test_lamps_add_up_down_to_the_floor() -> None:
+    near = LAMP.replace("x_mm = 700", "x_mm = 400")
+    one, both = counts(scene(LAMP))[2], counts(scene(LAMP, LAMP.replace("250", "260")))[2]
+    assert DARK - both == pytest.approx(2 * (DARK - one), rel=0.05)
+    assert counts(scene(near))[2] == round(KHEPERA1.floor_counts)
+
+
+def test_a_lamp_overhead_is_dimly_seen_all_round() -> None:
+    overhead = "[[lamp]]\nx_mm = 300\ny_mm = 250\nz_mm = 300\npower_w = 50\n"
+    depths = DARK - counts(scene(overhead))
+    expected = 50 * KHEPERA1.diffuse / 2 * np.array(KHEPERA1.gain_counts_mm2_per_w) / 287**2
+    np.testing.assert_allclose(depths, expected, rtol=0.35)
+
+
+def test_a_lamp_is_seen_by_a_robot_that_turns_towards_it() -> None:
+    bearings = {heading: counts(scene(LAMP, heading_deg=heading))[2] for heading in range(-180, 180, 10)}
+    brightest = min(bearings, key=lambda heading: bearings[heading])
+    assert abs(brightest) <= 10
+    assert bearings[-180] == DARK

@@ -1,0 +1,153 @@
+"""Studies: read strictly, and made into tasks."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from khep_twin.errors import StudyError
+from khep_twin.sweep import study as studies
+from khep_twin.sweep.tasks import work_of
+
+STUDY = """version = 1
+name = "mine"
+playpens = ["default"]
+controllers = ["braitenberg"]
+seeds = 3
+seconds = 0.2
+step_ms = 10
+rollouts_per_task = 4
+output = "out"
+"""
+
+
+def loaded(folder: Path, text: str) -> studies.StudyFile:
+    file = folder / "study.toml"
+    file.write_text(text)
+    return studies.load(file)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seeds = 3", "seeds = 0", r"study.toml:5: seeds = 0: right is a whole number from 1"),
+        ("seeds = 3", "seeds = 3\nsed = 1", r"study.toml:6: sed = 1: unknown key; did you mean 'seeds'"),
+        ("seconds = 0.2", "seconds = 0.21", r"study.toml:6: seconds = 0.21: right are whole .* of 20 ms"),
+        ("step_ms = 10", "step_ms = 3", r"study.toml:7: step_ms = 3: right is 2.5, 5 or 10"),
+        ('["default"]', '["default", "default"]', r"study.toml:3: playpens has \"default\" twice"),
+        ('["default"]', '["defualt"]', r"study.toml:3: playpens: \"defualt\": .*no such file"),
+        ('["default"]', '["gripper"]', r"study.toml:3: playpens: \"gripper\": .*turrets"),
+        ('["braitenberg"]', '["mine"]', r"study.toml:4: controllers.*\"mine\": unknown; .*braitenberg"),
+        ('controllers = ["braitenberg"]', "", r"no controller; right are controllers, a \[\[network\]\]"),
+        (
+            '"out"\n',
+            '"out"\nfitness = ["homing"]\n',
+            r"study.toml:10: fitness = \"homing\": there is no \[home\]",
+        ),
+        ('"out"\n', '"out"\n[grid]\nnoise = []\n', r"study.toml:11: grid: noise: right is a list of true"),
+        (
+            '"out"\n',
+            '"out"\n[grid]\nstarts = ["1,2,3"]\n',
+            r"study.toml:11: starts, in default: start 1,2,3: ",
+        ),
+        ('"out"\n', '"out"\n[[network]]\nname = "n"\n', r"study.toml:10: network 1: has neither of genomes"),
+        (
+            '"out"\n',
+            '"out"\n[[network]]\nname = "braitenberg"\ndrawn = 2\n',
+            r"study.toml:11: network 1: name = \"braitenberg\": taken",
+        ),
+        (
+            '"out"\n',
+            '"out"\n[[network]]\nname = "n"\ngenomes = "few.csv"\n',
+            r"study.toml:12: network 1: genomes = \"few.csv\": is of shape \(2, 3\); right are rows of 18 ",
+        ),
+        (
+            '"out"\n',
+            '"out"\n[[network]]\nname = "n"\ngenomes = "none.npy"\n',
+            r"study.toml:12: network 1: genomes = \"none.npy\": cannot be read: No such file",
+        ),
+        (
+            '"out"\n',
+            '"out"\n[[network]]\nname = "n"\ngenomes = "zip.npy"\n',
+            r"study.toml:12: network 1: genomes = \"zip.npy\": cannot be read: the magic string is not",
+        ),
+        (
+            '"out"\n',
+            '"out"\n[[program]]\nname = "n"\nfile = "mine.py:steer"\ngenomes = "nan.csv"\n',
+            r"study.toml:13: program 1: genomes = \"nan.csv\": has what is no number; right are finite",
+        ),
+        (
+            '"out"\n',
+            '"out"\n[[program]]\nname = "n"\nfile = "mine.py:stear"\n',
+            r"study.toml:12: program 1: file = .*no function 'stear'; did you mean 'steer'",
+        ),
+    ],
+)
+def test_a_mistake_is_told_by_file_line_key_and_value(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    (tmp_path / "few.csv").write_text("1,2,3\n4,5,6\n")
+    (tmp_path / "zip.npy").write_bytes(b"PK" + bytes(200))
+    (tmp_path / "nan.csv").write_text("1,nan\n")
+    (tmp_path / "mine.py").write_text("def steer(proximity, ambient, memory, genes):\n    return 1.0, 1.0\n")
+    assert old in STUDY
+    with pytest.raises(StudyError, match=message) as found:
+        work_of(loaded(tmp_path, STUDY.replace(old, new)))
+    assert "\n" not in str(found.value)
+
+
+def test_there_is_a_life_for_each_point_of_the_grid_genome_and_seed_in_tasks_of_one_kind(
+    tmp_path: Path,
+) -> None:
+    more = '[grid]\nnoise = [true, false]\nstarts = ["playpen", "grid:2x2"]\n'
+    more += '[[network]]\nname = "drawn"\nhidden = [2]\ndrawn = 5\n'
+    work = work_of(loaded(tmp_path, STUDY + more))
+    # Two controllers with 1 and 5 genomes, five starts, three seeds, with and without noise.
+    assert work.lives == (1 + 5) * 5 * 3 * 2
+    assert [task.index for task in work.tasks] == list(range(len(work.tasks)))
+    numbers = [number for task in work.tasks for number in range(task.first, task.first + task.count)]
+    assert numbers == list(range(work.lives))
+    assert max(task.count for task in work.tasks) == 4
+
+
+def test_genomes_come_from_files_beside_the_study_or_are_drawn_by_a_seed(tmp_path: Path) -> None:
+    rows = np.random.default_rng(1).normal(size=(2, 18))
+    np.save(tmp_path / "a.npy", rows)
+    np.savetxt(tmp_path / "b.csv", rows, delimiter=",", fmt="%.17g")
+    more = '[[network]]\nname = "a"\ngenomes = "a.npy"\n[[network]]\nname = "b"\ngenomes = "b.csv"\n'
+    more += '[[network]]\nname = "c"\ndrawn = 4\n[[network]]\nname = "d"\ndrawn = 4\ndrawn_seed = 1\n'
+    _, a, b, c, d = (each.genomes for each in work_of(loaded(tmp_path, STUDY + more)).controllers)
+    assert a.tobytes() == b.tobytes() == rows.tobytes()
+    assert c.shape == d.shape == (4, 18)
+    assert not np.isclose(c, d).any()
+    again = work_of(loaded(tmp_path, STUDY + more)).controllers
+    assert again[3].genomes.tobytes() == c.tobytes()
+
+
+def test_work_is_told_from_any_other_but_by_where_its_results_go(tmp_path: Path) -> None:
+    changes = [
+        ("", ""),
+        ('"out"', '"elsewhere"'),
+        ("seeds = 3", "seeds = 4"),
+        ('["default"]', '["obstacles"]'),
+    ]
+    digests = [work_of(loaded(tmp_path, STUDY.replace(*change))).digest for change in changes]
+    assert digests[0] == digests[1]
+    assert len({*digests}) == 3
+
+
+def test_the_study_of_the_page_is_as_large_as_it_says(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "sweep.md").read_text()
+    text = page.partition("```toml\n")[2].partition("```")[0]
+    work = work_of(loaded(tmp_path, text))
+    assert f"noise: {work.lives} lives of 20 s in {len(work.tasks)} tasks" in page
+
+
+def test_what_a_plane_cannot_have_is_told_before_any_life(tmp_path: Path) -> None:
+    text = (studies.toml_files.folder("playpens") / "default.toml").read_text()
+    movable = "\n[[cylinder]]\nx_mm = 400\ny_mm = 100\nradius_mm = 10\nheight_mm = 30\nmovable = true\n"
+    (tmp_path / "loose.toml").write_text(text + movable)
+    study = STUDY.replace('"default"', '"loose.toml"')
+    assert work_of(loaded(tmp_path, study)).lives == 3
+    with pytest.raises(StudyError, match=r"study.toml:3: playpens: .*cylinder 1 is movable; right are fixed"):
+        work_of(loaded(tmp_path, study + "planar = true\n"))

@@ -1,0 +1,95 @@
+"""The order of packages: which may import which."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "khep_twin"
+
+ORDER = [
+    ["errors", "clock", "units", "randomness"],
+    ["signals", "status_line", "invocation"],
+    ["files"],
+    ["board"],
+    ["playpen"],
+    ["sensing"],
+    ["firmware", "sensors", "playpen_to_mjcf"],
+    ["robot"],
+    ["world"],
+    ["placing", "switching", "mujoco_viewer", "drawing"],
+    ["log"],
+    ["ports"],
+    ["host"],
+    ["rollout"],
+    ["envs", "lab.conformance", "lab.experiment", "lab.sensor_test"],
+    ["lab.fit", "lab.report", "sweep"],
+    ["toolbox"],
+    ["web"],
+    ["cli"],
+    ["__main__"],
+]
+"""Packages and the modules of the top level; each imports only from lines above its own."""
+
+SIMULATORS = {"mujoco", "dm_control", "rerun", "matplotlib", "numpy", "mcap"}
+"""What `khep_twin.host` must do without, to run on a laptop beside the robot."""
+
+
+def modules() -> list[Path]:
+    """All that the package imports: templates, in assets, are programs of their users."""
+    found = (path for path in PACKAGE.rglob("*.py") if PACKAGE / "assets" not in path.parents)
+    return sorted(path for path in found if path.parent != PACKAGE or path.stem != "__init__")
+
+
+def part_of(name: str) -> str:
+    """Return a module's part of ORDER: its package, below `lab` the package there, or the module itself."""
+    names = name.split(".")
+    return ".".join(names[:2]) if names[0] == "lab" else names[0]
+
+
+def imports_of(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            members = {f"khep_twin.{alias.name}" for alias in node.names}
+            names |= members if node.module == "khep_twin" else {node.module}
+    return names
+
+
+def place_of(part: str) -> int:
+    return next(place for place, parts in enumerate(ORDER) if part in parts)
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_module_imports_only_from_packages_before_its_own(path: Path) -> None:
+    own = part_of(".".join(path.relative_to(PACKAGE).with_suffix("").parts))
+    for name in imports_of(path):
+        package, _, rest = name.partition(".")
+        if package != "khep_twin" or rest in ("", "__version__"):
+            continue
+        part = part_of(rest)
+        assert part == own or place_of(part) < place_of(own), f"{path.name} imports {name}"
+
+
+@pytest.mark.parametrize("path", sorted((PACKAGE / "host").glob("*.py")), ids=lambda path: path.name)
+def test_the_host_imports_no_simulator(path: Path) -> None:
+    packages = {name.split(".")[0] for name in imports_of(path)}
+    assert not packages & SIMULATORS
+
+
+PAGE = (PACKAGE.parent / "docs" / "architecture.md").read_text()
+
+
+def test_the_page_of_the_architecture_has_the_packages_in_this_order() -> None:
+    rows = re.findall(r"^\| (`.*?`) \|", PAGE, re.MULTILINE)
+    listed = [[part.replace("/", ".") for part in re.findall("`([^`]*)`", row)] for row in rows]
+    assert [part for parts in listed for part in parts] == [part for parts in ORDER[:-1] for part in parts]
+
+
+def test_the_files_on_that_page_are_there() -> None:
+    named = re.findall(r"`(khep_twin/[^`]*|tests/[^`]*)`", PAGE)
+    assert len(named) > 20
+    assert not [name for name in named if not (PACKAGE.parent / name).exists()]

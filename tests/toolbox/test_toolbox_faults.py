@@ -1,0 +1,77 @@
+"""What the Khepera Toolbox for Matlab got wrong about playpens and placement, and this does not."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from khep_twin import playpen
+from khep_twin.board.kernel import AMBIENT
+from khep_twin.errors import PlaypenError
+from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.world import World
+
+HEAD = 'version = 1\nname = "p"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
+ROBOT = "[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 90\n"
+
+
+def block(x_mm: float, y_mm: float, angle_deg: float = 0) -> str:
+    return (
+        f"[[block]]\nx_mm = {x_mm}\ny_mm = {y_mm}\nangle_deg = {angle_deg}\nlength_mm = 60\nwidth_mm = 20\n"
+        "height_mm = 50\n"
+    )
+
+
+def test_nothing_is_placed_on_top_of_a_wall_or_an_object() -> None:
+    for text in (ROBOT.replace("300", "10"), block(310, 260) + ROBOT):
+        with pytest.raises(PlaypenError, match=r"robot 1 at .* overlaps"):
+            playpen.parse(HEAD + text, "p")
+
+
+@pytest.mark.parametrize("angle_deg", [0, 17.5, 45, 90, -45, 133])
+def test_objects_turn_to_any_angle(angle_deg: float) -> None:
+    found = playpen.parse(HEAD + block(300, 250, angle_deg), "p")
+    model = to_spec(found).compile()
+    w, _, _, z = model.geom_quat[model.geom("block0").id]
+    assert np.degrees(2 * np.arctan2(z, w)) == pytest.approx(angle_deg)
+
+
+def test_objects_and_robots_are_moved_and_turned_where_they_stand() -> None:
+    text = HEAD + block(100, 100) + ROBOT
+    found = playpen.parse(text, "p")
+    moved = found.model_copy(
+        update={
+            "blocks": (found.blocks[0].model_copy(update={"x_mm": 200.0, "angle_deg": 30.0}),),
+            "robots": (found.robots[0].model_copy(update={"y_mm": 300.0, "heading_deg": 15.0}),),
+        }
+    )
+    assert playpen.parse(playpen.edited(text, moved), "p") == moved
+
+
+def test_a_lamp_does_not_shine_through_a_wall() -> None:
+    lamp = "[[lamp]]\nx_mm = 300\ny_mm = 450\npower_w = 7\n"
+    wall = "[[wall]]\npoints_mm = [[100, 350], [500, 350]]\nheight_mm = 60\n"
+    lit, dark = (
+        World(playpen.parse(HEAD + text, "p"), noise=False).robots[0].registers[AMBIENT]
+        for text in (lamp + ROBOT, lamp + wall + ROBOT)
+    )
+    assert lit[2] < 400
+    assert (dark == dark[6]).all()
+
+
+def test_more_than_one_robot_has_room() -> None:
+    assert len(playpen.parse(HEAD + ROBOT + ROBOT.replace("300", "400"), "p").robots) == 2
+
+
+def test_a_scanned_playpen_comes_out_the_right_way_up(tmp_path: Path) -> None:
+    # Drawn with something in the upper left corner; scanned, the last row is the upper one.
+    drawn = np.ones((500, 600))
+    drawn[40:60, 50:110] = 44
+    savemat(tmp_path / "scan.mat", {"btmap1": np.flipud(drawn)})
+    command = ["playpen", "import", str(tmp_path / "scan.mat"), "-o", str(tmp_path / "scan.toml")]
+    subprocess.run([sys.executable, "-m", "khep_twin", *command], check=True, capture_output=True, timeout=60)
+    (one,) = playpen.load(tmp_path / "scan.toml").blocks
+    assert (one.x_mm, one.y_mm, one.length_mm, one.width_mm) == (80, 450, 60, 20)

@@ -1,0 +1,160 @@
+"""The toolbox's graphs and its khepbase, without a screen."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from PIL import Image
+
+from khep_twin.errors import KhepTwinError, SensorTestError
+from khep_twin.toolbox import figures, khepbase, names
+
+
+@pytest.fixture(autouse=True)
+def no_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("agg")
+    yield
+    figures._graphs.clear()
+    khepbase._views.clear()
+
+
+def rows(left: int, right: int) -> np.ndarray:
+    """A test whose sensors rise by 1 from row to row, each 10 above the one before."""
+    ramp = np.arange(21)
+    counters = [np.round(ramp / 20 * end) for end in (left, right)]
+    return np.column_stack([*counters, *(ramp + 10 * sensor for sensor in range(8))])
+
+
+@pytest.mark.parametrize(("draw", "grid"), [(names.ddl, False), (names.ddlg, True)])
+def test_a_straight_way_counts_down_to_0_cm(draw: object, grid: bool) -> None:
+    figure = draw(rows(1500, 1500), 1500)  # type: ignore[operator]
+    axes = [each for each in figure.axes if each.lines]
+    assert [each.get_title() for each in axes][:3] == ["left 90", "left 45", "left 10"]
+    assert axes[0].lines[0].get_xdata()[[0, -1]] == pytest.approx([12, 0], abs=1e-9)
+    assert axes[3].lines[0].get_ydata()[0] == 30
+    assert axes[0].get_xlim()[0] > axes[0].get_xlim()[1]
+    assert any(line.get_visible() for line in axes[0].get_xgridlines()) == grid
+
+
+@pytest.mark.parametrize(("draw", "grid"), [(names.ddr, False), (names.ddrg, True)])
+def test_a_turn_is_in_degrees(draw: object, grid: bool) -> None:
+    # 85 pulses are 14.98 degrees, as near to 15 as pulses come.
+    figure = draw(rows(-85, 85), 85, "light")  # type: ignore[operator]
+    axes = figure.axes[0]
+    assert axes.lines[0].get_xdata()[-1] == pytest.approx(15, abs=0.1)
+    assert axes.get_xlabel() == "" or "degrees" in axes.get_xlabel()
+    assert 500 < axes.get_ylim()[1] < 600
+    assert any(line.get_visible() for line in axes.get_xgridlines()) == grid
+
+
+def description(figure: object) -> str:
+    """The words below a figure's graphs."""
+    return " ".join(text.get_text() for text in figure.texts)  # type: ignore[attr-defined]
+
+
+def test_the_speed_that_was_driven_is_named_or_none() -> None:
+    assert "speed" not in description(names.ddl(rows(1500, 1500), 1500))
+    assert "speed 4" in description(names.ddlg(rows(1500, 1500), 1500, speed=4))
+    assert "speed" not in names.disonel(rows(1500, 1500), 1500, 3).axes[0].get_title(loc="left")
+    assert "speed 7" in names.disonel(rows(1500, 1500), 1500, 3, speed=7).axes[0].get_title(loc="left")
+    names.open_default(noise=False)
+    dv, khep_pos = names.simsense("light", rotate_deg=30, max_speed=9)
+    # Of the test itself kind and speed are known.
+    told = description(names.ddr(dv, khep_pos))
+    assert "light" in told
+    assert "speed 9" in told
+    assert "speed" not in description(names.ddr(dv.copy(), khep_pos))
+    names.close_playpen()
+
+
+@pytest.mark.parametrize("which_one", [3, "left 10"])
+def test_one_sensor_is_drawn_alone(which_one: int | str) -> None:
+    straight = names.disonel(rows(-625, -625), 625, which_one, y_min=10, grid=True)
+    (axes,) = straight.axes
+    assert axes.lines[0].get_ydata()[0] == 20
+    assert axes.get_ylim()[0] == pytest.approx(10, abs=25)
+    assert "[cm]" in axes.get_xlabel()
+    turn = names.disonel(rows(2042, -2042), 2042, which_one)
+    assert "degrees" in turn.axes[0].get_xlabel()
+    assert turn.axes[0].lines[0].get_xdata()[-1] == pytest.approx(-360, abs=0.1)
+
+
+def test_the_latest_graph_goes_to_paper_and_into_a_text() -> None:
+    names.ddl(rows(1500, 1500), 1500)
+    names.disonel(rows(1500, 1500), 1500, 1)
+    assert names.dataprnt() == Path("graph_data.pdf")
+    assert Path("graph_data.pdf").read_bytes().startswith(b"%PDF")
+    assert names.datameta() == Path("graph_data.svg")
+    assert "left 90" in Path("graph_data.svg").read_text()
+    names.dataprnt("one.png")
+    assert Path("one.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (lambda: names.ddl(np.ones((3, 9)), 1500), "dv: is 3 x 9; right are rows of 10"),
+        (lambda: names.ddl(np.ones((0, 10)), 1500), "dv: is 0 x 10"),
+        (lambda: names.ddl(rows(9, 9) + 0.5, 1500), "not all are whole numbers"),
+        (lambda: names.ddl(rows(9, 9), 8000), "linear = 64 cm: right is 5 to 60"),
+        (lambda: names.ddr(rows(-9, 9), 40), "rotate = .* degrees: right is 15 to 360"),
+        (lambda: names.disonel(rows(9, 9), 1500, 9), "which_one = 9: no such sensor"),
+        (lambda: names.dataprnt(), "there is no graph yet"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(draw: object, message: str) -> None:
+    with pytest.raises(SensorTestError, match=message) as error:
+        draw()  # type: ignore[operator]
+    assert "\n" not in str(error.value)
+
+
+def coloured(file: Path, colour: str) -> int:
+    """How many pixels of a picture have a colour."""
+    with Image.open(file) as picture:
+        pixels = np.asarray(picture.convert("RGB"))
+    wanted = [int(colour[at : at + 2], 16) for at in (1, 3, 5)]
+    return int((pixels == wanted).all(axis=2).sum())
+
+
+def test_khepbase_shows_each_cycle_what_the_robot_senses_and_does() -> None:
+    full = [1023] * 8, [500] * 8, [20, 20]
+    pictures = {}
+    for name, part in (("empty", 0.0), ("half", 0.5), ("full", 1.0)):
+        names.khepbase(picture=f"{name}.png")
+        prox, light, speed = ([part * value for value in values] for values in full)
+        assert names.khepbase(prox, light, speed) == Path(f"{name}.png")
+        pictures[name] = [
+            coloured(Path(f"{name}.png"), getattr(khepbase, colour))
+            for colour in ("_PROXIMITY", "_LIGHT", "_SPEED")
+        ]
+    # What the legend has of each colour is there in any case.
+    half, whole = (np.subtract(pictures[name], pictures["empty"]) for name in ("half", "full"))
+    assert (half > 100).all()
+    assert whole == pytest.approx(2 * half, rel=0.06)
+
+
+def test_a_bar_of_speed_points_back_when_the_robot_backs() -> None:
+    names.khepbase()
+    names.khepbase([0] * 8, [0] * 8, [10, -40])
+    left, right = khepbase._views[-1]._speed
+    assert left.get_height() == pytest.approx(khepbase._BAR / 2)
+    assert right.get_height() == pytest.approx(-khepbase._BAR)
+
+
+def test_without_a_screen_khepbase_writes_a_picture() -> None:
+    assert names.khepbase() == Path("khepbase.png")
+    with Image.open("khepbase.png") as picture:
+        assert picture.size[0] > 300
+
+
+def test_khepbase_is_opened_first_and_takes_whole_rows() -> None:
+    with pytest.raises(KhepTwinError, match="khepbase: it is not open"):
+        names.khepbase([0] * 8, [0] * 8, [0, 0])
+    names.khepbase()
+    with pytest.raises(ValueError, match="light_data has 7 values; right are 8"):
+        names.khepbase([0] * 8, [0] * 7, [0, 0])
+    with pytest.raises(ValueError, match="or nothing to open it"):
+        names.khepbase([0] * 8)

@@ -1,0 +1,95 @@
+"""docs/toolbox.md: it leaves nothing of the toolbox out, its tests exist, its programs run."""
+
+import ast
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from khep_twin import playpen as playpens
+from khep_twin.cli.app import app
+from khep_twin.toolbox import figures, khepbase, roborunner
+from khep_twin.toolbox import names as toolbox
+from khep_twin.toolbox import serial_commands as host
+
+TESTS = Path(__file__).parents[1]
+PAGE = (TESTS.parent / "docs" / "toolbox.md").read_text()
+
+FUNCTIONS = (
+    "con skp sms rms cpid spc rpc rad cspc rmc cls rps rls "
+    "sim_skp sim_sms sim_rms sim_spc sim_rpc sim_rmc sim_rps sim_rls "
+    "khepbase play_pen roborun2 simsense tstsense template "
+    "datameta dataprnt ddl ddlg ddr ddrg disonel "
+    "checkobj kheprom movekhep putkhep rotkhep upsv ulsv cvrtang "
+    "user1 getstat plotrun"
+).split()
+"""The manual's quick reference, whole."""
+
+ROWS = [
+    [cell.strip() for cell in line.strip("| ").split(" | ")]
+    for line in PAGE.split("## Row by row")[1].splitlines()
+    if line.startswith("| ") and not line.startswith("| toolbox")
+]
+
+
+def test_every_row_says_what_replaces_it_and_what_shows_it() -> None:
+    assert len(ROWS) > 80
+    for row in ROWS:
+        assert len(row) == 3, row
+        assert all(row), row
+        assert "::test_" in row[2], row
+        assert ("the designer page" not in row[1]) or "`khep-twin playpen " in row[2], row
+
+
+def test_no_function_of_the_toolbox_is_left_out() -> None:
+    told = set(re.findall(r"\w+", " ".join(" ".join(re.findall("`(.*?)`", row[0])) for row in ROWS)))
+    assert not [name for name in FUNCTIONS if name not in told]
+
+
+def test_every_test_that_the_page_names_is_there() -> None:
+    for file, name in re.findall(r"`([\w/]+\.py)::(\w+)`", PAGE):
+        tree = ast.parse((TESTS / file).read_text())
+        assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, (file, name)
+
+
+def test_every_command_that_the_page_names_is_there() -> None:
+    runner = CliRunner()
+    for words in {tuple(found.split()) for found in re.findall(r"`khep-twin ((?:playpen )?[a-z]+)", PAGE)}:
+        assert runner.invoke(app, [*words, "--help"]).exit_code == 0, words
+
+
+def test_the_names_of_the_toolbox_are_all_importable() -> None:
+    assert not [name for name in FUNCTIONS if not callable(getattr(toolbox, name, None))]
+    assert not [name for name in FUNCTIONS[:13] if getattr(host, name) is not getattr(toolbox, name)]
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_the_programs_on_the_page_run(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(khepbase, "show", lambda figure, title: False)
+    monkeypatch.setattr(figures, "show", lambda figure, title: False)
+    monkeypatch.setattr(roborunner, "show", lambda figure, title: False)
+    program = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[number]
+    try:
+        names: dict[str, Any] = {"__name__": "__main__"}
+        exec(compile(program, "docs/toolbox.md", "exec"), names)
+    finally:
+        host.ports({})
+        toolbox.close_playpen()
+        khepbase._views.clear()
+        figures._graphs.clear()
+    if number == 1:
+        # It came to the upper wall, 250 mm ahead, and has turned there.
+        assert abs(toolbox.cvrtang(math.degrees(names["btmap1"].twin.robot.pose[2]) - 90)) > 10
+    told = capsys.readouterr().out
+    assert told.startswith("[") == (number in (1, 2))
+    assert told.count("last speeds") == 3 * (number == 3)
+
+
+def test_the_playpens_of_the_page_ship() -> None:
+    assert {"default", "obstacles"} <= set(playpens.names())

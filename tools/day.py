@@ -1,0 +1,100 @@
+"""A day of `serve --log` with a host that asks as fast as the line allows, and what memory that takes.
+
+    python tools/day.py 24 --log day.mcap        `make day`
+
+The server's own loop runs on the wire clock over a pseudo-terminal, its host is a process of its own: 23
+commands in each simulated second, as on the robot's line. The log is handed to the file system each half of
+a simulated second, as `serve` does each half second on the wall, so that it has as many pieces as in real
+time. It ends with 1 if the server's memory has grown by more than it may.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, closing
+from pathlib import Path
+from types import SimpleNamespace
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.ports import serve
+from khep_twin.ports.pty import PtyPort
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+MOST_GROWTH = 5.0
+"""In a day, after the first minute [MB]; of a shorter run a part of it."""
+
+HOUR_NS = 3600 * NS_PER_S
+WARM_NS = 60 * NS_PER_S
+
+
+def memory() -> float:
+    """What this process has in memory [MB]."""
+    status = Path("/proc/self/status").read_text()
+    return int(status.split("VmRSS:")[1].split()[0]) / 1000
+
+
+def ask(path: str) -> None:
+    """Asks for the sensors again and again."""
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    while True:
+        os.write(port, b"N\n")
+        reply = b""
+        while not reply.endswith(b"\n"):
+            reply += os.read(port, 4096)
+
+
+def day(hours: float, log: Path) -> float:
+    """Serves for so many simulated hours; returns by how much memory has grown [MB]."""
+    end_ns = round(hours * HOUR_NS)
+    begun, first, next_ns = time.monotonic(), 0.0, WARM_NS
+    with ExitStack() as stack:
+        twin = stack.enter_context(open_twin("obstacles", TwinOptions(seed=1, log=str(log))))
+        cable = stack.enter_context(closing(PtyPort(None, twin.robot.firmware.baud)))
+        host = stack.enter_context(subprocess.Popen([sys.executable, __file__, "0", "--host", cable.path]))
+        stack.callback(host.kill)
+        world = twin.world
+
+        def stop() -> bool:
+            nonlocal first, next_ns
+            if world.time_ns >= next_ns:
+                now = memory()
+                first = first or now
+                size, wall = log.with_name(f"{log.name}.part").stat().st_size / 1e6, time.monotonic() - begun
+                print(
+                    f"{world.time_ns / HOUR_NS:6.2f} h  {now:7.1f} MB  grown by {now - first:6.2f} MB  "
+                    f"log {size:7.1f} MB  after {wall:5.0f} s",
+                    flush=True,
+                )
+                next_ns = min((next_ns // HOUR_NS + 1) * HOUR_NS, end_ns) if next_ns < end_ns else 2 * end_ns
+            return world.time_ns >= end_ns
+
+        # As often in simulated time as else on the wall.
+        serve.time = SimpleNamespace(monotonic_ns=lambda: world.time_ns)  # pyright: ignore
+        serve.serve(twin, [cable], serve.WIRE, stop=stop, tell=print)
+        grown = memory() - first
+        begun = time.monotonic()
+    took, size = time.monotonic() - begun, log.stat().st_size / 1e6
+    print(f"closed in {took:.1f} s, {memory():.1f} MB then, log {size:.1f} MB")
+    return grown
+
+
+def main() -> int:
+    """Runs a day and says whether memory has grown."""
+    parser = argparse.ArgumentParser(description="Serve a twin for simulated hours and measure its memory.")
+    parser.add_argument("hours", type=float)
+    parser.add_argument("--log", type=Path)
+    parser.add_argument("--host")
+    wish = parser.parse_args()
+    if wish.host:
+        ask(wish.host)
+    with tempfile.TemporaryDirectory(prefix="khep-twin-day-") as folder:
+        grown = day(wish.hours, wish.log or Path(folder) / "day.mcap")
+    print(f"{grown:.2f} MB more than after the first minute")
+    return 0 if grown <= MOST_GROWTH else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,173 @@
+"""A fuzz target: damaged playpen files, MAT files and PNGs.
+
+    python tools/fuzz_files.py toml 1000000 --jobs 2        `make fuzz-files`
+
+Each input is made from the files of `data/corpus` by its number alone, so that what is found is found again:
+`--first NUMBER` begins there. A job may use 512 MB more than it has once everything is imported; an input
+that takes 2 s is a find, and 10 s end the job.
+"""
+
+import argparse
+import random
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+CORPUS = Path(__file__).parents[1] / "tests" / "data" / "corpus"
+SECONDS, MEMORY = 2.0, 2**29
+
+TOKENS = {
+    "toml": [
+        *(b"nan inf -1 0 1e999 1_0 0x10 1979-05-27 true [ ] [[ ]] { } = . , #".split()),
+        *(b"\" ' \"\"\" ''' \\u0000 \\".split()),
+        *(b"\n[[block]]\n \n[[robot]]\n \n[arena]\n \xff \xef\xbb\xbf \0 x_mm name a.a.a.a.a.a".split(b" ")),
+        *(b"[" * 3000, b"a." * 3000, b"9" * 5000, b"{a=" * 500),
+    ],
+    "mat": [
+        *(number.to_bytes(4, order) for number in (0, 1, 2, 5, 9, 14, 15) for order in ("little", "big")),
+        *(number.to_bytes(4, "little") for number in (2**31 - 1, 2**31, 2**32 - 1, 44, 0x0801, 0x40009)),
+    ],
+    "png": [
+        *(b"IHDR PLTE tRNS IDAT IEND iCCP zTXt iTXt tEXt acTL fdAT gAMA eXIf".split()),
+        *(number.to_bytes(4, "big") for number in (0, 1, 13, 4096, 4097, 2**31 - 1, 2**32 - 1)),
+    ],
+}
+"""What mutations put in."""
+
+
+def toml_target(data: bytes) -> None:
+    """A playpen."""
+    from khep_twin import playpen
+    from khep_twin.errors import PlaypenError
+
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return
+    told = ""
+    try:
+        playpen.parse(text, "x.toml")
+    except PlaypenError as error:
+        told = str(error)
+    assert told.replace("\n", "").isprintable(), told
+    assert all(re.match(r"x\.toml:(\d+:)? ", line) for line in told.split("\n") if told), told
+
+
+def bitmap_target(data: bytes) -> None:
+    """A bitmap, and the playpen that it becomes."""
+    from khep_twin.errors import BitmapError, MatError
+    from khep_twin.playpen import bitmap, bitmap_files
+
+    told = ""
+    try:
+        bitmap.to_playpen(bitmap_files.decode(data).solid, "x", mm_per_pixel=5.0)
+    except (BitmapError, MatError) as error:
+        told = str(error)
+    assert told.isprintable(), told
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "toml": toml_target,
+    "mat": bitmap_target,
+    "png": bitmap_target,
+}
+
+
+def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
+    """The input of a number."""
+    rng = random.Random(number)
+    data = bytearray(rng.choice(seeds))
+    for _ in range(rng.choice((1, 1, 2, 4, 8))):
+        place = rng.randrange(len(data) + 1)
+        match rng.randrange(7):
+            case 0 if data:
+                data[place % len(data)] = rng.randrange(256)
+            case 1 if data:
+                data[place % len(data)] ^= 1 << rng.randrange(8)
+            case 2:
+                del data[place : place + rng.choice((1, 4, 30, len(data)))]
+            case 3:
+                piece = data[place : place + rng.randrange(1, 60)]
+                data[rng.randrange(len(data) + 1) : 0] = piece * rng.choice((1, 1, 2, 20))
+            case 4:
+                other = rng.choice(seeds)
+                start = rng.randrange(len(other))
+                data[place:place] = other[start : start + rng.randrange(1, 200)]
+            case 5:
+                data[place:place] = rng.choice(TOKENS[kind])
+            case _:
+                token = rng.choice(TOKENS[kind])
+                data[place : place + len(token)] = token
+    # Most damage is caught by a PNG's sums; half of them are made right again.
+    return _with_right_sums(bytes(data)) if kind == "png" and rng.random() < 0.5 else bytes(data)
+
+
+def _with_right_sums(data: bytes) -> bytes:
+    place, parts = 8, [data[:8]]
+    while place + 12 <= len(data):
+        size = int.from_bytes(data[place : place + 4], "big")
+        content = data[place + 4 : place + 8 + size]
+        parts += [data[place : place + 4], content, zlib.crc32(content).to_bytes(4, "big")]
+        place += 12 + size
+    return b"".join(parts)
+
+
+def run(kind: str, runs: int, first: int) -> None:
+    """Feeds a target; the process dies of what must not be.
+
+    Raises:
+        AssertionError: a find.
+    """
+    # What is imported once does not count.
+    seeds = [path.read_bytes() for path in sorted(CORPUS.glob(f"*.{kind}"))]
+    for seed in seeds:
+        TARGETS[kind](seed)
+    status = Path("/proc/self/status").read_text()
+    now = 1024 * int(status.split("VmSize:")[1].split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY, now + MEMORY))
+    begun, slowest = time.perf_counter(), (0.0, first)
+    for number in range(first, first + runs):
+        data = mutated(seeds, kind, number)
+        signal.setitimer(signal.ITIMER_REAL, 10)
+        start = time.perf_counter()
+        try:
+            TARGETS[kind](data)
+        except BaseException:
+            print(f"{kind} input {number}: {data[:200]!r}", file=sys.stderr)
+            raise
+        slowest = max(slowest, (time.perf_counter() - start, number))
+        assert slowest[0] < SECONDS, f"{kind} input {number} took {slowest[0]:.1f} s"
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(
+        f"{kind}: {runs} inputs from {first} in {time.perf_counter() - begun:.0f} s, "
+        f"the slowest {slowest[0] * 1000:.0f} ms (input {slowest[1]}), {peak:.0f} MB"
+    )
+
+
+def main() -> None:
+    """Shares the inputs among jobs."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("kind", choices=list(TARGETS))
+    parser.add_argument("runs", type=int)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args()
+    if given.jobs == 1:
+        run(given.kind, given.runs, given.first)
+        return
+    share = -(-given.runs // given.jobs)
+    jobs = [
+        subprocess.Popen([sys.executable, __file__, given.kind, str(share), "--first", str(share * number)])
+        for number in range(given.jobs)
+    ]
+    sys.exit(max(abs(job.wait()) for job in jobs))
+
+
+if __name__ == "__main__":
+    main()

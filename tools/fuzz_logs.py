@@ -1,0 +1,270 @@
+"""A fuzz target: logs of which any record is changed, put together again with right lengths and checksums.
+
+    python tools/fuzz_logs.py -runs=1000000      with atheris (libFuzzer); `make fuzz-logs`
+
+The first byte chooses what the log is for, and whether the file is damaged as it lies in the end, too. The
+others are steps of six bytes: what to do to which record, where, and with what. What must hold stands in
+`check`.
+"""
+
+import atexit
+import shutil
+import struct
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+
+from fuzzing import fuzz
+from log_mutations import Record, put_together, taken_apart
+from mcap.opcode import Opcode
+
+MODULES = ("content", "decoding", "reader", "record_bytes", "recover", "mcap_recovery", "wire")
+"""Of khep_twin.log, whose branches libFuzzer looks for."""
+
+STEP = 6
+"""Bytes of a step."""
+
+ODD = [0, 1, -1, 7, 255, 256, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**62, 2**63 - 1, -(2**63)]
+"""Numbers at which something may end."""
+
+DAMAGED = 0x80
+"""Bit of the first byte: the last step is done to the file."""
+
+SMALL = ("/scene", "/robot_description", "/channel_names")
+"""Channels that are left out of the log to begin with, since they take long and nothing reads them."""
+
+
+@cache
+def base() -> tuple[Record, ...]:
+    """Return the records of a log of two samples, with little attached to it."""
+    from khep_twin.ports.twin import TwinOptions, open_twin
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "base.mcap"
+        with open_twin("default", TwinOptions(log=str(path))) as twin:
+            twin.robot.send(b"N\n")
+            twin.advance_to(20_000_000)
+            twin.world.tell(0, "x")
+        return tuple(small(record) for record in taken_apart(path.read_bytes()))
+
+
+def small(record: Record) -> Record:
+    """Return a record without what is long."""
+    if record.opcode == Opcode.CHUNK:
+        dropped = {
+            struct.unpack_from("<H", each.content)[0]
+            for each in record.inner
+            if each.opcode == Opcode.CHANNEL and any(name.encode() in each.content for name in SMALL)
+        }
+        kept = (
+            each
+            for each in record.inner
+            if each.opcode == Opcode.SCHEMA or struct.unpack_from("<H", each.content)[0] not in dropped
+        )
+        short = (shortened(each) if each.opcode == Opcode.SCHEMA else each for each in kept)
+        return replace(record, inner=tuple(short))
+    if record.opcode == Opcode.ATTACHMENT:
+        (name,) = struct.unpack_from("<I", record.content, 16)
+        (kind,) = struct.unpack_from("<I", record.content, 20 + name)
+        head = record.content[: 24 + name + kind]
+        return replace(record, content=head + struct.pack("<Q", 4) + b"a=1\n" + bytes(4))
+    return record
+
+
+def shortened(schema: Record) -> Record:
+    """Return a schema without its text."""
+    place = 2
+    for _ in range(2):
+        place += 4 + struct.unpack_from("<I", schema.content, place)[0]
+    return replace(schema, content=schema.content[:place] + struct.pack("<I", 1) + b"x")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One change.
+
+    Attributes:
+        kind: what is done.
+        which: to which record, of all that there are.
+        place: where in it.
+        value: with what.
+    """
+
+    kind: int
+    which: int
+    place: int
+    value: int
+
+    def changed(self, content: bytes) -> bytes:
+        """Return the content of a record, changed."""
+        place = self.place % (len(content) + 1)
+        number = ODD[self.value % len(ODD)]
+        match self.kind % 8:
+            case 0:
+                return content[:place] + bytes([self.value % 256]) + content[place + 1 :]
+            case 1:
+                return content[:place] + struct.pack("<I", number % 2**32) + content[place + 4 :]
+            case 2:
+                return content[:place] + struct.pack("<Q", number % 2**64) + content[place + 8 :]
+            case 3:
+                return content[:place]
+            case 4:
+                return content[:place] + content[place + self.value % 64 :]
+            case 5:
+                return content[:place] + content[-(self.value % 64) :] + content[place:]
+            case 6:
+                odd = (float("nan"), float("inf"), -1e300, 0.5)[self.value % 4]
+                return content[:place] + struct.pack("<d", odd) + content[place + 8 :]
+            case _:
+                return content[:place] + struct.pack("<H", self.value % 2**16) + content[place + 2 :]
+
+    def done(self, records: list[Record]) -> list[Record]:
+        """Return records with one of them changed, left out, doubled, of another kind or in another place."""
+        which = self.which % len(records)
+        record, rest = records[which], [*records[:which], *records[which + 1 :]]
+        if record.opcode == Opcode.CHUNK and self.kind < 0xE0 and record.inner:
+            inner = replace(self, which=self.value).done(list(record.inner))
+            return [*records[:which], replace(record, inner=tuple(inner)), *records[which + 1 :]]
+        match self.kind // 32:
+            case 7 if self.kind % 4 == 0:
+                return rest or records
+            case 7 if self.kind % 4 == 1:
+                return [*records[:which], record, *records[which:]][:200]
+            case 7 if self.kind % 4 == 2:
+                return [*rest, record]
+            case 7 if record.opcode != Opcode.CHUNK:
+                return [*records[:which], replace(record, opcode=self.value % 16), *records[which + 1 :]]
+            case 6 if record.opcode == Opcode.CHUNK:
+                return [*records[:which], replace(record, size=ODD[self.value % len(ODD)])]
+            case _:
+                changed = replace(record, content=self.changed(record.content))
+                return [*records[:which], changed, *records[which + 1 :]]
+
+
+def cooked(data: bytes) -> bytes:
+    """Return the log of a recipe."""
+    records = list(base())
+    choice, steps = data[0] if data else 0, list(struct.iter_unpack("<BBHH", whole_steps(data[1:])))
+    last = steps.pop() if steps and choice & DAMAGED else None
+    for step in steps:
+        records = Step(*step).done(records)
+    log = put_together([each if each.opcode else replace(each, opcode=1) for each in records])
+    if last is not None:
+        kind, which, place, value = last
+        log = Step(kind, 0, (which << 16 | place) % (len(log) + 1), value).changed(log)
+    return log
+
+
+def whole_steps(data: bytes) -> bytes:
+    """Return as many bytes as make whole steps."""
+    return data[: len(data) // STEP * STEP]
+
+
+@cache
+def folder() -> Path:
+    """Return a folder for the logs, in memory where there is one, which goes with the process."""
+    shared = Path("/dev/shm")
+    made = Path(tempfile.mkdtemp(prefix="khep-fuzz-", dir=shared if shared.is_dir() else None))
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    return made
+
+
+def check(data: bytes) -> None:
+    """Use one log as commands do.
+
+    Raises:
+        AssertionError: an error has several lines, or what was recovered cannot be read.
+        Exception: any other but khep_twin's own is a find.
+    """
+    path = folder() / "x.mcap"
+    path.write_bytes(cooked(data))
+    use = USES[(data[0] if data else 0) % 128 % len(USES)]
+    line = said(use, path)
+    assert line.isprintable(), line
+
+
+def said(use: Callable[[Path], object], path: Path) -> str:
+    """Return what a use of a log ends with, empty for a result."""
+    from khep_twin.errors import KhepTwinError
+
+    try:
+        use(path)
+    except KhepTwinError as error:
+        return str(error)
+    return ""
+
+
+def read_whole(path: Path) -> None:
+    """Read a log as pictures of ways do."""
+    from khep_twin.log.reader import read, read_end_ns
+
+    read(path)
+    read_end_ns(path)
+
+
+def read_series(path: Path) -> None:
+    """Read a log as reports and views do."""
+    from khep_twin.log import reader
+
+    reader.read_series(path)
+
+
+def read_recorded(path: Path) -> None:
+    """Read a log as it is to be repeated."""
+    from khep_twin.lab.experiment.repeat import read_recorded
+
+    read_recorded(path)
+
+
+def export(path: Path) -> None:
+    """Write a log's tables."""
+    from khep_twin.lab.report import export as tables
+    from khep_twin.log.reader import read_heads
+
+    recording = read_heads(path)
+    name = tables.chosen_robot(recording, None)
+    channels = tables.chosen_channels(recording, name, None)
+    if channels:
+        tables.write_table(path, channels, ".csv", BytesIO())
+    tables.write_transcript(path, name, BytesIO())
+
+
+def rescue(path: Path) -> None:
+    """Recover a log, and read what came of it."""
+    from khep_twin.log.reader import read
+    from khep_twin.log.recover import recover
+
+    found = recover(path)
+    line = said(read, found.path)
+    found.path.unlink()
+    # Of these, nothing is to be read as a log of khep_twin.
+    assert not line or "no log of khep_twin" in line or ": metadata: robots = " in line, line
+
+
+USES: list[Callable[[Path], None]] = [read_whole, read_series, read_recorded, export, rescue]
+"""What the first byte chooses from."""
+
+
+def seeds(target: Path) -> None:
+    """Write inputs to begin with: each use, and each kind of step."""
+    for use in range(len(USES)):
+        (target / f"use{use}").write_bytes(bytes([use]))
+        for kind in range(0, 256, 24):
+            step = struct.pack("<BBHH", kind, 3 * kind % 256, kind % 40, kind)
+            (target / f"step{use}-{kind}").write_bytes(bytes([use]) + step)
+            (target / f"file{use}-{kind}").write_bytes(bytes([use | DAMAGED]) + step * 2)
+
+
+def main() -> None:
+    """Run libFuzzer with its own options."""
+    folder()
+    base()
+    names = [f"khep_twin.log.{name}" for name in MODULES]
+    fuzz(check, seeds, names, "-max_len=61", "-len_control=0", "-rss_limit_mb=2000")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Whether an environment is the same for 100,000 steps: `make determinism`; a few minutes.
+
+In two processes it takes the same actions, and so do four together by one thread and by two: each pair must
+give the same observations and rewards bit for bit.
+"""
+
+import hashlib
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import gymnasium
+import numpy as np
+
+import khep_twin.envs.gymnasium  # noqa: F401
+
+STEPS = 100_000
+MANY = 4
+
+
+def single(task: str, seed: int) -> str:
+    """A hash of all that one environment gives."""
+    environment = gymnasium.make(f"khep_twin/{task}-v0", spread=True)
+    chance, digest = np.random.default_rng(seed), hashlib.sha256()
+    digest.update(environment.reset(seed=seed)[0].tobytes())
+    for _ in range(STEPS):
+        observation, reward, ended, late, _ = environment.step(chance.uniform(-5, 20, 2).astype(np.float32))
+        digest.update(observation.tobytes() + np.float64(reward).tobytes())
+        if ended or late:
+            digest.update(environment.reset()[0].tobytes())
+    return digest.hexdigest()
+
+
+def together(task: str, seed: int, threads: int) -> str:
+    """A hash of all that MANY give, STEPS in all."""
+    environments = gymnasium.make_vec(f"khep_twin/{task}-v0", num_envs=MANY, spread=True, threads=threads)
+    chance, digest = np.random.default_rng(seed), hashlib.sha256()
+    digest.update(environments.reset(seed=seed)[0].tobytes())
+    for _ in range(STEPS // MANY):
+        observations, rewards, *_ = environments.step(chance.uniform(-5, 20, (MANY, 2)).astype(np.float32))
+        digest.update(observations.tobytes() + rewards.tobytes())
+    environments.close()
+    return digest.hexdigest()
+
+
+RUNS = (("single", 0), ("single", 0), ("together", 1), ("together", 2))
+"""What is run, each in a process of its own, and by how many threads."""
+
+
+def run(job: tuple[str, int]) -> str:
+    """The hash of a run in another process."""
+    kind, threads = job
+    command = [sys.executable, __file__, kind, str(threads)]
+    digest = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    print(f"{STEPS} steps, {kind}{f' by {threads} threads' if threads else ''}: {digest}", flush=True)
+    return digest
+
+
+def main() -> int:
+    """Compares them; 0 if they are the same."""
+    match sys.argv[1:]:
+        case ["single", _]:
+            print(single("Homing", 1))
+            return 0
+        case ["together", threads]:
+            print(together("ObstacleAvoidance", 1, int(threads)))
+            return 0
+        case _:
+            pass
+    with ThreadPoolExecutor(2) as pool:
+        one, other, few, more = pool.map(run, RUNS)
+    same = one == other and few == more
+    print("the same" if same else "NOT the same")
+    return 0 if same else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,141 @@
+"""Pictures of the docs that follow from commands or files shown beside them, in full colour.
+
+python tools/pictures.py    # makes them anew in docs/pictures; the tutorial's and the README's: tutorial.py
+"""
+
+# MuJoCo's rendering is not typed here.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportAttributeAccessIssue=false, reportPrivateUsage=false
+
+import contextlib
+import copy
+import tempfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import tutorial
+from PIL import Image, ImageDraw
+from typer.testing import CliRunner
+
+from benchmarks import library_picture
+from khep_twin.cli.app import app
+from khep_twin.drawing.render import window_of
+from khep_twin.host import Gripper, Khepera
+from khep_twin.world import World
+
+SOLID = [
+    [(80, 80), (160, 80), (160, 100), (80, 100)],
+    [(417, 137), (472, 82), (486, 96), (431, 151)],
+    [(473, 300), (489, 300), (489, 390), (473, 390)],
+    [(170, 370), (192, 348), (234, 390), (212, 412)],
+]
+"""Corners of the blocks in the scan of docs/import.md [pixels of 1 mm]."""
+
+_EDGE = 10
+
+
+def draw_sensor_tests() -> None:
+    """Draw the two tests of docs/sense.md, by its commands."""
+    page = (tutorial.PAGE.parent / "sense.md").read_text()
+    bench = next(block.text for block in tutorial.blocks(page) if block.language == "toml")
+    Path("bench.toml").write_text(bench)
+    far = ["--linear", "12", "--runs", "5", "--text", "white wall", "-o", "wall.csv"]
+    _type("sense", "khep://bench.toml?seed=1", "--speed", "4", *far, "--picture", "sense_linear.png")
+    Path("bench.toml").write_text(bench.replace("x_mm = 847.5", "x_mm = 957.5"))
+    near = ["--rotate", "360", "--grid", "-o", "turn.mat"]
+    _type("sense", "khep://bench.toml?seed=1", "--speed", "4", *near, "--picture", "sense_rotational.png")
+    for name in ("sense_linear", "sense_rotational"):
+        _keep(tutorial.shrunk(Path(f"{name}.png"), 1050), name)
+
+
+def draw_side_by_side() -> None:
+    """Draw two logs beside each other, for docs/logs.md."""
+    for playpen in ("obstacles", "two-lamps"):
+        _type("run", "--playpen", playpen, "--seconds", "20", "--log", f"{playpen}.mcap")
+    _type("view", "obstacles.mcap", "two-lamps.mcap", "--png", "side_by_side.png")
+    _keep(tutorial.shrunk(Path("side_by_side.png"), 1280), "side_by_side")
+
+
+def draw_import() -> None:
+    """Draw a scan and the playpen that is made of it, for docs/import.md."""
+    scan = Image.new("L", (600, 500), 255)
+    pencil = ImageDraw.Draw(scan)
+    pencil.rectangle((0, 0, 599, 499), outline=0, width=_EDGE)
+    for corners in SOLID:
+        pencil.polygon(corners, fill=0)
+    Image.fromarray(np.asarray(scan)).save("scan.png")
+    _type("playpen", "import", "scan.png", "-o", "scan.toml")
+    _type("playpen", "draw", "scan.toml", "-o", "map.png")
+    drawn = tutorial.shrunk(Path("map.png"), 620)
+    both = Image.new("RGB", (600 + 20 + drawn.width, drawn.height), "white")
+    both.paste(scan.convert("RGB"), (0, max((drawn.height - 500) // 2 - 20, 0)))
+    both.paste(drawn, (620, 0))
+    _keep(both, "import")
+
+
+def draw_gripper() -> None:
+    """Draw the gripper around a cylinder, lifting it, and carrying it, as the README's program does."""
+    with Khepera("khep://gripper") as robot:
+        gripper = Gripper(robot)
+        world = robot.port.twin.world
+        gripper.lower()
+        gripper.wait()
+        robot.set_speed(5, 5)
+        while gripper.barrier() == 0:
+            pass
+        robot.set_speed(0, 0)
+        shots = [_seen(world)]
+        gripper.close()
+        gripper.wait()
+        gripper.lift()
+        robot.sleep(0.6)
+        shots.append(_seen(world))
+        gripper.wait()
+        shots.append(_seen(world))
+    width, height = shots[0].size
+    strip = Image.new("RGB", (3 * width + 20, height), "white")
+    for index, shot in enumerate(shots):
+        strip.paste(shot, (index * (width + 10), 0))
+    _keep(strip, "gripper")
+
+
+def _seen(world: World) -> Image.Image:
+    """The first robot of a world from nearby."""
+    model, data = copy.copy(world.model), copy.copy(world.data)
+    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.3, 0.6
+    model.light_diffuse[:] = 0.25
+    mujoco.mj_forward(model, data)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = data.body("khepera0/base").xpos + np.array((0.012, 0, 0.03))
+    camera.distance, camera.azimuth, camera.elevation = 0.26, 145, -38
+    scene = mujoco.MjvScene(model, maxgeom=2000)
+    everything = int(mujoco.mjtCatBit.mjCAT_ALL)
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
+    scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+    pixels = np.zeros((800, 960, 3), np.uint8)
+    view = mujoco.MjrRect(0, 0, 960, 800)
+    with window_of(model) as window:
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, window)
+        mujoco.mjr_render(view, scene, window)
+        mujoco.mjr_readPixels(pixels, None, view, window)
+    return Image.fromarray(pixels[::-1]).resize((480, 400), Image.Resampling.LANCZOS)
+
+
+def _type(*words: str) -> None:
+    done = CliRunner().invoke(app, list(words), prog_name="khep-twin")
+    assert done.exit_code == 0, f"{words}\n{done.output}{done.exception or ''}"
+
+
+def _keep(picture: Image.Image, name: str) -> None:
+    picture.save(tutorial.PICTURES / f"{name}.png", optimize=True)
+    print(f"{name}.png")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        library_picture.draw(tutorial.PICTURES / "library.png")
+        draw_gripper()
+        draw_import()
+        draw_sensor_tests()
+        draw_side_by_side()

@@ -1,0 +1,254 @@
+"""The tutorial as a reader goes through it: its blocks, in order, in one folder.
+
+A block that begins with `# NAME` is a file, other Python blocks are typed at a prompt until `exit()`, blocks
+of `sh` are typed in a terminal, and a block of `text` is what the one before has shown. `/dev/ttyUSB0` is a
+served twin.
+
+The numbers of a run depend in their last bits on MuJoCo, numpy and the kind of machine. The page says in a
+comment with which of them its own were made; where they are the same, every number is compared.
+
+    python tools/tutorial.py    # makes the pictures and numbers of the tutorial and the README anew
+"""
+
+import ast
+import contextlib
+import io
+import os
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from typer.testing import CliRunner
+
+from khep_twin.cli.app import app
+from khep_twin.log.recorder import versions
+
+PAGE = Path(__file__).parents[1] / "docs" / "tutorial.md"
+PICTURES = PAGE.parent / "pictures"
+MAKEFILE = PAGE.parents[1] / "Makefile"
+
+ROBOT = "/dev/ttyUSB0"
+LAB = "~/khepera-lab"
+WIDTH = 640
+"""Of the page's pictures [pixels]."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of the page."""
+
+    line: int
+    language: str
+    text: str
+
+    @property
+    def file(self) -> str | None:
+        """The file that it is to be saved as."""
+        found = re.match(r"# (\S+\.(?:py|toml))\n", self.text)
+        return found[1] if found else None
+
+
+def blocks(page: str) -> list[Block]:
+    """All blocks of a page; the lines are those of the fences."""
+    return [
+        Block(page[: found.start()].count("\n") + 1, found[1], found[2])
+        for found in re.finditer(r"^```(\w*)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    ]
+
+
+def pictures(page: str) -> list[str]:
+    """Names of the pictures that the tutorial has made, without their `tutorial_`."""
+    return re.findall(r"pictures/tutorial_(\w+\.png)", page)
+
+
+def made_with() -> str:
+    """The page's comment about what its numbers depend on, as it would be here."""
+    known = {key: text for key, text in versions().items() if key != "khep_twin"}
+    return f"<!-- Numbers made with: {', '.join(f'{key} {text}' for key, text in known.items())}. -->"
+
+
+def same_numbers() -> bool:
+    """Whether this machine has to print the very numbers of the page."""
+    return made_with() in PAGE.read_text()
+
+
+def with_shown(page: str, block: Block, shown: str) -> str:
+    """The page with another text in one of its blocks."""
+    lines = page.splitlines(keepends=True)
+    lines[block.line : block.line + block.text.count("\n")] = shown.splitlines(keepends=True)
+    return "".join(lines)
+
+
+def likeness(text: str) -> str:
+    """What of an output is the same everywhere: all but numbers, and the columns they stand in."""
+    return re.sub(r"\s+", " ", re.sub(r"-?\d+(?:\.\d*)?(?:e-?\d+)?", "#", text)).strip()
+
+
+@dataclass
+class Reader:
+    """Somebody who types what is there.
+
+    Attributes:
+        folder: where they are.
+        exact: whether the numbers shown have to be the page's.
+        shown: what the last block has shown.
+        undrawn: pictures that rerun's viewer cannot draw here, as there is no Vulkan.
+    """
+
+    folder: Path
+    exact: bool = False
+    shown: str = ""
+    undrawn: list[str] = field(default_factory=list[str])
+    _names: dict[str, Any] = field(default_factory=dict[str, Any])
+    _servers: list["subprocess.Popen[bytes]"] = field(default_factory=list["subprocess.Popen[bytes]"])
+
+    def follow(self, block: Block) -> None:
+        """Does what a block says.
+
+        Raises:
+            AssertionError: it fails, or shows something else than the page says.
+        """
+        if block.file:
+            (self.folder / block.file).write_text(block.text)
+        elif block.language == "python":
+            self.shown = self._prompt(block.text)
+        elif block.language == "sh":
+            self.shown = "".join(self._command(line) for line in block.text.splitlines())
+        elif block.language == "text":
+            alike = self.shown == block.text if self.exact else likeness(self.shown) == likeness(block.text)
+            assert alike, f"line {block.line}: shown was\n{self.shown}"
+        else:
+            raise AssertionError(f"line {block.line}: a block of {block.language or 'nothing'}")
+
+    def close(self) -> None:
+        """Ends what was served."""
+        for server in self._servers:
+            server.kill()
+            server.wait()
+
+    def _prompt(self, text: str) -> str:
+        """Types statements at Python's prompt."""
+        if text.endswith("exit()\n"):
+            text, after = text.removesuffix("exit()\n"), dict[str, Any]()
+        else:
+            after = self._names
+        shown = io.StringIO()
+        with contextlib.redirect_stdout(shown):
+            for statement in ast.parse(text).body:
+                exec(compile(ast.Interactive([statement]), "tutorial", "single"), self._names)
+        self._names = after
+        return shown.getvalue()
+
+    def _command(self, line: str) -> str:
+        """Types a line in the terminal."""
+        program, *words = shlex.split(line.replace(LAB, str(self.folder)))
+        if ROBOT in words:
+            link = self.folder / "robot-link"
+            if not link.is_symlink():
+                self._serve(["default", "--link", str(link)])
+            words = [str(link) if word == ROBOT else word for word in words]
+        if words[:1] == ["serve"]:
+            self._serve(words[1:])
+            return ""
+        if program == "khep-twin":
+            done = CliRunner().invoke(app, words, prog_name="khep-twin")
+            if "rerun's viewer cannot draw here" in str(done.exception):
+                self.undrawn.append(words[-1])
+                return f"picture  {words[-1]}\n"
+            assert done.exit_code == 0, f"{line}\n{done.output}{done.exception or ''}"
+            return done.stdout
+        assert program == "python", line
+        shown = io.StringIO()
+        before = sys.argv
+        sys.argv = words
+        try:
+            with contextlib.redirect_stdout(shown):
+                runpy.run_path(words[0], run_name="__main__")
+        finally:
+            sys.argv = before
+        return shown.getvalue()
+
+    def _serve(self, words: list[str]) -> None:
+        """Serves a twin in another terminal, by a clock that waits for nobody."""
+        link = Path(words[words.index("--link") + 1])
+        command = [sys.executable, "-m", "khep_twin", "serve", *words, "--clock", "wire"]
+        self._servers.append(subprocess.Popen(command, cwd=self.folder, stdout=subprocess.DEVNULL))
+        deadline = time.monotonic() + 30
+        while not link.is_symlink():
+            assert self._servers[-1].poll() is None, "it does not serve"
+            assert time.monotonic() < deadline, f"{link}: there is no such link"
+            time.sleep(0.05)
+
+
+@contextlib.contextmanager
+def reader(folder: Path, exact: bool = False) -> Iterator[Reader]:
+    """A reader in a fresh folder, who has activated the environment."""
+    path = os.environ["PATH"]
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
+    with contextlib.chdir(folder):
+        person = Reader(folder, exact)
+        try:
+            yield person
+        finally:
+            person.close()
+            os.environ["PATH"] = path
+
+
+def make_run(folder: Path) -> list[str]:
+    """The words of `make run`, with its files in another folder."""
+    recipe = re.search(r"^run:.*\n(?:\t.*\n)*?\t@\$\(TWIN\) (run .*)$", MAKEFILE.read_text(), re.MULTILINE)
+    assert recipe, "make run: no such recipe"
+    words = shlex.split(recipe[1].replace("$(PLAYPEN)", "obstacles"))
+    return [str(folder / Path(word).name) if word.startswith("out/") else word for word in words]
+
+
+def draw_pictures() -> None:
+    """Makes the page's pictures anew by its own commands, and puts what they show into its blocks."""
+    page = PAGE.read_text()
+    with tempfile.TemporaryDirectory() as name, reader(Path(name)) as person:
+        for block in blocks(page)[1:]:
+            begin = time.monotonic()
+            if block.language != "text":
+                person.follow(block)
+                print(f"line {block.line}, {time.monotonic() - begin:.1f} s")
+                continue
+            assert person.shown.count("\n") == block.text.count("\n"), f"line {block.line}: {person.shown}"
+            page = with_shown(page, block, person.shown)
+        for file in pictures(page):
+            shrunk(person.folder / file, WIDTH).save(PICTURES / f"tutorial_{file}", optimize=True)
+    PAGE.write_text(re.sub(r"<!-- Numbers made with: .*? -->", made_with(), page))
+
+
+def draw_readme() -> None:
+    """Makes the README's pictures of `make run` anew."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for words in (
+            make_run(folder),
+            ["view", str(folder / "run.mcap"), "--png", str(folder / "view.png")],
+        ):
+            done = CliRunner().invoke(app, words, prog_name="khep-twin")
+            assert done.exit_code == 0, f"{words}\n{done.output}{done.exception or ''}"
+        (PICTURES / "run.png").write_bytes((folder / "run.png").read_bytes())
+        shrunk(folder / "view.png", 1280).save(PICTURES / "view.png", optimize=True)
+
+
+def shrunk(file: Path, width: int) -> Image.Image:
+    """A picture of this width, in full colour."""
+    picture = Image.open(file).convert("RGB")
+    height = round(picture.height * width / picture.width)
+    return picture.resize((width, height), Image.Resampling.LANCZOS)
+
+
+if __name__ == "__main__":
+    draw_readme()
+    draw_pictures()

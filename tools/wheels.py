@@ -1,0 +1,94 @@
+"""Prints, for each version of Python, the wheel of every locked package that pip would install there.
+
+    python tools/wheels.py [3.14 ...]
+
+pip is asked as for a Linux of x86_64 with glibc 2.28, whichever interpreter asks. A wheel counts if its hash
+is in the lock. Ends with 1 if a package has none.
+"""
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+VERSIONS = ["3.11", "3.12", "3.13", "3.14"]
+LOCKS = ["requirements.lock", "requirements-dev.lock", "requirements-browser.lock"]
+PLATFORMS = [f"manylinux_2_{minor}_x86_64" for minor in range(28, 4, -1)]
+PLATFORMS += ["manylinux2014_x86_64", "manylinux2010_x86_64", "manylinux1_x86_64"]
+MISSING = re.compile(r"No matching distribution found for ([\w.-]+)==")
+
+
+def locked(version: str) -> dict[str, tuple[str, set[str]]]:
+    """Return the locked version and hashes of each package that is for a version of Python, by name."""
+    target = {
+        "python_version": version,
+        "python_full_version": f"{version}.0",
+        "sys_platform": "linux",
+        "platform_machine": "x86_64",
+    }
+    packages: dict[str, tuple[str, set[str]]] = {}
+    for lock in LOCKS:
+        for entry in re.split(r"\n(?=[A-Za-z0-9])", (ROOT / lock).read_text()):
+            requirement = Requirement(entry.partition("\\")[0])
+            if requirement.marker is None or requirement.marker.evaluate(target):
+                [pin] = requirement.specifier
+                packages[requirement.name] = pin.version, set(re.findall(r"--hash=(sha256:\w+)", entry))
+    return packages
+
+
+def wheels(version: str, pins: dict[str, str]) -> dict[str, tuple[str, str]]:
+    """Return file name and hash of the wheel that pip finds for each pin, by name of the package."""
+    asked = dict(pins)
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder, "report.json")
+        command = [sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--dry-run"]
+        command += ["--no-deps", "--only-binary", ":all:", "--python-version", version, "--target", folder]
+        command += ["--ignore-installed", "--report", str(report), "-r", str(Path(folder, "pins.txt"))]
+        command += [word for platform in PLATFORMS for word in ("--platform", platform)]
+        while asked:
+            lines = [f"{name}=={pin}\n" for name, pin in asked.items()]
+            Path(folder, "pins.txt").write_text("".join(lines))
+            done = subprocess.run(command, capture_output=True, text=True)
+            if done.returncode == 0:
+                break
+            missing = MISSING.search(done.stderr)
+            if missing is None:
+                sys.exit(f"pip failed:\n{done.stderr}")
+            del asked[missing[1]]
+        else:
+            return {}
+        items = json.loads(report.read_text())["install"]
+    found: dict[str, tuple[str, str]] = {}
+    for item in items:
+        url, hashes = item["download_info"]["url"], item["download_info"]["archive_info"]["hashes"]
+        found[canonicalize_name(item["metadata"]["name"])] = (
+            url.rpartition("/")[2],
+            f"sha256:{hashes['sha256']}",
+        )
+    return found
+
+
+def main(versions: list[str]) -> int:
+    """Print a table for each version; return how many packages have no wheel in all."""
+    without = 0
+    for version in versions:
+        packages = locked(version)
+        found = wheels(version, {name: pin for name, (pin, _) in packages.items()})
+        there = 0
+        for name, (pin, hashes) in sorted(packages.items()):
+            file, digest = found.get(name, ("", ""))
+            there += digest in hashes
+            print(f"{version}  {name:26} {pin:18} {file if digest in hashes else 'NO LOCKED WHEEL'}")
+        print(f"Python {version}: {there} of {len(packages)} locked packages have a wheel")
+        without += len(packages) - there
+    return without
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:] or VERSIONS) > 0)
