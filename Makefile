@@ -21,7 +21,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges record soak determinism kills day worker-kills signals pyserial browser schemas reference tutorial bench lock build clean
+.PHONY: help run test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges record soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -97,6 +97,9 @@ browser: $(VENV)/dev.stamp ## the designer's page in Chromium, which has to be i
 
 schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
 	@$(BIN)/python tools/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin
+
+commands: $(VENV)/dev.stamp ## docs/commands.md, every command with its options, out of the help texts
+	@$(BIN)/python -m typer khep_twin.cli.app utils docs --name khep-twin --title Commands --output docs/commands.md
 
 reference: $(VENV)/dev.stamp ## pages of every public function and class, docs/reference/index.html
 	@$(BIN)/python tools/reference.py docs/reference

@@ -1,1 +1,1 @@
-"""How fast the twin is, as ratios to floors measured in the same run."""
+"""Speed benchmarks, as ratios to floors measured in the same run."""

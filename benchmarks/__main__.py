@@ -1,8 +1,8 @@
-"""`make bench`: one table of all that takes time, each row beside a floor measured in the same rounds.
+"""`make bench`: one table of all benchmarks, each row beside a floor measured in the same rounds.
 
 Floors are a loop around mj_step alone, called from Python, in the same scene with its rangefinders, and a
-process that does nothing but echo. `python -m benchmarks --help` lists what can be chosen;
-`benchmarks.scale`, `benchmarks.ports` and `benchmarks.growth` look closer, each by itself.
+process that only echoes. `python -m benchmarks --help` lists the options; `benchmarks.scale`,
+`benchmarks.ports` and `benchmarks.growth` have more detailed tables.
 """
 
 import argparse
@@ -24,11 +24,11 @@ from khep_twin.rollout.life import Ground
 
 PLAYPEN = "obstacles"
 PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
-"""Where Kheperax is, too."""
+"""Playpens that are measured with Kheperax, too."""
 
 
 def main_job(part: float, rounds: int) -> Table:
-    """From the bare loop up to the whole twin with its line and log, and lives without a line."""
+    """Measure the bare loop, the whole twin with its line and log, and episodes without a line."""
     seconds, lives = max(round(30 * part), 1), 32 if part >= 1 else 8
     ground = Ground(playpen.load(PLAYPEN))
     with TemporaryDirectory() as folder:
@@ -49,14 +49,14 @@ def main_job(part: float, rounds: int) -> Table:
 
 
 def beside_kheperax(name: str, part: float, rounds: int, python: str | None, found: dict[str, str]) -> Table:
-    """Lives in MuJoCo and in a plane, and Kheperax in the same playpen.
+    """Measure episodes in MuJoCo and in a plane, and Kheperax in the same playpen.
 
     Args:
-        name: of the playpen, or of what stands in it.
-        part: of the usual length.
-        rounds: that count.
-        python: with Kheperax; None where there is none.
-        found: is filled with its versions.
+        name: Name of the playpen, or of the things in it.
+        part: Fraction of the usual length.
+        rounds: Number of counted rounds.
+        python: Python with Kheperax; None if there is none.
+        found: Filled with the versions of Kheperax.
     """
     scene = growth.twenty_blocks() if name == growth.TWENTY_BLOCKS else playpen.load(name)
     seconds, lives = max(round(20 * part), 1), 32 if part >= 1 else 8
@@ -86,18 +86,18 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
 
 
 def ways_in(part: float, rounds: int) -> Table:
-    """Round trips over pseudo-terminals."""
+    """Measure round trips over pseudo-terminals."""
     with trip_rows(round(1000 * part)) as rows:
         return measure("B over a pty", rows, rounds, unit="round trips per s")
 
 
 def tables(quick: bool, python: str | None, found: dict[str, str]) -> Iterator[Table]:
-    """All parts of the table, each as soon as it is there.
+    """Yield all parts of the table, each as soon as it is measured.
 
     Args:
-        quick: shorter, and without the largest.
-        python: with Kheperax; None where there is none.
-        found: is filled with Kheperax's versions.
+        quick: Whether to run shorter, and without the largest.
+        python: Python with Kheperax; None if there is none.
+        found: Filled with the versions of Kheperax.
     """
     part, rounds = (0.25, 2) if quick else (1.0, 7)
     yield main_job(part, rounds)
@@ -108,18 +108,18 @@ def tables(quick: bool, python: str | None, found: dict[str, str]) -> Iterator[T
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="How fast the twin is.")
-    parser.add_argument("--quick", action="store_true", help="half a minute, for a rough look")
-    parser.add_argument("--kheperax", metavar="PYTHON", help=f"with Kheperax installed; or {peers.VARIABLE}")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure the twin's speed.")
+    parser.add_argument("--quick", action="store_true", help="run half a minute, for rough numbers")
+    parser.add_argument("--kheperax", metavar="PYTHON", help=f"Python with Kheperax; or {peers.VARIABLE}")
     parser.add_argument(
         "--save",
         nargs="?",
         const=record.FOLDER,
         type=Path,
         metavar="FOLDER",
-        help="keep the results in a file; without FOLDER in benchmarks/results",
+        help="save the results to a file; without FOLDER in benchmarks/results",
     )
-    parser.add_argument("--show", type=Path, metavar="FILE", help="print kept results, measure nothing")
+    parser.add_argument("--show", type=Path, metavar="FILE", help="print saved results, measure nothing")
     given = parser.parse_args()
     if given.show is not None:
         try:
@@ -131,7 +131,7 @@ def main() -> None:
     try:
         python = peers.kheperax_python(given.kheperax)
         if given.save is not None and not given.save.is_dir():
-            raise KhepTwinError(f"{given.save}: no directory; right is one that is there")
+            raise KhepTwinError(f"{given.save}: no directory; expected an existing one")
     except KhepTwinError as error:
         parser.error(str(error))
     load, begun, found = record.load(), time.monotonic(), dict[str, str]()

@@ -1,7 +1,7 @@
-"""How time per simulated second grows: with blocks, robots, rays per sensor and lives in a batch.
+"""Growth of time per simulated second with blocks, robots, rays per sensor and episodes in a batch.
 
-`python -m benchmarks.growth` prints these tables alone. Blocks stand in the same large arena, however many,
-in an order of places from the robot outwards, so that with more of them it meets the same ones first.
+`python -m benchmarks.growth` prints these tables alone. Any number of blocks stands in the same large
+arena, in an order from the robot outwards, so that with more of them it meets the same ones first.
 """
 
 import math
@@ -28,17 +28,17 @@ LIVES = (32, 128, 1024)
 TWENTY_BLOCKS = "twenty blocks"
 
 PLACE_MM = 150.0
-"""Each block has a square of this side to itself [mm]: of 60 x 25 mm, it leaves a robot room on all sides."""
+"""Side of the square for each block [mm]: a block of 60 x 25 mm leaves a robot room on all sides."""
 
 CONES = 'camera resolution="9 1" fovy="12.680383"'
-"""How assets/khepera.xml has the sensors' rays: nine over 90 degrees."""
+"""Rays of a sensor in assets/khepera.xml: nine over 90 degrees."""
 
 
 def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
-    """Blocks at any angle around robots in rows, in a square arena of so many places a side.
+    """Return blocks at random angles around robots in rows, in a square arena of `places` a side.
 
     Raises:
-        ValueError: there are fewer places.
+        ValueError: There are fewer places.
     """
     middle = (places - 1) / 2
     grid = sorted(
@@ -46,7 +46,7 @@ def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
         key=lambda place: (max(abs(each - middle) for each in place), place),
     )
     if n_blocks + n_robots > len(grid):
-        raise ValueError(f"{n_blocks} blocks and {n_robots} robots; right are {len(grid)} in all")
+        raise ValueError(f"{n_blocks} blocks and {n_robots} robots; expected {len(grid)} in all")
     chance = np.random.default_rng(1)
     angles = chance.uniform(0, 180, len(grid)).round(1).tolist()
     shifts = chance.uniform(-20, 20, (len(grid), 2)).round(1).tolist()
@@ -65,13 +65,13 @@ def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
 
 
 def twenty_blocks() -> Playpen:
-    """Twenty of them in 900 x 900 mm: wherever the robot goes, there is one."""
+    """Return twenty blocks in 900 x 900 mm, so that one is always near the robot."""
     return field(20, places=6)
 
 
 @contextmanager
 def rays_per_sensor(n_rays: int) -> Generator[None]:
-    """Scenes made meanwhile have robots with so many rays over the same 90 degrees."""
+    """Build scenes in this context with a number of rays over the same 90 degrees."""
     known = playpen_to_mjcf.ROBOT_FILE.read_text()
     if known.count(CONES) != 1:
         raise ValueError(f"assets/khepera.xml has not {CONES!r}, which is to be changed")
@@ -84,13 +84,13 @@ def rays_per_sensor(n_rays: int) -> Generator[None]:
 
 
 def blocks_tables(seconds: float, rounds: int, numbers: Sequence[int] = BLOCKS) -> Iterator[Table]:
-    """A life and the bare loop among more and more blocks."""
+    """Measure an episode and the bare loop among increasing numbers of blocks."""
     grounds = [(f"{number} blocks", Ground(field(number))) for number in numbers]
     yield from _life_and_bare("blocks", grounds, seconds, rounds)
 
 
 def rays_tables(seconds: float, rounds: int, numbers: Sequence[int] = RAYS) -> Iterator[Table]:
-    """A life and the bare loop among 20 blocks, with finer and finer cones."""
+    """Measure an episode and the bare loop among 20 blocks, with increasing numbers of rays."""
     grounds: list[tuple[str, Ground]] = []
     for number in numbers:
         with rays_per_sensor(number):
@@ -99,7 +99,7 @@ def rays_tables(seconds: float, rounds: int, numbers: Sequence[int] = RAYS) -> I
 
 
 def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -> Table:
-    """A world told by no line, with more and more robots."""
+    """Measure a world without a line, with increasing numbers of robots."""
     rows = [
         world_row(f"{number} robot{'s' * (number > 1)}", field(20, number), seconds) for number in numbers
     ]
@@ -107,7 +107,7 @@ def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -
 
 
 def lives_table(life_s: float, rounds: int, numbers: Sequence[int] = LIVES) -> Table:
-    """Batches of more and more short lives, on two threads."""
+    """Measure batches of increasing numbers of short episodes, on two threads."""
     ground = Ground(playpen.load("default"))
     rows = [batch_row(f"{number} lives", ground, number, life_s, 2) for number in numbers]
     title = f"lives of {life_s:g} s in a batch, default, 2 threads"
@@ -115,12 +115,12 @@ def lives_table(life_s: float, rounds: int, numbers: Sequence[int] = LIVES) -> T
 
 
 def tables(part: float, rounds: int, most: int | None = None) -> Iterator[Table]:
-    """All of them.
+    """Yield all tables.
 
     Args:
-        part: of the usual length.
-        rounds: of each.
-        most: the last size of each that is measured, by its place; None for all.
+        part: Fraction of the usual length.
+        rounds: Rounds of each table.
+        most: Number of sizes measured in each table; None for all.
     """
     seconds = max(round(10 * part), 1)
     yield from blocks_tables(seconds, rounds, BLOCKS[:most])

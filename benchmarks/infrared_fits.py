@@ -1,7 +1,7 @@
 """Fits of the infrared optics to measured tables, and what is left: `python -m benchmarks.infrared_fits`.
 
 The tables are not part of the project; the environment variable KHEP_TWIN_REFERENCE_DATA names the folder in
-which they lie (data/ and manual_data/). What is printed stands in khep_twin/assets/calibration.
+which they lie (data/ and manual_data/). The printed values are those in khep_twin/assets/calibration.
 """
 
 import os
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 CYLINDER_RADIUS = 0.027
 SET_UP_BEARING = np.radians(2.2)
-"""What the sampled set-up's bearings of wall and cylinder lack [rad]: so left and right look alike."""
+"""Corrections of the sampled set-up's bearings of wall and cylinder [rad]: they make left and right alike."""
 
 MANUAL = Optics(1_205_400, 333.8, 0.01, 3.72, 1.14)
 """The sensor of the manual's figure 11, whose gain is for white plastic."""
@@ -44,15 +44,15 @@ _SHARED = np.array([5.58, 1.04, 0.18])
 
 
 def reference() -> Path:
-    """Where the tables are."""
+    """Return the folder of the tables."""
     folder = os.environ.get("KHEP_TWIN_REFERENCE_DATA")
     if not folder:
-        sys.exit("KHEP_TWIN_REFERENCE_DATA is not set; right is the folder with data/ and manual_data/")
+        sys.exit("KHEP_TWIN_REFERENCE_DATA is not set; expected the folder with data/ and manual_data/")
     return Path(folder)
 
 
 def sampled(folder: Path) -> list[Table]:
-    """The sampled robot before a wall and a cylinder."""
+    """Return the readings of the sampled robot before a wall and a cylinder."""
     tables: list[Table] = []
     for name, radius in (("wall", 0.0), ("round", CYLINDER_RADIUS)):
         rows = np.genfromtxt(folder / "data" / f"evorobot_{name}_samples.csv", delimiter=",", skip_header=1)
@@ -62,7 +62,7 @@ def sampled(folder: Path) -> list[Table]:
 
 
 def fit_sampled(tables: Sequence[Table], sensor: int, heading: float) -> tuple[float, Optics]:
-    """One sensor of the sampled robot: heading [rad] and optics, by all bearings and those on axis again."""
+    """Fit one sensor of the sampled robot: heading [rad] and optics, by all bearings, then those on axis."""
     axes = [table.on_axis(sensor) for table in tables]
 
     def left(x: Floats) -> Floats:
@@ -82,13 +82,13 @@ def fit_sampled(tables: Sequence[Table], sensor: int, heading: float) -> tuple[f
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """Of one sensor before one object: model less robot.
+    """Residuals of one sensor before one object: model less robot.
 
     Attributes:
-        everywhere: at all bearings (n,) [counts].
-        on_axis: means near the peak, per distance [counts].
-        half: of the distance at half scale [m].
-        peak: of the peak's bearing [rad].
+        everywhere: Residuals at all bearings (n,) [counts].
+        on_axis: Residuals of the means near the peak, per distance [counts].
+        half: Residual of the distance at half scale [m].
+        peak: Residual of the peak's bearing [rad].
     """
 
     everywhere: Floats
@@ -98,7 +98,7 @@ class Residuals:
 
 
 def compare(table: Table, sensor: int, heading: float, optics: Optics) -> Residuals:
-    """What a model leaves over."""
+    """Return the residuals of a model."""
     measured = table.counts[:, sensor]
     modelled = proximity(table.view(sensor, heading), TANGENTS, optics)
     axis, distances = table.on_axis(sensor), np.unique(table.distances)
@@ -115,19 +115,19 @@ def compare(table: Table, sensor: int, heading: float, optics: Optics) -> Residu
 
 
 def rms(errors: Sequence[Floats]) -> float:
-    """Root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.concatenate([error.ravel() for error in errors]) ** 2)))
 
 
 def facing(distances: Floats, optics: Optics, reflectance: float = 1.0, limit: int = 1023) -> Floats:
-    """A sensor face to face with a wall so far away (n,) [m]."""
+    """Return the counts of a sensor face to face with a wall at these distances (n,) [m]."""
     bench = Bench((0.0, 0.0), 0.0, TANGENTS, 0.0)
     view = bench.wall(distances, np.zeros(len(distances)))
     return proximity(view, TANGENTS, optics, reflectance, limit)
 
 
 def materials(folder: Path) -> dict[str, tuple[Floats, Floats]]:
-    """The manual's figure 11: distances [m] and counts by material."""
+    """Return the manual's figure 11: distances [m] and counts by material."""
     rows = np.genfromtxt(
         folder / "manual_data" / "k1_fig11_proximity_vs_distance_materials.csv",
         delimiter=",",
@@ -144,7 +144,7 @@ def materials(folder: Path) -> dict[str, tuple[Floats, Floats]]:
 
 
 def khepera2_paper(folder: Path, side: str, sensor: int) -> tuple[Floats, Floats]:
-    """A Khepera II's sensor before white paper at its basic gain: distances [m] and counts."""
+    """Return a Khepera II sensor's distances [m] and counts before white paper, at its basic gain."""
     rows = np.genfromtxt(
         folder / "manual_data" / "iran_proximity_curves.csv",
         delimiter=",",
@@ -161,7 +161,7 @@ def khepera2_paper(folder: Path, side: str, sensor: int) -> tuple[Floats, Floats
 
 
 def main() -> None:
-    """Fits the sampled robot and prints what belongs into its calibration."""
+    """Fit the sampled robot and print the values of its calibration."""
     tables = sampled(reference())
     fits = [fit_sampled(tables, sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
     print("heading_deg =", [round(float(np.degrees(heading)), 1) for heading, _ in fits])

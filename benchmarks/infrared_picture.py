@@ -1,6 +1,6 @@
-"""The twin's infrared sensors over the real robot's, drawn: `python -m benchmarks.infrared_picture FILE`.
+"""Plot of the twin's infrared sensors over the real robot's: `python -m benchmarks.infrared_picture FILE`.
 
-Means on axis per distance, and what other simulators of this robot publish as its response; the tables are
+Means on axis per distance, and the responses published by other simulators of this robot; the tables are
 found as in `benchmarks.infrared_fits`.
 """
 
@@ -27,7 +27,7 @@ _STYLES = ("--", ":", "-.")
 
 
 def draw(target: Path) -> None:
-    """Draws all sensors; prints the rms of each curve."""
+    """Draw all sensors; print the rms of each curve."""
     khepera1 = calibration.read("khepera1")[0]
     tables = sampled(reference())
     figure = Figure(figsize=(12, 6.4), layout="constrained")

@@ -1,19 +1,19 @@
-"""Kheperax 0.2.0 as a peer, in a process and an environment of its own, without anything of khep_twin.
+"""Kheperax 0.2.0 as a peer, in a process and an environment of its own, without khep_twin.
 
-The first line of the input is the scene in JSON, as `peers.scene` has it; the answer is versions. Each
-further line, "ROBOTS STEPS", is one measurement: so many robots at once take so many steps of 20 ms, as
+The first line of the input is the scene in JSON, from `peers.scene`; the answer is versions. Each further
+line, "ROBOTS STEPS", is one measurement: ROBOTS robots at once take STEPS steps of 20 ms, as
 `jax.lax.scan` over steps under `jax.vmap` over robots, compiled before the clock starts. The answer in JSON:
-`wall` and `cpu` [s], the latter of all threads, the mean `way_mm` of a robot's centre, and how many robots
-are `stuck` at the end, for Kheperax holds a robot that has touched a wall for ever.
+`wall` and `cpu` [s], the latter of all threads, the mean `way_mm` of a robot's centre, and the number of
+robots `stuck` at the end, as Kheperax holds a robot that has touched a wall for ever.
 
 The same as in khep_twin: the arena's size, walls and blocks, the body's radius, eight sensors at the
 calibration's headings, the control period, speeds in pulses per 10 ms, and the ROM's rule, speed = counts x
-weights / 400 + 10. Not the same: Kheperax has no physics, motors, firmware, noise or lamps; a wheel's way of
-20 ms is laid along an arc at once, with a wheel base as wide as the body; walls have no thickness, a cylinder
-has twelve sides, nothing has a height; a sensor is one laser from the robot's centre to its reach, and what
-the rule takes for counts falls linearly with its length, from 1023 at the body's edge to 0 at the reach;
-numbers have 32 bits. It draws random numbers and looks for walls at its bumpers in each step, though nothing
-here asks for either.
+weights / 400 + 10. Not the same: Kheperax has no physics, motors, firmware, noise or lamps; a wheel's path of
+20 ms is one arc, with a wheel base as wide as the body; walls have no thickness, a cylinder
+has twelve sides, nothing has a height; a sensor is one laser from the robot's centre to its reach, and the
+counts for the rule fall linearly with its length, from 1023 at the body's edge to 0 at the reach;
+numbers have 32 bits. It draws random numbers and checks its bumpers for walls in each step, though neither
+is used here.
 """
 
 import json
@@ -36,11 +36,11 @@ def main() -> None:
 
 
 def stage(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
-    """A function that measures: of how many robots and steps."""
+    """Return a function of the numbers of robots and steps that measures them."""
     import jax
     import jax.numpy as jnp
 
-    jax.tree_leaves = jax.tree_util.tree_leaves  # what Kheperax calls, and jax has no more
+    jax.tree_leaves = jax.tree_util.tree_leaves  # Kheperax calls it, and jax has removed it
     from kheperax.simu.geoms import Pos, Segment
     from kheperax.simu.maze import Maze
     from kheperax.simu.posture import Posture
@@ -85,7 +85,7 @@ def stage(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
         keys = jax.random.split(jax.random.PRNGKey(1), robots)
 
         def begun(key: Any) -> Any:
-            # After a step, so that every number has the type that it keeps.
+            # After one step all numbers have their final types.
             return one_step(task.reset(key), None)[0]
 
         if robots == 1:
@@ -111,7 +111,7 @@ def stage(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
 
 
 def cpu_s() -> float:
-    """What all threads of this process have used [s]."""
+    """Return the processor time of all threads of this process [s]."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 

@@ -1,6 +1,6 @@
 """Fit of the law of lamps to a sampled robot's readings, and what is left: `python -m benchmarks.lamp_fits`.
 
-As in `infrared_fits`, the tables come from the folder that KHEP_TWIN_REFERENCE_DATA names.
+The tables come from the folder that KHEP_TWIN_REFERENCE_DATA names, as in `infrared_fits`.
 """
 
 from pathlib import Path
@@ -17,47 +17,47 @@ from khep_twin.units import BODY_RADIUS, BULB_RADIUS, N_SENSORS
 Floats = NDArray[np.float64]
 
 SET_UP_BEARING = np.radians(-4.4)
-"""What the sampled set-up's bearings of the lamp lack [rad]: with it left and right sensors look alike."""
+"""Correction of the sampled set-up's bearings of the lamp [rad]: it makes left and right sensors alike."""
 
 FILAMENT_HEIGHT = 0.0016
-"""Of the sampled lamp above the sensors [m]: that of a playpen's lamp. It was not written down; 47 mm would
-leave less near by (see main)."""
+"""Height of the sampled lamp above the sensors [m]: that of a playpen's lamp. It was not recorded; 47 mm
+would leave smaller residuals near by (see main)."""
 
 POWER = 2.0
-"""Of the sampled lamp [W]."""
+"""Power of the sampled lamp [W]."""
 
 FAR = 0.113
 """Distance from which the law can hold [m]: nearer, the lamp saturates the sensors and the lobe is wrong."""
 
 _THINNED = 4
-"""Of the nearer readings one in so many is used, so that they do not spoil the fit of the others."""
+"""Stride of the nearer readings used, so that they do not spoil the fit of the others."""
 
 SAMPLED_LIMIT, COUNTS_AT_0 = 1023, 500
-"""The samples say 1023 where the robot read 0, and 0 where it read 500."""
+"""The samples have 1023 where the robot read 0, and 0 where it read 500."""
 
 
 def sampled_lamp(folder: Path, height: float = FILAMENT_HEIGHT) -> tuple[Floats, LampTable]:
-    """Distances from the robot's edge to the bulb's glass (n,) [m], and the readings there."""
+    """Return the distances from the robot's edge to the bulb's glass (n,) [m], and the readings there."""
     rows = np.genfromtxt(folder / "data" / "evorobot_light_samples.csv", delimiter=",", skip_header=1)
     distances, counts = rows[:, 0] / 1e3, COUNTS_AT_0 * (1 - rows[:, 2:] / SAMPLED_LIMIT)
     return distances, LampTable(places(distances, -np.radians(rows[:, 1]), height), counts, POWER)
 
 
 def places(distances: Floats, bearings: Floats, height: float = FILAMENT_HEIGHT) -> Floats:
-    """Of the sampled lamp's filament from the robot's centre (n, 3) [m]."""
+    """Return the positions of the sampled lamp's filament from the robot's centre (n, 3) [m]."""
     away = BODY_RADIUS + distances + BULB_RADIUS
     angles = bearings + SET_UP_BEARING
     return np.column_stack([away * np.cos(angles), away * np.sin(angles), np.full(len(away), height)])
 
 
 def left_over(table: LampTable, ambient: AmbientCalibration) -> Floats:
-    """Model less robot (n, 8), of 1023 as the samples count."""
+    """Return model less robot (n, 8), on the samples' scale of 1023."""
     modelled = np.column_stack([ambient_counts(table, sensor, ambient) for sensor in range(N_SENSORS)])
     return (table.counts - modelled) / COUNTS_AT_0 * SAMPLED_LIMIT
 
 
 def main() -> None:
-    """Fits with several heights of the filament, and prints what belongs into the calibration."""
+    """Fit with several heights of the filament, and print the values of the calibration."""
     start = calibration.read("khepera1")[0]
     for height in (FILAMENT_HEIGHT, 0.03, 0.0468, 0.06):
         distances, table = sampled_lamp(reference(), height)

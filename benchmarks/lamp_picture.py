@@ -1,4 +1,4 @@
-"""The twin's receivers over the real robot's, drawn: `python -m benchmarks.lamp_picture FILE`.
+"""Plot of the twin's receivers over the real robot's: `python -m benchmarks.lamp_picture FILE`.
 
 Readings of a lamp of 2 W over its distance, means within 10 degrees of the receiver's axis; and over its
 bearing, 213 mm away. The tables are found as in `benchmarks.infrared_fits`.
@@ -21,7 +21,7 @@ _AWAY = 0.213
 
 
 def draw(target: Path) -> None:
-    """Draws all sensors."""
+    """Draw all sensors."""
     ambient = calibration.read("khepera1")[0].ambient
     distances, table = sampled_lamp(reference())
     bearings = np.arctan2(table.places[:, 1], table.places[:, 0])
@@ -37,7 +37,7 @@ def draw(target: Path) -> None:
         ]
         panel.plot(places * 1e3, means[0], "o", ms=3.5, color=_INK, label="over distance [mm], robot")
         panel.plot(places * 1e3, means[1], color=_INK, lw=1.6, label="over distance [mm], twin")
-        # What Michel's simulator publishes for a lamp straight ahead, the same for any power.
+        # Michel's simulator publishes this for a lamp straight ahead, the same for any power.
         michel = np.where(places < 0.25, 500 - 450 * (1 - places / 0.25), 500)
         panel.plot(places * 1e3, michel, "--", color=_GREY, lw=1.2, label="over distance, Michel's simulator")
         turn = np.isclose(distances, _AWAY)

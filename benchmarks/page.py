@@ -1,10 +1,10 @@
-"""`python -m benchmarks.page`: what the designer's live view costs the twin that is watched.
+"""`python -m benchmarks.page`: cost of the designer's live view for the twin.
 
 A twin runs a Braitenberg vehicle as fast as it goes, by turns unwatched, watched by a client that reads each
 picture, and by the page in Chromium where that and Playwright are installed. Each row is simulated seconds
 per second of wall time and the server's processor time per simulated second, as medians over the rounds, and
-the cost: what is missing beside the unwatched turns right before and after it, likewise. Last come the frames
-per second that Chromium draws while an object is dragged among 200.
+the cost: the loss against the unwatched turns right before and after it, in both. Last are the frames per
+second that Chromium draws while an object is dragged among 200.
 """
 
 import itertools
@@ -31,16 +31,16 @@ SECONDS = 2.0
 """Wall time of a turn [s]."""
 
 OBJECTS = 200
-"""In the playpen in which one of them is dragged."""
+"""Objects in the playpen in which one of them is dragged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """How far a twin came.
+    """Speed of a twin.
 
     Attributes:
-        speed: simulated seconds per second.
-        processor: time of the server's process per simulated second [s].
+        speed: Simulated seconds per second.
+        processor: Processor time of the server per simulated second [s].
     """
 
     speed: float
@@ -62,20 +62,20 @@ class Twin:
         self.post("run", controller="braitenberg", cycles=10**9)
 
     def post(self, action: str, **wanted: Any) -> Any:
-        """Asks the designer for something, as its page does."""
+        """Send the designer a request, as its page does."""
         headers = {"Content-Type": "application/json", "Origin": self.origin}
         with urlopen(Request(f"{self.url}do/{action}", json.dumps(wanted).encode(), headers)) as answer:
             return json.load(answer)
 
     @contextmanager
     def live(self) -> Iterator[Any]:
-        """What the page hears."""
+        """Yield the events that the page receives."""
         url = self.url.replace("http", "ws", 1) + "live"
         with connect(url, origin=self.origin) as socket:  # pyright: ignore[reportArgumentType]
             yield socket
 
     def look(self) -> tuple[float, float, float]:
-        """Simulated time, wall time and processor time, as the next picture comes [s]."""
+        """Return simulated time, wall time and processor time at the next picture [s]."""
         with self.live() as socket:
             while True:
                 said = json.loads(socket.recv())
@@ -83,7 +83,7 @@ class Twin:
                     return said["time"], time.perf_counter(), self._processor()
 
     def turn(self, watch: Callable[[], AbstractContextManager[Any]]) -> Turn:
-        """Lets it run for a while, watched."""
+        """Run the twin for a turn, watched."""
         with watch() as socket:
             before = self.look()
             end = time.perf_counter() + SECONDS
@@ -145,7 +145,7 @@ def main() -> None:
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A page of Chromium's, headless; None where it is not installed."""
+    """Open a page of headless Chromium; None if it is not installed."""
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     try:
         from playwright.sync_api import sync_playwright
@@ -170,7 +170,7 @@ def _shown(page: Any, url: str) -> Iterator[None]:
 
 
 def crowd() -> str:
-    """A playpen of many objects; the robot has room to be dragged among them."""
+    """Return a playpen of many objects, with room to drag the robot among them."""
     head = 'version = 1\nname = "crowd"\n\n[arena]\nwidth_mm = 2000\nheight_mm = 1000\n'
     robot = "\n[[robot]]\nx_mm = 1000\ny_mm = 500\nheading_deg = 90\n"
     places = [
@@ -187,7 +187,7 @@ def crowd() -> str:
 
 
 def drag(page: Any, url: str) -> list[float]:
-    """Drags the robot to and fro; the times between the frames that the browser draws meanwhile [s]."""
+    """Drag the robot to and fro; return the times between the frames that the browser draws meanwhile [s]."""
     page.goto(url)
     page.wait_for_selector("html[data-ready]")
     page.click("#open")

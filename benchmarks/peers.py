@@ -1,6 +1,6 @@
 """Other simulators beside khep_twin, each in a process and a Python of its own.
 
-`kheperax_peer` says what is the same in Kheperax and what is not.
+`kheperax_peer` lists the differences of Kheperax.
 """
 
 import importlib.util
@@ -25,10 +25,10 @@ from khep_twin.playpen.footprint import Circle, Footprint
 from khep_twin.sensing import calibration
 
 REACH_MM = 50.0
-"""Beyond the body, how far Kheperax's lasers see: about as far as the sensors do [mm]."""
+"""Reach of Kheperax's lasers beyond the body: about that of the sensors [mm]."""
 
 N_SIDES = 12
-"""Of a cylinder in Kheperax, which knows nothing round; the corners are on the circle."""
+"""Sides of a cylinder in Kheperax, which has no circles; the corners are on the circle."""
 
 VARIABLE = "KHEP_TWIN_KHEPERAX"
 
@@ -38,17 +38,17 @@ _PEER = Path(__file__).with_name("kheperax_peer.py")
 
 
 def kheperax_python(given: str | None) -> str | None:
-    """The Python with Kheperax: as given, by the environment, or this one; none if there is none.
+    """Return the Python with Kheperax: as given, by the environment, or this one; None if there is none.
 
     Raises:
-        KhepTwinError: the one that was named has no Kheperax.
+        KhepTwinError: The named Python has no Kheperax.
     """
     named = given or os.environ.get(VARIABLE)
     if named is None:
         return sys.executable if importlib.util.find_spec("kheperax") else None
     look = "import importlib.util, sys; sys.exit(importlib.util.find_spec('kheperax') is None)"
     if shutil.which(named) is None or subprocess.run([named, "-c", look]).returncode:
-        raise KhepTwinError(f"{named}: no Python with Kheperax; right is one that can import it")
+        raise KhepTwinError(f"{named}: no Python with Kheperax; expected one that can import it")
     return named
 
 
@@ -56,14 +56,14 @@ class Kheperax(AbstractContextManager["Kheperax"]):
     """Kheperax in a playpen.
 
     Args:
-        python: that can import it.
-        playpen: with one robot; its walls have no thickness, and a cylinder has `N_SIDES` sides.
+        python: Python that can import Kheperax.
+        playpen: Playpen with one robot; its walls have no thickness, and a cylinder has `N_SIDES` sides.
 
     Attributes:
-        versions: of Kheperax and jax.
+        versions: Versions of Kheperax and jax.
 
     Raises:
-        KhepTwinError: it does not start; its own last line says why.
+        KhepTwinError: Kheperax does not start; its own last line gives the reason.
     """
 
     def __init__(self, python: str, playpen: Playpen) -> None:
@@ -78,11 +78,11 @@ class Kheperax(AbstractContextManager["Kheperax"]):
         self.versions: dict[str, str] = self._ask(json.dumps(scene(playpen)))
 
     def __exit__(self, *_: object) -> None:
-        """Ends it."""
+        """End the process."""
         self._process.communicate()
 
     def row(self, name: str, robots: int, seconds: float) -> Row:
-        """So many robots at once for so long."""
+        """Return a row of this number of robots for this time [s]."""
         steps = round(seconds * 1e9) // units.SCAN_NS
 
         def run() -> Taken:
@@ -105,7 +105,7 @@ class Kheperax(AbstractContextManager["Kheperax"]):
 
 
 def scene(playpen: Playpen) -> dict[str, Any]:
-    """A playpen as Kheperax's process reads it: lengths in mm, angles in rad."""
+    """Return a playpen as Kheperax's process reads it: lengths in mm, angles in rad."""
     robot, arena = playpen.robots[0], playpen.arena
     lines = [_edges(arena.outline_mm, True)] if arena.outline_mm else []
     lines += [_edges(wall.points_mm, wall.closed) for wall in playpen.walls]
@@ -128,7 +128,7 @@ def scene(playpen: Playpen) -> dict[str, Any]:
 
 
 def corners(shape: Footprint) -> list[tuple[float, float]]:
-    """Corners of what a thing covers, of a disc those of `N_SIDES` sides [mm]."""
+    """Return the corners of a thing's outline, with `N_SIDES` sides for a disc [mm]."""
     if isinstance(shape, Circle):
         angles = [2 * math.pi * side / N_SIDES for side in range(N_SIDES)]
         offsets = [(shape.radius_mm * math.cos(angle), shape.radius_mm * math.sin(angle)) for angle in angles]
@@ -143,6 +143,6 @@ _AROUND = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 
 def _edges(points: Sequence[tuple[float, float]], closed: bool) -> list[tuple[float, ...]]:
-    """x, y, x, y [mm] of each piece of a line."""
+    """Return x, y, x, y [mm] of each piece of a line."""
     ends = [*points[1:], points[0]] if closed else points[1:]
     return [(*start, *end) for start, end in zip(points, ends, strict=False)]

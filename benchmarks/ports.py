@@ -1,6 +1,6 @@
 """The main job over the serial line, and a served twin beside a bare pseudo-terminal that echoes.
 
-`python -m benchmarks.ports` also tells how late replies are at 9600 baud, and how fast the wire's clock runs.
+`python -m benchmarks.ports` also prints the delay of replies at 9600 baud, and the speed of the wire's clock.
 A round trip is that of `B` and its 13 bytes, with a plain client that calls os.write and os.read. Its floor
 is a process that answers each line with 13 ready bytes and does nothing else.
 """
@@ -27,7 +27,7 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "01_braitenberg.py"
 
 
 def line_row(name: str, playpen: str, seconds: float, log: Path | None = None) -> Row:
-    """The main job through the serial line in this process, with its opening and closing."""
+    """Run the main job through the serial line in this process, with its opening and closing."""
     url = f"khep://{playpen}?seed=1" + (f"&log={log}" if log else "")
 
     def drive() -> None:
@@ -39,7 +39,7 @@ def line_row(name: str, playpen: str, seconds: float, log: Path | None = None) -
 
 @contextmanager
 def trip_rows(trips: int) -> Generator[list[Row]]:
-    """Round trips over pseudo-terminals, while their processes live; what counts is a round's median trip."""
+    """Measure round trips over pseudo-terminals, while their processes run, by a round's median trip."""
     echo, path = _echo()
     with _served("--unpaced") as twin:
         try:
@@ -77,7 +77,7 @@ def main() -> None:
 
 
 def print_lateness(queries: int = 400) -> None:
-    """Print how late replies to N at 9600 baud end, of a served twin and of a bare loop in turn."""
+    """Print the delays of replies to N at 9600 baud, of a served twin and of a bare loop in turn."""
     echo, path = _echo(_PACED_ECHO)
     with _served() as twin:
         try:
@@ -156,7 +156,7 @@ def _trips(path: str, trips: int) -> list[float]:
 
 
 def _late(port: int) -> float:
-    """Return how long after the line's time a reply to N has ended [s]."""
+    """Return the delay of a reply to N beyond the line's time [s]."""
     start, reply = time.perf_counter(), b""
     os.write(port, b"N\n")
     while not reply.endswith(b"\n"):

@@ -1,6 +1,6 @@
 """Results of benchmarks as files: a date, the machine, versions and all tables, in TOML.
 
-A file tells nothing of where it was made but the processor, its cores and the memory.
+Of the machine a file has only the processor, its cores and the memory.
 """
 
 import os
@@ -29,11 +29,11 @@ class Record:
     """One run of the benchmarks.
 
     Attributes:
-        date: year, month and day.
-        load: how many processes wanted to run when it began, over 1, 5 and 15 minutes.
-        machine: processor, cores, memory.
-        versions: of what took part.
-        tables: what was measured.
+        date: Year, month and day.
+        load: Load averages at the start, over 1, 5 and 15 minutes.
+        machine: Processor, cores, memory.
+        versions: Versions of the software that took part.
+        tables: Results.
     """
 
     date: str
@@ -44,13 +44,13 @@ class Record:
 
     @property
     def name(self) -> str:
-        """Of its file: the date and the machine."""
+        """Name of the file: the date and the machine."""
         words = re.sub(r"[^a-z0-9]+", "-", str(self.machine["processor"]).lower()).strip("-")
         return f"{self.date}-{words}-{self.machine['cores']}-cores.toml"
 
 
 def machine() -> dict[str, str | int]:
-    """This one."""
+    """Return this machine."""
     found = re.search(r"^model name\s*:\s*(.+)$", _read("/proc/cpuinfo"), re.MULTILINE)
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return {
@@ -62,21 +62,21 @@ def machine() -> dict[str, str | int]:
 
 
 def versions(others: Mapping[str, str]) -> dict[str, str]:
-    """Of Python, this project and what it computes with, and of others that took part."""
+    """Return the versions of Python, this project, its numerical packages, and others that took part."""
     own = {"python": platform.python_version(), "khep_twin": __version__}
     return {**own, **{name: version(name) for name in PACKAGES}, **others}
 
 
 def load() -> tuple[float, ...]:
-    """How many processes want to run, over 1, 5 and 15 minutes."""
+    """Return the load averages over 1, 5 and 15 minutes."""
     return tuple(round(each, 2) for each in os.getloadavg())
 
 
 def save(record: Record, folder: Path) -> Path:
-    """Writes a record under its own name.
+    """Write a record under its own name.
 
     Raises:
-        KhepTwinError: it cannot be written.
+        KhepTwinError: The record cannot be written.
     """
     data = {
         "date": record.date,
@@ -96,10 +96,10 @@ def save(record: Record, folder: Path) -> Path:
 
 
 def read(path: Path) -> Record:
-    """A record from its file.
+    """Read a record from its file.
 
     Raises:
-        KhepTwinError: it cannot be read, or is none.
+        KhepTwinError: The file cannot be read, or is no record.
     """
     try:
         data = tomllib.loads(path.read_text())
@@ -108,11 +108,11 @@ def read(path: Path) -> Record:
     except OSError as error:
         raise KhepTwinError(f"{path}: cannot be read: {error.strerror}") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError, TypeError) as error:
-        raise KhepTwinError(f"{path}: no results of benchmarks; right is a file of --save") from error
+        raise KhepTwinError(f"{path}: no results of benchmarks; expected a file of --save") from error
 
 
 def head(record: Record) -> str:
-    """Date, machine, versions and load, in two lines."""
+    """Return date, machine, versions and load, in two lines."""
     kept, made = record.machine, ", ".join(f"{name} {number}" for name, number in record.versions.items())
     return (
         f"{record.date}: {kept['processor']}, {kept['cores']} cores, {kept['memory_gib']} GiB, "

@@ -1,6 +1,6 @@
-"""How fast lives without a serial line are: `python -m benchmarks.scale`, in three playpens at two steps.
+"""Speed of episodes without a serial line: `python -m benchmarks.scale`, in three playpens at two steps.
 
-All rows drive the ROM's Braitenberg vehicle along the same way for the same time. The floor is a loop around
+All rows drive the ROM's Braitenberg vehicle along the same path for the same time. The floor is a loop around
 mj_step alone, called from Python, in the same scene with its rangefinders, driven by the motor voltages that
 the vehicle had. A second floor has no sensors at all.
 """
@@ -22,11 +22,11 @@ from khep_twin.world import World
 PLAYPENS = ("default", "obstacles", "looping-maze")
 ROUNDS = 5
 WHOLE = 1024 * 60
-"""Simulated seconds of a generation: 1024 lives of a minute."""
+"""Simulated seconds of a generation: 1024 episodes of a minute."""
 
 
 def voltages(ground: Ground, seconds: float) -> list[tuple[float, float]]:
-    """What the vehicle's motors get, tick by tick."""
+    """Return the vehicle's motor voltages, tick by tick."""
     life = Life(ground, Wander())
     life.begin(1)
     found: list[tuple[float, float]] = []
@@ -38,7 +38,7 @@ def voltages(ground: Ground, seconds: float) -> list[tuple[float, float]]:
 
 
 def bare_row(name: str, ground: Ground, seconds: float, *, sensors: bool = True) -> Row:
-    """Nothing but mj_step."""
+    """Return a row of a loop of mj_step alone."""
     driven = voltages(ground, seconds)
     model, steps = ground.model if sensors else ground.without_sensors, ground.wiring.steps_per_tick
 
@@ -53,7 +53,7 @@ def bare_row(name: str, ground: Ground, seconds: float, *, sensors: bool = True)
 
 
 def life_row(name: str, ground: Ground, seconds: float, *, compiled: bool = True) -> Row:
-    """One life, with making room for it."""
+    """Return a row of one episode, with its creation."""
 
     def live() -> None:
         life = Life(ground, Wander(), compiled=compiled)
@@ -64,7 +64,7 @@ def life_row(name: str, ground: Ground, seconds: float, *, compiled: bool = True
 
 
 def world_row(name: str, scene: Playpen, seconds: float) -> Row:
-    """A world whose robots are told by no line, with its opening."""
+    """Return a row of a world whose robots have no line, with its opening."""
 
     def live() -> None:
         world = World(scene, seed=1)
@@ -80,7 +80,7 @@ def world_row(name: str, scene: Playpen, seconds: float) -> Row:
 def batch_row(
     name: str, ground: Ground, lives: int, life_s: float, threads: int, driver: Driver | None = None
 ) -> Row:
-    """A batch of lives, each with its own genes where the driver is a network."""
+    """Return a row of a batch of episodes, each with its own genes if the controller is a network."""
     genes = random_genes(lives) if isinstance(driver, Network) else None
     return Row(
         name,
@@ -96,17 +96,17 @@ NETWORK = Network(hidden=(5,), recurrent=True)
 
 
 def random_genes(count: int) -> Floats:
-    """Of so many networks (count, n_genes)."""
+    """Return the genes of random networks (count, n_genes)."""
     return np.random.default_rng(7).normal(scale=1.5, size=(count, NETWORK.n_genes))
 
 
 def generation(rate: float) -> str:
-    """How long a generation takes at so many simulated seconds per second."""
+    """Return the duration of a generation at a speed in simulated seconds per second."""
     return f"1024 x 60 s: {WHOLE / rate:.0f} s"
 
 
 POLICY = Policy(lambda proximity, ambient, which: 10 - proximity[:, [3, 2]] / 100)
-"""As little as a policy in plain Python can do."""
+"""Minimal policy in plain Python."""
 
 
 def main() -> None:

@@ -1,10 +1,10 @@
-"""How far lives in a plane are from those in MuJoCo: `python -m benchmarks.screening`.
+"""Differences between episodes in a plane and in MuJoCo: `python -m benchmarks.screening`.
 
-Two tables; how much faster they are is in that of `python -m benchmarks`. Ways: the same life in both,
-without noise, as the median and the largest of some; with speeds that are commanded by a list, whatever is in
-the way, and with the ROM's vehicle and networks, which steer by what they see, so that any difference grows.
-Ranks: Spearman's correlation of a measure over random networks between both, and, as what could be hoped for,
-between MuJoCo's own lives with other seeds.
+Two tables; `python -m benchmarks` measures the speeds. Ways: the same episode in both, without noise, as the
+median and the largest of some; with speeds from a list, regardless of obstacles, and with the ROM's vehicle
+and networks, whose feedback from the sensors makes any difference grow. Ranks: Spearman's correlation of a
+metric over random networks between both, and, as an upper bound, between MuJoCo's own episodes with other
+seeds.
 """
 
 import argparse
@@ -30,7 +30,7 @@ WAYS = 10
 
 
 def open_floor() -> Playpen:
-    """A floor without anything to run into in a minute."""
+    """Return a floor without obstacles within a minute's drive."""
     robot = Robot(x_mm=5000, y_mm=5000, heading_deg=20)
     arena = Arena(width_mm=10_000, height_mm=10_000)
     return Playpen(version=1, name="open-floor", arena=arena, robot=(robot,), surfaces={})
@@ -42,7 +42,7 @@ def scenes() -> dict[str, Playpen]:
 
 
 def way(ground: Ground, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
-    """Poses of a life at some times; without a driver speeds change every half second, by chance."""
+    """Return the poses of an episode at some times; without a driver speeds change at random every 0.5 s."""
     life = Life(ground, driver or Hold())
     genes = random_genes(WAYS)[index] if isinstance(driver, Network) else ()
     robot = ground.entry
@@ -60,7 +60,7 @@ def way(ground: Ground, index: int, driver: Driver | None) -> list[tuple[float, 
 
 
 def ways(title: str, scene: Playpen, driver: Driver | None) -> None:
-    """Prints how far apart both end."""
+    """Print the distances between both."""
     both = [Ground(scene), Ground(scene, planar=True)]
     found = np.array([[way(ground, index, driver) for ground in both] for index in range(WAYS)])
     off = found[:, 0] - found[:, 1]
@@ -74,7 +74,7 @@ def ways(title: str, scene: Playpen, driver: Driver | None) -> None:
 
 
 def ranks(name: str, scene: Playpen) -> None:
-    """Prints how both rank the same networks."""
+    """Print the correlation of both rankings of the same networks."""
     genes = np.repeat(random_genes(GENOMES), SEEDS, axis=0)
 
     def judged(first: int, planar: bool) -> dict[str, np.ndarray]:
@@ -100,7 +100,7 @@ def ranks(name: str, scene: Playpen) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("table", nargs="?", choices=["ways", "ranks"], help="without, both")
+    parser.add_argument("table", nargs="?", choices=["ways", "ranks"], help="print one table; default both")
     wanted = parser.parse_args(arguments).table or "ways and ranks"
     print(f"mujoco {mujoco.__version__}")
     if "ways" in wanted:

@@ -1,10 +1,10 @@
-"""The measuring loop of all benchmarks, and how its table looks.
+"""Measuring loop of all benchmarks, and its printed table.
 
     rows = [Row("bare loop (floor)", 20.0, timed(bare)), Row("life", 20.0, timed(life))]
     print(text([measure("default", rows, rounds=5)]))
 
-All rows of a table run once uncounted and then in turn, round by round, so that whatever else the machine
-does falls on all of them alike. A ratio is the median over the rounds of a row's speed beside that of the
+All rows of a table run once uncounted and then in turn, round by round, so that other load of the machine
+affects all of them alike. A ratio is the median over the rounds of a row's speed beside that of the
 first row, the floor, in the same round; it depends least on machine and load. In a table of costs, where
 time per unit is shown instead of units per time, it is the ratio of the times.
 """
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 WIDTH = 36
-"""Of a row's name in the printed table."""
+"""Width of a row's name in the printed table."""
 
 SIMULATED = "simulated s per s"
 COST = "ms per simulated s"
@@ -24,11 +24,11 @@ COST = "ms per simulated s"
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """What a run took.
+    """Times of a run.
 
     Attributes:
-        wall: by the clock [s].
-        cpu: of the processor, over all threads [s]; not a number where other processes share the work.
+        wall: Wall time [s].
+        cpu: Processor time of all threads [s]; NaN where other processes share the work.
     """
 
     wall: float
@@ -37,13 +37,13 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Something to be measured.
+    """A measured item.
 
     Attributes:
-        name: in the table.
-        work: what one run does, in the table's unit: simulated seconds, round trips.
-        run: does it once.
-        note: what stands behind the numbers, of the median units per second.
+        name: Name in the table.
+        work: Work of one run, in the table's unit: simulated seconds, round trips.
+        run: Function that runs it once.
+        note: Function that returns the text behind the numbers, of the median units per second.
     """
 
     name: str
@@ -54,16 +54,16 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A row's numbers, to four digits; not a number for what was not measured.
+    """A row's numbers, to four digits; NaN for what was not measured.
 
     Attributes:
-        name: in the table.
-        median: of all rounds, by the clock.
-        best: likewise.
-        cpu: median by the processor's time.
-        ratio: to the first row, by the clock.
-        cpu_ratio: likewise, by the processor's time.
-        note: a word more.
+        name: Name in the table.
+        median: Median of all rounds, by wall time.
+        best: Best of all rounds, by wall time.
+        cpu: Median by processor time.
+        ratio: Ratio to the first row, by wall time.
+        cpu_ratio: Ratio to the first row, by processor time.
+        note: Text behind the numbers.
     """
 
     name: str
@@ -80,11 +80,11 @@ class Table:
     """Rows that were measured in the same rounds.
 
     Attributes:
-        title: the scene, or what grows.
-        unit: of the numbers.
-        rounds: how many.
-        results: of the rows; ratios are to the first.
-        remarks: what is to be known, a line each.
+        title: Scene, or the varied size.
+        unit: Unit of the numbers.
+        rounds: Number of rounds.
+        results: Results of the rows; ratios are to the first.
+        remarks: Remarks, a line each.
     """
 
     title: str
@@ -95,7 +95,7 @@ class Table:
 
 
 def timed(deed: Callable[[], object]) -> Callable[[], Taken]:
-    """Something done in this process as what a row runs."""
+    """Return a row's run of a function in this process."""
 
     def run() -> Taken:
         wall, cpu = time.perf_counter(), time.process_time()
@@ -114,15 +114,15 @@ def measure(
     cost: bool = False,
     remarks: Sequence[str] = (),
 ) -> Table:
-    """Measures rows in turn.
+    """Measure rows in turn.
 
     Args:
-        title: of the table.
-        rows: the floor first.
-        rounds: that count; there is one more before them.
-        unit: of a row's work per second, or with `cost` of the time of a unit.
-        cost: shows milliseconds per unit, and ratios of times.
-        remarks: for below the table.
+        title: Title of the table.
+        rows: Rows, the floor first.
+        rounds: Number of counted rounds, after an uncounted one.
+        unit: Unit of a row's work per second, or with `cost` of the time of a unit.
+        cost: Whether to show milliseconds per unit, and ratios of times.
+        remarks: Remarks below the table.
     """
     for row in rows:
         row.run()
@@ -144,7 +144,7 @@ def measure(
 
 
 def text(tables: Sequence[Table]) -> str:
-    """All tables as one."""
+    """Return all tables as one text."""
     lines: list[str] = []
     for table in tables:
         lines += ["", f"{table.title} [{table.unit}]", f"{'':{WIDTH}}{_HEAD}"]
@@ -160,14 +160,14 @@ LEGEND = (
     "median and best by the clock, CPU by the processor's time of all threads; ratios to the first row,\n"
     "medians of each round's, by the clock and by the processor's time"
 )
-"""What the columns are."""
+"""Explanation of the columns."""
 
 _HEAD = "".join(f"{word:>8}" for word in ("median", "best", "CPU", "ratio", "of CPU"))
 _CLOCKS = ("wall", "cpu")
 
 
 def _beside(own: float, floor: float) -> float:
-    """How fast something is beside a floor, of the time that a unit takes either."""
+    """Return the speed beside a floor, of the times of a unit."""
     return floor / own if own > 0 else math.nan
 
 
@@ -180,7 +180,7 @@ def _rounded(*values: float) -> Iterator[float]:
 
 
 def _short(value: float) -> str:
-    """Three digits, and all of those before the point."""
+    """Return a number with three digits, and all of those before the point."""
     if math.isnan(value):
         return "-"
     return f"{value:.0f}" if value >= 99.95 else f"{value:#.3g}"

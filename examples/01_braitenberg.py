@@ -1,4 +1,4 @@
-"""A Braitenberg vehicle in plain pyserial: it runs on a robot, on a served twin and on khep:// alike.
+"""A Braitenberg vehicle in plain pyserial, for a robot, a served twin or khep://.
 
 python examples/01_braitenberg.py /dev/ttyUSB0        a robot
 python examples/01_braitenberg.py khep://obstacles    a twin in this process
@@ -10,7 +10,7 @@ import serial
 
 url = sys.argv[1] if len(sys.argv) > 1 else "khep://obstacles"
 if url.startswith("khep://"):
-    import khep_twin  # noqa: F401  (teaches pyserial this kind of port)
+    import khep_twin  # noqa: F401  (registers khep:// with pyserial)
 
 WEIGHTS = [(4, -5), (4, -15), (6, -18), (-18, 6), (-15, 4), (-5, 4), (5, 3), (3, 5)]
 

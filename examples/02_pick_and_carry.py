@@ -1,4 +1,4 @@
-"""Finds a cylinder straight ahead, picks it up, carries it to the other side and puts it down.
+"""A robot that finds a cylinder straight ahead, picks it up, carries it to the other side and puts it down.
 
 python examples/02_pick_and_carry.py /dev/ttyUSB0     a robot with a gripper
 python examples/02_pick_and_carry.py khep://gripper   a twin in this process
@@ -8,8 +8,8 @@ import sys
 
 from khep_twin.host import Gripper, Khepera
 
-NEAR = 400  # counts of the front sensors a good centimetre before a light object
-HALF_TURN = 1021  # pulses: half the circle of the wheels, 52 mm wide, at 0.08 mm
+NEAR = 400  # counts of the front sensors about a centimetre from a bright object
+HALF_TURN = 1021  # pulses of 0.08 mm: half a circle of the wheels, 52 mm apart
 
 url = sys.argv[1] if len(sys.argv) > 1 else "khep://gripper"
 with Khepera(url) as robot:

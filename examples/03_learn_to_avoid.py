@@ -1,12 +1,12 @@
 """A robot learns to avoid obstacles: proximal policy optimisation, in minutes on two cores.
 
     .venv/bin/pip install stable-baselines3                             with PyTorch, a large download
-    .venv/bin/python examples/03_learn_to_avoid.py out/ppo.png          learns, and draws how; `--steps`
+    .venv/bin/python examples/03_learn_to_avoid.py out/ppo.png          trains and plots; see also `--steps`
 
-The reward of a control period is Floreano and Mondada's, forwards: fast, straight and clear of things, 0 to
-1. Each trial starts elsewhere, with the sensors of another robot of the same make. What was learnt is tried
-on starts that were never seen, beside a robot that goes straight on and the robot's own Braitenberg vehicle.
-The way of one trial is drawn into out/ppo_way.png, and out/ppo.zip keeps what was learnt.
+The reward of a control period is Floreano and Mondada's, for forward motion: fast, straight and away from
+obstacles, 0 to 1. Each episode has another start and randomly varied sensors. The trained policy is evaluated
+on new starts, next to a robot that drives straight on and the robot's own Braitenberg vehicle. The path of
+one episode is drawn into out/ppo_way.png, and out/ppo.zip keeps the policy.
 """
 
 import argparse
@@ -34,24 +34,24 @@ except ImportError as error:
     needed = pip_install("gymnasium", "stable-baselines3")
     sys.exit(f"{error.name} is not installed; to install what this example needs: {needed}")
 
-import khep_twin.envs.gymnasium  # noqa: F401  (teaches Gymnasium the names)
+import khep_twin.envs.gymnasium  # noqa: F401  (registers the environments)
 
 NAME = "khep_twin/ObstacleAvoidance-v0"
 TRIALS = 20
 
 
 def environment(**options):
-    """One robot; actions from -1 to 1, as PPO likes them, stand for -20 to 20 pulses/10 ms."""
+    """Make the environment; actions from -1 to 1, as PPO expects, stand for -20 to 20 pulses/10 ms."""
     return RescaleAction(gymnasium.make(NAME, spread=True, **options), np.float32(-1), np.float32(1))
 
 
 def demonstration(seen):
-    """The speeds of the robot's own Braitenberg vehicle, as parts of 20 pulses/10 ms."""
+    """Return the speeds of the robot's own Braitenberg vehicle, as parts of 20 pulses/10 ms."""
     return (np.array(DEMO_WEIGHTS).T @ (seen[:8] * 1023) / DEMO_DIVISOR + DEMO_SPEED_PULSES) / 20
 
 
 def tried(drive):
-    """Rewards of trials of a minute (TRIALS,), means of their periods, and how often something was near."""
+    """Return the mean rewards of episodes of a minute (TRIALS,), and the part of the time near obstacles."""
     robot, rewards, near = environment(seconds=60.0), [], []
     for trial in range(TRIALS):
         seen, _ = robot.reset(seed=1_000_000 + trial)
@@ -67,7 +67,7 @@ def tried(drive):
 
 
 class Curve(BaseCallback):
-    """Notes what each trial of the learner brought: steps so far, mean reward of a period."""
+    """Learning curve: for each training episode the steps so far and the mean reward of a period."""
 
     def __init__(self):
         super().__init__()
@@ -81,7 +81,7 @@ class Curve(BaseCallback):
 
 
 def draw(points, rewards, file):
-    """The curve of learning, and beside it what was learnt by trials that it never saw."""
+    """Draw the learning curve, and beside it the rewards of the evaluation."""
     steps, means = np.array(points).T
     figure = Figure(figsize=(7.5, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2, 1), sharey=True)
@@ -99,7 +99,7 @@ def draw(points, rewards, file):
 
 
 def draw_way(drive, file):
-    """The way of a trial of a minute that was never seen."""
+    """Draw the path of a new episode of a minute."""
     robot = environment(seconds=60.0)
     seen, info = robot.reset(seed=1_000_000)
     start, way, over = info, [], False

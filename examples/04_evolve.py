@@ -1,14 +1,14 @@
-"""Evolves obstacle avoidance after Floreano and Mondada (1994), in their looping maze; minutes on two cores.
+"""Evolution of obstacle avoidance as in Floreano and Mondada (1994), in their maze; minutes on two cores.
 
     .venv/bin/pip install cmaes
     .venv/bin/python examples/04_evolve.py --picture evolution.png --genome best.npy
 
-As theirs, the network leads from eight sensors straight to two motors, which hear their own last values, and
-its fitness is the mean of V (1 - sqrt(dV)) (1 - i). Two things are not as theirs. V has no sign, so that what
-shuttles to and fro on one spot has nearly all of it, and does evolve here; so the mean is multiplied by the
-way forwards as a part of what full speed makes, not below 0. And the search is CMA-ES of the package cmaes in
-the place of a genetic algorithm; it begins with weights of 0. Each genome is judged by the mean of eight
-lives, from each of the maze's spots both ways round, and each generation meets other noise.
+As in their work, the network connects eight sensors directly to two motors, with feedback of the motors' last
+values, and its fitness is the mean of V (1 - sqrt(dV)) (1 - i). Two things differ. V has no sign, so that
+driving to and fro on the spot would earn nearly all of it, and does evolve here; so the mean is multiplied by
+the distance driven forwards, as a part of that at full speed, at least 0. And the search is CMA-ES of the
+package cmaes instead of a genetic algorithm; it begins with weights of 0. The fitness of a genome is the mean
+of eight episodes, from each of the maze's spots in both directions, and each generation has other noise.
 """
 
 import argparse
@@ -33,14 +33,14 @@ try:
 except ImportError:
     sys.exit(f"cmaes is not installed; to install it: {pip_install('cmaes')}")
 
-wish = argparse.ArgumentParser(description="Evolves obstacle avoidance in the looping maze.")
+wish = argparse.ArgumentParser(description="Evolve obstacle avoidance in the looping maze.")
 wish.add_argument("--generations", type=int, default=40)
 wish.add_argument("--population", type=int, default=20)
-wish.add_argument("--seconds", type=float, default=10.0, help="of each life")
-wish.add_argument("--check-seconds", type=float, default=60.0, help="of each life of the best")
+wish.add_argument("--seconds", type=float, default=10.0, help="duration of an episode")
+wish.add_argument("--check-seconds", type=float, default=60.0, help="duration of an evaluation episode")
 wish.add_argument("--seed", type=int, default=0)
-wish.add_argument("--picture", type=Path, help="draw curve and way in PNG files: NAME.png and NAME_way.png")
-wish.add_argument("--genome", type=Path, help="keep the best in this NPY file")
+wish.add_argument("--picture", type=Path, help="draw curve and path to NAME.png and NAME_way.png")
+wish.add_argument("--genome", type=Path, help="write the best genome to this NPY file")
 options = wish.parse_args()
 for path in (options.picture, options.genome):
     if path is not None and (reason := unusable(path)):
@@ -48,7 +48,7 @@ for path in (options.picture, options.genome):
 
 NETWORK = Network(recurrent=True)
 FULL_SPEED = NETWORK.top_speed * 0.008
-"""A pulse in 10 ms is 8 mm/s [m/s]."""
+"""Full speed [m/s]: a pulse in 10 ms is 8 mm/s."""
 
 maze = playpen.load("looping-maze")
 starts = [(spot.x_mm, spot.y_mm, spot.heading_deg + turn) for turn in (0.0, 180.0) for spot in maze.spots]
@@ -56,7 +56,7 @@ ground = Ground(maze, step_ns=5_000_000)
 
 
 def judge(genomes: np.ndarray, first_seed: int) -> np.ndarray:
-    """Fitness of each genome, the mean over its lives."""
+    """Return the fitness of each genome, the mean over its episodes."""
     lives = rollout(
         ground,
         NETWORK,
@@ -84,8 +84,7 @@ for generation in range(options.generations):
         flush=True,
     )
 
-# The search's mean has been judged by all generations; lives that it has never met say what it is worth, at
-# the robot's own step.
+# The search's mean combines all generations; it is evaluated in new episodes, at the robot's own step.
 best = search.mean
 if options.genome:
     np.save(options.genome, best)
@@ -100,7 +99,7 @@ for seed, start in enumerate(starts):
         poses.append(life.pose)
     times, way, numbers = np.arange(len(poses)) * 0.02, np.array(poses), life.numbers()
     turned = np.abs(np.diff(np.unwrap(way[:, 2]))).sum()
-    # Around the middle of the maze, which is wall.
+    # Laps around the middle of the maze, which is wall.
     around = np.unwrap(np.arctan2(way[:, 1] - 0.25, way[:, 0] - 0.4))
     hits = run_statistics.collisions(times, way, maze, BODY_RADIUS)
     print(

@@ -1,6 +1,6 @@
 """A physics-based digital twin of the Khepera miniature robot.
 
-Importing this package teaches pyserial the port `khep://` and does nothing else.
+Importing this package registers the port `khep://` with pyserial and has no other effect.
 """
 
 import serial

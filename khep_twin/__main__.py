@@ -1,11 +1,11 @@
-"""`python -m khep_twin` is `khep-twin`."""
+"""Entry point of `python -m khep_twin`, the same as `khep-twin`."""
 
 import signal
 
 
 def main() -> None:
-    """Runs the command line."""
-    # Until the commands are there, which takes a moment, Ctrl-C ends the process without a trace.
+    """Run the command line."""
+    # Until the commands are imported, Ctrl-C ends the process without a traceback.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     from khep_twin.cli.streams import check_descriptors, guard
 

@@ -1,26 +1,26 @@
-"""What can go wrong, one class per kind of trouble.
+"""The package's errors, one class per kind.
 
     KhepTwinError
     ├── PlaypenError      a playpen file that cannot be used
     ├── MatError          a MAT file that cannot be read
     ├── BitmapError       a bitmap that cannot become a playpen
     ├── CalibrationError  a calibration file that cannot be used
-    ├── ProtocolError     an answer on the serial line that is not what the command asks for
-    ├── PortError         a port that cannot be opened, or that went away
+    ├── ProtocolError     an answer on the serial line that does not fit the command
+    ├── PortError         a port that cannot be opened, or that was lost
     │   ├── PortTimeout   a port that stayed silent
     │   └── PortInUse     a port that another program has open
-    ├── MoveError         a move that did not come to its end
+    ├── MoveError         a move that was not completed
     ├── ControllerError   a control program that cannot be found or started
     ├── LogError          a log that cannot be written or read
-    ├── FaultError        a fault to inject that there is not
-    ├── SensorTestError   a sensor test that cannot be driven, or data that is none of one
+    ├── FaultError        a fault to inject that is unknown
+    ├── SensorTestError   a sensor test that cannot be run, or unusable data of one
     ├── TurretError       a turret that cannot be plugged on
     ├── StudyError        a study that cannot be used, or results that are not its own
-    ├── StoppedError      a command to a robot whose run is to end
-    ├── MissingExtraError a part of khep_twin that needs a package which is not installed
+    ├── StoppedError      a command to a robot whose run is ending
+    ├── MissingExtraError a part of khep_twin whose package is not installed
     └── DivergedError     a simulation that left the bounds of physics
 
-Each message names the place, the value found there and what would be right. Mistakes of the calling
+Each message gives the place, the value found there and the expected one. Mistakes of the calling
 program (a wrong type, a negative time) stay `TypeError` and `ValueError`.
 """
 
@@ -35,11 +35,11 @@ class KhepTwinError(Exception):
     """Root of every error that khep_twin raises for its users.
 
     Args:
-        message: What is wrong.
-        option: What to add on the command line, such as the option that helps.
+        message: Description of the error.
+        option: Addition on the command line, such as an option that helps.
 
     Attributes:
-        plain: The message without what is of use on the command line only.
+        plain: Message without `option`.
     """
 
     def __init__(self, message: object = "", option: str = "") -> None:
@@ -64,11 +64,11 @@ class CalibrationError(KhepTwinError):
 
 
 class ProtocolError(KhepTwinError):
-    """An answer on the serial line that is not what the command asks for."""
+    """An answer on the serial line that does not fit the command."""
 
 
 class PortError(KhepTwinError):
-    """A port that cannot be opened, or that went away."""
+    """A port that cannot be opened, or that was lost."""
 
 
 class PortTimeout(PortError):
@@ -80,7 +80,7 @@ class PortInUse(PortError):
 
 
 class MoveError(KhepTwinError):
-    """A move that did not come to its end."""
+    """A move that was not completed."""
 
 
 class ControllerError(KhepTwinError):
@@ -100,23 +100,23 @@ class StudyError(KhepTwinError):
 
 
 class FaultError(KhepTwinError):
-    """A fault to inject that there is not, or that is written in another way."""
+    """A fault to inject that is unknown or malformed."""
 
 
 class FitError(KhepTwinError):
-    """Measurements that cannot tell what they are to tell."""
+    """Measurements that do not determine the parameters to fit."""
 
 
 class SensorTestError(KhepTwinError):
-    """A sensor test that cannot be driven, or data that is none of one."""
+    """A sensor test that cannot be run, or unusable data of one."""
 
 
 class StoppedError(KhepTwinError):
-    """A command that would move a robot whose run is to end."""
+    """A command that would move a robot whose run is ending."""
 
 
 class MissingExtraError(KhepTwinError):
-    """A part of khep_twin that needs a package which is not installed."""
+    """A part of khep_twin whose package is not installed."""
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"{package} is not installed; to install it: {pip_install_extra(extra)}")
@@ -139,7 +139,7 @@ def pip_install_extra(extra: str) -> str:
 
 
 def in_a_line(error: BaseException) -> str:
-    """Return what an exception of a user's program says, with its type, in one line."""
+    """Return the type and message of an exception of a user's program in one line."""
     try:
         text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
     except Exception as trouble:  # its own text may fail, too
@@ -148,7 +148,7 @@ def in_a_line(error: BaseException) -> str:
 
 
 def choices(given: object, valid: Iterable[object]) -> str:
-    """What could have been meant by `given`, as the tail of a message: the nearest choice, then all."""
+    """Return the tail of a message for an invalid `given`: the nearest choice, then all."""
     names = [str(name) for name in valid]
     near = get_close_matches(str(given), names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""

@@ -1,15 +1,15 @@
-"""The firmware: what each command of the serial protocol does to the board's registers.
+"""The firmware: effects of the serial protocol's commands on the board's registers.
 
-Bytes in, bytes out: no clock, file or thread. The control loop itself is `kernel`; whoever owns the time
-calls it. What the manual leaves open is decided so that a host survives it:
+Bytes in, bytes out: no clock, file or thread. The control loop itself is `kernel`; the owner of the clock
+calls it. Cases that the manual leaves open are decided to be safe for a host:
 
-    - numbers of up to ten digits that are out of range are cut to the range: speed +-127, duty +-255, target
+    - numbers of up to ten digits that are out of range are clipped: speed +-127, duty +-255, target
       +-(2^23 - 2), gains 0 to 32767, trapezoid speed 0 to 127 and acceleration 1 to 65535, counters to 32
       bits by wrapping;
     - an LED, converter channel or bus address that does not exist is a protocol error;
-    - nothing sits on the extension bus, so it reads as 255; a message to a turret that is not there, or that
-      the turret does not know, is answered `z,Turret order not supported`;
-    - a processor without power is silent, and its motors keep the duty that they had.
+    - the extension bus is empty, so it reads as 255; a message to a missing turret, or one that the turret
+      does not know, is answered `z,Turret order not supported`;
+    - a processor without power is silent, and its motors keep their duty.
 
 docs/protocol.md lists all such decisions.
 """
@@ -50,25 +50,25 @@ ACCELERATION_LIMIT = 65535
 """Largest acceleration of command J [pulses/256 per (10 ms)^2] (assumed: a 16-bit word)."""
 
 N_CONVERTER_CHANNELS = 7
-"""Of command I (manual II, appendix A; the manual names none)."""
+"""Channels of command I (manual II, appendix A; the manual names none)."""
 
 
 class Firmware:
-    """The command interpreter of one robot.
+    """Command interpreter of one robot.
 
     Args:
-        rom: the version that it speaks.
-        mode: its running mode.
-        turrets: what is plugged on top.
+        rom: Version of the firmware.
+        mode: Running mode.
+        turrets: Turrets that are plugged on top.
 
     Attributes:
-        registers: the board's state (N_REGISTERS,).
-        cells: the same memory, as `kernel` likes to index it.
-        turrets: what is plugged on top.
-        baud: speed that the serial line has to have from the next reply on.
-        reply_baud: speed of the line for the last reply; another one than `baud` after the tool `serial`.
-        running: function of the ROM that runs, empty for none.
-        powered: whether the processor has the voltage that it needs.
+        registers: State of the board (N_REGISTERS,).
+        cells: The same memory as a memoryview, which is faster to index.
+        turrets: Turrets that are plugged on top.
+        baud: Speed of the serial line from the next reply on [baud].
+        reply_baud: Speed of the line for the last reply [baud]; differs from `baud` after the tool `serial`.
+        running: ROM function that runs; empty for none.
+        powered: True if the supply suffices for the processor.
     """
 
     def __init__(self, rom: Rom, mode: int = 1, turrets: Mapping[TurretKind, Turret] | None = None) -> None:
@@ -83,18 +83,18 @@ class Firmware:
         self.reset()
 
     def receive(self, data: bytes) -> bytes:
-        """Takes bytes from the line; returns the replies to the commands that they complete."""
+        """Read bytes from the line; return the replies to the commands that they complete."""
         if not self.powered:
             return b""
         self.reply_baud = self.baud
         return b"".join(self._answer(parse(line)) for line in self._lines.feed(data))
 
     def forget_line(self) -> None:
-        """Drops a line begun and not ended."""
+        """Discard the incomplete line."""
         self._lines.clear()
 
     def tick(self, left_pulses: int, right_pulses: int) -> None:
-        """One control period of 10 ms, with what the encoders have counted since power-up [pulses]."""
+        """Run one control period of 10 ms, with the encoders' counts since power-up [pulses]."""
         if not self.powered:
             return
         kernel.tick(self.cells, left_pulses, right_pulses)
@@ -104,7 +104,7 @@ class Firmware:
             turret.tick()
 
     def remedy(self, baud: int) -> str:
-        """Tell a user how the robot's line gets the speed that a host has [baud]."""
+        """Return a hint for setting the robot's line to a host's speed [baud]."""
         if self._mode.baud == baud:
             return f"'restart' brings the robot back to {baud} baud"
         if (mode := self._rom.mode_at(baud)) is not None:
@@ -115,7 +115,7 @@ class Firmware:
         return f"no running mode has {baud} baud: expected {self.baud} at the host"
 
     def brown_out(self) -> None:
-        """The supply falls too low for the processor: it is reset and stands still, its motors do not."""
+        """Reset and halt the processor, as the supply is too low; the motors keep their duty."""
         duties = [self.cells[register] for register in kernel.DUTIES]
         self.reset()
         for register, duty in zip(kernel.DUTIES, duties, strict=True):
@@ -123,9 +123,9 @@ class Firmware:
         self.powered = False
 
     def reset(self) -> bytes:
-        """Puts everything to its reset state, as at power-up; returns what the robot shows then.
+        """Reset the board, as at power-up; return the banner.
 
-        A processor without power cannot start: it changes nothing and shows nothing.
+        A processor without power cannot start: nothing changes, and the banner is empty.
         """
         if not self.powered:
             return b""
@@ -158,14 +158,14 @@ class Firmware:
         return outcome.reply + self._start(outcome.function)
 
     def _start(self, function: str) -> bytes:
-        """Starts a function of the ROM; returns what it shows."""
+        """Start a function of the ROM; return its output."""
         if function == SELF_TEST:
             return bios.self_test(sensors_alive=any(self.cells[register] for register in kernel.AMBIENT))
         self.running = function or self.running
         return b""
 
     def _both(self, register: Wheel) -> tuple[int, int]:
-        """A register of the left and of the right wheel."""
+        """Return a register of the left and of the right wheel."""
         return self.cells[LEFT + register], self.cells[RIGHT + register]
 
     def _set_gains(self, first: Board, gains: tuple[int, ...]) -> None:

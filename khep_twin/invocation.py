@@ -8,12 +8,12 @@ from pathlib import Path
 
 
 def command(*words: object, program: str = "khep-twin") -> str:
-    """Return a command line, quoted for the shell, whose program the shell finds here.
+    """Return a command line, quoted for the shell, whose program the shell finds.
 
     Args:
         words: Arguments.
-        program: Name of a program of this installation. The bare name is used where the shell finds that
-            very program by it, else its path.
+        program: Name of a program of this installation. The bare name is used if the shell finds that
+            program by it, else its path.
     """
     return f"{shlex.quote(_found(program))} {shlex.join(map(str, words))}".rstrip()
 
@@ -24,7 +24,7 @@ def _found(name: str) -> str:
     known = shutil.which(name)
     if not script.is_file() or (known is not None and os.path.samefile(known, script)):
         return name
-    # A link stays as it is: it is what belongs to this environment.
+    # A link is not resolved, as it belongs to this environment.
     path, here = Path(os.path.abspath(script)), Path.cwd()
     if not path.is_relative_to(here):
         return str(path)

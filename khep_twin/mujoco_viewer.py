@@ -1,7 +1,7 @@
 """MuJoCo's own viewer as a window beside a running world.
 
-The viewer works on copies of the scene and its state, which are refreshed up to 30 times a second. Nothing of
-it comes back: the mouse moves the camera, not the robots, and a run with it is bit for bit the run without.
+The viewer works on copies of the scene and its state, which are refreshed up to 30 times a second. It
+has no effect on the run, which is bit for bit the same without: the mouse moves the camera, not the robots.
 """
 
 # mujoco.viewer and glfw are not typed here.
@@ -31,16 +31,16 @@ _LONGEST_NAP = 0.05
 """Longest sleep at once [s], so that a closed window is noticed."""
 
 _PATIENCE = 10.0
-"""Longest wait for the window's end [s]."""
+"""Longest wait for the window to close [s]."""
 
 _WITHOUT = "without one, give --log FILE.mcap and look at it with khep-twin view"
 
 
 class MujocoViewer:
-    """A window on a world; a `Tap` of it, and of the worlds that follow in a series.
+    """Window on a world; a `Tap` of it, and of the worlds that follow in a series.
 
     Args:
-        real_time: Whether to hold a world back that runs ahead of the clock on the wall.
+        real_time: True to slow down a world that runs ahead of the wall clock.
 
     Raises:
         KhepTwinError: There is no screen, or no OpenGL to draw on it.
@@ -57,7 +57,7 @@ class MujocoViewer:
         self._ahead_ns = 0
 
     def watch(self, world: World) -> None:
-        """Show a world from now on; the window opens with the first one."""
+        """Show a world from now on; open the window for the first one."""
         from mujoco import viewer
 
         if self._model is None:
@@ -72,14 +72,14 @@ class MujocoViewer:
         world.add_tap(self)
 
     def close(self) -> None:
-        """Close the window and wait for its last picture; X ends a process that draws on nothing."""
+        """Close the window and wait for its last picture; X ends a process that draws without one."""
         if self._handle is not None:
             self._handle.close()
         for thread in self._threads:
             thread.join(_PATIENCE)
 
     def sample(self, world: World) -> None:
-        """Refresh the picture if it is time to, and wait for the clock on the wall where that is wanted."""
+        """Refresh the picture if it is due, and wait for the wall clock in real time."""
         if self._handle is None or not self._handle.is_running():
             return
         if time.monotonic_ns() - self._shown_ns >= FRAME_NS:
@@ -94,10 +94,10 @@ class MujocoViewer:
         """Ignore bytes on a line."""
 
     def act(self, time_ns: int, robot: int, act: HostAct) -> None:
-        """Ignore what a host does."""
+        """Ignore a host's action."""
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Ignore a note."""
+        """Ignore an event."""
 
     def _show(self, world: World) -> None:
         assert self._model is not None
@@ -114,7 +114,7 @@ class MujocoViewer:
         self._shown_ns = time.monotonic_ns()
 
     def _look(self, world: World) -> None:
-        """Point the camera at the arena's middle, from before and above."""
+        """Point the camera at the arena's centre, from the front and above."""
         arena = world.playpen.arena
         camera = self._handle.cam
         camera.lookat[:] = np.array((arena.width_mm, arena.height_mm, 0.0)) / 2000
@@ -123,13 +123,13 @@ class MujocoViewer:
 
 
 def _check_screen() -> None:
-    """Refuse to go on where no window can be opened: the viewer itself would wait for ever."""
+    """Raise a `KhepTwinError` if no window can be opened, as the viewer would wait for ever."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise KhepTwinError(f"--viewer: DISPLAY is not set, expected a desktop; {_WITHOUT}")
     import glfw
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # glfw tells its errors as warnings, too
+        warnings.simplefilter("ignore")  # glfw reports its errors as warnings, too
         opened = None
         if glfw.init():
             glfw.window_hint(glfw.VISIBLE, glfw.FALSE)

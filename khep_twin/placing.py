@@ -1,8 +1,7 @@
-"""Putting a robot down somewhere in a world that runs, as a hand does.
+"""Moves of a robot by the user in a running world.
 
-It is put upright and at rest. Its board knows nothing of it: counters, registers and motors go on as they
-are, unless it is put down afresh, as after a reset. It is an act like those of its host, so that a log
-repeats it.
+The robot is put upright and at rest. Its board does not notice: counters, registers and motors are kept,
+unless the board is reset, too. A move is an action like those of the host, so that a log repeats it.
 """
 
 import math
@@ -29,22 +28,22 @@ _AFRESH = b"\1"
 def put(
     world: World, index: int, x_mm: float, y_mm: float, heading_deg: float, *, afresh: bool = False
 ) -> None:
-    """Puts a robot down.
+    """Move a robot.
 
     Args:
-        world: in which it is.
-        index: which robot.
-        x_mm: of its centre, from the arena's lower left inner corner [mm].
-        y_mm: likewise.
-        heading_deg: where it looks, counter-clockwise from x [degrees].
-        afresh: reset its board as well: counters, setpoints, controllers and LEDs.
+        world: World of the robot.
+        index: Index of the robot.
+        x_mm: Position of its centre, from the arena's lower left inner corner [mm].
+        y_mm: Position of its centre, from the same corner [mm].
+        heading_deg: Heading, counter-clockwise from x [deg].
+        afresh: True to reset its board as well: counters, setpoints, controllers and LEDs.
 
     Raises:
-        PlaypenError: there is no room for it; it stays where it was.
+        PlaypenError: There is no room for it; it stays where it was.
     """
     if not all(map(math.isfinite, (x_mm, y_mm, heading_deg))):
         raise PlaypenError(
-            f"a robot cannot be put to ({x_mm}, {y_mm}), {heading_deg} degrees; right are numbers"
+            f"a robot cannot be put to ({x_mm}, {y_mm}), {heading_deg} degrees; expected finite numbers"
         )
     if reason := no_room(as_it_stands(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
@@ -57,7 +56,7 @@ def put(
     data.qpos[at + 3 : at + 7] = math.cos(half), 0, 0, math.sin(half)
     base = int(joint.bodyid[0])
     data.qvel[model.body_rootid[model.dof_bodyid] == base] = 0
-    # What the robots' places are read from is as of now again.
+    # Update the positions that the robots are read from.
     mujoco.mj_kinematics(model, data)
     if afresh:
         world.robots[index].reset_motion()
@@ -65,19 +64,19 @@ def put(
 
 
 def put_again(world: World, index: int, act: HostAct) -> None:
-    """Puts a robot down as a log has it."""
+    """Move a robot as recorded in a log."""
     place, rest = act.data[: _PLACE.size], act.data[_PLACE.size :]
     put(world, index, *_PLACE.unpack(place), afresh=rest == _AFRESH)
 
 
 def scan(world: World) -> None:
-    """Convert all sensors as of now, so that the boards hold what is around after something was moved."""
+    """Convert all sensors now, so that the boards hold current readings after something was moved."""
     world.act(0, HostAct(Act.SCAN, world.time_ns))
     world.scan()
 
 
 def no_room(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:
-    """Why one of a playpen's robots cannot stand at a place [mm]; empty if it can."""
+    """Return the reason why a playpen's robot cannot stand at a position [mm]; empty if it can."""
     entry = playpen.robots[index].model_copy(update={"x_mm": x_mm, "y_mm": y_mm, "spots": ()})
     thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, BODY_HEIGHT * 1e3, True)
     for problem in placement_problems([*near(playpen, index, entry.footprint), thing], playpen.arena):
@@ -87,7 +86,7 @@ def no_room(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:
 
 
 def near(playpen: Playpen, index: int, disc: Circle) -> Iterator[Thing]:
-    """What stands in reach of a disc, but for one robot, spots, and lamps, which robots pass."""
+    """Yield the objects in reach of a disc, except one robot, spots, and lamps, which robots pass."""
     for thing in things(playpen):
         at = thing.footprint
         away = max(
@@ -99,7 +98,7 @@ def near(playpen: Playpen, index: int, disc: Circle) -> Iterator[Thing]:
 
 
 def as_it_stands(world: World) -> Playpen:
-    """A playpen with its robots and movable things where they are by now, all taken as upright."""
+    """Return the playpen with the current poses of its robots and movable objects, all taken as upright."""
 
     def moved(items: tuple[Any, ...], kind: str) -> tuple[Any, ...]:
         return tuple(

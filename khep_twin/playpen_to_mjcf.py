@@ -1,15 +1,15 @@
-"""From a playpen to a scene: Playpen -> MjSpec -> MJCF that opens in MuJoCo without us.
+"""Conversion of a playpen to a scene: Playpen -> MjSpec -> MJCF that opens in plain MuJoCo.
 
 Names in the scene: "floor"; "wall_left", "wall_right", "wall_bottom", "wall_top", or "wall_1" … along an
-outline; "block0", "cylinder0", "patch0", "lamp0" … and pieces of walls "wall0_0" … in the file's order, but
-that nameless blocks that continue each other are one, with the first one's number; the robots as bodies
-"khepera0/base" … with everything of theirs behind the same prefix, their turrets as "khepera0/gripper/arm" ….
-The keyframe "home" is the start, with what the motors hold; MuJoCo alone begins with all controls at 0.
-What the sensors need travels inside the MJCF: a geom's `user` values are its infrared reflectance and its
+outline; "block0", "cylinder0", "patch0", "lamp0" … and pieces of walls "wall0_0" … in the file's order,
+where nameless adjoining blocks are merged under the first one's number; the robots as bodies
+"khepera0/base" … with the same prefix for all their parts, their turrets as "khepera0/gripper/arm" ….
+The keyframe "home" is the start, with the motors' targets; MuJoCo alone begins with all controls at 0.
+The MJCF holds the sensors' inputs: a geom's `user` values are its infrared reflectance and its
 electrical conductance [S], a lamp is a site whose `user` value is its power [W].
 
-Contacts are explicit pairs where a robot is concerned (tyres and supports with the floor, shell with what
-stands on it), which is faster and keeps the ball-shaped tyres from touching walls; movable objects collide
+Contacts of robots are explicit pairs (tyres and supports with the floor, shell with the objects on
+it), which is faster and keeps the ball-shaped tyres from touching walls; movable objects collide
 with everything by MuJoCo's own filter.
 """
 
@@ -30,36 +30,36 @@ from khep_twin.sensing import calibration
 ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
 
 TYRE_FRICTION = 0.9
-"""Of rubber tyres on the floor (0.9 to 1.2: simulators)."""
+"""Friction of rubber tyres on the floor (0.9 to 1.2: simulators)."""
 
 SHELL_FRICTION = 0.3
-"""Of the plastic body on walls and objects (assumed)."""
+"""Friction of the plastic body on walls and objects (assumed)."""
 
 STEPS_NS = (units.STEP_NS, 2 * units.STEP_NS, 4 * units.STEP_NS)
-"""Steps that a scene may have [ns]: the robot's own, of one conversion, and coarser ones for many runs."""
+"""Valid steps of a scene [ns]: the robot's own, of one conversion, and coarser ones for many runs."""
 
 _SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
-"""Stiffest contact that is steady at this step: time constant 2.5 steps, critically damped (measured)."""
+"""Stiffest contact that is stable at this step: time constant 2.5 steps, critically damped (measured)."""
 
 _SOLIMP = [0.95, 0.99, 0.0005, 0.5, 2]
-"""Harder than MuJoCo's default, so that the robot's weight presses its tyres in by some micrometres only."""
+"""Impedance above MuJoCo's default, so that the robot's weight presses its tyres in by micrometres only."""
 
 _PATCH_HEIGHT = 0.0002
-"""Of what is drawn on the floor [m]: as thin as paint."""
+"""Height of patches on the floor [m]: as thin as paint."""
 
 _FLOOR_COLOUR = [0.93, 0.92, 0.88, 1]
 
 
 def to_mjcf(playpen: Playpen) -> str:
-    """The playpen as MJCF text."""
+    """Return the playpen as MJCF text."""
     return to_spec(playpen).to_xml()
 
 
 def to_spec(playpen: Playpen) -> mujoco.MjSpec:
-    """The playpen as a MuJoCo specification, ready to compile.
+    """Return the playpen as a MuJoCo specification, ready to compile.
 
     Raises:
-        CalibrationError: a robot's calibration cannot be found or used.
+        CalibrationError: A robot's calibration cannot be found or used.
     """
     spec = mujoco.MjSpec()
     spec.modelname = playpen.name
@@ -67,7 +67,7 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     spec.nuser_site = 1
     _set_options(spec, any(item.movable for item in (*playpen.blocks, *playpen.cylinders)))
     if any(kind.scene is not None for robot in playpen.robots for kind in find(robot.turrets)):
-        # What is gripped stays where it is gripped: 0.01 mm lost in a minute, instead of 31 mm (measured).
+        # A gripped object must not slip: 0.01 mm lost in a minute, instead of 31 mm (measured).
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10
         spec.option.noslip_iterations = 5
@@ -111,16 +111,16 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
 
 
 def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
-    """Gives a specification from `to_spec` another step [ns]: contacts as steady, sensors in the same order.
+    """Set the step [ns] of a specification from `to_spec`: contacts as stable, sensors in the same order.
 
     Raises:
-        ValueError: the control tick, or the scan, is no whole number of such steps.
+        ValueError: The control tick or the scan is not a whole number of such steps.
     """
     if step_ns not in STEPS_NS:
         right = ", ".join(f"{step / 1e6:g}" for step in STEPS_NS)
         raise ValueError(
             f"a step of {step_ns / 1e6:g} ms does not divide the control tick of {units.TICK_NS / 1e6:g} ms "
-            f"into whole conversions; right is one of {right} ms"
+            f"into whole conversions; expected one of {right} ms"
         )
     step = step_ns * 1e-9
     spec.option.timestep = step
@@ -138,7 +138,7 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
 def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
     spec.option.timestep = units.STEP_NS * 1e-9
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # A diverged simulation must stop the run, not begin anew in silence.
+    # A diverged simulation must stop the run, not restart silently.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     # With it, contacts are wrong by up to 7.6 mm in 17 to 29 of 100 places around a box's edges (measured,
     # MuJoCo 3.17.0): a robot sinks into the edge and is flung out of it.
@@ -147,7 +147,7 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
     else:
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-    # What a viewer needs to show a scene of half a metre.
+    # Viewers need these to show a scene of half a metre.
     spec.visual.map.znear = 0.005
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.1] * 3
     # Viewers draw every ray of every rangefinder; without a colour they hide nothing.
@@ -157,7 +157,7 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
 
 
 def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
-    """Floor, light and four walls around the arena; returns the walls' names."""
+    """Add floor, light and walls of the arena; return the walls' names."""
     arena = playpen.arena
     width, depth = units.metres(arena.width_mm), units.metres(arena.height_mm)
     thickness, height = units.metres(arena.wall_thickness_mm), units.metres(arena.wall_height_mm)
@@ -238,11 +238,11 @@ def _add_wall(spec: mujoco.MjSpec, playpen: Playpen, name: str, wall: Wall) -> l
 def _add_patch(spec: mujoco.MjSpec, playpen: Playpen, name: str, patch: Patch) -> None:
     geom = _add_upright(spec, name, patch.footprint, _PATCH_HEIGHT)
     _paint(geom, playpen, patch.surface, movable=False)
-    geom.conaffinity = 0  # only to be looked at
+    geom.conaffinity = 0  # visual only
 
 
 def _add_upright(spec: mujoco.MjSpec, name: str, shape: Footprint, height: float) -> mujoco.MjsGeom:
-    """A fixed body with a footprint."""
+    """Add a fixed geom with a footprint."""
     at = [units.metres(shape.x_mm), units.metres(shape.y_mm), height / 2]
     if isinstance(shape, Circle):
         size = [units.metres(shape.radius_mm), height / 2, 0]
@@ -258,7 +258,7 @@ def _add_upright(spec: mujoco.MjSpec, name: str, shape: Footprint, height: float
 
 
 def _stand(spec: mujoco.MjSpec, name: str, item: Block | Cylinder, height: float) -> mujoco.MjsBody:
-    """The body that an object's geom belongs to: one of its own where it can move."""
+    """Return the body of an object's geom: one of its own if it is movable."""
     if not item.movable:
         return spec.worldbody
     angle = units.radians(item.angle_deg) if isinstance(item, Block) else 0.0
@@ -290,10 +290,10 @@ def _paint(geom: mujoco.MjsGeom, playpen: Playpen, surface_name: str, movable: b
 
 
 def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str], list[float]]:
-    """Put a robot with its turrets into the scene.
+    """Add a robot with its turrets to the scene.
 
     Returns:
-        The parts of turrets that touch things, and the controls of all its motors at the start.
+        Names of the turrets' colliding geoms, and the initial controls of all its motors.
     """
     child = mujoco.MjSpec.from_file(str(ROBOT_FILE))
     controls = _take_home(child)
@@ -327,7 +327,7 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str
 
 
 def _take_home(part: mujoco.MjSpec) -> list[float]:
-    """Remove a part's keyframes, for which the scene's own stands; return the controls of its "home"."""
+    """Remove a part's keyframes, which the scene's own replaces; return the controls of its "home"."""
     controls = [0.0] * len(part.actuators)
     for key in list(part.keys):
         if key.name == "home" and len(key.ctrl):
@@ -337,7 +337,7 @@ def _take_home(part: mujoco.MjSpec) -> list[float]:
 
 
 def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
-    """Gives the robot the body of its model; assets/khepera.xml has the Khepera's."""
+    """Set the body of the robot's model; assets/khepera.xml has the Khepera's."""
     if body is units.BODIES["khepera1"]:
         return
     for name, rim in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
@@ -355,7 +355,7 @@ def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
 
 
 def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> None:
-    """Gives the robot's wheels their size and place."""
+    """Set the size and position of the robot's wheels."""
     radius, half_base = units.metres(wheels.radius_mm), units.metres(wheels.base_mm) / 2
     for side, y in (("left", half_base), ("right", -half_base)):
         wheel, tyre, rim = robot.body(f"{side}_wheel"), robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
@@ -367,7 +367,7 @@ def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> N
 
 
 def _fit_motors(robot: mujoco.MjSpec, motors: calibration.MotorCalibration) -> None:
-    """Gives the robot's motors their constants."""
+    """Set the constants of the robot's motors."""
     for side in ("left", "right"):
         robot.actuator(f"{side}_motor").set_to_dcmotor(
             motorconst=[motors.constant, motors.constant], resistance=motors.resistance

@@ -1,4 +1,4 @@
-"""One robot of a world: its board, its line, its turrets, its supply, and its place in the physics."""
+"""One robot of a world: its board, line, turrets, supply, and body in the physics."""
 
 import math
 from collections.abc import Sequence
@@ -28,15 +28,15 @@ from khep_twin.sensing.raycast import scene_of
 from khep_twin.sensors import InfraredScan
 
 REPLY_LIMIT = 256
-"""Bytes of replies that wait to be sent before the firmware takes no more commands (assumed)."""
+"""Bytes of replies queued before the firmware takes no more commands (assumed)."""
 
 
 _MOST_WARNINGS = 100
-"""Speeds of a host that are told of; a host may try millions."""
+"""Most speeds of a host that are reported; a host may try millions."""
 
 
 class Stage(Protocol):
-    """What a robot needs of the world that it is in."""
+    """Interface of the world to its robots."""
 
     playpen: Playpen
     model: mujoco.MjModel
@@ -45,27 +45,27 @@ class Stage(Protocol):
     time_ns: int
 
     def tell(self, robot: int | None, text: str) -> None:
-        """Takes a note of something."""
+        """Log an event."""
         ...
 
     def hear(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Takes a note of bytes on a line, the last of them at `time_ns`."""
+        """Log bytes on a line, the last of them at `time_ns`."""
         ...
 
     def act(self, robot: int, act: HostAct) -> None:
-        """Takes a note of what a host does now."""
+        """Log a host's action now."""
         ...
 
 
 class Robot:
-    """One robot of a world: its board, its line and its place in the physics.
+    """One robot of a world: its board, its line and its body in the physics.
 
     Attributes:
-        index: its place among the playpen's robots.
-        name: e.g. "khepera0".
-        firmware: its command interpreter.
-        uart: its serial line.
-        registers: the board's state (N_REGISTERS,).
+        index: Index among the playpen's robots.
+        name: Name in the scene, e.g. "khepera0".
+        firmware: Command interpreter.
+        uart: Serial line.
+        registers: State of the board (N_REGISTERS,).
     """
 
     def __init__(
@@ -139,19 +139,19 @@ class Robot:
 
     @property
     def disc(self) -> tuple[float, float, float]:
-        """What it covers of the floor: x, y and radius [m]."""
+        """Disc of the floor that it covers: x, y and radius [m]."""
         x, y, _ = self.pose
         return x, y, self._radius
 
     def compare_line(self, host: LineSettings | None) -> str:
-        """Takes how the host has set its end of the line; None for as the robot has it.
+        """Set the host's end of the line; None for the robot's own settings.
 
-        A host's bytes cross at the host's speed. Where it is not the robot's, they arrive as they are, or,
-        on a strict line, garbled, and so do the robot's at the host.
+        A host's bytes cross at the host's speed. If it differs from the robot's, bytes arrive unchanged, or
+        garbled in both directions on a strict line.
 
         Returns:
-            What is to be said about another speed; empty if the speed is the robot's, or if it was said
-            before. The robot takes one stop bit as well as two.
+            Warning of a different speed; empty if the speeds agree or the warning was given before. The
+            robot accepts one stop bit as well as two.
         """
         if host != self._host:
             self._stage.act(self.index, HostAct(Act.SET, self._stage.time_ns, host))
@@ -168,7 +168,7 @@ class Robot:
         )
 
     def send(self, data: bytes, time_ns: int = 0) -> None:
-        """Puts bytes of the host on the line, now or at a later time [ns]."""
+        """Send bytes of the host, now or at a later time [ns]."""
         time_ns = max(time_ns, self._stage.time_ns)
         self._stage.act(self.index, HostAct(Act.SEND, time_ns, self._host, data))
         if not self._unpaced:
@@ -176,12 +176,12 @@ class Robot:
         self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
 
     def take_back(self) -> None:
-        """The host takes back what has not reached the robot yet."""
+        """Drop the host's bytes that have not reached the robot yet."""
         self._stage.act(self.index, HostAct(Act.TAKE_BACK, self._stage.time_ns, self._host))
         self.uart.rx.take_back(self._stage.time_ns)
 
     def hang_up(self) -> None:
-        """The host has gone: its whole commands are carried out unanswered, one just begun is forgotten."""
+        """Disconnect the host: execute its whole commands without replies, and drop an incomplete one."""
         time_ns = self._stage.time_ns
         self._stage.act(self.index, HostAct(Act.HANG_UP, time_ns, self._host))
         rx, tx = self.uart.rx, self.uart.tx
@@ -195,9 +195,9 @@ class Robot:
             line.take_back(time_ns)
 
     def next_command_ns(self) -> int | None:
-        """When the firmware takes the next whole command [ns], None if there is none on the line.
+        """Return the time when the firmware takes the next whole command [ns], None without one on the line.
 
-        That is when it has arrived, and the replies before it have all but left.
+        It has arrived then, and at most REPLY_LIMIT bytes of replies are still to be sent.
         """
         rx, tx = self.uart.rx, self.uart.tx
         count = rx.count_to(*LINE_ENDS)
@@ -207,9 +207,9 @@ class Robot:
         return max(arrival_ns, tx.arrival(len(tx) - REPLY_LIMIT) or 0)
 
     def next_answer_ns(self) -> int | None:
-        """Return when the firmware may next put bytes on the line [ns], None if nothing makes it do so.
+        """Return the earliest time of the firmware's next output [ns], None if none is due.
 
-        Commands make it answer, and a brown-out fault makes it show its banner.
+        A command causes a reply, and a brown-out fault the banner.
         """
         command_ns = self.next_command_ns()
         brown_out_ns = None if self._faults is None else self._faults.next_brown_out_ns()
@@ -220,7 +220,7 @@ class Robot:
         return tick_ns if command_ns is None else min(command_ns, tick_ns)
 
     def exchange(self, time_ns: int) -> None:
-        """Lets the firmware take what arrives by `time_ns` and puts its answers on the line."""
+        """Pass the bytes that arrive by `time_ns` to the firmware and send its replies."""
         rx = self.uart.rx
         while (taken_ns := self.next_command_ns()) is not None and taken_ns <= time_ns:
             line = rx.read(taken_ns, rx.count_to(*LINE_ENDS))
@@ -231,7 +231,7 @@ class Robot:
             if answer:
                 self._reply(answer, taken_ns)
             self._take_speed(self.firmware.baud)
-        # Of a line that has not ended, what is there is taken at once; a whole one that waits stays whole.
+        # The bytes of an incomplete command are read at once; a whole one that waits stays whole.
         count = rx.arrived(time_ns)
         if taken_ns is None and count:
             arrival_ns = rx.arrival(count) or time_ns
@@ -240,14 +240,14 @@ class Robot:
             self.firmware.receive(begun)
 
     def convert(self, channel: int) -> None:
-        """Converts one sensor of the scan."""
+        """Convert one sensor of the scan."""
         proximity, ambient = self._scan.convert(channel)
         if self._faults is not None and self._faults.stuck(channel, self._stage.time_ns):
             proximity, ambient = self._cells[_PROXIMITY + channel], self._cells[_AMBIENT + channel]
         kernel.convert(self._cells, proximity, ambient)
 
     def tick(self) -> None:
-        """One control period: from encoders to motor voltages."""
+        """Run one control period: from encoders to motor voltages."""
         qpos, ctrl, cells = self._qpos, self._ctrl, self._cells
         left = units.wheel_pulses(qpos[self._left_angle])
         right = units.wheel_pulses(qpos[self._right_angle])
@@ -262,7 +262,7 @@ class Robot:
             self._fail(self._faults)
 
     def feed(self) -> None:
-        """Measures the supply; below what it needs, the processor is reset and stands still."""
+        """Measure the supply; below its minimum voltage the processor is reset and halts."""
         cells, time_ns = self._cells, self._stage.time_ns
         self._voltage = self._supply.voltage(time_ns)
         current = units.IDLE_CURRENT
@@ -279,7 +279,7 @@ class Robot:
             self._stage.tell(self.index, text)
 
     def show_leds(self) -> None:
-        """Brings the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
+        """Move the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
         for led, light in zip(_LEDS, self._lights, strict=True):
             light.show(bool(self._cells[led]))
 
@@ -290,16 +290,16 @@ class Robot:
         self._ctrl[[self._left_motor, self._right_motor]] = 0.0
 
     def relight(self, lamps: Lamps, lighting: Lighting) -> None:
-        """Let other lamps shine on the sensors."""
+        """Replace the lamps and the law of their light."""
         self._receivers.relight(lamps, lighting)
 
     def zero_encoders(self) -> None:
-        """Makes the encoders start from where the wheels stand."""
+        """Set the encoders to the wheels' current angles."""
         self.registers[LEFT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._left_angle])
         self.registers[RIGHT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._right_angle])
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
-        """Puts a reply on the line."""
+        """Send a reply."""
         if self._faults is not None:
             time_ns += self._faults.delay_ns(time_ns)
         answer = self._over_the_line(answer, time_ns)
@@ -310,25 +310,25 @@ class Robot:
         return self._host is not None and self._host.baud != self._baud
 
     def _take_speed(self, baud: int) -> None:
-        """Set the robot's end of the line to a speed that the firmware wants."""
+        """Set the robot's end of the line to a speed of the firmware."""
         self._baud = baud
         if not self._unpaced:
             self.uart.tx.baud = baud
 
     def _over_the_line(self, data: bytes, time_ns: int) -> bytes:
-        """Bytes as they come out of the cable at its other end."""
+        """Return the bytes as they arrive at the other end of the cable."""
         if self._mismatched and self._line_noise is not None:
             errors = self._line_noise.integers(1, 256, len(data)).tolist()
             data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
         return data if self._faults is None else self._faults.over_the_line(data, time_ns)
 
     def _fail(self, faults: Injector) -> None:
-        """Lets the faults of a control period happen."""
+        """Apply the faults of a control period."""
         time_ns = self._stage.time_ns
         wheels = ((self._left_motor, self._left_speed), (self._right_motor, self._right_speed))
         for side, (motor, speed) in enumerate(wheels):
             if faults.dead(side, time_ns):
-                # Its own voltage as a generator: no current, no torque.
+                # The motor's own voltage as a generator: no current, no torque.
                 self._ctrl[motor] = self._motor_constant * self._qvel[speed]
         if faults.brown_out(time_ns):
             if banner := self.firmware.reset():
@@ -337,7 +337,7 @@ class Robot:
 
 
 class _Light:
-    """The light of one LED in the scene: a body without mass."""
+    """Light of one LED in the scene: a body without mass."""
 
     def __init__(self, model: mujoco.MjModel, led: str) -> None:
         self._position: NDArray[np.float64] = model.body_pos[model.body(led + "_light").id]
@@ -346,7 +346,7 @@ class _Light:
         self._lit = False
 
     def show(self, lit: bool) -> None:
-        """Puts it to its place or away."""
+        """Move it to its LED or hide it."""
         if lit != self._lit:
             self._position[:] = self._place if lit else self._hidden
             self._lit = lit

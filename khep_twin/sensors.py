@@ -1,21 +1,20 @@
 """The infrared sensors: from rays and lamps to the counts of the converter.
 
-Proximity is reflected light less the ambient light, cut off at both ends (the form is fitted to a real robot,
+Proximity is reflected light less the ambient light, clipped at both ends (the form is fitted to a real robot,
 the numbers are in assets/calibration):
 
     counts = clip(gain sum_i w_i rho_i cos(phi_i)^m / (d_i + offset)^2 - threshold + noise, idle, limit)
 
 over the rays i of a sensor's cone: length d_i, incidence phi_i, reflectance rho_i of what it hits and weight
-w_i = cos(theta_i)^n / sum, theta_i off the axis; idle is the noise left with nothing in reach, and no reading
-is below the calibration's floor, which is 0 but for a Khepera II. Ambient light is dark at high counts, and
-saturates:
+w_i = cos(theta_i)^n / sum, theta_i off the axis; idle is the noise with nothing in reach, and no reading
+is below the calibration's floor, which is 0 except for a Khepera II. Ambient counts are high in the dark, and
+saturate:
 
     counts = clip(max(dark - light, floor) + noise, 0, ceiling)
 
-with the light of lamps as in `ambient`. What a sensor reads as proximity is the difference of two such
-readings, with its emitter on and off; so in bright light its limit falls by (dark - light - floor) /
-(dark - floor), to 0 where ambient light alone saturates it. Left out: light reflected off walls, the cone's
-vertical width.
+with the light of lamps as in `ambient`. A sensor's proximity is the difference of two such readings, with
+its emitter on and off; so in bright light its limit falls by (dark - light - floor) / (dark - floor), to 0
+where ambient light alone saturates it. Not modelled: light reflected off walls, the cone's vertical width.
 """
 
 import math
@@ -37,11 +36,11 @@ class InfraredScan:
     """The eight sensors of one robot in a compiled scene.
 
     Args:
-        scene: as the robot's sensors see it.
-        prefix: of the robot's names in the scene, e.g. "khepera0/".
-        calibration: of this robot's sensors.
-        receivers: of the light of lamps.
-        noise: gives the chance for "proximity", "idle" and "ambient" counts, None for no noise.
+        scene: Scene of the robot's sensors.
+        prefix: Prefix of the robot's names in the scene, e.g. "khepera0/".
+        calibration: Calibration of this robot's sensors.
+        receivers: Receivers of the lamps' light.
+        noise: Factory of the random streams "proximity", "idle" and "ambient"; None for no noise.
     """
 
     def __init__(
@@ -59,7 +58,7 @@ class InfraredScan:
         self._ambient_noise = _draws(noise("ambient").standard_normal if noise else None)
 
     def convert(self, channel: int) -> tuple[int, int]:
-        """Proximity and ambient counts of one sensor, as of the pose at the start of the last step."""
+        """Return proximity and ambient counts of one sensor, for the pose at the start of the last step."""
         receivers = self._receivers
         return optics.convert(
             self._scene,
@@ -73,7 +72,7 @@ class InfraredScan:
 
 
 def proximity_optics(model: mujoco.MjModel, prefix: str, calibration: Calibration) -> Proximity:
-    """How the proximity of a robot in a scene comes about."""
+    """Return the numbers of a robot's proximity in a scene."""
     numbers = calibration.proximity
     weights: list[list[float]] = []
     aside: list[list[float]] = []
@@ -106,15 +105,15 @@ def proximity_optics(model: mujoco.MjModel, prefix: str, calibration: Calibratio
 
 
 def lobe_weights(tangents: NDArray[np.float64], exponent: float) -> list[float]:
-    """Weights w_i of a cone's rays, from the tangents of their angles off the axis (n_rays,)."""
+    """Return the weights w_i of a cone's rays, from the tangents of their angles off the axis (n_rays,)."""
     weights = np.cos(np.arctan(tangents)) ** exponent
     return (weights / weights.sum()).tolist()
 
 
 def _tangents(model: mujoco.MjModel, camera_name: str, n_rays: int) -> NDArray[np.float64]:
-    """Of a sensor's rays off its axis (n_rays,): they go through the camera's pixels, left to right.
+    """Return the tangents of a sensor's rays (n_rays,), which go through the camera's pixels, left to right.
 
-    They are reckoned as MuJoCo does, so that a ray that is cast again is the same one to the last bit.
+    They are computed as in MuJoCo, so that a ray that is cast again is the same to the last bit.
     """
     camera = model.camera(camera_name)
     width, height = model.cam_resolution[camera.id].tolist()
@@ -123,7 +122,7 @@ def _tangents(model: mujoco.MjModel, camera_name: str, n_rays: int) -> NDArray[n
 
 
 def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]:
-    """Endless draws, fetched by the hundred because single ones are slow; zeros without chance."""
+    """Yield endless draws, in batches because single ones are slow; zeros without a random stream."""
     while draw is None:
         yield 0.0
     while True:
@@ -131,9 +130,9 @@ def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]
 
 
 def _visible_geoms(model: mujoco.MjModel, prefix: str) -> NDArray[np.bool_]:
-    """Which geoms the rays of a robot may meet (n_geoms,).
+    """Return the mask of the geoms that a robot's rays may hit (n_geoms,).
 
-    Those that are shown, but for the floor and the robot's own body; its turrets may be met.
+    They are the visible ones, except the floor and the robot's own body; its turrets are included.
     """
     shown = model.geom_rgba[:, 3] > 0
     upright = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE

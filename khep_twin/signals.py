@@ -1,9 +1,9 @@
-"""The end of a process that is asked to end, by SIGINT (Ctrl-C), SIGTERM or SIGHUP.
+"""Graceful shutdown on SIGINT (Ctrl-C), SIGTERM or SIGHUP.
 
-`answered` surrounds a whole command. A first signal leaves what is `stopping` to come to its end by itself,
-and interrupts everything else by KeyboardInterrupt, once no module is being imported. A second signal, or
-PATIENCE, interrupts in any case. What goes on LAST after that is ended by a thread beside it: that thread
-clears up what has been noted by `clear_at_end`, such as a log to complete, and ends the process.
+`answered` surrounds a whole command. A first signal lets a section under `stopping` finish by itself, and
+interrupts everything else by KeyboardInterrupt, once no module is being imported. A second signal, or
+PATIENCE, interrupts in any case. A process that still runs LAST after that is ended by a second thread, which
+first runs the clean-up registered by `clear_at_end`, such as completing a log.
 """
 
 import os
@@ -23,44 +23,44 @@ from khep_twin.errors import KhepTwinError
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 GRACE = 0.3
-"""After so much time without an end the user is told what is waited for [s]."""
+"""Time after which the user is informed of what is awaited [s]."""
 
 PATIENCE = 2.5
-"""After so much time everything is interrupted, as by a second signal [s]."""
+"""Time after which everything is interrupted, as by a second signal [s]."""
 
 LAST = 0.5
-"""After so much time since then the process is ended from beside [s]."""
+"""Time from the interruption to the end of the process by the second thread [s]."""
 
 FAREWELL = 0.7
-"""Longest time that clearing up may take then [s]."""
+"""Longest time for the clean-up then [s]."""
 
 _NUDGE = signal.SIGURG
-"""Sent to the main thread to have it look; by default this signal is ignored, and hardly anybody sends it."""
+"""Signal that wakes the main thread; it is ignored by default and rarely used."""
 
 _TURN = 0.05
-"""Interval of nudges [s]."""
+"""Interval of wake-up signals [s]."""
 
 _CALM, _END = 0, 255
-"""What the main thread tells the watching thread, by the pipe that carries the numbers of signals."""
+"""Messages from the main to the watching thread, in the pipe that carries the numbers of signals."""
 
 _writing = threading.RLock()
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal; after a plain KeyboardInterrupt out of exec or eval Python would end as if by SIGINT."""
+    """Interruption by a signal; a plain KeyboardInterrupt in exec or eval would end Python as by SIGINT."""
 
 
 def asked_by() -> int:
-    """Return the number of the first signal that was answered, 0 without one."""
+    """Return the number of the first signal that was handled, 0 without one."""
     return _ending.number
 
 
 @contextmanager
 def answered() -> Generator[None]:
-    """Answer signals for as long as this goes on, and leave nothing behind of what was noted meanwhile.
+    """Handle signals within this context, and run all registered clean-up at its end.
 
-    A hang-up that is ignored, as by nohup, stays ignored. In another than the main thread, and within
-    itself, it does nothing.
+    An ignored SIGHUP, as by nohup, stays ignored. Outside the main thread, and when nested, this does
+    nothing.
     """
     if _ending.watched or threading.current_thread() is not threading.main_thread():
         yield
@@ -72,7 +72,7 @@ def answered() -> Generator[None]:
         except KhepTwinError:
             raise
         except Exception as error:
-            # Some libraries make an error of their own of any exception; MuJoCo's tells not even of which.
+            # Some libraries convert any exception to an error of their own; MuJoCo's does not even name it.
             if _ending.interrupted:
                 raise Interrupted from error
             raise
@@ -83,26 +83,26 @@ def answered() -> Generator[None]:
 
 
 def is_interruption(error: BaseException) -> bool:
-    """Return whether an exception is an end that somebody has asked for, and not a program's own doing."""
+    """Return whether an exception is an interruption by the user, and not a program's own."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, Interrupted):
             return True
-        # Some libraries, as pydantic, make an error of their own of any exception.
+        # Some libraries, such as pydantic, convert any exception to an error of their own.
         cause = cause.__cause__ or cause.__context__
-    # Where signals are not answered, Python's own answer to Ctrl-C is just this.
+    # Where signals are not handled, this is Python's own reaction to Ctrl-C.
     return isinstance(error, KeyboardInterrupt) and (bool(_ending.number) or not _ending.watched)
 
 
 def leave(code: int) -> NoReturn:
-    """End the process, of which nothing is open any more.
+    """End the process, after all its resources are closed.
 
     Args:
         code: Exit code.
     """
     others = [each for each in threading.enumerate() if each is not threading.main_thread()]
     if asked_by() and any(not each.daemon for each in others):
-        # Python would wait for threads that are amid something.
+        # Python would wait for threads that are still busy.
         for stream in filter(None, (sys.stdout, sys.stderr)):
             stream.flush()
         os._exit(code)
@@ -113,11 +113,11 @@ def leave(code: int) -> NoReturn:
 def stopping(
     awaited: str | None = "coming to an end", hold: Callable[[], None] | None = None
 ) -> Generator[Callable[[], bool]]:
-    """Yield a function that says whether the process was asked to end; a first signal does no more than that.
+    """Yield a function that returns True after a first signal, which does not interrupt the section.
 
     Args:
-        awaited: What is under way then, for the user; None to tell nothing.
-        hold: Is called in another thread if that takes a while, to stop motors.
+        awaited: Description of the wait, for the user; None for no message.
+        hold: Function that stops motors, called in another thread if the wait is long.
     """
     with answered():
         wait = (awaited, hold)
@@ -131,15 +131,15 @@ def stopping(
 
 
 def clear_at_end(clear: Callable[[], object]) -> Callable[[], object]:
-    """Note what has to be done before the process ends, whatever ends it but SIGKILL.
+    """Register clean-up to run before the process ends, for any cause except SIGKILL.
 
-    Where no signals are answered, nothing is noted.
+    Where signals are not handled, nothing is registered.
 
     Args:
-        clear: May be called in any thread, and beside what it clears up.
+        clear: Clean-up function, safe to call in any thread and concurrently with its object.
 
     Returns:
-        A function that takes the note back.
+        Function that cancels the registration.
     """
     key = object()
     if _ending.watched:
@@ -149,7 +149,7 @@ def clear_at_end(clear: Callable[[], object]) -> Callable[[], object]:
 
 @contextmanager
 def undisturbed() -> Generator[None]:
-    """Hold signals back for a moment, and other threads' writing: half a record would spoil what follows."""
+    """Block signals and other threads' writing: half a record would corrupt what follows."""
     with _writing:
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -169,14 +169,14 @@ _leftovers: dict[object, Callable[[], object]] = {}
 
 
 class _Ending:
-    """The process's end.
+    """State of the process's shutdown.
 
     Attributes:
-        number: Of the first signal, 0 before.
-        waits: What is stopping, the innermost last: what to tell of it, and what stops the motors.
-        held: How many sections are not to be disturbed.
-        watched: Whether signals are answered.
-        interrupted: Whether the main thread has been interrupted.
+        number: Number of the first signal, 0 before.
+        waits: Sections under `stopping`, the innermost last: message, and function that stops the motors.
+        held: Number of sections that block signals.
+        watched: True if signals are handled.
+        interrupted: True if the main thread has been interrupted.
     """
 
     def __init__(self) -> None:
@@ -187,13 +187,13 @@ class _Ending:
         self.reset()
 
     def reset(self) -> None:
-        """Be as before anything was answered, but for the signal that it was asked by."""
+        """Restore the initial state, except the number of the signal."""
         self.held = 0
         self.interrupted = self.watched = self._noticed = self._due = self._urgent = self._is_held = False
         self._reader = self._writer = -1
 
     def begin(self, stack: ExitStack) -> None:
-        """Set the handlers, and begin to watch; `stack` undoes it."""
+        """Set the handlers and start the watching thread; `stack` undoes it."""
         self.number = 0
         self._reader, self._writer = os.pipe()
         stack.callback(os.close, self._reader)
@@ -215,12 +215,12 @@ class _Ending:
             os.register_at_fork(before=self._fork, after_in_parent=self._forked, after_in_child=self._leave)
 
     def send(self, message: int) -> None:
-        """Tell the watching thread, which a fork has not."""
+        """Send a message to the watching thread, which a fork lacks."""
         if self.watched:
             os.write(self._writer, bytes([message]))
 
     def interrupt(self, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt in the main thread if it is due, and nothing stands against it."""
+        """Raise `Interrupted` in the main thread if it is due and not blocked."""
         if self._due and not self.held and (self._urgent or not _is_importing(frame)):
             self._due = False
             self.interrupted = True
@@ -233,14 +233,14 @@ class _Ending:
         self.interrupt(frame)
 
     def _fork(self) -> None:
-        """Hold signals back: those of a fork are not to be taken for this process's."""
+        """Block signals: those of a fork must not be taken for this process's."""
         self._mask = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
 
     def _forked(self) -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
 
     def _leave(self) -> None:
-        """Have a fork take signals as any other process."""
+        """Restore the default handling of signals in a fork."""
         if self.watched:
             self.watched = False
             signal.set_wakeup_fd(-1)
@@ -248,18 +248,18 @@ class _Ending:
                 signal.signal(number, signal.SIG_DFL)
         self._forked()
 
-    # The thread beside ---------------------------------------------------------------------------------
+    # The second thread ---------------------------------------------------------------------------------
 
     def _watch(self) -> None:
         while (first := self._next(None)) != _END:
             if first is None or first == _CALM:
                 continue
             again = self._next(GRACE)
-            self.number = self.number or first  # a call of C, or a handler of somebody else's, comes before
+            self.number = self.number or first  # C code, or another handler, may come first
             if again is None:
                 _beside([self._tell, self._hold])
                 again = self._next(PATIENCE - GRACE)
-            if again == _CALM:  # what was waited for has come to its end
+            if again == _CALM:  # the awaited section has ended
                 continue
             if again == _END:
                 return
@@ -273,7 +273,7 @@ class _Ending:
             os._exit(128 + self.number)
 
     def _next(self, wait: float | None) -> int | None:
-        """Return the next signal or message; None if there is none for so long [s]."""
+        """Return the next signal or message; None if there is none within `wait` [s]."""
         deadline = time.monotonic() + (threading.TIMEOUT_MAX if wait is None else wait)
         while (left := deadline - time.monotonic()) > 0:
             if select.select([self._reader], [], [], left if wait is None else min(left, _TURN))[0]:
@@ -301,10 +301,10 @@ _ending = _Ending()
 
 
 def _beside(todo: Iterable[Callable[[], object]], wait: float = 0.0) -> None:
-    """Call each in a thread of its own, as any of them may hang, and wait for them for a while [s]."""
+    """Call each function in its own thread, as any may hang, and wait for them for at most `wait` [s]."""
 
     def call(each: Callable[[], object]) -> None:
-        # It may be done already; and what is being ended has nobody to tell of more.
+        # It may be done already, and a process that ends has no use for further errors.
         with suppress(Exception):
             each()
 
@@ -317,7 +317,7 @@ def _beside(todo: Iterable[Callable[[], object]], wait: float = 0.0) -> None:
 
 
 def _is_importing(frame: FrameType | None) -> bool:
-    """Whether a module is being imported: one that is broken off there may raise or print anything."""
+    """Return whether a module is being imported; an interrupted import may raise or print anything."""
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None
@@ -325,7 +325,7 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 @contextmanager
 def _held_back() -> Generator[None]:
-    """Hold Ctrl-C back in a program that answers it by itself."""
+    """Delay Ctrl-C in a program that handles it by itself."""
     handler = signal.getsignal(signal.SIGINT)
     if not callable(handler):
         yield

@@ -1,4 +1,4 @@
-"""Switching lamps in a world that runs, as a hand does, and setting up others; acts that a log repeats."""
+"""Changes to the lamps of a running world by the user, as actions that a log repeats."""
 
 import json
 import struct
@@ -15,15 +15,15 @@ _SWITCH = struct.Struct("<i?")
 
 
 def switch(world: World, lamp: int, on: bool) -> None:
-    """Switches a lamp off, or back to what it does by itself.
+    """Switch a lamp off, or back to its own schedule.
 
     Args:
-        world: in which it is.
-        lamp: which of its lamps, from 0.
-        on: whether it may shine.
+        world: World of the lamp.
+        lamp: Number of the lamp, from 0.
+        on: True to return it to its own schedule, False to switch it off.
 
     Raises:
-        PlaypenError: there is no such lamp.
+        PlaypenError: The lamp does not exist.
     """
     names = world.lamps.names
     if not 0 <= lamp < len(names):
@@ -34,20 +34,20 @@ def switch(world: World, lamp: int, on: bool) -> None:
 
 
 def switch_again(world: World, act: HostAct) -> None:
-    """Switches a lamp as a log has it."""
+    """Switch a lamp as recorded in a log."""
     switch(world, *_SWITCH.unpack(act.data))
 
 
 def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
-    """Set up other lamps, or let them shine in another order.
+    """Replace the lamps and their lighting.
 
     Args:
-        world: in which they are.
-        lamps: all that there are from now on.
-        lighting: which of them are on, from now on.
+        world: World of the lamps.
+        lamps: All lamps from now on.
+        lighting: Lighting from now on.
 
     Raises:
-        PlaypenError: a lamp cannot be like that, or lies outside the arena.
+        PlaypenError: A lamp is invalid or lies outside the arena.
     """
     wanted = {
         "lamp": [lamp.model_dump(mode="json") for lamp in lamps],
@@ -63,23 +63,23 @@ def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
 
 
 def relight_again(world: World, act: HostAct) -> None:
-    """Sets up lamps as a log has it.
+    """Replace the lamps as recorded in a log.
 
     Raises:
-        PlaypenError: its bytes are not as `relight` writes them.
+        PlaypenError: The bytes are not as `relight` writes them.
     """
     try:
         wanted = frozen(json.loads(act.data))
         if not isinstance(wanted, dict):
             raise TypeError
     except (ValueError, TypeError, RecursionError):
-        raise PlaypenError(f"lamps = {act.data[:40]!r}: right is JSON with lamp and lighting") from None
+        raise PlaypenError(f"lamps = {act.data[:40]!r}; expected JSON with lamp and lighting") from None
     checked = check(_Lamps, cast(dict[str, Any], wanted), "lamps", PlaypenError)
     relight(world, checked.lamp, checked.lighting)
 
 
 class _Lamps(Table):
-    """What an act says of lamps."""
+    """Lamps and lighting of an action."""
 
     lamp: tuple[Lamp, ...]
     lighting: Lighting

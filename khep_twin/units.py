@@ -1,10 +1,10 @@
-"""The robot's constants, each with its source, and the only unit conversions.
+"""Constants of the robot, each with its source, and the unit conversions.
 
 Sources, as cited below:
     manual      Khepera User Manual 5.02, K-Team, 1999 (section or appendix)
     manual II   Khepera II User Manual 1.1, K-Team, 2002
-    simulators  what Michel's, Player's, Webots' and KiKS' models of the robot agree on
-    assumed     no source; chosen so that the sourced behaviour comes out
+    simulators  values on which Michel's, Player's, Webots' and KiKS' models of the robot agree
+    assumed     no source; chosen to reproduce the sourced behaviour
 
 `assets/khepera.xml` repeats the geometry and mass; a test asserts that they arrive in the compiled model.
 """
@@ -16,13 +16,13 @@ from enum import IntEnum
 # Time --------------------------------------------------------------------------------------------------
 
 STEP_NS = 2_500_000
-"""One step of the physics is one conversion of the sensor scan [ns] (manual, 3.1.5: 2.5 ms)."""
+"""Step of the physics and of one conversion in the sensor scan [ns] (manual, 3.1.5: 2.5 ms)."""
 
 TICK_NS = 10_000_000
 """Period of the motor controllers [ns] (manual, 3.1.3: 10 ms)."""
 
 SCAN_NS = 20_000_000
-"""Time in which all eight sensors are converted once [ns] (manual, 3.1.5: 20 ms)."""
+"""Period of the scan of all eight sensors [ns] (manual, 3.1.5: 20 ms)."""
 
 # Body --------------------------------------------------------------------------------------------------
 
@@ -30,16 +30,17 @@ BODY_RADIUS = 0.0275
 """Half the diameter of 55 mm [m] (manual, specification; simulators)."""
 
 BODY_HEIGHT = 0.030
-"""[m] (manual, specification)."""
+"""Height of the body [m] (manual, specification)."""
 
 MASS = 0.070
-"""Whole robot with batteries [kg] (about 70 g: K-Team's data sheet)."""
+"""Mass of the robot with batteries [kg] (about 70 g: K-Team's data sheet)."""
 
 CENTRE_OF_MASS_HEIGHT = 0.008
-"""[m] (assumed: the batteries lie at the bottom, Webots has 5 mm, half the height is 15 mm)."""
+"""Height of the centre of mass [m] (assumed: batteries at the bottom; Webots has 5 mm, half the height is
+15 mm)."""
 
 SUPPORT_POSITION = 0.022
-"""The two sliding supports lie this far before and behind the centre [m] (assumed)."""
+"""Distance of the two sliding supports before and behind the centre [m] (assumed)."""
 
 # Wheels and encoders -----------------------------------------------------------------------------------
 
@@ -47,17 +48,17 @@ PULSES_PER_TURN = 600
 """Encoder pulses per turn of a wheel: 24 per motor turn times gear 25:1 (manual, 3.1.3)."""
 
 PULSE_LENGTH = 80e-6
-"""Way of a wheel per pulse [m]: 0.08 mm (manual, appendix A). The same manual's 12 pulses per mm gives
+"""Travel of a wheel per pulse [m]: 0.08 mm (manual, appendix A). The same manual's 12 pulses per mm gives
 0.0833 mm; the protocol's own examples and the toolbox use 0.08."""
 
 WHEEL_RADIUS = PULSES_PER_TURN * PULSE_LENGTH / (2 * math.pi)
-"""[m]: 7.64 mm, so that a pulse is exactly 0.08 mm."""
+"""Radius of a wheel [m]: 7.64 mm, so that a pulse is exactly 0.08 mm."""
 
 WHEEL_WIDTH = 0.003
-"""[m] (simulators)."""
+"""Width of a wheel [m] (simulators)."""
 
 WHEEL_MASS = 0.004
-"""[kg] (assumed)."""
+"""Mass of a wheel [kg] (assumed)."""
 
 WHEEL_BASE = 0.052
 """Distance of the two wheels' contact points [m] (52 to 53 mm: simulators, ruler)."""
@@ -65,8 +66,8 @@ WHEEL_BASE = 0.052
 # Motors ------------------------------------------------------------------------------------------------
 
 SUPPLY_VOLTAGE = 5.0
-"""On the charger, and at which the motors' figures hold [V] (assumed: four NiCd cells give 5.3 to 4.2 V over
-most of the manual's figure 14)."""
+"""Voltage of the charger, for which the motors' figures hold [V] (assumed: four NiCd cells give 5.3 to 4.2 V
+over most of the manual's figure 14)."""
 
 MOTOR_NO_LOAD_SPEED = 150.0
 """Wheel speed at full duty without load [rad/s] (assumed: so that the manual's maximum of 127 pulses per
@@ -76,8 +77,8 @@ MOTOR_STALL_TORQUE = 0.010
 """Torque at a blocked wheel at full duty [N m] (assumed: well above the 2.4 mN m at which a tyre slips)."""
 
 ROTOR_INERTIA = 1e-6
-"""Of the motor's rotor, seen at the wheel through the gear [kg m^2] (assumed: with the robot's mass the
-wheels then follow their voltage within 50 ms)."""
+"""Inertia of the motor's rotor, seen at the wheel through the gear [kg m^2] (assumed: with the robot's mass
+the wheels then follow their voltage within 50 ms)."""
 
 DUTY_LIMIT = 255
 """Full duty of the motors' pulse-width modulation (manual, appendix A, command P)."""
@@ -110,22 +111,22 @@ SENSOR_POSITIONS = (
     (-0.024, -0.010),
     (-0.024, 0.010),
 )
-"""Of each sensor's face, x forward and y left of the robot's centre [m] (simulators)."""
+"""Position of each sensor's face, x forward and y left of the robot's centre [m] (simulators)."""
 
 SENSOR_HEIGHT = 0.0134
-"""Above the ground [m] (manual, side view)."""
+"""Height of the sensors above the ground [m] (manual, side view)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """The body of a model of the robot.
+    """Body of a model of the robot.
 
     Attributes:
-        radius: of it [m].
-        mass: of the whole robot [kg].
-        support_position: of the sliding supports, before and behind the centre [m].
-        sensor_positions: of the sensors' faces, x forward and y left of the centre (8, 2) [m].
-        sensor_height: of the sensors above the ground [m].
+        radius: Radius [m].
+        mass: Mass of the whole robot [kg].
+        support_position: Distance of the sliding supports before and behind the centre [m].
+        sensor_positions: Positions of the sensors' faces, x forward and y left of the centre (8, 2) [m].
+        sensor_height: Height of the sensors above the ground [m].
     """
 
     radius: float
@@ -154,8 +155,9 @@ BODIES = {
         0.017,
     ),
 }
-"""By model. The Khepera II: 70 mm and 80 g (simulators, host libraries), sensors as in its manual's figure 7,
-scaled to that diameter, their height after Webots; supports and height like the Khepera's (assumed)."""
+"""Bodies by model. The Khepera II: 70 mm and 80 g (simulators, host libraries), sensors as in its manual's
+figure 7, scaled to that diameter, their height after Webots; supports and height like the Khepera's
+(assumed)."""
 
 SENSOR_HEADINGS = (
     math.radians(88),
@@ -167,11 +169,11 @@ SENSOR_HEADINGS = (
     math.radians(180),
     math.radians(180),
 )
-"""Where each sensor looks, counter-clockwise from straight ahead [rad] (a lamp far away, measured on one
+"""Heading of each sensor, counter-clockwise from straight ahead [rad] (a lamp far away, measured on one
 robot and made symmetric)."""
 
 BULB_RADIUS = 0.010
-"""Of a lamp [m] (that of the lamp which the calibration `khepera1` was sampled with)."""
+"""Radius of a lamp [m] (that of the lamp with which the calibration `khepera1` was sampled)."""
 
 COUNTS_LIMIT = 1023
 """Largest count of the 10-bit converter (manual, 3.1.5)."""
@@ -179,71 +181,72 @@ COUNTS_LIMIT = 1023
 # Supply ------------------------------------------------------------------------------------------------
 
 CONVERTER_COUNTS_PER_VOLT = 1024 / 4.096
-"""Of the 10-bit converter (manual, appendix A, command I: 1024 is 4.09 V)."""
+"""Scale of the 10-bit converter [counts/V] (manual, appendix A, command I: 1024 is 4.09 V)."""
 
 PROCESSOR_VOLTAGE = 4.0
-"""Below it the processor fails and the motors still turn [V] (manual, 2.3 on the battery)."""
+"""Voltage below which the processor fails and the motors still turn [V] (manual, 2.3 on the battery)."""
 
 IDLE_CURRENT = 0.2
-"""Of the robot with its motors at rest [A] (assumed: 180 mAh that last 45 minutes are 240 mA, driving)."""
+"""Current of the robot with its motors at rest [A] (assumed: 180 mAh that last 45 minutes are 240 mA,
+driving)."""
 
 # Gripper -----------------------------------------------------------------------------------------------
 
 GRIPPER_NUMBER = 1
-"""On the T bus (public host programs)."""
+"""Number of the gripper on the T bus (public host programs)."""
 
 ARM_UP = 152
-"""Highest place of the gripper's arm (public host programs keep to 152 to 255)."""
+"""Highest position of the gripper's arm (public host programs keep to 152 to 255)."""
 
 ARM_DOWN = 255
-"""The arm's place with the fingers at the floor (public host programs)."""
+"""Position of the arm with the fingers at the floor (public host programs)."""
 
 FINGERS_OPEN = 200
-"""The fingers' place with the widest gap, 55 mm; 0 is closed (simulators)."""
+"""Position of the fingers with the widest gap, 55 mm; 0 is closed (simulators)."""
 
 # Serial line -------------------------------------------------------------------------------------------
 
 BITS_PER_BYTE = 11
-"""One start, eight data and two stop bits (manual, 3.2)."""
+"""Bits per byte: one start, eight data and two stop bits (manual, 3.2)."""
 
 # Conversions -------------------------------------------------------------------------------------------
 
 
 def speed(speed_pulses: float) -> float:
-    """A speed in pulses per 10 ms as the protocol counts it, in [m/s]."""
+    """Convert a speed in the protocol's pulses per 10 ms to [m/s]."""
     return speed_pulses * PULSE_LENGTH / (TICK_NS * 1e-9)
 
 
 def wheel_pulses(angle: float) -> int:
-    """Whole pulses that the encoder has counted at a wheel angle [rad], which started amid a pulse."""
+    """Return the encoder's count at a wheel angle [rad]; angle 0 is in the middle of a pulse."""
     return math.floor(angle * (PULSES_PER_TURN / (2 * math.pi)) + 0.5)
 
 
 def duty_voltage(duty: int, supply_voltage: float) -> float:
-    """Mean motor voltage [V] of a duty of -255 to 255."""
+    """Return the mean motor voltage [V] of a duty of -255 to 255."""
     return duty * (supply_voltage / DUTY_LIMIT)
 
 
 def supply_current(duty: int, motor_current: float) -> float:
-    """What a motor's current [A] takes from the supply at a duty [A]; braking gives nothing back."""
+    """Return the supply current [A] of a motor's current [A] at a duty; braking feeds nothing back."""
     return max(duty * motor_current / DUTY_LIMIT, 0.0)
 
 
 def supply_counts(supply_voltage: float) -> int:
-    """What the converter reads of a supply voltage [V]: half of it (assumed)."""
+    """Return the converter's reading of a supply voltage [V]: half of it (assumed)."""
     return round(supply_voltage / 2 * CONVERTER_COUNTS_PER_VOLT)
 
 
 def metres(length_mm: float) -> float:
-    """A length of a playpen file [mm] in [m]."""
+    """Convert a length of a playpen file [mm] to [m]."""
     return length_mm / 1000
 
 
 def radians(angle_deg: float) -> float:
-    """An angle of a playpen file [deg] in [rad]."""
+    """Convert an angle of a playpen file [deg] to [rad]."""
     return math.radians(angle_deg)
 
 
 def kilograms(mass_g: float) -> float:
-    """A mass of a playpen file [g] in [kg]."""
+    """Convert a mass of a playpen file [g] to [kg]."""
     return mass_g / 1000

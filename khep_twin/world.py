@@ -1,7 +1,7 @@
-"""The world: one scene, its robots, and the one clock that both obey.
+"""The world: one scene, its robots, and their common clock.
 
 Time is an integer in nanoseconds. Physics advances in whole steps of 2.5 ms, the bytes on the serial lines
-fall between them. `World.advance_to` is the only way in which time passes.
+fall between them. Only `World.advance_to` advances time.
 """
 
 import math
@@ -24,55 +24,55 @@ from khep_twin.robot import Robot
 from khep_twin.sensing.lamps import Lamps
 
 SAMPLE_NS = units.SCAN_NS
-"""How often taps are shown the world [ns]."""
+"""Sampling period of the taps [ns]."""
 
 _STEPS_PER_TICK = n_steps(units.TICK_NS, units.STEP_NS)
 _STEPS_PER_SAMPLE = n_steps(SAMPLE_NS, units.STEP_NS)
 _FASTEST = 1000.0
-"""What no joint in a playpen exceeds [m/s or rad/s]; beyond it the simulation has diverged."""
+"""Highest speed of a joint in a playpen [m/s or rad/s]; beyond it the simulation has diverged."""
 
 
 class Tap(Protocol):
-    """Something that watches a world, such as a recorder."""
+    """Observer of a world, such as a recorder."""
 
     def sample(self, world: "World") -> None:
-        """Is shown the world every SAMPLE_NS, at its start too."""
+        """Observe the world; called every SAMPLE_NS and at its start."""
         ...
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Hears the bytes that crossed a robot's line, the last of them at `time_ns`."""
+        """Observe bytes that crossed a robot's line, the last of them at `time_ns`."""
         ...
 
     def act(self, time_ns: int, robot: int, act: HostAct) -> None:
-        """Is told what a robot's host does to the line."""
+        """Observe an action of a robot's host on the line."""
         ...
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Is told of something worth a note."""
+        """Observe a logged event."""
         ...
 
 
 class World:
-    """A playpen brought to life.
+    """A simulated playpen.
 
     The robots are switched on a scan and a step before time 0, so that every register holds a conversion.
 
     Args:
-        playpen: the scene; robots with spots are put to one by the seed.
-        seed: of every chance in the run.
-        noise: whether sensors are noisy.
-        unpaced: lets bytes cross the lines in no time.
-        spread: draws each robot's sensors anew around its calibration, as no two robots are alike.
-        strict_line: garbles the bytes between a robot and a host whose line is set to another speed.
-        faults: that happen to its robots.
+        playpen: Scene; robots with spots start at a random one.
+        seed: Seed of every random stream.
+        noise: True for noisy sensors.
+        unpaced: True for lines without delay.
+        spread: True to draw each robot's sensors at random around its calibration.
+        strict_line: True to garble the bytes between a robot and a host whose line has another speed.
+        faults: Faults of its robots.
 
     Attributes:
-        time_ns: how far time has come [ns].
-        model: the compiled scene.
-        data: its state.
-        lamps: which of them shine.
-        robots: in the playpen's order.
-        taps: who watches.
+        time_ns: Current time [ns].
+        model: Compiled scene.
+        data: State of the scene.
+        lamps: Lamps of the world.
+        robots: Robots in the playpen's order.
+        taps: Observers of the world.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class World:
         strict_line: bool = False,
         faults: Sequence[Fault] = (),
     ) -> None:
-        # MuJoCo would write its warnings into a file where the user happens to be; they are checked here.
+        # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(_keep_quiet)
         self.playpen = playpen = placed(playpen, stream(seed, "spots"))
         self.taps: list[Tap] = []
@@ -118,7 +118,7 @@ class World:
         self._switch_on()
 
     def add_tap(self, tap: Tap) -> None:
-        """Lets `tap` watch from now on; it is shown the world at once."""
+        """Add an observer; it receives the current state at once."""
         self.taps.append(tap)
         for robot, text in self._untold:
             tap.event(self.time_ns, robot, text)
@@ -126,21 +126,21 @@ class World:
         tap.sample(self)
 
     def advance_to(self, time_ns: int) -> None:
-        """Lets time pass until `time_ns` [ns].
+        """Advance the world to `time_ns` [ns].
 
         Each step of 2.5 ms runs in this order:
 
-            1. bytes that arrive before its end are taken by the firmware, which answers from the registers
+            1. bytes that arrive before its end are read by the firmware, which answers from the registers
                of the last step
             2. physics, with the motor voltages of the last control tick
             3. lamps blink, fade and switch; one sensor of each robot is converted, as of the pose at the
                step's start
             4. after every fourth step the control tick: encoders, speed, controllers, duty, voltage
-            5. after every eighth the supply is measured and the taps are shown the world
+            5. after every eighth the supply is measured and the taps sample the world
 
         Raises:
-            ValueError: `time_ns` lies in the past.
-            DivergedError: the physics left its bounds, now or before.
+            ValueError: `time_ns` is in the past.
+            DivergedError: The physics left its bounds, now or before.
         """
         if self._failure is not None:
             raise self._failure
@@ -154,9 +154,9 @@ class World:
         self.time_ns = time_ns
 
     def scan(self) -> None:
-        """Convert all sensors of all robots as of now; no time passes."""
+        """Convert all sensors of all robots now, without advancing time."""
         model, data = self.model, self.data
-        # The rangefinders take turns; for once all look at the same time, and keep their turns afterwards.
+        # The rangefinders take turns; here all measure at the same time, and keep their turns afterwards.
         turns, history = model.sensor_interval.copy(), data.history.copy()
         model.sensor_interval[:] = 0
         for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight, mujoco.mj_sensorPos):
@@ -174,20 +174,20 @@ class World:
             robot.relight(self.lamps, playpen.lighting)
 
     def tell(self, robot: int | None, text: str) -> None:
-        """Passes a note on to the taps."""
+        """Send an event to the taps."""
         if self.time_ns == 0 and not self.taps:
-            # Nobody could watch yet.
+            # No tap could be added yet.
             self._untold.append((robot, text))
         for tap in self.taps:
             tap.event(self.time_ns, robot, text)
 
     def hear(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Passes bytes that crossed a robot's line on to the taps."""
+        """Send bytes that crossed a robot's line to the taps."""
         for tap in self.taps:
             tap.wire(time_ns, robot, to_robot, data)
 
     def act(self, robot: int, act: HostAct) -> None:
-        """Passes what a host does on to the taps."""
+        """Send a host's action to the taps."""
         for tap in self.taps:
             tap.act(self.time_ns, robot, act)
 
@@ -234,20 +234,20 @@ class World:
 
     def _show(self) -> None:
         if self.taps:
-            # A step leaves the bodies' places as of its start; the taps are shown them as of its end.
+            # A step leaves the bodies' positions as of its start; the taps sample them as of its end.
             mujoco.mj_kinematics(self.model, self.data)
             for tap in self.taps:
                 tap.sample(self)
 
     def _check_warnings(self) -> None:
-        """Refuses to go on after MuJoCo has warned."""
+        """Raise a `DivergedError` if MuJoCo has warned."""
         if self._warnings.any():
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
             raise self._diverged(f"MuJoCo warns of {kind}")
 
     def _check_state(self) -> None:
-        """Refuses to go on with a state that is no physics any more."""
-        # Sums of squares, because they are the quickest look that also meets what is not a number.
+        """Raise a `DivergedError` if the state is out of bounds."""
+        # Sums of squares are the fastest check that also finds NaN.
         places, speeds, joints = self._places, self.data.qvel, self.data.qpos
         fits = places.dot(places) <= len(places) * self._limit**2
         if not (fits and speeds.dot(speeds) <= len(speeds) * _FASTEST**2 and joints.dot(joints) < math.inf):
@@ -263,4 +263,4 @@ class World:
 
 
 def _keep_quiet(warning: str) -> None:
-    """Leaves a warning to the check of MuJoCo's counters."""
+    """Ignore a warning, which the check of MuJoCo's counters finds."""

@@ -46,7 +46,7 @@ def test_the_pacer_gives_up_what_it_cannot_catch_up_with(wall: list[int]) -> Non
 
 @pytest.mark.parametrize("speed", [0, -1, float("nan")])
 def test_a_speed_that_is_not_above_zero_is_refused(speed: float) -> None:
-    with pytest.raises(ValueError, match="must be above 0"):
+    with pytest.raises(ValueError, match="expected a number above 0"):
         Pacer(speed, 0)
 
 

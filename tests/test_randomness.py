@@ -32,7 +32,7 @@ def test_another_process_with_another_hash_seed_draws_the_same() -> None:
 
 @pytest.mark.parametrize("seed", [-1, SEED_LIMIT])
 def test_a_seed_out_of_range_is_refused(seed: int) -> None:
-    with pytest.raises(ValueError, match=rf"seed {seed} is outside 0 to 2\*\*63-1"):
+    with pytest.raises(ValueError, match=rf"seed = {seed}; expected an integer from 0 to 2\*\*63-1"):
         stream(seed, "x")
     with pytest.raises(ValueError, match="needs a name"):
         stream(0)

@@ -30,8 +30,8 @@ def shown(page: Path) -> str:
 
 def test_a_page_has_methods_with_their_units_and_arguments(folder: Path) -> None:
     page = shown(folder / "khep_twin" / "host" / "khepera.html")
-    assert "drives the wheels at these speeds [pulses/10 ms = 8 mm/s]" in page
-    assert re.search(r"wheel_base:\s+distance of the wheels", page)
+    assert "Drive the wheels at these speeds [pulses/10 ms = 8 mm/s]" in page
+    assert re.search(r"wheel_base:\s+Distance of the wheels", page)
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,11 @@
-"""A day of `serve --log` with a host that asks as fast as the line allows, and what memory that takes.
+"""Memory of a day of `serve --log` with a host that polls as fast as the line allows.
 
     python tools/day.py 24 --log day.mcap        `make day`
 
-The server's own loop runs on the wire clock over a pseudo-terminal, its host is a process of its own: 23
-commands in each simulated second, as on the robot's line. The log is handed to the file system each half of
-a simulated second, as `serve` does each half second on the wall, so that it has as many pieces as in real
-time. It ends with 1 if the server's memory has grown by more than it may.
+The server's own loop runs on the wire clock over a pseudo-terminal, its host is a separate process: 23
+commands in each simulated second, as on the robot's line. The log is flushed each half of a simulated
+second, as `serve` does each half second of wall time, so that it has as many pieces as in real time. The
+exit status is 1 if the server's memory has grown beyond the limit.
 """
 
 import argparse
@@ -24,20 +24,20 @@ from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 MOST_GROWTH = 5.0
-"""In a day, after the first minute [MB]; of a shorter run a part of it."""
+"""Limit of the growth in a day, after the first minute [MB]; proportional for a shorter run."""
 
 HOUR_NS = 3600 * NS_PER_S
 WARM_NS = 60 * NS_PER_S
 
 
 def memory() -> float:
-    """What this process has in memory [MB]."""
+    """Return the memory of this process [MB]."""
     status = Path("/proc/self/status").read_text()
     return int(status.split("VmRSS:")[1].split()[0]) / 1000
 
 
 def ask(path: str) -> None:
-    """Asks for the sensors again and again."""
+    """Poll the sensors repeatedly."""
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     while True:
         os.write(port, b"N\n")
@@ -47,7 +47,7 @@ def ask(path: str) -> None:
 
 
 def day(hours: float, log: Path) -> float:
-    """Serves for so many simulated hours; returns by how much memory has grown [MB]."""
+    """Serve for so many simulated hours; return the growth of memory [MB]."""
     end_ns = round(hours * HOUR_NS)
     begun, first, next_ns = time.monotonic(), 0.0, WARM_NS
     with ExitStack() as stack:
@@ -71,7 +71,7 @@ def day(hours: float, log: Path) -> float:
                 next_ns = min((next_ns // HOUR_NS + 1) * HOUR_NS, end_ns) if next_ns < end_ns else 2 * end_ns
             return world.time_ns >= end_ns
 
-        # As often in simulated time as else on the wall.
+        # Flush as often in simulated time as otherwise in wall time.
         serve.time = SimpleNamespace(monotonic_ns=lambda: world.time_ns)  # pyright: ignore
         serve.serve(twin, [cable], serve.WIRE, stop=stop, tell=print)
         grown = memory() - first
@@ -82,7 +82,7 @@ def day(hours: float, log: Path) -> float:
 
 
 def main() -> int:
-    """Runs a day and says whether memory has grown."""
+    """Run a day; return 1 if memory has grown beyond the limit."""
     parser = argparse.ArgumentParser(description="Serve a twin for simulated hours and measure its memory.")
     parser.add_argument("hours", type=float)
     parser.add_argument("--log", type=Path)

@@ -1,12 +1,12 @@
-"""Random playpens at the edge of what a check lets pass, driven through at random and at full speed.
+"""Random playpens at the limits of the check, driven through at random and at full speed.
 
     python tools/edge_playpens.py 2000                      `make edges`
 
-Each playpen is made by its number alone, so that what is found is found again: `--first NUMBER` begins there.
-It is a find if the simulation diverges, or if a robot leaves the arena, exceeds 1.1 m/s (full speed is 1.02),
-comes 15 mm off the floor or tilts by 30 degrees, or if something movable leaves the arena through a wall. A
-robot with a gripper is top-heavy and has an arm that pushes: where it falls over, its drive ends, and that is
-no find; nor is it where there are movable things, as a robot may climb on a loose board.
+Each playpen depends on its number alone, so that findings are reproducible: `--first NUMBER` begins there. It
+is a finding if the simulation diverges, or if a robot leaves the arena, exceeds 1.1 m/s (full speed is 1.02),
+comes 15 mm off the floor or tilts by 30 degrees, or if a movable object leaves the arena through a wall. A
+robot with a gripper is top-heavy and has an arm that pushes: if it falls over, its drive ends without a
+finding; nor is it one where there are movable objects, as a robot may climb on a loose board.
 """
 
 import argparse
@@ -23,13 +23,13 @@ from khep_twin.playpen.polygon import contains, distance
 from khep_twin.world import World
 
 FASTEST = 1.1
-"""Of a robot [m/s]."""
+"""Highest speed of a robot [m/s]."""
 
 SUNK_MM = 3.0
-"""What is thin and hit by a robot sinks into a wall by so much, and comes out again [mm]."""
+"""Depth to which a thin object hit by a robot sinks into a wall, and comes out again [mm]."""
 
 HIGHEST, STEEPEST_DEG = 0.015, 30.0
-"""Of a robot: how far it comes off the floor [m], and tilts."""
+"""Limits of a robot's height above the floor [m], and of its tilt."""
 
 TOPPLED = "toppled"
 
@@ -47,7 +47,7 @@ COMMANDS = [
 
 
 def text_of(number: int) -> str:
-    """Return the playpen of a number, which a check may refuse."""
+    """Return the playpen of a number, which the check may refuse."""
     chance = random.Random(number)
     width, height = chance.uniform(250, 500), chance.uniform(200, 400)
     lines = ['version = 1\nname = "edge"\n[arena]', f"width_mm = {width:.0f}", f"height_mm = {height:.0f}"]
@@ -109,7 +109,7 @@ def playpens(first: int, count: int) -> Iterator[tuple[int, Playpen]]:
 
 
 def trouble(number: int, made: Playpen, seconds: float = 10.0) -> str | None:
-    """Drive about in a playpen; return what broke, None if it holds."""
+    """Drive around in a playpen; return the finding, None without one."""
     chance = random.Random(-1 - number)
     world = World(made, noise=False, unpaced=True)
     due_ns = [0] * len(world.robots)
@@ -131,7 +131,7 @@ def trouble(number: int, made: Playpen, seconds: float = 10.0) -> str | None:
 
 
 def _broken(world: World, gone: set[str]) -> Iterator[str]:
-    """Yield what is wrong now; `gone` is what has hopped over a wall lower than itself, which is not."""
+    """Yield current findings; `gone` holds objects that hopped over a lower wall, which are none."""
     arena, data = world.playpen.arena, world.data
     for index in range(1, world.model.nbody):
         name = str(world.model.body(index).name)
@@ -184,7 +184,7 @@ def _place(chance: random.Random, width: float, height: float) -> list[str]:
 
 
 def main() -> int:
-    """Search as many playpens as asked for; return 1 if something was found."""
+    """Search the requested number of playpens; return 1 if there are findings."""
     parser = argparse.ArgumentParser(description="random playpens at the edge, driven through at full speed")
     parser.add_argument("count", type=int, help="playpens that pass the check")
     parser.add_argument("--first", type=int, default=0, help="number to begin at")

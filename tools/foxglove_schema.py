@@ -2,7 +2,7 @@
 
     python tools/foxglove_schema.py FILE
 
-writes it, with all it is made of, as a google.protobuf.FileDescriptorSet.
+writes it, with its dependencies, as a google.protobuf.FileDescriptorSet.
 """
 
 import sys
@@ -14,7 +14,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 
 def published() -> FileDescriptorSet:
-    """The definition; what a file is made of comes before it."""
+    """Return the definition; the dependencies of a file come before it."""
     found = FileDescriptorSet()
 
     def add(file: FileDescriptor) -> None:

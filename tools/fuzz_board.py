@@ -1,9 +1,9 @@
-"""A fuzz target: any bytes on the line, in any pieces, between any ticks.
+"""A fuzz target: arbitrary bytes on the line, in pieces of any size, between any ticks.
 
     python tools/fuzz_board.py -runs=1000000        with atheris (libFuzzer); `make fuzz`
 
-The first byte chooses the board, 0xFE lets a control tick pass, 0xFD cuts the bytes into pieces; all else
-goes over the line. What must hold stands in `check`.
+The first byte chooses the board, 0xFE runs a control tick, 0xFD cuts the bytes into pieces; all others
+cross the line. `check` has the conditions.
 """
 
 from pathlib import Path
@@ -15,11 +15,11 @@ TICK, CUT = 0xFE, 0xFD
 
 
 def check(data: bytes) -> None:
-    """Feeds one input to a board and checks what it does.
+    """Feed one input to a board and check its reaction.
 
     Raises:
-        AssertionError: a reply is not in ASCII lines that end in CR LF, a line got none, a register left its
-            range, or the board is out of step behind it.
+        AssertionError: A reply is not in ASCII lines that end in CR LF, a line got none, a register left its
+            range, or the board is out of step afterwards.
     """
     from khep_twin.board import kernel
     from khep_twin.board.kernel import DUTIES, LEFT, RIGHT, Wheel
@@ -58,7 +58,7 @@ def check(data: bytes) -> None:
 
 
 def seeds(folder: Path) -> None:
-    """What the transcripts' hosts say, as inputs to begin with."""
+    """Write the hosts' bytes of the transcripts as seed inputs."""
     for transcript in TRANSCRIPTS.glob("*.txt"):
         said = [line[2:] for line in transcript.read_text().splitlines() if line.startswith("> ")]
         for number, line in enumerate(said):

@@ -2,9 +2,9 @@
 
     python tools/fuzz_files.py toml 1000000 --jobs 2        `make fuzz-files`
 
-Each input is made from the files of `data/corpus` by its number alone, so that what is found is found again:
-`--first NUMBER` begins there. A job may use 512 MB more than it has once everything is imported; an input
-that takes 2 s is a find, and 10 s end the job.
+Each input depends on the files of `data/corpus` and its number alone, so that a finding is reproducible:
+`--first NUMBER` begins there. A job may use 512 MB more than after all imports; an input that takes 2 s is a
+finding, and 10 s end the job.
 """
 
 import argparse
@@ -38,11 +38,11 @@ TOKENS = {
         *(number.to_bytes(4, "big") for number in (0, 1, 13, 4096, 4097, 2**31 - 1, 2**32 - 1)),
     ],
 }
-"""What mutations put in."""
+"""Bytes that mutations insert."""
 
 
 def toml_target(data: bytes) -> None:
-    """A playpen."""
+    """Check a playpen."""
     from khep_twin import playpen
     from khep_twin.errors import PlaypenError
 
@@ -60,7 +60,7 @@ def toml_target(data: bytes) -> None:
 
 
 def bitmap_target(data: bytes) -> None:
-    """A bitmap, and the playpen that it becomes."""
+    """Check a bitmap and the playpen made of it."""
     from khep_twin.errors import BitmapError, MatError
     from khep_twin.playpen import bitmap, bitmap_files
 
@@ -80,7 +80,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
 
 
 def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
-    """The input of a number."""
+    """Return the input of a number."""
     rng = random.Random(number)
     data = bytearray(rng.choice(seeds))
     for _ in range(rng.choice((1, 1, 2, 4, 8))):
@@ -104,7 +104,7 @@ def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
             case _:
                 token = rng.choice(TOKENS[kind])
                 data[place : place + len(token)] = token
-    # Most damage is caught by a PNG's sums; half of them are made right again.
+    # Most damage is caught by a PNG's checksums; half of them are corrected.
     return _with_right_sums(bytes(data)) if kind == "png" and rng.random() < 0.5 else bytes(data)
 
 
@@ -119,12 +119,12 @@ def _with_right_sums(data: bytes) -> bytes:
 
 
 def run(kind: str, runs: int, first: int) -> None:
-    """Feeds a target; the process dies of what must not be.
+    """Feed a target; the process ends at a finding.
 
     Raises:
-        AssertionError: a find.
+        AssertionError: An input is a finding.
     """
-    # What is imported once does not count.
+    # Imports do not count.
     seeds = [path.read_bytes() for path in sorted(CORPUS.glob(f"*.{kind}"))]
     for seed in seeds:
         TARGETS[kind](seed)
@@ -151,7 +151,7 @@ def run(kind: str, runs: int, first: int) -> None:
 
 
 def main() -> None:
-    """Shares the inputs among jobs."""
+    """Distribute the inputs over jobs."""
     parser = argparse.ArgumentParser()
     parser.add_argument("kind", choices=list(TARGETS))
     parser.add_argument("runs", type=int)

@@ -1,10 +1,9 @@
-"""A fuzz target: logs of which any record is changed, put together again with right lengths and checksums.
+"""A fuzz target: logs with changed records, reassembled with valid lengths and checksums.
 
     python tools/fuzz_logs.py -runs=1000000      with atheris (libFuzzer); `make fuzz-logs`
 
-The first byte chooses what the log is for, and whether the file is damaged as it lies in the end, too. The
-others are steps of six bytes: what to do to which record, where, and with what. What must hold stands in
-`check`.
+The first byte chooses the use of the log, and whether the whole file is damaged at the end, too. The others
+are steps of six bytes: operation, record, position, and value. `check` has the conditions.
 """
 
 import atexit
@@ -22,24 +21,24 @@ from log_mutations import Record, put_together, taken_apart
 from mcap.opcode import Opcode
 
 MODULES = ("content", "decoding", "reader", "record_bytes", "recover", "mcap_recovery", "wire")
-"""Of khep_twin.log, whose branches libFuzzer looks for."""
+"""Modules of khep_twin.log, whose branches libFuzzer looks for."""
 
 STEP = 6
-"""Bytes of a step."""
+"""Size of a step [bytes]."""
 
 ODD = [0, 1, -1, 7, 255, 256, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**62, 2**63 - 1, -(2**63)]
-"""Numbers at which something may end."""
+"""Boundary values."""
 
 DAMAGED = 0x80
-"""Bit of the first byte: the last step is done to the file."""
+"""Bit of the first byte: the last step applies to the file."""
 
 SMALL = ("/scene", "/robot_description", "/channel_names")
-"""Channels that are left out of the log to begin with, since they take long and nothing reads them."""
+"""Channels that are left out of the initial log, since they are slow and nothing reads them."""
 
 
 @cache
 def base() -> tuple[Record, ...]:
-    """Return the records of a log of two samples, with little attached to it."""
+    """Return the records of a log of two samples, with few attachments."""
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     with tempfile.TemporaryDirectory() as folder:
@@ -52,7 +51,7 @@ def base() -> tuple[Record, ...]:
 
 
 def small(record: Record) -> Record:
-    """Return a record without what is long."""
+    """Return a record without its long parts."""
     if record.opcode == Opcode.CHUNK:
         dropped = {
             struct.unpack_from("<H", each.content)[0]
@@ -87,10 +86,10 @@ class Step:
     """One change.
 
     Attributes:
-        kind: what is done.
-        which: to which record, of all that there are.
-        place: where in it.
-        value: with what.
+        kind: Operation.
+        which: Number of the record.
+        place: Position in the record.
+        value: Value of the change.
     """
 
     kind: int
@@ -122,7 +121,7 @@ class Step:
                 return content[:place] + struct.pack("<H", self.value % 2**16) + content[place + 2 :]
 
     def done(self, records: list[Record]) -> list[Record]:
-        """Return records with one of them changed, left out, doubled, of another kind or in another place."""
+        """Return records with one of them changed, removed, doubled, moved or of another kind."""
         which = self.which % len(records)
         record, rest = records[which], [*records[:which], *records[which + 1 :]]
         if record.opcode == Opcode.CHUNK and self.kind < 0xE0 and record.inner:
@@ -159,13 +158,13 @@ def cooked(data: bytes) -> bytes:
 
 
 def whole_steps(data: bytes) -> bytes:
-    """Return as many bytes as make whole steps."""
+    """Return bytes truncated to whole steps."""
     return data[: len(data) // STEP * STEP]
 
 
 @cache
 def folder() -> Path:
-    """Return a folder for the logs, in memory where there is one, which goes with the process."""
+    """Return a folder for the logs, in memory if possible, which is removed with the process."""
     shared = Path("/dev/shm")
     made = Path(tempfile.mkdtemp(prefix="khep-fuzz-", dir=shared if shared.is_dir() else None))
     atexit.register(shutil.rmtree, made, ignore_errors=True)
@@ -176,8 +175,8 @@ def check(data: bytes) -> None:
     """Use one log as commands do.
 
     Raises:
-        AssertionError: an error has several lines, or what was recovered cannot be read.
-        Exception: any other but khep_twin's own is a find.
+        AssertionError: An error has several lines, or a recovered log cannot be read.
+        Exception: Any error other than khep_twin's own is a finding.
     """
     path = folder() / "x.mcap"
     path.write_bytes(cooked(data))
@@ -187,7 +186,7 @@ def check(data: bytes) -> None:
 
 
 def said(use: Callable[[Path], object], path: Path) -> str:
-    """Return what a use of a log ends with, empty for a result."""
+    """Return the error of a use of a log, empty for a result."""
     from khep_twin.errors import KhepTwinError
 
     try:
@@ -198,7 +197,7 @@ def said(use: Callable[[Path], object], path: Path) -> str:
 
 
 def read_whole(path: Path) -> None:
-    """Read a log as pictures of ways do."""
+    """Read a log as pictures of paths do."""
     from khep_twin.log.reader import read, read_end_ns
 
     read(path)
@@ -213,7 +212,7 @@ def read_series(path: Path) -> None:
 
 
 def read_recorded(path: Path) -> None:
-    """Read a log as it is to be repeated."""
+    """Read a log as a replay does."""
     from khep_twin.lab.experiment.repeat import read_recorded
 
     read_recorded(path)
@@ -233,23 +232,23 @@ def export(path: Path) -> None:
 
 
 def rescue(path: Path) -> None:
-    """Recover a log, and read what came of it."""
+    """Recover a log and read the result."""
     from khep_twin.log.reader import read
     from khep_twin.log.recover import recover
 
     found = recover(path)
     line = said(read, found.path)
     found.path.unlink()
-    # Of these, nothing is to be read as a log of khep_twin.
+    # These records are not a log of khep_twin.
     assert not line or "no log of khep_twin" in line or ": metadata: robots = " in line, line
 
 
 USES: list[Callable[[Path], None]] = [read_whole, read_series, read_recorded, export, rescue]
-"""What the first byte chooses from."""
+"""Uses of a log, chosen by the first byte."""
 
 
 def seeds(target: Path) -> None:
-    """Write inputs to begin with: each use, and each kind of step."""
+    """Write seed inputs: each use, and each kind of step."""
     for use in range(len(USES)):
         (target / f"use{use}").write_bytes(bytes([use]))
         for kind in range(0, 256, 24):

@@ -1,10 +1,10 @@
-"""A fuzz target: any bytes from a host of RFC 2217, in any pieces.
+"""A fuzz target: arbitrary bytes from a host of RFC 2217, in pieces of any size.
 
     python tools/fuzz_rfc2217.py -runs=1000000      with atheris (libFuzzer); `make fuzz-rfc2217`
 
 The first byte chooses the size of the pieces, and whether the others are the host's bytes or a recipe for
-them: negotiations with any command and any length of value, options, escapes, data. What must hold stands in
-`check`.
+them: negotiations with any command and any length of value, options, escapes, data. `check` has the
+conditions.
 """
 
 from pathlib import Path
@@ -16,7 +16,7 @@ BEGIN = b"\xff\xfa\x2c"
 END = b"\xff\xf0"
 
 WELL_FORMED = ["01 00 00 25 80", "01 00 00 00 00", "02 08", "03 01", "04 02", "05 08", "06", "07", "0b ff ff"]
-"""What stands between `BEGIN` and `END`."""
+"""Content between `BEGIN` and `END`."""
 
 ODD = ["01 01", "01 ff ff ff ff ff ff ff ff", "02", "02 4d", "03 4d", "04 09", "05", "0a", "0c"]
 """Values too short or out of range."""
@@ -25,19 +25,19 @@ RECIPE = 0x80
 """Bit of the first byte: the others are a recipe."""
 
 VALUE_SIZES = {1: 4, 2: 1, 3: 1, 4: 1, 10: 1, 11: 1}
-"""Commands without whose whole value there is no answer; of the others, pyserial ignores a short one."""
+"""Commands that are only answered with a whole value; pyserial ignores a short value of the others."""
 
 ANSWER_SIZES = {101: 4, 102: 1, 103: 1, 104: 1, 105: 1, 106: 1, 107: 1, 112: 1}
-"""Answers of the robot's end, and how long their values are."""
+"""Answers of the robot's end, and the lengths of their values."""
 
 
 def check(data: bytes) -> None:
-    """Negotiate with one host and check what comes of it.
+    """Negotiate with one host and check the result.
 
     Raises:
-        AssertionError: the bytes for the robot are not the host's without the negotiation, a fault is not
-            noticed or noticed without one, an answer is none of RFC 2217, settings are out of range, memory
-            is not bounded, or pieces make a difference.
+        AssertionError: The bytes for the robot are not the host's without the negotiation, a fault is missed
+            or reported without one, an answer is none of RFC 2217, settings are out of range, memory is not
+            bounded, or the pieces make a difference.
     """
     from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD
 
@@ -59,7 +59,7 @@ def check(data: bytes) -> None:
 
 
 def outcome(pieces: list[bytes]) -> tuple[bytes, bytes, tuple[int, int], str]:
-    """Return what comes out of one connection: bytes for the robot, answers, settings, a fault."""
+    """Return the results of one connection: bytes for the robot, answers, settings, a fault."""
     from khep_twin.ports.negotiation import Negotiator
 
     answers = bytearray()
@@ -100,7 +100,7 @@ def without_negotiation(stream: bytes, longest: int) -> tuple[bytes, bool]:
 
 
 def is_short(inside: bytearray) -> bool:
-    """Whether a negotiation of RFC 2217 lacks its value."""
+    """Return whether a negotiation of RFC 2217 lacks its value."""
     command = inside[1] if len(inside) > 1 and inside[0] == OPTION else 0
     return len(inside) - 2 < VALUE_SIZES.get(command, -2)
 
@@ -116,7 +116,7 @@ def check_answers(answers: bytes) -> None:
             continue
         assert answers[at : at + 3] == BEGIN, answers[at:]
         end = answers.index(END, at)
-        while answers[at:end].count(IAC) % 2 == 0:  # an escape, and what follows it
+        while answers[at:end].count(IAC) % 2 == 0:  # an escape and its byte
             end = answers.index(END, end + 1)
         value = answers[at + 4 : end].replace(b"\xff\xff", b"\xff")
         assert len(value) == ANSWER_SIZES[answers[at + 3]], answers[at:end]
@@ -124,7 +124,7 @@ def check_answers(answers: bytes) -> None:
 
 
 def cooked(recipe: bytes) -> bytes:
-    """Return the host's bytes after a recipe, whose steps say what comes and have bytes that say more."""
+    """Return the host's bytes of a recipe, whose steps are a kind and bytes of detail."""
     stream, rest = b"", iter(recipe)
     for step in rest:
         more, size = next(rest, 0), next(rest, 0)
@@ -146,7 +146,7 @@ def cooked(recipe: bytes) -> bytes:
 
 
 def seeds(folder: Path) -> None:
-    """Write inputs to begin with: what clients send, well formed and not."""
+    """Write seed inputs: clients' bytes, well formed and malformed."""
     for negotiation in WELL_FORMED + ODD:
         (folder / negotiation).write_bytes(b"\0" + BEGIN + bytes.fromhex(negotiation) + END + b"B\n")
     options = "ff fd 2c ff fb 2c ff fe 2c ff fc 01 ff fb 00 ff fd 63"

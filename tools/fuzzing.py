@@ -1,4 +1,4 @@
-"""Fuzz targets run by libFuzzer (atheris), and shares of any target for the suite."""
+"""Runner of fuzz targets by libFuzzer (atheris), and of short runs in the test suite."""
 
 import os
 import subprocess
@@ -17,13 +17,13 @@ def fuzz(
     """Fuzz with libFuzzer's own options from the command line; does not return.
 
     Args:
-        check: use of one input; an exception is a find
-        seeds: writes the inputs to begin with into a folder
-        modules: modules that are imported, whose branches libFuzzer looks for, and those of their parts
-        options: libFuzzer's, of this target
+        check: Use of one input; an exception is a finding.
+        seeds: Function that writes the seed inputs into a folder.
+        modules: Imported modules, whose branches libFuzzer looks for, with their submodules.
+        options: Options of libFuzzer for this target.
     """
     with tempfile.TemporaryDirectory(prefix="khep-twin-fuzz-") as corpus:
-        # libFuzzer ends its process without a farewell: another one clears up.
+        # libFuzzer ends its process without clean-up: another one does it.
         if child := os.fork():
             sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
         atheris = import_module("atheris")
@@ -38,14 +38,14 @@ def fuzz(
 
 
 def run_libfuzzer(target: str, runs: int, folder: Path) -> None:
-    """Run so many inputs of a libFuzzer target; fail with what it found, skip without atheris."""
+    """Run so many inputs of a libFuzzer target; fail with its finding, skip without atheris."""
     pytest.importorskip("atheris")
     done = run_target(target, f"-runs={runs}", "-seed=1", folder=folder)
     assert f"Done {runs} runs" in done.stderr
 
 
 def run_target(target: str, *words: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a fuzz target in a folder, return what it printed; fail with what it found."""
+    """Run a fuzz target in a folder; return its output, fail with its finding."""
     done = subprocess.run(
         [sys.executable, str(Path(__file__).with_name(target)), *words],
         capture_output=True,

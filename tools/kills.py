@@ -1,13 +1,13 @@
-"""Kills runs at random times and measures what their logs have lost.
+"""Kills of runs at random times, and the loss in their logs.
 
     python tools/kills.py serve 200 --jobs 3
     python tools/kills.py run 40 --jobs 3
 
-`serve` is asked for its sensors by a host, in real time, until it is killed; what counts is the wall time
-before the kill of which the recovered log knows nothing, by its last sample and by its last reply. `run` goes
-in lock-step and tells its simulated time after each cycle; what counts is the simulated time that is missing.
-Each log must be recovered by `khep-twin recover`, be opened by mcap's own reader, and hold the very replies
-that the host has seen. It ends with 1 if one did not, or lost more than it may.
+`serve` is polled for its sensors by a host, in real time, until it is killed; the loss is the wall time
+before the kill that is missing in the recovered log, by its last sample and by its last reply. `run` goes in
+lock-step and prints its simulated time after each cycle; the loss is the missing simulated time.
+Each log must be recovered by `khep-twin recover`, be opened by mcap's own reader, and hold the same replies
+that the host has seen. The exit status is 1 if one did not, or lost more than the limit.
 """
 
 import argparse
@@ -31,13 +31,13 @@ from khep_twin.log.channels import Line
 from khep_twin.log.decoding import read_line
 
 MOST_LOST = {"serve": 1.0, "run": 5.0}
-"""What a log may lose: of `serve` wall time, of `run` simulated time [s]."""
+"""Largest loss of a log: wall time for `serve`, simulated time for `run` [s]."""
 
 LATEST_KILL = 3.0
-"""Wall time after the first sign of life [s]."""
+"""Latest wall time of a kill after the first output [s]."""
 
 PATIENCE = 60.0
-"""How long something may take on a busy machine before it counts as broken [s]."""
+"""Timeout on a busy machine [s]."""
 
 CONTROLLER = """import os
 
@@ -49,13 +49,13 @@ def controller(robot):
 
 @dataclass(frozen=True, slots=True)
 class Kill:
-    """What one kill did.
+    """Results of one kill.
 
     Attributes:
-        lost: before the kill [s], by the last sample.
-        lost_replies: the same by the last reply; the pause between two replies is in it.
-        stall: longest pause between two signs of life, which a busy machine may cause [s].
-        whole: whether the file was recovered as a whole, and not in part.
+        lost: Time lost before the kill, by the last sample [s].
+        lost_replies: Time lost by the last reply, with the pause between two replies [s].
+        stall: Longest pause between two outputs, which a busy machine may cause [s].
+        whole: True if the file was recovered as a whole, and not in part.
     """
 
     lost: float
@@ -66,7 +66,7 @@ class Kill:
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What a recovered log holds: time of the last sample [s], and the robot's replies."""
+    """Content of a recovered log: time of the last sample [s], and the robot's replies."""
 
     last_sample: float
     replies: Sequence[Line]
@@ -74,7 +74,7 @@ class Recovered:
 
 
 def kill_serve(folder: Path, after: float) -> Kill:
-    """Serves a twin, polls it and kills it after so many seconds."""
+    """Serve a twin, poll it and kill it after so many seconds."""
     log = folder / "run.mcap"
     command = [sys.executable, "-m", "khep_twin", "serve", "obstacles", "--log", str(log)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
@@ -91,9 +91,9 @@ def kill_serve(folder: Path, after: float) -> Kill:
     times = [start, *(at for at, _ in heard)]
     recorded = [line.text for line in found.replies]
     known = min(len(recorded), len(heard))
-    # The last reply may have been on the line yet when the host was asked for the last time.
+    # The last reply may still have been on the line when the host was asked for the last time.
     assert recorded[:known] == [text for _, text in heard][:known], "other replies than the host's"
-    # The last reply that is in both ties simulated time to the wall's; without one, the start does.
+    # The last reply in both relates simulated time to wall time; without one, the start does.
     at, simulated = (
         (heard[known - 1][0], found.replies[known - 1].time_ns / NS_PER_S) if known else (start, 0)
     )
@@ -104,7 +104,7 @@ def kill_serve(folder: Path, after: float) -> Kill:
 
 
 def _poll(path: str, until: float) -> list[tuple[float, str]]:
-    """Asks for the sensors again and again; returns when each reply was complete, and what it was."""
+    """Poll the sensors repeatedly; return the time of completion and the text of each reply."""
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     heard: list[tuple[float, str]] = []
     try:
@@ -118,12 +118,12 @@ def _poll(path: str, until: float) -> list[tuple[float, str]]:
             heard.append((time.monotonic(), reply.decode("ascii").rstrip()))
         return heard
     finally:
-        # Closed after the kill would be the same; a host that hangs up first loses nothing.
+        # Closing after the kill would be the same; a host that disconnects first loses nothing.
         os.close(port)
 
 
 def kill_run(folder: Path, after: float) -> Kill:
-    """Runs a controller in lock-step and kills it after so many seconds."""
+    """Run a controller in lock-step and kill it after so many seconds."""
     log, controller = folder / "run.mcap", folder / "ask.py"
     controller.write_text(CONTROLLER)
     command = [sys.executable, "-m", "khep_twin", "run", str(controller), "--playpen", "obstacles"]
@@ -147,7 +147,7 @@ def kill_run(folder: Path, after: float) -> Kill:
 
 
 def _recover(log: Path) -> Recovered:
-    """Recovers a killed run's log by the command and reads it by mcap's own reader."""
+    """Recover a killed run's log by the command and read it by mcap's own reader."""
     part = log.with_name(log.name + ".part")
     command = [sys.executable, "-m", "khep_twin", "recover", str(part)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -167,13 +167,13 @@ KILLS = {"serve": kill_serve, "run": kill_run}
 
 
 def kill(what: str, seed: int, latest: float = LATEST_KILL) -> Kill:
-    """Kills one run, in a folder of its own, at a time that the seed draws."""
+    """Kill one run, in its own folder, at a time drawn from the seed."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-kills-") as folder:
         return KILLS[what](Path(folder), random.Random(seed).uniform(0, latest))
 
 
 def main() -> int:
-    """Kills as many as asked and prints what was lost."""
+    """Kill the requested number of runs and print the losses."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=sorted(KILLS))
     parser.add_argument("count", type=int)

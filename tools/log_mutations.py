@@ -1,6 +1,6 @@
-"""Logs taken apart into records, changed, and put together again with right lengths, checksums and index.
+"""Logs split into records, changed, and reassembled with valid lengths, checksums and index.
 
-So what is changed is reached: a byte changed in a file as it lies ends at the checksum of its chunk.
+Readers thus reach the change: a byte changed in the plain file is caught by the checksum of its chunk.
 """
 
 import struct
@@ -25,11 +25,11 @@ class Record:
     """One record of a log.
 
     Attributes:
-        opcode: of its kind.
-        content: without opcode and length; of a chunk its head as it was.
-        inner: of a chunk, its records.
-        packed: of a chunk, what stands for them; None packs them.
-        size: of a chunk, how large it says it is unpacked; None for as large as it is.
+        opcode: Opcode of its kind.
+        content: Content without opcode and length; for a chunk its original head.
+        inner: Records of a chunk.
+        packed: Bytes in place of a chunk's packed records; None packs them.
+        size: Unpacked size in a chunk's head [bytes]; None for the true size.
     """
 
     opcode: int
@@ -39,14 +39,14 @@ class Record:
     size: int | None = None
 
     def bytes(self) -> bytes:
-        """Return the record as it lies in a file."""
+        """Return the record as in a file."""
         content = self.chunk() if self.opcode == Opcode.CHUNK else self.content
         if self.opcode == Opcode.ATTACHMENT:
             content = content[:-4] + struct.pack("<I", zlib.crc32(content[:-4]))
         return HEAD.pack(self.opcode, len(content)) + content
 
     def chunk(self) -> bytes:
-        """Return the content of a chunk with its records packed anew."""
+        """Return the content of a chunk with its records repacked."""
         data = b"".join(record.bytes() for record in self.inner)
         packed = _COMPRESSOR.compress(data) if self.packed is None else self.packed
         times_ns = self.times_ns()
@@ -150,7 +150,7 @@ def _chunk_index(record: Record, offset: int, length: int) -> bytes:
 
 
 def bytes_of(record: McapRecord) -> bytes:
-    """Return a record of mcap's as it lies in a file."""
+    """Return a record of mcap's as in a file."""
     builder = RecordBuilder()
     write: Callable[[RecordBuilder], None] = record.write
     write(builder)
@@ -164,5 +164,5 @@ def with_chunk(records: Sequence[Record], change: Callable[[Record], Record]) ->
 
 
 def with_packed(records: Sequence[Record], packed: bytes, size: int) -> list[Record]:
-    """Return records with other content of the last chunk, of which it says that it is so large."""
+    """Return records with other content of the last chunk, and this size in its head."""
     return with_chunk(records, lambda chunk: replace(chunk, packed=packed, size=size))

@@ -1,7 +1,7 @@
-"""Whether an environment is the same for 100,000 steps: `make determinism`; a few minutes.
+"""Determinism of an environment over 100,000 steps: `make determinism`; a few minutes.
 
-In two processes it takes the same actions, and so do four together by one thread and by two: each pair must
-give the same observations and rewards bit for bit.
+One environment runs with the same actions in two processes, and four together by one thread and by two: each
+pair must give the same observations and rewards bit for bit.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ MANY = 4
 
 
 def single(task: str, seed: int) -> str:
-    """A hash of all that one environment gives."""
+    """Return a hash of all results of one environment."""
     environment = gymnasium.make(f"khep_twin/{task}-v0", spread=True)
     chance, digest = np.random.default_rng(seed), hashlib.sha256()
     digest.update(environment.reset(seed=seed)[0].tobytes())
@@ -32,7 +32,7 @@ def single(task: str, seed: int) -> str:
 
 
 def together(task: str, seed: int, threads: int) -> str:
-    """A hash of all that MANY give, STEPS in all."""
+    """Return a hash of all results of MANY environments, STEPS in total."""
     environments = gymnasium.make_vec(f"khep_twin/{task}-v0", num_envs=MANY, spread=True, threads=threads)
     chance, digest = np.random.default_rng(seed), hashlib.sha256()
     digest.update(environments.reset(seed=seed)[0].tobytes())
@@ -44,11 +44,11 @@ def together(task: str, seed: int, threads: int) -> str:
 
 
 RUNS = (("single", 0), ("single", 0), ("together", 1), ("together", 2))
-"""What is run, each in a process of its own, and by how many threads."""
+"""Runs, each in its own process, and their numbers of threads."""
 
 
 def run(job: tuple[str, int]) -> str:
-    """The hash of a run in another process."""
+    """Return the hash of a run in another process."""
     kind, threads = job
     command = [sys.executable, __file__, kind, str(threads)]
     digest = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
@@ -57,7 +57,7 @@ def run(job: tuple[str, int]) -> str:
 
 
 def main() -> int:
-    """Compares them; 0 if they are the same."""
+    """Compare the runs; return 0 if they are the same."""
     match sys.argv[1:]:
         case ["single", _]:
             print(single("Homing", 1))

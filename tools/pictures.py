@@ -1,6 +1,6 @@
-"""Pictures of the docs that follow from commands or files shown beside them, in full colour.
+"""Pictures of the docs that are made by commands or files shown beside them, in full colour.
 
-python tools/pictures.py    # makes them anew in docs/pictures; the tutorial's and the README's: tutorial.py
+python tools/pictures.py    # redraws them in docs/pictures; the tutorial's and the README's: tutorial.py
 """
 
 # MuJoCo's rendering is not typed here.
@@ -101,7 +101,7 @@ def draw_gripper() -> None:
 
 
 def _seen(world: World) -> Image.Image:
-    """The first robot of a world from nearby."""
+    """Render the first robot of a world from nearby."""
     model, data = copy.copy(world.model), copy.copy(world.data)
     model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.3, 0.6
     model.light_diffuse[:] = 0.25

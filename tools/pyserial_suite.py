@@ -1,12 +1,12 @@
-"""pyserial's own test scripts, of those that really open a port, against a looped-back line of ours.
+"""pyserial's own test scripts that open a port, run on a looped-back line of the twin.
 
     python tools/pyserial_suite.py
 
 The scripts come out of pyserial's source archive, whose hash is pinned; they expect a plug that joins TX
-with RX, RTS with CTS and DTR with DSR. `khep-twin serve --through` a terminal that sends back what it gets is
+with RX, RTS with CTS and DTR with DSR. `khep-twin serve --through` a terminal that echoes its input is
 that plug for the data wires.
-What no pseudo-terminal can do is pinned in KNOWN; anything else that fails is an error, and so is anything in
-KNOWN that does not.
+Tests that no pseudo-terminal can pass are listed in KNOWN; any other failure is an error, and so is a success
+of one in KNOWN.
 """
 
 import importlib.util
@@ -36,7 +36,7 @@ SCRIPTS = [
     "test_rs485",
     "test_threaded",
 ]
-"""Those that open the port that they are given; seen with strace."""
+"""Scripts that open the given port; found with strace."""
 
 KNOWN = {
     "test.Test0_DataWires.test1_RTS": "a pseudo-terminal has no modem lines",
@@ -48,7 +48,7 @@ KNOWN = {
 
 
 def unpack(folder: Path) -> Path:
-    """Takes pyserial's source archive from the package index; returns where the scripts are."""
+    """Download pyserial's source archive from the package index; return the folder of the scripts."""
     (folder / "source.txt").write_text(SOURCE)
     command = [sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check", "--no-deps"]
     command += ["--no-binary", ":all:", "--require-hashes", "-r", str(folder / "source.txt")]
@@ -59,7 +59,7 @@ def unpack(folder: Path) -> Path:
 
 
 def run(script: Path, port: str) -> tuple[int, set[str]]:
-    """Runs one script on a port; returns how many tests it has, and which of them fail."""
+    """Run one script on a port; return the number of its tests, and the failed ones."""
     spec = importlib.util.spec_from_file_location(f"pyserial_{script.stem}", script)
     assert spec is not None
     assert spec.loader is not None
@@ -74,7 +74,7 @@ def run(script: Path, port: str) -> tuple[int, set[str]]:
 
 @contextmanager
 def plug() -> Generator[str]:
-    """Give the path of a terminal that sends back what it gets, after about a byte's time each way."""
+    """Yield the path of a terminal that echoes its input, after about a byte's time each way."""
     far_end, near_end = os.openpty()
     tty.setraw(near_end)
 
@@ -88,7 +88,7 @@ def plug() -> Generator[str]:
 
 
 def main() -> int:
-    """Runs all scripts; 0 if they fail in nothing but what is known."""
+    """Run all scripts; return 0 if only known tests fail."""
     count, failed = 0, set[str]()
     with tempfile.TemporaryDirectory() as folder, plug() as device:
         scripts = unpack(Path(folder))

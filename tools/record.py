@@ -1,12 +1,12 @@
-"""A record of results, to see that a change of names, files or sentences changes nothing else.
+"""A record of results, to check that a change of names, files or sentences changes nothing else.
 
     python tools/record.py              compare with tools/record.json: prints "same", or each difference
-    python tools/record.py --write      write tools/record.json anew
+    python tools/record.py --write      rewrite tools/record.json
 
 Each shipped playpen, two seeds: a run of the Braitenberg vehicle and one of random commands, with replies,
 hashes of the state and the samples of each channel of the log; rollouts in MuJoCo and in the plane; the scene
-as MJCF. Names of channels and of files are left out. The record holds for the versions and the machine that
-stand in it.
+as MJCF. Names of channels and of files are left out. The record is valid for the versions and the
+machine that it names.
 """
 
 import argparse
@@ -59,7 +59,7 @@ def names() -> list[str]:
 
 
 def digest(*parts: bytes) -> str:
-    """Return a short hash of bytes, borders included."""
+    """Return a short hash of bytes, including their boundaries."""
     whole = hashlib.sha256()
     for part in parts:
         whole.update(len(part).to_bytes(8, "little") + part)
@@ -77,7 +77,7 @@ def run(name: str, seed: int, controller: str, folder: Path) -> list[str]:
     with log.open("rb") as file:
         found: dict[str, list[bytes]] = defaultdict(list)
         for schema, channel, message in make_reader(file).iter_messages():
-            # What names things to a reader, and sentences.
+            # Names and sentences may change.
             if channel.topic in ("/channel_names", "/robot_description", "/events", "/scene"):
                 continue
             kind = schema.name if schema else ""
@@ -87,7 +87,7 @@ def run(name: str, seed: int, controller: str, folder: Path) -> list[str]:
 
 
 def rolled(name: str, planar: bool) -> list[str]:
-    """Return the hashes of what rollouts end with; none where the playpen cannot be rolled out in."""
+    """Return the hashes of the rollouts' results; none if the playpen does not allow rollouts."""
     scene = playpen.load(name)
     network = Network(hidden=(6,), recurrent=True, ambient=True)
     genes = np.random.default_rng(1).normal(size=(8, network.n_genes))
@@ -103,7 +103,7 @@ def rolled(name: str, planar: bool) -> list[str]:
 
 
 def record() -> Iterator[tuple[str, list[str]]]:
-    """Yield each thing's name and hashes."""
+    """Yield the name and hashes of each result."""
     for name in names():
         yield f"{name}: MJCF", [digest(to_mjcf(playpen.load(name)).encode())]
         for planar in (False, True):
@@ -117,7 +117,7 @@ def record() -> Iterator[tuple[str, list[str]]]:
 def main() -> int:
     """Compare with the record, or write it; return 1 if something differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="write the record anew")
+    parser.add_argument("--write", action="store_true", help="rewrite the record")
     write = parser.parse_args().write
     made_with = {"machine": platform.machine(), **{name: version(name) for name in PACKAGES}}
     found = {"made with": made_with, "results": dict(record())}

@@ -1,13 +1,13 @@
-"""The reference, `make reference`: pages of the public functions and classes, out of their docstrings.
+"""The reference, `make reference`: pages of the public functions and classes from their docstrings.
 
-They are made, not kept in the repository: each edit of a docstring would change a megabyte of pages and
-search index. A test makes them with every warning an error.
+They are generated, not kept in the repository: each edit of a docstring would change a megabyte of pages and
+search index. A test generates them with every warning an error.
 """
 
 import sys
 from pathlib import Path
 
-# Before pdoc, under which no module may start a program when it is imported, as mujoco's window library does.
+# Imported before pdoc, which forbids modules to start programs on import, as mujoco's window library does.
 import mujoco as mujoco
 import pdoc
 import pdoc.render
@@ -32,14 +32,14 @@ MODULES = (
     "khep_twin.errors",
     "khep_twin.units",
 )
-"""What programs may rely on; of a package all its modules."""
+"""Public modules; all modules of a package."""
 
 
 def write(folder: Path) -> None:
-    """Writes the pages; they need no network when they are read.
+    """Write the pages, which need no network when read.
 
     Args:
-        folder: for `index.html` and a page for each module.
+        folder: Folder of `index.html` and a page for each module.
     """
     pdoc.render.configure(
         docformat="google", show_source=False, include_undocumented=False, footer_text="khep_twin"

@@ -1,11 +1,11 @@
-"""Ends commands by signals at random moments, and looks at how they end and what they leave.
+"""Ends of commands by signals at random moments: exit status and remains.
 
     python tools/signals.py 1000 --jobs 2
 
-Each command is started anew and sent SIGINT, SIGTERM or SIGHUP: in one half of the cases within LATEST of its
-start, in the other within LATEST of its first sign of life. It has to end within LONGEST, by itself or by the
-signal, with the exit status that goes with that, without a trace; a log has to be whole, and no unfinished
-file, link, note of a server, temporary file or process may be left. It ends with 1 if anything else happened.
+Each command is started and sent SIGINT, SIGTERM or SIGHUP: in one half of the cases within LATEST of its
+start, in the other within LATEST of its first output. It has to end within LONGEST, by itself or by the
+signal, with the corresponding exit status, without a traceback; a log has to be whole, and no unfinished
+file, link, note of a server, temporary file or process may be left. Otherwise the exit status is 1.
 """
 
 import argparse
@@ -25,13 +25,13 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 LONGEST = 4.0
-"""Time from the signal to the end [s]."""
+"""Longest time from the signal to the end [s]."""
 
 LATEST = 2.5
-"""Time from the start, or from the first sign of life, to the signal [s]."""
+"""Longest time from the start, or from the first output, to the signal [s]."""
 
 PATIENCE = 600.0
-"""How long the first sign of life may take on a busy machine [s]."""
+"""Timeout of the first output on a busy machine [s]."""
 
 HANGS = """import time
 
@@ -61,9 +61,9 @@ class Kind:
     """A command to be ended.
 
     Attributes:
-        words: of the command line.
-        life: a file that is there when it has begun; empty for the first line of its output.
-        good: exit status of one that was asked to end and came to its end, besides that of the signal.
+        words: Words of the command line.
+        life: File that exists once it has begun; empty for the first line of its output.
+        good: Valid exit status after a signal, besides that of the signal.
     """
 
     words: Sequence[str]
@@ -92,12 +92,12 @@ KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """How a command has ended.
+    """End of a command.
 
     Attributes:
-        took: time from the signal to the end [s].
-        faults: what was not as it has to be.
-        early: whether it was ended before its first own line, by Python's trace of its own start.
+        took: Time from the signal to the end [s].
+        faults: Faults found.
+        early: True if it ended during Python's own start, by Python's traceback.
     """
 
     took: float
@@ -106,12 +106,12 @@ class End:
 
 
 def end(name: str, seed: int, *, begun: bool | None = None) -> End:
-    """Starts a command, sends it a signal and looks at what is left.
+    """Start a command, send it a signal and check the remains.
 
     Args:
-        name: of the kind.
-        seed: of signal and moment.
-        begun: whether the signal waits for the first sign of life; None to draw that, too.
+        name: Name of the kind.
+        seed: Seed of signal and moment.
+        begun: True if the signal waits for the first output; None for a random choice.
     """
     chance = random.Random(seed)
     number = chance.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -146,7 +146,7 @@ def end(name: str, seed: int, *, begun: bool | None = None) -> End:
             finally:
                 process.kill()
         told = errors.decode("utf-8", "replace")
-        # What Python does before the first line of a program is its own.
+        # Python's own start is not the program's fault.
         early = "Traceback" in told and "khep_twin/__main__" not in told and "cli" not in told
         faults: list[str] = []
         if took > LONGEST:
@@ -163,13 +163,13 @@ def end(name: str, seed: int, *, begun: bool | None = None) -> End:
 
 
 def _hear() -> None:
-    """Has the command hear signals that whoever started this may have switched off."""
+    """Restore the signals that the parent process may have disabled."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
 
 
 def _await(process: "subprocess.Popen[bytes]", folder: Path, life: str) -> None:
-    """Waits for the first sign of life."""
+    """Wait for the first output."""
     until = time.monotonic() + PATIENCE
     if not life:
         assert process.stdout is not None
@@ -181,7 +181,7 @@ def _await(process: "subprocess.Popen[bytes]", folder: Path, life: str) -> None:
 
 
 def _left(folder: Path, private: Path, given: set[str]) -> list[str]:
-    """Names what is left and must not be."""
+    """Return the names of forbidden remains."""
     found = [path for path in folder.rglob("*") if path.name not in given]
     left = [path for path in found if path.name.startswith(".") or ".part" in path.name or path.is_symlink()]
     left += [path for path in private.rglob("*") if path != private / "khep_twin"]
@@ -189,7 +189,7 @@ def _left(folder: Path, private: Path, given: set[str]) -> list[str]:
 
 
 def _logs(folder: Path) -> list[str]:
-    """Says what is wrong with logs, by mcap's own reader."""
+    """Return the faults of logs, by mcap's own reader."""
     faults: list[str] = []
     for path in folder.glob("*.mcap"):
         with path.open("rb") as file:
@@ -201,13 +201,13 @@ def _logs(folder: Path) -> list[str]:
                     faults.append(f"{path.name}: has no summary")
                 elif summary.statistics.message_count != count:
                     faults.append(f"{path.name}: {count} messages, {summary.statistics.message_count} told")
-            except Exception as error:  # whatever is wrong with it
+            except Exception as error:  # any fault of the log
                 faults.append(f"{path.name}: {error!r}")
     return faults
 
 
 def _processes(session: int) -> list[str]:
-    """Names the processes that are left of a session."""
+    """Return the names of the remaining processes of a session."""
     found: list[str] = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -220,7 +220,7 @@ def _processes(session: int) -> list[str]:
 
 
 def main() -> int:
-    """Ends as many as asked and prints how that went."""
+    """Run the requested number of cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("count", type=int)
     parser.add_argument("--jobs", type=int, default=2)

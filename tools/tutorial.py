@@ -1,13 +1,13 @@
-"""The tutorial as a reader goes through it: its blocks, in order, in one folder.
+"""The tutorial executed as a reader would: its blocks, in order, in one folder.
 
 A block that begins with `# NAME` is a file, other Python blocks are typed at a prompt until `exit()`, blocks
-of `sh` are typed in a terminal, and a block of `text` is what the one before has shown. `/dev/ttyUSB0` is a
+of `sh` are typed in a terminal, and a block of `text` is the output of the one before. `/dev/ttyUSB0` is a
 served twin.
 
-The numbers of a run depend in their last bits on MuJoCo, numpy and the kind of machine. The page says in a
-comment with which of them its own were made; where they are the same, every number is compared.
+The numbers of a run depend in their last bits on MuJoCo, numpy and the kind of machine. A comment
+in the page names those of its own numbers; where they are the same, every number is compared.
 
-    python tools/tutorial.py    # makes the pictures and numbers of the tutorial and the README anew
+    python tools/tutorial.py    # remakes the pictures and numbers of the tutorial and the README
 """
 
 import ast
@@ -39,7 +39,7 @@ MAKEFILE = PAGE.parents[1] / "Makefile"
 ROBOT = "/dev/ttyUSB0"
 LAB = "~/khepera-lab"
 WIDTH = 640
-"""Of the page's pictures [pixels]."""
+"""Width of the page's pictures [pixels]."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class Block:
 
     @property
     def file(self) -> str | None:
-        """The file that it is to be saved as."""
+        """File to save it as."""
         found = re.match(r"# (\S+\.(?:py|toml))\n", self.text)
         return found[1] if found else None
 
 
 def blocks(page: str) -> list[Block]:
-    """All blocks of a page; the lines are those of the fences."""
+    """Return all blocks of a page; the lines are those of the fences."""
     return [
         Block(page[: found.start()].count("\n") + 1, found[1], found[2])
         for found in re.finditer(r"^```(\w*)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
@@ -66,42 +66,42 @@ def blocks(page: str) -> list[Block]:
 
 
 def pictures(page: str) -> list[str]:
-    """Names of the pictures that the tutorial has made, without their `tutorial_`."""
+    """Return the names of the tutorial's pictures, without their `tutorial_`."""
     return re.findall(r"pictures/tutorial_(\w+\.png)", page)
 
 
 def made_with() -> str:
-    """The page's comment about what its numbers depend on, as it would be here."""
+    """Return the page's comment on the versions behind its numbers, for this machine."""
     known = {key: text for key, text in versions().items() if key != "khep_twin"}
     return f"<!-- Numbers made with: {', '.join(f'{key} {text}' for key, text in known.items())}. -->"
 
 
 def same_numbers() -> bool:
-    """Whether this machine has to print the very numbers of the page."""
+    """Return whether this machine has to print exactly the numbers of the page."""
     return made_with() in PAGE.read_text()
 
 
 def with_shown(page: str, block: Block, shown: str) -> str:
-    """The page with another text in one of its blocks."""
+    """Return the page with another text in one of its blocks."""
     lines = page.splitlines(keepends=True)
     lines[block.line : block.line + block.text.count("\n")] = shown.splitlines(keepends=True)
     return "".join(lines)
 
 
 def likeness(text: str) -> str:
-    """What of an output is the same everywhere: all but numbers, and the columns they stand in."""
+    """Return an output without its numbers and their columns, which differ between machines."""
     return re.sub(r"\s+", " ", re.sub(r"-?\d+(?:\.\d*)?(?:e-?\d+)?", "#", text)).strip()
 
 
 @dataclass
 class Reader:
-    """Somebody who types what is there.
+    """A reader who types the blocks of the page.
 
     Attributes:
-        folder: where they are.
-        exact: whether the numbers shown have to be the page's.
-        shown: what the last block has shown.
-        undrawn: pictures that rerun's viewer cannot draw here, as there is no Vulkan.
+        folder: Working directory.
+        exact: True if the numbers shown have to be the page's.
+        shown: Output of the last block.
+        undrawn: Pictures that rerun's viewer cannot draw here, without Vulkan.
     """
 
     folder: Path
@@ -112,10 +112,10 @@ class Reader:
     _servers: list["subprocess.Popen[bytes]"] = field(default_factory=list["subprocess.Popen[bytes]"])
 
     def follow(self, block: Block) -> None:
-        """Does what a block says.
+        """Execute a block.
 
         Raises:
-            AssertionError: it fails, or shows something else than the page says.
+            AssertionError: It fails, or its output differs from the page.
         """
         if block.file:
             (self.folder / block.file).write_text(block.text)
@@ -130,13 +130,13 @@ class Reader:
             raise AssertionError(f"line {block.line}: a block of {block.language or 'nothing'}")
 
     def close(self) -> None:
-        """Ends what was served."""
+        """Stop the servers."""
         for server in self._servers:
             server.kill()
             server.wait()
 
     def _prompt(self, text: str) -> str:
-        """Types statements at Python's prompt."""
+        """Type statements at Python's prompt."""
         if text.endswith("exit()\n"):
             text, after = text.removesuffix("exit()\n"), dict[str, Any]()
         else:
@@ -149,7 +149,7 @@ class Reader:
         return shown.getvalue()
 
     def _command(self, line: str) -> str:
-        """Types a line in the terminal."""
+        """Type a line in the terminal."""
         program, *words = shlex.split(line.replace(LAB, str(self.folder)))
         if ROBOT in words:
             link = self.folder / "robot-link"
@@ -178,7 +178,7 @@ class Reader:
         return shown.getvalue()
 
     def _serve(self, words: list[str]) -> None:
-        """Serves a twin in another terminal, by a clock that waits for nobody."""
+        """Serve a twin in another terminal, by the clock `wire`, which does not wait for real time."""
         link = Path(words[words.index("--link") + 1])
         command = [sys.executable, "-m", "khep_twin", "serve", *words, "--clock", "wire"]
         self._servers.append(subprocess.Popen(command, cwd=self.folder, stdout=subprocess.DEVNULL))
@@ -191,7 +191,7 @@ class Reader:
 
 @contextlib.contextmanager
 def reader(folder: Path, exact: bool = False) -> Iterator[Reader]:
-    """A reader in a fresh folder, who has activated the environment."""
+    """Yield a reader in an empty folder with the activated environment."""
     path = os.environ["PATH"]
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
     with contextlib.chdir(folder):
@@ -204,7 +204,7 @@ def reader(folder: Path, exact: bool = False) -> Iterator[Reader]:
 
 
 def make_run(folder: Path) -> list[str]:
-    """The words of `make run`, with its files in another folder."""
+    """Return the words of `make run`, with its files in another folder."""
     recipe = re.search(r"^run:.*\n(?:\t.*\n)*?\t@\$\(TWIN\) (run .*)$", MAKEFILE.read_text(), re.MULTILINE)
     assert recipe, "make run: no such recipe"
     words = shlex.split(recipe[1].replace("$(PLAYPEN)", "obstacles"))
@@ -212,7 +212,7 @@ def make_run(folder: Path) -> list[str]:
 
 
 def draw_pictures() -> None:
-    """Makes the page's pictures anew by its own commands, and puts what they show into its blocks."""
+    """Remake the page's pictures by its own commands, and put their output into its blocks."""
     page = PAGE.read_text()
     with tempfile.TemporaryDirectory() as name, reader(Path(name)) as person:
         for block in blocks(page)[1:]:
@@ -229,7 +229,7 @@ def draw_pictures() -> None:
 
 
 def draw_readme() -> None:
-    """Makes the README's pictures of `make run` anew."""
+    """Remake the README's pictures of `make run`."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for words in (
@@ -243,7 +243,7 @@ def draw_readme() -> None:
 
 
 def shrunk(file: Path, width: int) -> Image.Image:
-    """A picture of this width, in full colour."""
+    """Return a picture of this width, in full colour."""
     picture = Image.open(file).convert("RGB")
     height = round(picture.height * width / picture.width)
     return picture.resize((width, height), Image.Resampling.LANCZOS)

@@ -1,9 +1,9 @@
-"""Prints, for each version of Python, the wheel of every locked package that pip would install there.
+"""Wheels of every locked package that pip would install, for each version of Python.
 
     python tools/wheels.py [3.14 ...]
 
-pip is asked as for a Linux of x86_64 with glibc 2.28, whichever interpreter asks. A wheel counts if its hash
-is in the lock. Ends with 1 if a package has none.
+pip is run for x86_64 Linux with glibc 2.28, whatever the interpreter. A wheel counts if its hash is in the
+lock. The exit status is 1 if a package has none.
 """
 
 import json
@@ -43,7 +43,7 @@ def locked(version: str) -> dict[str, tuple[str, set[str]]]:
 
 
 def wheels(version: str, pins: dict[str, str]) -> dict[str, tuple[str, str]]:
-    """Return file name and hash of the wheel that pip finds for each pin, by name of the package."""
+    """Return file name and hash of the wheel that pip finds for each pin, by package name."""
     asked = dict(pins)
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder, "report.json")
@@ -75,7 +75,7 @@ def wheels(version: str, pins: dict[str, str]) -> dict[str, tuple[str, str]]:
 
 
 def main(versions: list[str]) -> int:
-    """Print a table for each version; return how many packages have no wheel in all."""
+    """Print a table for each version; return the total number of packages without a wheel."""
     without = 0
     for version in versions:
         packages = locked(version)

@@ -1,9 +1,9 @@
-"""Kills Ray's workers at random while a sweep goes on, and checks that each result is there once.
+"""Kills of Ray's workers at random during a sweep, and a check that each result exists once.
 
     python tools/worker_kills.py --tasks 200 --kills 100
 
-The table must be, byte for byte, that of a sweep in threads which nothing has disturbed. It ends with 1 if it
-is not. Only processes that the sweep itself has started are killed.
+The table must be the same, byte for byte, as that of an undisturbed sweep in threads; otherwise the exit
+status is 1. Only processes that the sweep itself has started are killed.
 """
 
 import argparse
@@ -34,21 +34,21 @@ drawn = 4
 """
 
 LOOPBACK = {"0100007F", "0000000000000000FFFF00000100007F"}
-"""127.0.0.1 in /proc/net/tcp, and in tcp6."""
+"""Forms of 127.0.0.1 in /proc/net/tcp and in tcp6."""
 
 PATIENCE = 120.0
-"""How long nothing may happen on a busy machine before it counts as broken [s]."""
+"""Timeout without progress on a busy machine [s]."""
 
 
 def study(folder: Path, tasks: int, seconds: int, output: str) -> Path:
-    """A study of so many tasks, four lives each."""
+    """Write a study of so many tasks, four episodes each."""
     file = folder / f"{output}.toml"
     file.write_text(STUDY.format(lives=tasks, seconds=seconds, output=output))
     return file
 
 
 def descendants(parent: int) -> dict[int, bytes]:
-    """What a process has started, and what that has: their command lines."""
+    """Return the command lines of all descendants of a process."""
     parents: dict[int, int] = {}
     names: dict[int, bytes] = {}
     for entry in Path("/proc").iterdir():
@@ -71,13 +71,13 @@ def descendants(parent: int) -> dict[int, bytes]:
 
 
 def workers_of(parent: int) -> list[int]:
-    """Ray's workers among what a process has started."""
+    """Return Ray's workers among the descendants of a process."""
     names = descendants(parent)
     return sorted(process for process, name in names.items() if name.startswith((b"ray::_do", b"ray::IDLE")))
 
 
 def listening(parent: int) -> set[str]:
-    """Addresses on which a process and what it has started listen, as /proc has them."""
+    """Return the addresses on which a process and its descendants listen, in the form of /proc."""
     sockets: dict[str, str] = {}
     for table in ("tcp", "tcp6"):
         for line in Path("/proc/net", table).read_text().splitlines()[1:]:
@@ -94,11 +94,11 @@ def listening(parent: int) -> set[str]:
 
 
 def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kills: int, seed: int) -> int:
-    """Kills workers, each time after another part of the tasks is done; returns how many."""
+    """Kill workers, each time after another part of the tasks is done; return their number."""
     chance = random.Random(seed)
     killed: set[int] = set()
     last = time.monotonic()
-    # The last tasks are left out: they may be done before a kill comes.
+    # The last tasks are left out: they may be done before a kill.
     for threshold in sorted(chance.choices(range(max(tasks - 4, 1)), k=kills)):
         while True:
             assert time.monotonic() - last < PATIENCE, f"nothing happened after {len(killed)} kills"
@@ -109,7 +109,7 @@ def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kill
                 break
             time.sleep(0.05)
         time.sleep(chance.uniform(0, 0.7))
-        # Ray ends idle workers by itself meanwhile.
+        # Ray may end idle workers by itself.
         while not (alive := [pid for pid in workers_of(sweep.pid) if pid not in killed]):
             if sweep.poll() is not None:
                 return len(killed)
@@ -123,10 +123,10 @@ def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kill
 
 
 def trial(folder: Path, tasks: int, kills: int, seconds: int, seed: int) -> int:
-    """Goes through a study twice, in threads and with kills; returns how many there were.
+    """Run a study twice, in threads and with kills; return the number of kills.
 
     Raises:
-        AssertionError: the tables differ, or the sweep failed.
+        AssertionError: The tables differ, or the sweep failed.
     """
     command = [sys.executable, "-m", "khep_twin", "sweep"]
     quiet = study(folder, tasks, seconds, "quiet")
@@ -142,13 +142,13 @@ def trial(folder: Path, tasks: int, kills: int, seconds: int, seed: int) -> int:
             sweep.terminate()
     tables = [folder / name / "results.parquet" for name in ("quiet", "disturbed")]
     found = pq.read_table(tables[1])["life"].to_pylist()
-    assert found == list(range(4 * tasks)), "a life is missing, or there twice"
+    assert found == list(range(4 * tasks)), "an episode is missing, or there twice"
     assert tables[0].read_bytes() == tables[1].read_bytes(), "other results than without kills"
     return killed
 
 
 def main() -> int:
-    """Kills as many as asked and says what came of it."""
+    """Kill the requested number of workers and print the result."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tasks", type=int, default=200)
     parser.add_argument("--kills", type=int, default=100)
@@ -163,7 +163,7 @@ def main() -> int:
             print(error)
             return 1
         print(
-            f"{killed} workers killed in a sweep of {wish.tasks} tasks, {4 * wish.tasks} lives: each is "
+            f"{killed} workers killed in a sweep of {wish.tasks} tasks, {4 * wish.tasks} episodes: each is "
             f"there once, the table as without kills ({time.monotonic() - start:.0f} s)"
         )
     return 0 if killed == wish.kills else 1

@@ -17,19 +17,19 @@ DISCHARGE = (
     (45.0, 3.31),
 )
 """Minutes of use and voltage of the cells [min, V]; straight lines between them (fitted to the manual's
-figure 14, rms 0.035 V, the noise of the figure). How hard the robot works makes no difference to it."""
+figure 14, rms 0.035 V, the noise of the figure). The load has no influence."""
 
 _NS_PER_MIN = 60_000_000_000
 
 
 class Supply:
-    """What feeds one robot.
+    """Supply of one robot.
 
     Args:
-        battery_used_min: minutes that its cells were used before the run; None for the charger.
+        battery_used_min: Use of the cells before the run [min]; None for the charger.
 
     Attributes:
-        steady: whether its voltage never changes.
+        steady: True if the voltage never changes.
     """
 
     def __init__(self, battery_used_min: float | None) -> None:
@@ -37,14 +37,14 @@ class Supply:
         self.steady = battery_used_min is None
 
     def voltage(self, time_ns: int) -> float:
-        """Supply voltage at a time of the run [V]."""
+        """Return the supply voltage at a time of the run [V]."""
         if self._used_min is None:
             return SUPPLY_VOLTAGE
         return discharged(self._used_min + time_ns / _NS_PER_MIN)
 
 
 def discharged(used_min: float) -> float:
-    """Voltage of the cells after so many minutes of use [V]."""
+    """Return the voltage of the cells after so many minutes of use [V]."""
     index = bisect_right(DISCHARGE, (used_min, float("inf")))
     if index == len(DISCHARGE):
         return DISCHARGE[-1][1]

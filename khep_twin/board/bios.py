@@ -13,12 +13,12 @@ from khep_twin.board.turrets import TurretKind
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """What tools can tell of a board.
+    """State of a board that the tools report.
 
     Attributes:
-        rom: the version of the firmware.
-        running: function of the ROM that runs, empty for none.
-        turrets: what is plugged on top.
+        rom: Version of the firmware.
+        running: ROM function that runs; empty for none.
+        turrets: Turrets that are plugged on top.
     """
 
     rom: Rom
@@ -28,13 +28,13 @@ class Board:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a tool answers and does.
+    """Reply and effects of a tool.
 
     Attributes:
-        reply: what goes back on the line.
-        restart: whether the board is reset.
-        baud: speed that the line takes on behind the reply; 0 leaves it.
-        function: of the ROM to start; empty for none.
+        reply: Reply on the line.
+        restart: True if the board is reset.
+        baud: Speed of the line after the reply [baud]; 0 leaves it.
+        function: ROM function to start; empty for none.
     """
 
     reply: bytes = b""
@@ -63,11 +63,11 @@ COMMANDS: Mapping[str, str] = {
     "T": "send a message to a turret",
     "W": "write a byte on the extension bus",
 }
-"""The protocol's commands and what they do, as `help` and `list` tell it."""
+"""The protocol's commands and their descriptions, as `help` and `list` print them."""
 
 
 def use(tool: Tool, board: Board) -> Outcome:
-    """Carries out a tool: the word and what follows it."""
+    """Execute a tool: its word and its arguments."""
     entry = _TOOLS.get(tool.word.decode("ascii"))
     if entry is None:
         return Outcome(COMMAND_NOT_FOUND)
@@ -76,7 +76,7 @@ def use(tool: Tool, board: Board) -> Outcome:
 
 
 def self_test(sensors_alive: bool) -> bytes:
-    """The report of running mode 7 on what the board can test by itself."""
+    """Return the report of running mode 7, the board's self-test."""
     return _lines(
         "Self test",
         f"sensors     {'ok' if sensors_alive else 'no conversion'}",

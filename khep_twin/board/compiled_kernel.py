@@ -1,4 +1,4 @@
-"""Arithmetic compiled by numba, from the source that runs without it, and many times as fast.
+"""Compilation by numba, from the same source that runs without it, and many times as fast.
 
 numba is the extra `batch`; everything else works without it.
 """
@@ -21,7 +21,7 @@ from khep_twin.errors import MissingExtraError
 
 @cache
 def compiled_kernel() -> ModuleType:
-    """The board's arithmetic, `kernel`, compiled; its registers are int64 arrays.
+    """Return the compiled `kernel`, the board's arithmetic; its registers are int64 arrays.
 
     Raises:
         MissingExtraError: numba is not installed.
@@ -37,16 +37,16 @@ def compiled_copy(
     counted: bool = True,
     within: bool = False,
 ) -> ModuleType:
-    """A second copy of a module whose own functions are compiled, each when it is first called.
+    """Return a second copy of a module whose own functions are compiled, each when it is first called.
 
     Args:
-        module: whose source numba can compile.
-        others: modules, by the names that it uses them by, which its copy is to use instead, compiled too.
-        name: that tells this copy from others of the same module.
-        counted: whether numba counts who has which array. Code that neither makes nor returns any needs no
-            such counting, which can take half of the time.
-        within: whether functions become parts of what calls them, for long chains of calls with many
-            arguments; a division by 0 then raises nothing, and sources must not come to one.
+        module: Module whose source numba can compile.
+        others: Compiled modules that the copy uses instead of its own, by the names in the module.
+        name: Name that distinguishes this copy from others of the same module.
+        counted: True for numba's reference counts of arrays. Code that neither makes nor returns arrays needs
+            none; counting can take half of the time.
+        within: True to inline functions into their callers, for long chains of calls with many arguments; a
+            division by 0 then raises nothing, so sources must avoid it.
 
     Raises:
         MissingExtraError: numba is not installed.
@@ -59,7 +59,7 @@ def compiled_copy(
     options: dict[str, Any] = {} if counted else {"_nrt": False}
     if within:
         options |= {"forceinline": True, "error_model": "numpy"}
-    # A compiled function finds the others by their names in the copy, compiled too.
+    # A compiled function looks up the others, compiled too, by their names in the copy.
     for own, function in inspect.getmembers(copy, inspect.isfunction):
         if function.__module__ == copy.__name__:
             setattr(copy, own, njit(**options)(function))
@@ -67,13 +67,13 @@ def compiled_copy(
 
 
 def another_copy(module: ModuleType, others: Mapping[str, ModuleType] | None, name: str) -> ModuleType:
-    """A second copy of a module that uses other modules, as it stands; arguments as of `compiled_copy`."""
+    """Return an uncompiled second copy of a module that uses other modules; see `compiled_copy`."""
     loader = SourceFileLoader(f"{module.__name__}#{name}", str(module.__file__))
     spec = spec_from_loader(loader.name, loader)
     if spec is None:
-        raise ImportError(f"no way to load {module.__file__}")
+        raise ImportError(f"cannot load {module.__file__}")
     copy = module_from_spec(spec)
-    # Code that numba has kept from another process finds its module by name.
+    # Code that numba has cached in another process looks up its module by name.
     sys.modules[loader.name] = copy
     loader.exec_module(copy)
     for used, other in (others or {}).items():

@@ -1,14 +1,14 @@
-"""Faults that are injected on purpose: a bad cable, a stuck sensor, a dead motor, a supply that drops out.
+"""Injected faults: a bad cable, a stuck sensor, a dead motor, a supply that drops out.
 
     drop:0.01            each byte on the line is lost with this probability
-    garble:0.01          each byte has one bit turned over with this probability
+    garble:0.01          each byte has one bit flipped with this probability
     late:0.1:60          a reply begins 60 ms late with this probability
-    stuck:2              the sensor with this number (order of N) reads what it read last, for ever
+    stuck:2              the sensor with this number (order of N) repeats its last reading for ever
     dead:left            this motor gets no current: left or right
-    brown-out            the processor is reset once, for want of voltage, and starts anew
+    brown-out            the processor is reset once by low voltage and restarts
 
-Behind any of them `@5` lets it begin 5 simulated seconds after the start. Chance comes from a stream of its
-own for each fault, so that a fault changes nothing else in a run; what happens is told to the log.
+A suffix `@5` delays any of them to 5 simulated seconds after the start. Each fault has its own random stream,
+so that it changes nothing else in a run; every occurrence is logged.
 """
 
 import re
@@ -28,15 +28,15 @@ _NUMBER = re.compile(r"[0-9]{1,6}(\.[0-9]{1,9})?")
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault, as it is asked for.
+    """One requested fault.
 
     Attributes:
-        kind: its name.
-        text: all of it, as it was written.
-        probability: of each occasion; 1 for one that needs no chance.
-        delay_ns: of a late reply [ns].
-        which: number of the sensor, or 0 for the left and 1 for the right motor.
-        start_ns: when it begins [ns].
+        kind: Name of the fault.
+        text: The whole fault as written.
+        probability: Probability of each occurrence; 1 for a deterministic fault.
+        delay_ns: Delay of a late reply [ns].
+        which: Number of the sensor, or 0 for the left and 1 for the right motor.
+        start_ns: Start of the fault [ns].
     """
 
     kind: str
@@ -48,10 +48,10 @@ class Fault:
 
 
 def parse(text: str) -> Fault:
-    """A fault in words, such as "drop:0.01@5".
+    """Parse a fault such as "drop:0.01@5".
 
     Raises:
-        FaultError: there is no such fault, or it is written in another way.
+        FaultError: The fault is unknown or malformed.
     """
     what, at, start = text.partition("@")
     kind, *values = what.split(":")
@@ -62,16 +62,16 @@ def parse(text: str) -> Fault:
         start_ns = to_ns(_number(start, 0, 1e6)) if at else 0
         return Fault(kind, text, start_ns=start_ns, **read(*values))
     except (TypeError, ValueError):
-        raise FaultError(f"fault {text!r}: right is {wish}, and @SECONDS behind it if wanted") from None
+        raise FaultError(f"fault {text!r}: expected {wish}, with @SECONDS appended if wanted") from None
 
 
 class Injector:
-    """Lets faults happen to one robot.
+    """Injector of faults into one robot.
 
     Args:
-        faults: what may happen.
-        chance: gives each fault its own stream, by its text.
-        tell: takes a note of what happens.
+        faults: Faults to inject.
+        chance: Factory of each fault's own random stream, by its text.
+        tell: Callback that logs a message.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Injector:
         self._begun: set[str] = set()
 
     def over_the_line(self, data: bytes, time_ns: int) -> bytes:
-        """Bytes as they come out of a bad cable."""
+        """Return the bytes as a bad cable delivers them."""
         for fault in self._active("drop", time_ns):
             hit = self._draw(fault, len(data))
             if hit.any():
@@ -104,7 +104,7 @@ class Injector:
         return data
 
     def delay_ns(self, time_ns: int) -> int:
-        """How late a reply begins [ns]."""
+        """Return the delay of a reply [ns]."""
         delay_ns = 0
         for fault in self._active("late", time_ns):
             if self._draw(fault, 1).any():
@@ -113,21 +113,21 @@ class Injector:
         return delay_ns
 
     def stuck(self, sensor: int, time_ns: int) -> bool:
-        """Whether a sensor reads what it read last."""
+        """Return whether a sensor repeats its last reading."""
         return any(fault.which == sensor for fault in self._lasting("stuck", time_ns))
 
     def dead(self, motor: int, time_ns: int) -> bool:
-        """Whether the left (0) or right (1) motor gets no current."""
+        """Return whether the left (0) or right (1) motor gets no current."""
         return any(fault.which == motor for fault in self._lasting("dead", time_ns))
 
     def brown_out(self, time_ns: int) -> bool:
-        """Whether the supply drops out now; once for each such fault."""
+        """Return whether the supply drops out now; once for each such fault."""
         begun = len(self._begun)
         self._lasting("brown-out", time_ns)
         return len(self._begun) > begun
 
     def next_brown_out_ns(self) -> int | None:
-        """Return from when on the supply drops out next [ns], None if it does not."""
+        """Return the start of the next supply drop-out [ns], None if there is none."""
         waiting = (fault for fault in self._faults if fault.text not in self._begun)
         return min((fault.start_ns for fault in waiting if fault.kind == "brown-out"), default=None)
 
@@ -135,7 +135,7 @@ class Injector:
         return [fault for fault in self._faults if fault.kind == kind and time_ns >= fault.start_ns]
 
     def _lasting(self, kind: str, time_ns: int) -> list[Fault]:
-        """Those that act without chance; the beginning of each is told."""
+        """Return the active deterministic faults; log the start of each."""
         active = self._active(kind, time_ns)
         for fault in active:
             if fault.text not in self._begun:

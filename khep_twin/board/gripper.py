@@ -1,17 +1,17 @@
-"""The gripper turret's electronics: orders of the T bus and the registers that they set and read.
+"""The gripper turret's electronics: orders of the T bus and the registers that they write and read.
 
     B        versions                              b,1,0
     D,state  opens (0) or closes (1) the fingers   d
-    E,place  sends the arm to 152 (up) … 255       e
-    F        resistivity of what is gripped        f,255 for an insulator … 0 for a short circuit
+    E,place  moves the arm to 152 (up) … 255       e
+    F        resistivity of the gripped object     f,255 for an insulator … 0 for a short circuit
     G        light barrier between the fingers     g,0 for free … 255 for dark
-    H,0      where the fingers are, 0 … 200 open   h,…
-    H,1      where the arm is, 152 … 255           h,…
+    H,0      position of the fingers, to 200 open  h,…
+    H,1      position of the arm, 152 … 255        h,…
     J        jumpers                               j,0
 
-Orders and places as public host programs and simulators have them; its own manual is not at hand. Fingers
-and arm run at a fixed speed towards where they are sent; an order beyond 152 to 255 sends the arm to the
-nearer end. A reset leaves them where they are.
+Orders and positions as in public host programs and simulators; its own manual is not available. Fingers
+and arm move to their targets at a fixed speed; an order beyond 152 to 255 sends the arm to the nearer end.
+A reset stops them where they are.
 """
 
 from enum import IntEnum
@@ -26,13 +26,13 @@ VERSION, REVISION = 1, 0
 """Version and revision in the reply to B (assumed), integers because hosts parse them as integers."""
 
 FRACTION = 256
-"""Parts of a place in which setpoints move."""
+"""Resolution of the setpoints [1/place]."""
 
 ARM_SPEED = 320
-"""Of the arm [places/256 per 10 ms]: from up to down in 0.82 s (assumed)."""
+"""Speed of the arm [places/256 per 10 ms]: from up to down in 0.82 s (assumed)."""
 
 FINGER_SPEED = 512
-"""Of the fingers [places/256 per 10 ms]: from open to closed in a second (assumed)."""
+"""Speed of the fingers [places/256 per 10 ms]: from open to closed in a second (assumed)."""
 
 _ORDERS = {"B": 0, "D": 1, "E": 1, "F": 0, "G": 0, "H": 1, "J": 0}
 
@@ -40,9 +40,9 @@ _ORDERS = {"B": 0, "D": 1, "E": 1, "F": 0, "G": 0, "H": 1, "J": 0}
 class Register(IntEnum):
     """Registers of the gripper."""
 
-    ARM_TARGET = 0  # where the arm is sent [places]
-    ARM_SETPOINT = 1  # on the way there [places/256]
-    ARM_PLACE = 2  # where it is [places]
+    ARM_TARGET = 0  # target of the arm [places]
+    ARM_SETPOINT = 1  # setpoint on the way to the target [places/256]
+    ARM_PLACE = 2  # position of the arm [places]
     FINGER_TARGET = 3
     FINGER_SETPOINT = 4
     FINGER_PLACE = 5
@@ -51,10 +51,10 @@ class Register(IntEnum):
 
 
 class Gripper:
-    """A `Turret`: the gripper's electronics.
+    """The gripper's electronics, a `Turret`.
 
     Attributes:
-        registers: its state (8,).
+        registers: State of the electronics (8,).
     """
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class Gripper:
         self.reset()
 
     def receive(self, message: bytes) -> bytes:
-        """Carries out an order; returns its reply."""
+        """Execute an order; return its reply."""
         order = parse_turret_order(message, _ORDERS)
         if isinstance(order, Malformed):
             return order.reply
@@ -91,12 +91,12 @@ class Gripper:
                 return PROTOCOL_ERROR
 
     def tick(self) -> None:
-        """Moves both setpoints on towards where they are sent."""
+        """Move both setpoints towards their targets."""
         self._approach(Register.ARM_SETPOINT, Register.ARM_TARGET, ARM_SPEED)
         self._approach(Register.FINGER_SETPOINT, Register.FINGER_TARGET, FINGER_SPEED)
 
     def reset(self) -> None:
-        """Stops arm and fingers where they are."""
+        """Stop arm and fingers where they are."""
         cells = self._cells
         for place in (Register.ARM_PLACE, Register.FINGER_PLACE):
             target, setpoint = place - 2, place - 1

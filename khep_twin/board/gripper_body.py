@@ -1,4 +1,4 @@
-"""The gripper in the physics: places of arm and fingers, light barrier, resistivity, and its two motors."""
+"""The gripper in the physics: positions of arm and fingers, light barrier, resistivity and motors."""
 
 import math
 from importlib.resources import files
@@ -13,7 +13,7 @@ from khep_twin.board.turrets import TurretKind
 from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
 ARM_DEGREES_PER_PLACE = 200 / 255
-"""Of the arm, whose place 255 is 10 degrees below level: elevation = 190 - 200 place / 255 [deg] (a
+"""Angle of the arm per place; place 255 is 10 degrees below level: elevation = 190 - 200 place / 255 [deg] (a
 simulator's model of the turret)."""
 
 ARM_LEVEL_PLACE_DEG = 190.0
@@ -23,26 +23,26 @@ GAP_CLOSED, GAP_OPEN = 0.0005, 0.0275
 """Half of the gap between the fingers at places 0 and 200 [m] (likewise)."""
 
 SERIES_RESISTANCE = 10_000.0
-"""In series with what is gripped, to measure its resistance [ohm] (assumed)."""
+"""Resistance in series with the gripped object, to measure its resistance [ohm] (assumed)."""
 
 FINGER_THICKNESS = 0.003
-"""Of assets/gripper.xml [m]: the light barrier's rays begin behind the left finger's face."""
+"""Thickness of a finger in assets/gripper.xml [m]: the light barrier's rays begin behind its face."""
 
 N_RAYS = 3
-"""Of the light barrier in assets/gripper.xml."""
+"""Number of the light barrier's rays in assets/gripper.xml."""
 
 _SLACK = 0.0005
-"""A ray that ends so near the right finger has met it [m]."""
+"""Distance from the right finger within which a ray has reached it [m]."""
 
 
 class GripperBody:
-    """A `TurretBody`: the gripper of one robot in a compiled scene.
+    """Gripper of one robot in a compiled scene, a `TurretBody`.
 
     Args:
-        model: the scene.
-        data: its state.
-        prefix: of the turret's names in the scene, e.g. "khepera0/gripper/".
-        registers: of the gripper's electronics.
+        model: Model of the scene.
+        data: State of the scene.
+        prefix: Prefix of the turret's names in the scene, e.g. "khepera0/gripper/".
+        registers: Registers of the gripper's electronics.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class GripperBody:
         self.drive()
 
     def sense(self) -> None:
-        """Reads places, light barrier and resistivity into the registers."""
+        """Read positions, light barrier and resistivity into the registers."""
         qpos, cells = self._data.qpos, self._cells
         elevation_deg = math.degrees(qpos[self._shoulder])
         half_gap = float(qpos[self._slide])
@@ -75,7 +75,7 @@ class GripperBody:
         cells[Register.RESISTIVITY] = resistivity(self._conductance())
 
     def drive(self) -> None:
-        """Lets arm and fingers follow the setpoints."""
+        """Drive arm and fingers to the setpoints."""
         arm = self._cells[Register.ARM_SETPOINT] / FRACTION
         fingers = self._cells[Register.FINGER_SETPOINT] / FRACTION
         elevation_deg = ARM_LEVEL_PLACE_DEG - ARM_DEGREES_PER_PLACE * arm
@@ -83,7 +83,7 @@ class GripperBody:
         self._data.ctrl[self._finger_motor] = GAP_CLOSED + (GAP_OPEN - GAP_CLOSED) * fingers / FINGERS_OPEN
 
     def _conductance(self) -> float:
-        """Between the fingers, through what both of them touch [S]."""
+        """Return the conductance between the fingers, through an object that both touch [S]."""
         pairs: NDArray[np.int32] = self._data.contact.geom
         if not len(pairs):
             return 0.0
@@ -94,7 +94,7 @@ class GripperBody:
 
 
 def resistivity(conductance: float) -> int:
-    """What the gripper tells of a conductance [S]: the part of R / (R + series resistance), 0 to 255."""
+    """Return the reading for a conductance [S]: R / (R + series resistance), scaled to 0 to 255."""
     return round(255 / (1 + SERIES_RESISTANCE * conductance))
 
 
@@ -108,4 +108,4 @@ GRIPPER = TurretKind(
     fit=GripperBody,
     reach=0.034,
 )
-"""The gripper, as the entry point "khep_twin.turrets" offers it."""
+"""The gripper, as registered under the entry point "khep_twin.turrets"."""

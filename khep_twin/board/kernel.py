@@ -1,8 +1,8 @@
 """The board's arithmetic: encoders, motor controllers, speed profile and sensor scan.
 
-Everything the processor knows of the fast world lies in one int64 array, so that a copy is a snapshot and a
-stack of arrays is a batch. All arithmetic is on integers, as on the robot; the functions keep to what a
-compiler for numerical Python accepts: no objects, no floats, no exceptions, saturation written out.
+The whole state of the board is one int64 array: a copy is a snapshot and a stack of arrays is a batch.
+All arithmetic is on integers, as on the robot; the functions use only what a compiler for numerical Python
+accepts: no objects, no floats, no exceptions, explicit saturation.
 
 The controllers run every 10 ms (manual, 3.1.3):
 
@@ -28,20 +28,20 @@ class Registers(Protocol):
 
 
 SPEED_GAIN_SCALE = 1024
-"""What the speed controller's gains are divided by (assumed)."""
+"""Divisor of the speed controller's gains (assumed)."""
 
 POSITION_GAIN_SCALE = 512
-"""What the position controller's gains are divided by (assumed)."""
+"""Divisor of the position controller's gains (assumed)."""
 
 FRACTION = 256
-"""Parts of a pulse in which the profile counts: J's acceleration is in pulses/256 (manual, appendix A)."""
+"""Resolution of the profile [1/pulse]: J's acceleration is in pulses/256 (manual, appendix A)."""
 
 TARGET_TOLERANCE_PULSES = 2
-"""A target counts as reached within this error (assumed)."""
+"""Largest error at which a target counts as reached (assumed)."""
 
 
 class Mode(IntEnum):
-    """What drives a motor."""
+    """Control mode of a motor."""
 
     SPEED = 0
     POSITION = 1
@@ -49,7 +49,7 @@ class Mode(IntEnum):
 
 
 class Wheel(IntEnum):
-    """Registers of one wheel; the left wheel's lie at 0, the right one's at `RIGHT`."""
+    """Registers of one wheel; the left wheel's start at 0, the right one's at `RIGHT`."""
 
     ENCODER = 0  # pulses since power-up, as last read [pulses]
     POSITION = 1  # the counter of G and H, wraps at 32 bits [pulses]
@@ -57,7 +57,7 @@ class Wheel(IntEnum):
     MODE = 3
     SPEED_SETPOINT = 4  # [pulses/10 ms]
     TARGET = 5  # [pulses]
-    PROFILE_POSITION = 6  # where the trapezoid is [pulses/256]
+    PROFILE_POSITION = 6  # position on the trapezoid [pulses/256]
     PROFILE_SPEED = 7  # [pulses/256 per 10 ms]
     MAX_SPEED = 8  # of the trapezoid [pulses/10 ms]
     ACCELERATION = 9  # of the trapezoid [pulses/256 per (10 ms)^2]
@@ -72,7 +72,7 @@ RIGHT = len(Wheel)
 
 
 class Board(IntEnum):
-    """Registers of the board as a whole, behind those of its wheels."""
+    """Registers of the whole board, after those of its wheels."""
 
     SPEED_KP = 2 * RIGHT
     SPEED_KI = 2 * RIGHT + 1
@@ -99,10 +99,10 @@ PROXIMITY = [Board.PROXIMITY + sensor for sensor in range(N_SENSORS)]
 AMBIENT = [Board.AMBIENT + sensor for sensor in range(N_SENSORS)]
 
 DEMO_WEIGHTS = ((4, -5), (4, -15), (6, -18), (-18, 6), (-15, 4), (-5, 4), (5, 3), (3, 5))
-"""What each proximity sensor adds to the left and the right speed in the ROM's demonstration (toolbox)."""
+"""Weights of each proximity sensor for the left and the right speed in the ROM's demonstration (toolbox)."""
 
 DEMO_DIVISOR = 400
-"""What the weighted counts are divided by, to give pulses/10 ms (toolbox)."""
+"""Divisor of the weighted counts, which gives pulses/10 ms (toolbox)."""
 
 DEMO_SPEED_PULSES = 10
 """Speed with nothing in view [pulses/10 ms] (toolbox)."""
@@ -121,11 +121,11 @@ RESET_VALUES = (
     (RIGHT + Wheel.ACCELERATION, 64),
     (RIGHT + Wheel.ON_TARGET, 1),
 )
-"""Registers that are not 0 after a reset, and what they are then (manual, appendix A)."""
+"""Registers that are not 0 after a reset, and their values (manual, appendix A)."""
 
 
 def reset(registers: Registers) -> None:
-    """Puts every register to its reset value, but for encoders and conversions, which go on as they are."""
+    """Set every register to its reset value, except encoders and conversions, which are kept."""
     for register in range(_SCAN):
         if register not in (LEFT + _ENCODER, RIGHT + _ENCODER):
             registers[register] = 0
@@ -134,19 +134,19 @@ def reset(registers: Registers) -> None:
 
 
 def tick(registers: Registers, left_pulses: int, right_pulses: int) -> None:
-    """One control period of 10 ms: reads both encoders and sets both duties.
+    """Run one control period of 10 ms: read both encoders and set both duties.
 
     Args:
-        registers: the board's state, changed in place.
-        left_pulses: what the left encoder has counted since power-up [pulses].
-        right_pulses: likewise the right one.
+        registers: State of the board, changed in place.
+        left_pulses: Count of the left encoder since power-up [pulses].
+        right_pulses: Count of the right encoder since power-up [pulses].
     """
     _control(registers, LEFT, left_pulses)
     _control(registers, RIGHT, right_pulses)
 
 
 def convert(registers: Registers, proximity: int, ambient: int) -> None:
-    """Stores one sensor's two conversions [counts] and passes on to the next sensor of the scan."""
+    """Store one sensor's two conversions [counts] and advance to the next sensor of the scan."""
     channel = registers[_SCAN]
     registers[_PROXIMITY + channel] = proximity
     registers[_AMBIENT + channel] = ambient
@@ -154,13 +154,13 @@ def convert(registers: Registers, proximity: int, ambient: int) -> None:
 
 
 def measure(registers: Registers, supply: int, current_ma: int) -> None:
-    """Stores what is measured of the supply: half its voltage [counts] and the current drawn [mA]."""
+    """Store the measurements of the supply: half its voltage [counts] and the current drawn [mA]."""
     registers[_SUPPLY] = supply
     registers[_CURRENT] = current_ma
 
 
 def wander(registers: Registers) -> None:
-    """One step of the ROM's demonstration, a Braitenberg vehicle: speed = proximity x weights / 400 + 10."""
+    """Run one step of the ROM's Braitenberg demonstration: speed = proximity x weights / 400 + 10."""
     for side in range(2):
         drive = 0
         for sensor in range(N_SENSORS):
@@ -169,7 +169,7 @@ def wander(registers: Registers) -> None:
 
 
 def set_speed(registers: Registers, wheel: int, speed: int) -> None:
-    """Drives a wheel at a speed [pulses/10 ms], with no limit to its acceleration."""
+    """Drive a wheel at a speed [pulses/10 ms], with no limit on its acceleration."""
     if registers[wheel + _MODE] != _SPEED_MODE:
         registers[wheel + _ERROR] = 0
         registers[wheel + _ERROR_SUM] = 0
@@ -179,7 +179,7 @@ def set_speed(registers: Registers, wheel: int, speed: int) -> None:
 
 
 def set_duty(registers: Registers, wheel: int, duty: int) -> None:
-    """Drives a motor with a fixed duty of -255 to 255, uncontrolled."""
+    """Drive a motor with a fixed duty of -255 to 255, in open loop."""
     registers[wheel + _MODE] = _PWM_MODE
     registers[wheel + _DUTY] = duty
     registers[wheel + _ERROR] = 0
@@ -187,7 +187,7 @@ def set_duty(registers: Registers, wheel: int, duty: int) -> None:
 
 
 def set_target(registers: Registers, wheel: int, target: int) -> None:
-    """Sends a wheel to a position [pulses] along the trapezoid, from whatever it is doing now."""
+    """Move a wheel to a position [pulses] along the trapezoid, from its current motion."""
     if registers[wheel + _MODE] != _POSITION_MODE:
         registers[wheel + _PROFILE_POSITION] = registers[wheel + _POSITION] * FRACTION
         registers[wheel + _PROFILE_SPEED] = registers[wheel + _SPEED] * FRACTION
@@ -200,7 +200,7 @@ def set_target(registers: Registers, wheel: int, target: int) -> None:
 
 
 def set_position(registers: Registers, wheel: int, position: int) -> None:
-    """Renumbers a wheel's place as `position` [pulses]; a move under way goes on to the same place."""
+    """Set a wheel's position counter to `position` [pulses]; a move under way ends at the same place."""
     _unwind(registers, wheel)
     shift = position - registers[wheel + _POSITION]
     registers[wheel + _POSITION] = position
@@ -209,18 +209,18 @@ def set_position(registers: Registers, wheel: int, position: int) -> None:
 
 
 def divide(numerator: int, denominator: int) -> int:
-    """Whole-number division that cuts towards zero, as C does."""
+    """Divide integers, truncating towards zero as C does."""
     quotient = abs(numerator) // abs(denominator)
     return quotient if (numerator < 0) == (denominator < 0) else -quotient
 
 
 def clip(value: int, limit: int) -> int:
-    """`value` held within -limit to limit."""
+    """Clip `value` to -limit to limit."""
     return min(max(value, -limit), limit)
 
 
 def wrap(value: int) -> int:
-    """`value` as a signed 32-bit number."""
+    """Wrap `value` to a signed 32-bit number."""
     return (value + 2**31) % 2**32 - 2**31
 
 
@@ -235,7 +235,7 @@ _SUPPLY, _CURRENT = int(Board.SUPPLY), int(Board.CURRENT)
 
 
 def _control(registers: Registers, wheel: int, pulses: int) -> None:
-    """One wheel's control period."""
+    """Run one wheel's control period."""
     speed = pulses - registers[wheel + _ENCODER]
     position = wrap(registers[wheel + _POSITION] + speed)
     registers[wheel + _ENCODER] = pulses
@@ -251,14 +251,14 @@ def _control(registers: Registers, wheel: int, pulses: int) -> None:
         _regulate(registers, wheel, _POSITION_GAINS, POSITION_GAIN_SCALE, error)
         ended = registers[wheel + _PROFILE_POSITION] == registers[wheel + _TARGET] * FRACTION
         ended = ended and registers[wheel + _PROFILE_SPEED] == 0
-        # It is reached at rest, and left when something pushes the wheel away.
+        # The target is reached at rest, and lost when something pushes the wheel away.
         calm = abs(speed) <= 1 or registers[wheel + _ON_TARGET] == 1
         near = abs(error) <= TARGET_TOLERANCE_PULSES
         registers[wheel + _ON_TARGET] = 1 if ended and near and calm else 0
 
 
 def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: int) -> None:
-    """The PID law; the sum grows only as far as it can act on the duty."""
+    """Apply the PID law; the sum grows only as far as it can act on the duty."""
     kp, ki, kd = registers[gains], registers[gains + 1], registers[gains + 2]
     error_sum = clip(registers[wheel + _ERROR_SUM] + error, divide(DUTY_LIMIT * scale, max(ki, 1)))
     drive = kp * error + ki * error_sum + kd * (error - registers[wheel + _ERROR])
@@ -268,10 +268,10 @@ def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: i
 
 
 def _advance_profile(registers: Registers, wheel: int) -> None:
-    """Moves the trapezoid on by one tick, towards the target.
+    """Advance the trapezoid by one tick towards the target.
 
-    The speed grows and falls by no more than the acceleration. It falls as soon as the way left is no more
-    than it takes to stop; where that is too late already, the profile runs beyond the target and comes back.
+    The speed changes by at most the acceleration. It falls as soon as the remaining distance is no more than
+    the stopping distance; if that is too late already, the profile overshoots the target and returns.
     """
     position = registers[wheel + _PROFILE_POSITION]
     speed = registers[wheel + _PROFILE_SPEED]
@@ -289,19 +289,19 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
     registers[wheel + _PROFILE_POSITION] = position + direction * wanted
     registers[wheel + _PROFILE_SPEED] = direction * wanted
     if wanted == 0 and speed != 0:
-        # What the sum held up against while driving is no error any more at the end of the way.
+        # The load that the sum compensated while driving is gone at the end of the move.
         registers[wheel + _ERROR_SUM] = 0
 
 
 def _stopping_speed(way: int, acceleration: int) -> int:
-    """Return the fastest speed that can be brought to rest on a way: v + (v - a) + (v - 2 a) + ... <= way.
+    """Return the fastest speed that can stop within a distance: v + (v - a) + (v - 2 a) + ... <= way.
 
-    With v = n a + r and r < a the way is (n + 1) (n a / 2 + r). The rest of the way, below n + 1, is made up
-    for by the speeds that follow.
+    With v = n a + r and r < a the distance is (n + 1) (n a / 2 + r). The remainder, below n + 1, is covered
+    by the speeds that follow.
     """
     square = 8 * (way // acceleration) + 1
     root, last = square, square + 1
-    while root < last:  # Newton's method on whole numbers, from above
+    while root < last:  # Newton's method on integers, from above
         last = root
         root = (root + square // root) // 2
     steps = (last - 1) // 2
@@ -309,7 +309,7 @@ def _stopping_speed(way: int, acceleration: int) -> int:
 
 
 def _unwind(registers: Registers, wheel: int) -> None:
-    """Brings profile and target back to the counter's own numbers after it has wrapped."""
+    """Shift profile and target to the counter's range after it has wrapped."""
     ahead = divide(registers[wheel + _PROFILE_POSITION], FRACTION) - registers[wheel + _POSITION]
     turns = ahead - wrap(ahead)
     registers[wheel + _TARGET] -= turns

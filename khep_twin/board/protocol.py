@@ -1,8 +1,8 @@
-"""The grammar of the serial protocol: lines, commands and replies. What they do is `firmware`'s affair.
+"""The grammar of the serial protocol: lines, commands and replies; `firmware` executes them.
 
-A command is a capital letter and decimal numbers, parted by commas, ended by CR, LF or CR LF; a tool is a
-lower-case word and its arguments, parted by blanks. A reply is the command's letter in lower case and its
-values, parted by commas, ended by CR LF (manual, 3.2 and appendix A).
+A command is a capital letter and decimal numbers, separated by commas, ended by CR, LF or CR LF; a tool is a
+lower-case word and its arguments, separated by blanks. A reply is the command's letter in lower case and its
+values, separated by commas, ended by CR LF (manual, 3.2 and appendix A).
 """
 
 import re
@@ -10,16 +10,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 LINE_LIMIT = 128
-"""Longest command line [bytes] (assumed; the manual gives none). The rest of a longer one is dropped."""
+"""Longest command line [bytes] (assumed; the manual gives none). Longer ones are truncated."""
 
 LINE_ENDS = b"\r\n"
-"""Each of these bytes ends a command."""
+"""Bytes that end a command."""
 
 END = b"\r\n"
 COMMAND_NOT_FOUND = b"Command not found" + END
 PROTOCOL_ERROR = b"z,Protocol error" + END
 TURRET_REFUSAL = b"z,Turret order not supported" + END
-"""Of an order that a turret does not know, and of a turret that is not there."""
+"""Reply for an order that a turret does not know, and for a missing turret."""
 
 ARGUMENT_COUNTS: dict[str, int] = {
     "A": 3,
@@ -40,7 +40,7 @@ ARGUMENT_COUNTS: dict[str, int] = {
     "R": 1,
     "W": 2,
 }
-"""Numbers that each command takes. The eighteenth command, T, passes its arguments on to a turret."""
+"""Number of arguments of each command. The eighteenth command, T, passes its arguments to a turret."""
 
 _NUMBER = re.compile(rb"[+-]?[0-9]{1,10}")
 _TOOL = re.compile(rb"[a-z][a-z-]*")
@@ -57,7 +57,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class TurretMessage:
-    """A message for the turret with this number, e.g. `T,1,D,0` as (1, b"D,0")."""
+    """A message to the turret with this number, e.g. `T,1,D,0` as (1, b"D,0")."""
 
     turret: int
     message: bytes
@@ -65,7 +65,7 @@ class TurretMessage:
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """A word in lower case and what follows it, e.g. `run demo` as (b"run", (b"demo",))."""
+    """A word in lower case and its arguments, e.g. `run demo` as (b"run", (b"demo",))."""
 
     word: bytes
     arguments: tuple[bytes, ...] = ()
@@ -73,7 +73,7 @@ class Tool:
 
 @dataclass(frozen=True, slots=True)
 class Malformed:
-    """A line that cannot be carried out, and the reply that it gets."""
+    """A line that cannot be executed, and the reply to it."""
 
     reply: bytes
 
@@ -82,17 +82,17 @@ Request = Command | TurretMessage | Tool | Malformed
 
 
 class LineReader:
-    """Cuts a stream of bytes into lines, whatever the chunks it comes in.
+    """Splitter of a byte stream into lines, for chunks of any size.
 
-    Empty lines vanish, so CR LF is one ending. Of a line beyond LINE_LIMIT only the beginning is kept,
-    marked as too long.
+    Empty lines are dropped, so CR LF is one ending. A line beyond LINE_LIMIT is truncated and marked as too
+    long.
     """
 
     def __init__(self) -> None:
         self._line = bytearray()
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Takes more bytes; gives the lines that they complete, without their ending."""
+        """Add bytes; yield the lines that they complete, without their ending."""
         for byte in data:
             if byte in LINE_ENDS:
                 if self._line:
@@ -103,15 +103,15 @@ class LineReader:
                 self._line.append(byte)
 
     def clear(self) -> None:
-        """Forgets the line begun."""
+        """Discard the incomplete line."""
         self._line.clear()
 
 
 def parse(line: bytes) -> Request:
-    """What a line, without its ending, asks for.
+    """Parse a line without its ending.
 
-    Blanks count only within tools: around a command's letter and numbers they are passed over, as the
-    manual itself prints `D, 5, 5`.
+    Blanks count only within tools: around a command's letter and numbers they are skipped, as the manual
+    itself prints `D, 5, 5`.
     """
     text = line.strip(_BLANKS)
     head, *rest = text.split(b",")
@@ -129,11 +129,11 @@ def parse(line: bytes) -> Request:
 
 
 def parse_turret_order(message: bytes, argument_counts: Mapping[str, int]) -> Command | Malformed:
-    """What the message to a turret asks for.
+    """Parse a message to a turret.
 
     Args:
-        message: a letter and numbers, parted by commas, e.g. b"D,0".
-        argument_counts: numbers that each of the turret's orders takes.
+        message: A letter and numbers, separated by commas, e.g. b"D,0".
+        argument_counts: Number of arguments of each of the turret's orders.
     """
     head, *rest = message.split(b",")
     letter = head.strip(_BLANKS).decode("latin-1")
@@ -143,22 +143,22 @@ def parse_turret_order(message: bytes, argument_counts: Mapping[str, int]) -> Co
 
 
 def reply(letter: str, *values: int | str) -> bytes:
-    """The reply to a command with its ending, e.g. h,12,-5 for H and the values 12, -5."""
+    """Return the reply to a command with its ending, e.g. h,12,-5 for H and the values 12, -5."""
     return ",".join([letter.lower(), *map(str, values)]).encode("ascii") + END
 
 
 def turret_reply(turret: int, letter: str, *values: int | str) -> bytes:
-    """The reply of a turret with its ending, e.g. t,1,g,255 for turret 1, G and the value 255."""
+    """Return the reply of a turret with its ending, e.g. t,1,g,255 for turret 1, G and the value 255."""
     return reply("T", turret, letter.lower(), *values)
 
 
 def refusal(text: str) -> bytes:
-    """The reply to a command that is understood and cannot be carried out, e.g. b"z,Protocol error"."""
+    """Return the reply to a valid command that cannot be executed, e.g. b"z,Protocol error"."""
     return b"z," + text.encode("ascii") + END
 
 
 def _parse_order(letter: str, fields: Sequence[bytes], count: int) -> Command | Malformed:
-    """A letter and its numbers, of which there must be `count`."""
+    """Return the command of a letter and its numbers, of which there must be `count`."""
     arguments = [_parse_number(field) for field in fields]
     numbers = tuple(number for number in arguments if number is not None)
     if len(numbers) != len(arguments) or len(numbers) != count:

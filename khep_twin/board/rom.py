@@ -1,4 +1,4 @@
-"""What is burnt into the robot's ROM and set by its jumpers: versions of the firmware and running modes.
+"""The robot's ROM and jumpers: versions of the firmware and running modes.
 
 Running modes are chosen by three jumpers on the Khepera 1 (0 to 7) and by a wheel on the Khepera II (0 to F);
 the board reads them at a reset (manual, appendix E; manual II, appendix C).
@@ -14,17 +14,17 @@ SELF_TEST = "test"
 """Name of the self-test among the ROM's functions."""
 
 BAUD_RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
-"""Speeds that the tool `serial` sets (assumed: the usual ones up to what any host asks for)."""
+"""Speeds that the tool `serial` sets [baud] (assumed: the usual ones of hosts)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunningMode:
-    """What the robot does after a reset.
+    """Behaviour of the robot after a reset.
 
     Attributes:
-        baud: speed of the serial line.
-        function: of the ROM that is started, besides the protocol; empty for none.
-        refusal: why the twin cannot do it; empty if it can.
+        baud: Speed of the serial line [baud].
+        function: ROM function that is started besides the protocol; empty for none.
+        refusal: Reason why the twin cannot run it; empty if it can.
     """
 
     baud: int = 9600
@@ -54,7 +54,7 @@ KHEPERA_1_MODES: Mapping[int, RunningMode] = {
     **_COMMON_MODES,
     **{mode: RunningMode(refusal=_SECOND) for mode in range(8, 16)},
 }
-"""The Khepera 1 has three jumpers; the modes beyond are named only to say where they are."""
+"""Modes of the Khepera 1, which has three jumpers; those beyond are listed to refer to the Khepera II."""
 
 KHEPERA_2_MODES: Mapping[int, RunningMode] = {
     **_COMMON_MODES,
@@ -71,15 +71,15 @@ KHEPERA_2_MODES: Mapping[int, RunningMode] = {
 
 @dataclass(frozen=True, slots=True)
 class Rom:
-    """What differs between versions of the firmware.
+    """One version of the firmware.
 
     Attributes:
-        bios: version of the BIOS, the first field of the reply to B.
-        protocol: version of the serial protocol, the second.
-        banner: lines shown after a reset.
-        mode_codes: how command K names speed, position and PWM mode.
+        bios: Version of the BIOS, the first field of the reply to B.
+        protocol: Version of the serial protocol, the second field.
+        banner: Lines shown after a reset.
+        mode_codes: Codes of speed, position and PWM mode in the reply to K.
         memory: RAM of the robot [bytes] (manual and manual II, specification).
-        modes: its running modes.
+        modes: Running modes by number.
     """
 
     bios: str
@@ -90,13 +90,13 @@ class Rom:
     modes: Mapping[int, RunningMode] = field(default_factory=lambda: KHEPERA_1_MODES)
 
     def refused(self, mode: int) -> str:
-        """Why a running mode cannot be had; empty if it can."""
+        """Return the reason why a running mode is unavailable; empty if it is available."""
         had = ", ".join(f"{number:X}" for number, entry in self.modes.items() if not entry.refusal)
         wish = f"a running mode that the twin has ({had})"
         if mode not in self.modes:
-            return f"there is no such mode; right is {wish}"
+            return f"there is no such mode; expected {wish}"
         refusal = self.modes[mode].refusal
-        return f"mode {mode:X} {refusal}; right is {wish}" if refusal else ""
+        return f"mode {mode:X} {refusal}; expected {wish}" if refusal else ""
 
     def mode_at(self, baud: int) -> int | None:
         """Find the running mode that speaks the protocol at this speed [baud]; None if there is none."""
@@ -121,7 +121,7 @@ ROMS: Mapping[str, Rom] = {
         banner=(_AUTHOR, "Rev. 4.06", _PROTOCOL),
         mode_codes=(1, 0, 2),
     ),
-    # Modes and memory: manual II. No source tells its version numbers or its banner: assumed.
+    # Modes and memory: manual II. No source gives its version numbers or its banner: assumed.
     "khepera2": Rom(
         bios="6.01",
         protocol="5.01",

@@ -1,8 +1,8 @@
 """Turrets: boards that are plugged on top of the robot and answer on its T bus.
 
-A turret has electronics, which hear orders and hold registers, and may have a body in the physics, which
-senses into those registers and is driven from them. Each is known to the twin by a `TurretKind` that some
-package offers under the entry point "khep_twin.turrets"; the gripper comes with the twin itself.
+A turret has electronics, which receive orders and hold registers, and may have a body in the physics, which
+writes its sensor readings into those registers and is driven from them. Each is a `TurretKind` that a package
+registers under the entry point "khep_twin.turrets"; the gripper is part of the twin.
 
     [project.entry-points."khep_twin.turrets"]
     gripper = "khep_twin.board.gripper_body:GRIPPER"
@@ -24,58 +24,58 @@ if TYPE_CHECKING:
     import mujoco
 
 GROUP = "khep_twin.turrets"
-"""Entry point under which packages offer their turrets."""
+"""Entry point under which packages register their turrets."""
 
 NUMBERS = range(32)
-"""Of turrets on the T bus: 0 to 23 are K-Team's, 24 to 31 the users' (public host programs)."""
+"""Numbers of turrets on the T bus: 0 to 23 are K-Team's, 24 to 31 the users' (public host programs)."""
 
 
 class Turret(Protocol):
-    """The electronics of a turret: bytes in, bytes out; no clock, file or thread."""
+    """Electronics of a turret: bytes in, bytes out; no clock, file or thread."""
 
     registers: NDArray[np.int64]
-    """Its whole state, shared with its body (n,)."""
+    """Whole state, shared with the body (n,)."""
 
     def receive(self, message: bytes) -> bytes:
-        """The reply line to a message on the T bus; made by `protocol.turret_reply` or `refusal`."""
+        """Return the reply line to a message on the T bus, from `protocol.turret_reply` or `refusal`."""
         ...
 
     def tick(self) -> None:
-        """One control period of 10 ms."""
+        """Run one control period of 10 ms."""
         ...
 
     def reset(self) -> None:
-        """Puts the registers to their reset values."""
+        """Set the registers to their reset values."""
         ...
 
 
 class TurretBody(Protocol):
-    """A turret in the physics."""
+    """Body of a turret in the physics."""
 
     def sense(self) -> None:
-        """Stores in the registers what the turret's converters read now; before each control period."""
+        """Store the readings of the turret's converters in the registers; before each control period."""
         ...
 
     def drive(self) -> None:
-        """Lets the turret's motors follow the registers; after each control period."""
+        """Drive the turret's motors from the registers; after each control period."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class TurretKind:
-    """What a turret is.
+    """One kind of turret.
 
     Attributes:
-        name: in playpen files.
-        number: on the T bus.
-        description: in a few words, for the tool `net`.
-        revision: of its own ROM.
-        make: builds its electronics.
-        scene: its MJCF, placed with its origin on the floor under the robot's centre; None without a body.
-            Its keyframe "home" has what its motors hold at the start.
-        fit: joins the electronics and the compiled scene; given the model, its data, the prefix of the
-            turret's names in it and the registers.
-        reach: radius of the floor around the robot's centre that it covers with the robot at start [m].
+        name: Name in playpen files.
+        number: Number on the T bus.
+        description: A few words for the tool `net`.
+        revision: Revision of its own ROM.
+        make: Factory of its electronics.
+        scene: MJCF file, with its origin on the floor under the robot's centre; None without a body. Its
+            keyframe "home" has the motors' initial targets.
+        fit: Factory of its body from the model, its data, the prefix of the turret's names in it and the
+            registers.
+        reach: Radius of the floor around the robot's centre that it covers at the start [m].
     """
 
     name: str
@@ -90,10 +90,10 @@ class TurretKind:
 
 @cache
 def installed() -> Mapping[str, TurretKind]:
-    """All turrets that installed packages offer, by name.
+    """Return the turrets of all installed packages, by name.
 
     Raises:
-        TurretError: a package offers what is no turret, or a name that another one has.
+        TurretError: A package registers an object that is no turret, or a name that is taken.
     """
     kinds: dict[str, TurretKind] = {}
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
@@ -103,7 +103,7 @@ def installed() -> Mapping[str, TurretKind]:
             raise TurretError(f"turret {entry.name}: {entry.value} cannot be loaded: {error}") from error
         if not isinstance(kind, TurretKind) or kind.name != entry.name or kind.number not in NUMBERS:
             raise TurretError(
-                f"turret {entry.name}: {entry.value} is {kind!r}; right is a TurretKind of this name "
+                f"turret {entry.name}: {entry.value} is {kind!r}; expected a TurretKind of this name "
                 "with a number from 0 to 31"
             )
         if kinds.setdefault(kind.name, kind) is not kind:
@@ -112,10 +112,10 @@ def installed() -> Mapping[str, TurretKind]:
 
 
 def find(names: Sequence[str]) -> tuple[TurretKind, ...]:
-    """The turrets of these names, in their order.
+    """Return the turrets of these names, in their order.
 
     Raises:
-        TurretError: one is unknown, or two have the same number on the bus.
+        TurretError: A name is unknown, or two turrets have the same number on the bus.
     """
     known = installed()
     by_number: dict[int, TurretKind] = {}

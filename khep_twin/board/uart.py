@@ -1,6 +1,6 @@
-"""The serial line in simulated time: when each byte has crossed it, in either direction.
+"""The serial line in simulated time: arrival of each byte, in either direction.
 
-A byte takes eleven bit times. Of a burst that starts at t0, byte k (counted from 1) has arrived at
+A byte takes eleven bit times. Byte k (counted from 1) of a burst that starts at t0 arrives at
 t0 + k * 11 * 10^9 // baud; a burst that finds the line busy starts when the line is free.
 """
 
@@ -12,18 +12,18 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.units import BITS_PER_BYTE
 
 QUEUE_LIMIT = 1024
-"""Bytes that wait on the way to the robot before the line pushes back (assumed; the manual gives none)."""
+"""Bytes queued for the robot before flow control stops the host (assumed; the manual gives none)."""
 
 _BYTE_BITS_NS = BITS_PER_BYTE * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """How a host has set its end of the line, as far as that can be seen.
+    """A host's settings of its end of the line, as far as they are known.
 
     Attributes:
-        baud: bits per second; 0 for a line hung up.
-        stop_bits: 1 or 2.
+        baud: Bits per second; 0 for a disconnected line.
+        stop_bits: Stop bits, 1 or 2.
     """
 
     baud: int
@@ -31,7 +31,7 @@ class LineSettings:
 
 
 class Act(IntEnum):
-    """What a host does to the line, and a hand to the robot and its world."""
+    """Actions of a host on the line, and of a user on the robot and its world."""
 
     SEND = 0
     HANG_UP = 1
@@ -45,14 +45,14 @@ class Act(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class HostAct:
-    """One thing that a host did to its robot's line: with the same ones, a run can be repeated.
+    """One action on a robot's line; the same actions repeat a run.
 
     Attributes:
-        kind: what it was.
-        at_ns: from when on it holds, now or later [ns].
-        host: how the host had set its end of the line, None for as the robot has it.
-        data: what was sent, as it left the host; where the robot was put, as `khep_twin.placing` has it;
-            which lamp was switched, or which lamps there are, as `khep_twin.switching` has it.
+        kind: Kind of action.
+        at_ns: Time of effect, now or later [ns].
+        host: Settings of the host's end of the line; None for the robot's own.
+        data: Bytes as the host sent them; new pose of the robot, encoded by `khep_twin.placing`; switched
+            lamp or new lamps, encoded by `khep_twin.switching`.
     """
 
     kind: Act
@@ -65,8 +65,8 @@ class Line:
     """One direction of the line.
 
     Attributes:
-        baud: bits per second; 0 for a line that takes no time.
-        next_ns: when the oldest byte under way arrives [ns], None when the line is empty.
+        baud: Bits per second; 0 for a line without delay.
+        next_ns: Arrival of the oldest byte under way [ns]; None if the line is empty.
     """
 
     def __init__(self, baud: int) -> None:
@@ -81,11 +81,11 @@ class Line:
 
     @property
     def byte_ns(self) -> int:
-        """Time that one byte takes [ns]."""
+        """Duration of one byte [ns]."""
         return _BYTE_BITS_NS // self.baud if self.baud else 0
 
     def put(self, data: bytes, time_ns: int) -> int:
-        """Sends `data`, at `time_ns` or as soon as the line is free; returns when its last byte arrives."""
+        """Send `data` at `time_ns` or once the line is free; return the arrival of its last byte [ns]."""
         start_ns = max(time_ns, self._free_ns)
         baud = self.baud
         if data:
@@ -97,25 +97,25 @@ class Line:
         return self._free_ns
 
     def arrived(self, time_ns: int) -> int:
-        """How many bytes have arrived by `time_ns`."""
+        """Return the number of bytes that have arrived by `time_ns`."""
         return bisect_right(self._arrivals, time_ns)
 
     def arrival(self, count: int) -> int | None:
-        """When the `count`-th byte under way arrives [ns], None if there are fewer."""
+        """Return the arrival of the `count`-th byte under way [ns], None if there are fewer."""
         return self._arrivals[count - 1] if 0 < count <= len(self._arrivals) else None
 
     def count_to(self, *wanted: int) -> int | None:
-        """How many bytes it is up to and with the first of these under way, None if there is none."""
+        """Return the number of bytes under way up to and including the first of these; None without one."""
         places = [place for byte in wanted if (place := self._bytes.find(byte)) >= 0]
         return min(places) + 1 if places else None
 
     def count_to_end_of(self, text: bytes) -> int | None:
-        """Return how many bytes under way end with the first `text`, None if it is not there."""
+        """Return the number of bytes under way up to the end of the first `text`, None if it is absent."""
         place = self._bytes.find(text) if text else -1
         return place + len(text) if place >= 0 else None
 
     def read(self, time_ns: int, limit: int | None = None) -> bytes:
-        """Takes what has arrived by `time_ns`, at most `limit` bytes."""
+        """Remove and return the bytes that have arrived by `time_ns`, at most `limit`."""
         count = self.arrived(time_ns)
         count = count if limit is None else min(count, limit)
         data = bytes(self._bytes[:count])
@@ -124,7 +124,7 @@ class Line:
         return data
 
     def take_back(self, time_ns: int) -> None:
-        """Drops what has not arrived by `time_ns`; the line is free then."""
+        """Drop the bytes that have not arrived by `time_ns`; the line is free then."""
         count = self.arrived(time_ns)
         del self._bytes[count:], self._arrivals[count:]
         self.next_ns = self._arrivals[0] if self._arrivals else None
@@ -140,8 +140,8 @@ class Uart:
 
     @property
     def room(self) -> int:
-        """Number of bytes that the host may send before the line pushes back.
+        """Number of bytes that the host may send before flow control stops it.
 
-        A host that comes as another leaves may have sent more already, so that there is less than none.
+        A host that connects as another leaves may have sent more already; the number is then 0.
         """
         return max(QUEUE_LIMIT - len(self.rx), 0)

@@ -64,7 +64,7 @@ for command in (
 
 
 def main() -> None:
-    """Runs the command line; a user's mistake ends in one line, not in a trace."""
+    """Run the command line; a usage error ends in one line, not in a traceback."""
     if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
         complete_in_bash(lambda: app(prog_name="khep-twin"))
     code = _run()
@@ -118,7 +118,7 @@ def _show_version(wanted: bool) -> None:
 def common(
     version: Annotated[
         bool,
-        typer.Option("--version", help="Show the version and end.", callback=_show_version, is_eager=True),
+        typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True),
     ] = False,
 ) -> None:
     """A physics-based digital twin of the Khepera miniature robot."""
@@ -135,7 +135,7 @@ def conform(
     report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
     force: Force = False,
 ) -> None:
-    """Checks whether what is at a port speaks the robot's protocol; ends with 1 if it does not."""
+    """Check that the port speaks the robot's protocol; exit with 1 if it does not."""
     from khep_twin.lab.conformance import conformance
 
     if report is not None and (reason := unusable(report)):

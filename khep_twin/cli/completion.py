@@ -1,4 +1,4 @@
-"""What the shell completes, and what a message offers where an argument is missing."""
+"""Completions for the shell, and choices for a message about a missing argument."""
 
 import os
 import sys
@@ -11,7 +11,7 @@ from typing import Any
 from khep_twin.errors import KhepTwinError, choices
 
 Offer = tuple[str, str]
-"""A value and what it is."""
+"""Value and its description."""
 
 _MOST_CHOICES = 20
 """Longest list of choices in a message."""
@@ -72,7 +72,7 @@ def missing(error: Any) -> str:
     """Return the message about a missing argument or option, with its choices.
 
     Args:
-        error: Typer's error, which knows the parameter.
+        error: Typer's error, which has the parameter.
     """
     parameter, context = error.param, error.ctx
     offers = [item.value for item in parameter.shell_complete(context, "")]
@@ -86,7 +86,7 @@ def missing(error: Any) -> str:
 def complete_in_bash(complete: Callable[[], object]) -> None:
     """Print bash's completions of a word with colons, such as khep://default.
 
-    Bash takes each colon for a word of its own: the words come joined here, and what stands before the last
+    Bash splits words at each colon: the words come joined here, and what stands before the last
     colon of the completed one is left out of the answer.
 
     Args:

@@ -16,14 +16,14 @@ def design(
         typer.Argument(help="Playpen file to open; it may still have to be made. By default a new one."),
     ] = None,
     listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0 for any that is free.")
+        str, typer.Option(metavar="HOST:PORT", help="Address to listen at; port 0 for any free one.")
     ] = "127.0.0.1:0",
     expose: Annotated[
-        bool, typer.Option("--expose", help="Let other machines reach it, too: whoever has the address.")
+        bool, typer.Option("--expose", help="Let other machines reach it, too: anyone with the address.")
     ] = False,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only tell the page's address.")] = False,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
 ) -> None:
-    """Opens a page in the browser in which playpens are built and robots are watched, until stopped.
+    """Open a page in the browser to build playpens and watch robots, until stopped.
 
     It reads and writes files below the current folder only. Standard output has one line, the page's address
     with the token that opens it.
@@ -34,12 +34,12 @@ def design(
     name = None
     if file is not None:
         if not file.resolve().is_relative_to(folder.resolve()):
-            raise usage(f"{file}: right is a file below {folder}, or to start in its folder")
+            raise usage(f"{file}: outside the folder; expected a file below {folder}, or to start there")
         name = str(file.resolve().relative_to(folder.resolve()))
     with stopping() as stop:
         server = Server(folder, name, listen, expose=expose, complain=complain)
         if expose:
-            complain("whoever has this address may do all that you may; it is not encrypted")
+            complain("anyone with this address may do all that you may; it is not encrypted")
         how = "open this page in a browser" if no_browser else "the browser opens this page"
         complain(f"the designer runs for the playpens in {folder}; {how}; Ctrl-C ends it")
         typer.echo(server.url)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from khep_twin.lab.experiment.teleoperation import Teleoperation
 
 _LOOK_MS = 50
-"""The screen is drawn this often, and with each key [ms]."""
+"""Interval at which the screen is drawn, besides at each key [ms]."""
 
 _CTRL_C, _ESCAPE = 3, 27
 
@@ -32,9 +32,7 @@ def drive(
     port: Annotated[
         str, typer.Argument(help="Port of a robot or a twin, such as khep://obstacles.", autocompletion=ports)
     ],
-    speed: Annotated[
-        int, typer.Option(min=1, max=40, help="Speed to begin with [pulses/10 ms = 8 mm/s].")
-    ] = 5,
+    speed: Annotated[int, typer.Option(min=1, max=40, help="Initial speed [pulses/10 ms = 8 mm/s].")] = 5,
     baudrate: Annotated[
         int, typer.Option(min=0, help="Speed of the line; 0 tries all that the robots have.")
     ] = 9600,
@@ -43,17 +41,17 @@ def drive(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Drives a robot by the terminal's keys, and shows its sensors.
+    """Drive a robot by the terminal's keys, and show its sensors.
 
     Arrows or WASD drive while they are held, space stops, + - and 1 to 9 choose the speed, L switches the
-    LEDs, q ends. The motors stop when no key has come for a moment, and at the end, whatever ends it.
+    LEDs, q quits. The motors stop when no key has come for a moment, and at the end, whatever ends it.
     """
     from khep_twin.host import Khepera
     from khep_twin.lab.experiment.teleoperation import TIMEOUT, Teleoperation
 
     check_new(force, log)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise KhepTwinError("drive: there is no terminal to drive from; right is to start it in one")
+        raise KhepTwinError("drive: there is no terminal to drive from; expected to be started in one")
     with (
         stopping(awaited=None) as stop,
         Khepera(_with_log(port, log), TIMEOUT, baudrate or "auto") as robot,
@@ -73,7 +71,7 @@ def drive(
 
 
 def _with_log(port: str, log: Path | None) -> str:
-    """The port that records itself."""
+    """Return the port's URL with the log as an option."""
     from urllib.parse import quote
 
     from khep_twin.host.opening import numbered
@@ -83,7 +81,7 @@ def _with_log(port: str, log: Path | None) -> str:
     port = numbered(port)
     if not port.startswith("khep://"):
         raise KhepTwinError(
-            f"--log {log}: is for a twin at khep://; right is serve --log, or serve --through {port} --log"
+            f"--log {log}: is for a twin at khep://; expected serve --log, or serve --through {port} --log"
         )
     return f"{port}{'&' if '?' in port else '?'}log={quote(str(log))}"
 
@@ -92,14 +90,14 @@ def _with_log(port: str, log: Path | None) -> str:
 def _running(
     operation: "Teleoperation", stop: Callable[[], bool]
 ) -> Generator[tuple[Callable[[], bool], list[BaseException]], None, None]:
-    """Drives in a thread of its own; yields whether it has ended, and what it has failed with."""
+    """Drive in a thread of its own; yield whether it has ended, and the errors it has failed with."""
     quits = threading.Event()
     failures: list[BaseException] = []
 
     def run() -> None:
         try:
             operation.run(lambda: quits.is_set() or stop())
-        except BaseException as error:  # told by whoever waits for the thread
+        except BaseException as error:  # raised by the thread that waits for this one
             failures.append(error)
 
     thread = threading.Thread(target=run, name="robot")
@@ -112,10 +110,10 @@ def _running(
 
 
 def _on_screen(show: Callable[["curses.window"], None]) -> None:
-    """Gives the terminal's screen away, and has it as it was afterwards."""
+    """Lend the terminal's screen to a function, and restore it afterwards."""
     import curses
 
-    # Suspended, nobody would hold the dead-man's switch; so Ctrl-Z is a key without meaning.
+    # Suspended, the dead-man's switch would not be held; so Ctrl-Z is a key without effect.
     before = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
     os.environ.setdefault("ESCDELAY", "25")
     forget = clear_at_end(curses.endwin)
@@ -125,7 +123,7 @@ def _on_screen(show: Callable[["curses.window"], None]) -> None:
     except curses.error as error:
         kind = os.environ.get("TERM", "")
         raise KhepTwinError(
-            f"TERM={kind}: this terminal cannot be drawn on ({error}); right is TERM=xterm"
+            f"TERM={kind}: this terminal cannot be drawn on ({error}); expected TERM=xterm"
         ) from None
     finally:
         forget()
@@ -133,7 +131,7 @@ def _on_screen(show: Callable[["curses.window"], None]) -> None:
 
 
 def _show(window: "curses.window", operation: "Teleoperation", name: str, ended: Callable[[], bool]) -> None:
-    """Passes keys on and draws what comes of them, until q or the end of the drive."""
+    """Pass keys on and draw the result, until q or the end of the drive."""
     import curses
 
     from khep_twin.lab.experiment.drive_screen import draw
@@ -164,7 +162,7 @@ def _show(window: "curses.window", operation: "Teleoperation", name: str, ended:
 
 
 def _arrow(window: "curses.window") -> int:
-    """The arrow key of a terminal that sends it otherwise than TERM says; 0 for anything else."""
+    """Return the arrow key of a terminal that sends it otherwise than TERM says; 0 for anything else."""
     import curses
 
     arrows = {"A": curses.KEY_UP, "B": curses.KEY_DOWN, "C": curses.KEY_RIGHT, "D": curses.KEY_LEFT}
@@ -175,7 +173,7 @@ def _arrow(window: "curses.window") -> int:
 
 
 def _press(operation: "Teleoperation", key: int) -> None:
-    """What a key does."""
+    """Apply a key."""
     import curses
 
     from khep_twin.lab.experiment.teleoperation import Way

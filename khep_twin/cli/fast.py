@@ -1,4 +1,4 @@
-"""`khep-twin run --fast`: a life without a serial line."""
+"""`khep-twin run --fast`: an episode without a serial line."""
 
 import math
 import warnings
@@ -41,7 +41,7 @@ KNOWN = {
 
 
 def check_fast(given: set[str], fast: bool) -> None:
-    """Refuses options that do not go together."""
+    """Refuse options that do not go together."""
     if fast and (strange := given - KNOWN):
         option = min(strange).replace("_", "-")
         raise usage(f"--{option} does not go with --fast, which has no serial line and no log")
@@ -61,18 +61,18 @@ def run_fast(
     planar: bool,
     picture: Path | None,
 ) -> None:
-    """Lives through one life and tells how it went.
+    """Run one episode and print its result.
 
     Args:
-        controller: as typed.
-        playpen: with one robot.
-        options: of the robot.
-        seconds: how long [s].
-        cycles: or so many control periods.
-        period: of the controller [ms].
-        step: of the physics [ms]; None for 2.5 ms, and 10 ms in a plane.
-        planar: whether it goes on in a plane instead of MuJoCo.
-        picture: where its way is drawn, if anywhere.
+        controller: Controller as typed.
+        playpen: Playpen with one robot.
+        options: Options of the robot.
+        seconds: Duration [s].
+        cycles: Duration in control periods, instead.
+        period: Period of the controller [ms].
+        step: Step of the physics [ms]; None for 2.5 ms, and 10 ms in a plane.
+        planar: Simulate in a plane instead of MuJoCo.
+        picture: File to draw the path in, if any.
     """
     import numpy as np
 
@@ -103,7 +103,7 @@ def run_fast(
     life = Life(ground, Wander() if function is None else Hold(), compiled=compiled)
     life.begin(options.seed, noise=options.noise, spread=options.spread)
     way = [life.pose]
-    # Where nobody looks in between, many periods pass at once, with the same answers.
+    # Where the path is not needed in between, many periods pass at once, with the same results.
     at_once = 1 if function is not None or picture is not None else max(SPAN_NS // ground.period_ns, 1)
     with progress_bar() as show:
         for done in range(0, periods, at_once):
@@ -116,7 +116,7 @@ def run_fast(
                 show((done + now) / periods)
     typer.echo(f"{periods} cycles in {life.time_ns / 1e9:.1f} s")
     for name, value in life.numbers().items():
-        if not math.isnan(value):  # homing is no number without a home
+        if not math.isnan(value):  # homing is undefined without a home
             typer.echo(f"{name.replace('_', ' '):20}{value:.4g}")
     if target is not None:
         from khep_twin.drawing.map import Track, draw, save
@@ -127,7 +127,7 @@ def run_fast(
 
 
 def _speeds(function: Callable[..., Any], life: "Life") -> tuple[float, float]:
-    """What a user's function makes of a life's readings: left and right speed [pulses/10 ms]."""
+    """Return the left and right speed that a user's function makes of the readings [pulses/10 ms]."""
     from khep_twin.errors import ControllerError
     from khep_twin.lab.experiment.experiment import call, name_of
 
@@ -137,6 +137,6 @@ def _speeds(function: Callable[..., Any], life: "Life") -> tuple[float, float]:
         return float(left), float(right)
     except (TypeError, ValueError):
         raise ControllerError(
-            f"{name_of(function)}: returned {speeds!r}; right are two speeds in pulses per 10 ms, such as "
+            f"{name_of(function)}: returned {speeds!r}; expected two speeds in pulses per 10 ms, such as "
             "(10, 10)"
         ) from None

@@ -16,7 +16,7 @@ def fit(
         list[str],
         typer.Argument(
             metavar="FILE=MEASURED...",
-            help="Recorded tests, each with what a person has measured: straight.mcap=998mm, "
+            help="Recorded tests, each with the measured value: straight.mcap=998mm, "
             "spin.mcap=5turns (counter-clockwise), steps.mcap=duty (steps of command P), and tests of "
             "`khep-twin sense` that began with an object straight ahead: run.csv=wall@22mm, "
             "run.csv=cylinder:27mm@15mm (its radius), run.csv=lamp:2W@150mm or, so high, lamp:2W:60mm@150mm.",
@@ -24,7 +24,7 @@ def fit(
     ],
     check: Annotated[
         list[str] | None,
-        typer.Option(help="A test like these that is not used, but told how well it is met."),
+        typer.Option(help="Test like these that is not fitted; print how well the fit meets it."),
     ] = None,
     start: Annotated[
         str, typer.Option(help="Calibration that the rest is taken from.", autocompletion=calibrations)
@@ -35,7 +35,7 @@ def fit(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Finds one robot's wheels, motors and sensors from recorded tests and a ruler."""
+    """Fit one robot's wheels, motors and sensors to recorded tests and ruler measurements."""
     from khep_twin.drawing import map as drawing
     from khep_twin.files.toml_files import dump
     from khep_twin.lab.fit.fit_figure import draw_fit
@@ -47,19 +47,19 @@ def fit(
         if reason := unusable(path):
             raise FitError(f"{path}: cannot be written: {reason}")
     if output is not None and picture is not None and is_same(output, picture):
-        raise FitError(f"{picture}: this is the calibration; right is a file of its own for the picture")
+        raise FitError(f"{picture}: this is the calibration; expected a file of its own for the picture")
     recorded = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
     for path in filter(None, (output, picture)):
         if any(is_same(path, each) for each in recorded):
-            raise FitError(f"{path}: this is a recorded test; right is a file of its own")
+            raise FitError(f"{path}: this is a recorded test; expected a file of its own")
     if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise FitError(f"{picture}: right is a name that ends in .png, .svg or .pdf")
+        raise FitError(f"{picture}: expected a name that ends in .png, .svg or .pdf")
     check_apart([start], output, picture)
     check_new(force, output)
     data, unused = measured(tests), measured(check or [])
     if picture is not None and not (data.objects or data.lamps or data.motors):
         raise FitError(
-            f"{picture}: measured drives give no picture; right is with a sensor test or steps of duty"
+            f"{picture}: measured drives give no picture; expected a sensor test or steps of duty, too"
         )
     found = fit_robot(data, calibration.read(start)[0])
     for line in found.lines:

@@ -13,7 +13,7 @@ from khep_twin.clock import NS_PER_S
 def recover(
     log: Annotated[Path, typer.Argument(help="An interrupted log, NAME.mcap.part, or a damaged one.")],
 ) -> None:
-    """Rescues an interrupted log; ends with 0 if all of it was saved, 3 if a part, 1 if nothing."""
+    """Recover an interrupted log; exit with 0 if all of it was saved, 3 if a part, 1 if nothing."""
     from khep_twin.log.recover import recover as rescue
     from khep_twin.log.recover import summary
 
@@ -35,7 +35,7 @@ def repeat(
         ),
     ] = None,
 ) -> None:
-    """Runs a log's run again and compares; ends with 0 if it is the same, 3 if not, 1 if it cannot be."""
+    """Repeat a log's run and compare; exit with 0 if it is the same, 3 if not, 1 if it cannot be."""
     from khep_twin.lab.experiment.repeat import check, elsewhere, read_recorded
     from khep_twin.lab.experiment.repeat import repeat as run_again
 

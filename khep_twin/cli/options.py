@@ -1,4 +1,4 @@
-"""What several commands have in common: their options, and what they tell the user."""
+"""Options and messages that several commands share."""
 
 from collections.abc import Iterable
 from enum import StrEnum
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
 
 
 class Switch(StrEnum):
-    """On or off, as in the options of khep://."""
+    """Switch, on or off, as in the options of khep://."""
 
     ON = "on"
     OFF = "off"
 
 
 class Commands(TyperGroup):
-    """Commands by name; one that is not there gets the choices."""
+    """Commands by name; the error about an unknown one lists the choices."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Finds a command by the first of the arguments."""
+        """Find a command by the first of the arguments."""
         if args[0] not in self.commands:
             raise usage(f"{args[0]}: no such command; {choices(args[0], self.commands)}")
         return super().resolve_command(ctx, args)
 
 
-Seed = Annotated[int, typer.Option(help="Seed of every chance in the run.")]
-Noise = Annotated[Switch, typer.Option(help="Noisy sensors, as on the robot.")]
-Spread = Annotated[Switch, typer.Option(help="Sensors of another robot of the same make, by the seed.")]
-RobotIndex = Annotated[int, typer.Option(help="Which of the playpen's robots, counted from 0.")]
+Seed = Annotated[int, typer.Option(help="Seed of every random stream of the run.")]
+Noise = Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")]
+Spread = Annotated[Switch, typer.Option(help="Draw sensors of another robot of the same make, by the seed.")]
+RobotIndex = Annotated[int, typer.Option(help="Number of the robot in the playpen, counted from 0.")]
 Mode = Annotated[
     str | None,
     typer.Option(
@@ -63,7 +63,7 @@ Faults = Annotated[
     list[str] | None,
     typer.Option(
         "--fault",
-        help="Let this go wrong, as often as wanted: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SIDE or "
+        help="Inject this fault, as often as wanted: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SIDE or "
         "brown-out, with @SECONDS to begin later.",
     ),
 ]
@@ -72,7 +72,7 @@ CarryOn = Annotated[
     bool,
     typer.Option(
         "--carry-on",
-        help="Go on without the log if it cannot be written any more, as on a full disk; ends with 3 then.",
+        help="Go on without the log if it cannot be written any more, as on a full disk; exit with 3 then.",
     ),
 ]
 Force = Annotated[
@@ -102,7 +102,7 @@ OF_A_TWIN = {
 
 
 def given(context: typer.Context) -> set[str]:
-    """The options that the user has typed."""
+    """Return the names of the options that the user has typed."""
     sources = {name: context.get_parameter_source(name) for name in context.params}
     return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
 
@@ -125,13 +125,13 @@ def check_apart(read: Iterable[str | Path], *written: Path | None) -> None:
 
 
 def check_carry_on(carry_on: bool, log: Path | None) -> None:
-    """Refuses --carry-on where there is no log."""
+    """Refuse --carry-on where there is no log."""
     if carry_on and log is None:
-        raise usage("--carry-on is about a log that fails; right is to give --log FILE.mcap too")
+        raise usage("--carry-on is about a log that fails; expected --log FILE.mcap, too")
 
 
 def check_log(recorder: "Recorder | LineRecorder | None", carry_on: bool) -> None:
-    """Ends a run whose log has failed with an exit code that says so."""
+    """End a run whose log has failed with the exit code for that."""
     if recorder is None or recorder.failure is None:
         return
     if carry_on:
@@ -140,14 +140,14 @@ def check_log(recorder: "Recorder | LineRecorder | None", carry_on: bool) -> Non
 
 
 def running_mode(digit: str | None) -> int | None:
-    """A running mode as its jumpers have it, one hexadecimal digit."""
+    """Return a running mode from its jumpers, one hexadecimal digit."""
     if digit is not None and (len(digit) != 1 or digit.upper() not in "0123456789ABCDEF"):
-        raise usage(f"--mode {digit}: right is one digit, 0 to F")
+        raise usage(f"--mode {digit}: expected one digit, 0 to F")
     return None if digit is None else int(digit, 16)
 
 
 def check_body(rom: str | None, robots: Iterable["Robot"]) -> None:
-    """Says that the firmware of a Khepera II does not make one of a Khepera 1."""
+    """Print a note that the firmware of a Khepera II does not make one of a Khepera 1."""
     if rom == "khepera2" and any(robot.model == "khepera1" for robot in robots):
         complain(
             "--rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
@@ -156,18 +156,18 @@ def check_body(rom: str | None, robots: Iterable["Robot"]) -> None:
 
 
 def tell_kept(recorder: "Recorder | LineRecorder | None") -> None:
-    """Says that an unfinished log of an earlier run was found and where it is now."""
+    """Print where an unfinished log of an earlier run that was found is now."""
     if recorder is not None and recorder.kept is not None:
         remedy = command("recover", recorder.kept)
         complain(f"an unfinished log of an earlier run is kept as {recorder.kept}; rescue it: {remedy}")
 
 
 def complain(text: str) -> None:
-    """One line on standard error."""
+    """Print one line on standard error."""
     typer.echo(f"khep-twin: {text}", err=True)
 
 
 def usage(text: str) -> typer.Exit:
-    """One line about wrong usage, and the exit that goes with it."""
+    """Print one line about wrong usage, and return the exit that goes with it."""
     typer.echo(f"khep-twin: {text}", err=True)
     return typer.Exit(2)

@@ -28,7 +28,7 @@ playpen_app = typer.Typer(
     rich_markup_mode=None,
 )
 
-SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put to their spots.")]
+SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put on their spots.")]
 PlaypenName = Annotated[
     str,
     typer.Argument(
@@ -40,7 +40,7 @@ Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to wri
 
 @playpen_app.command("list")
 def list_playpens() -> None:
-    """Lists the shipped playpens, a line each."""
+    """List the shipped playpens, a line each."""
     from khep_twin import playpen as playpens
 
     names = playpens.names()
@@ -50,7 +50,7 @@ def list_playpens() -> None:
 
 @playpen_app.command()
 def check(playpen: PlaypenName) -> None:
-    """Checks a playpen; one line per problem."""
+    """Check a playpen; print one line per problem."""
     from khep_twin import playpen as playpens
     from khep_twin.sensing import calibration
 
@@ -79,7 +79,7 @@ def check(playpen: PlaypenName) -> None:
 def compile_playpen(
     playpen: PlaypenName, output: Output = None, seed: SpotSeed = 0, force: Force = False
 ) -> None:
-    """Writes a playpen as MJCF, which opens in MuJoCo without khep_twin; to standard output by default."""
+    """Write a playpen as MJCF, which opens in MuJoCo without khep_twin; to standard output by default."""
     from khep_twin import playpen as playpens
     from khep_twin.playpen_to_mjcf import to_mjcf
 
@@ -97,13 +97,13 @@ def compile_playpen(
 def draw(
     playpen: PlaypenName,
     output: Output = None,
-    log: Annotated[Path | None, typer.Option(help="Log of a run in it, whose ways are drawn, too.")] = None,
+    log: Annotated[Path | None, typer.Option(help="Log of a run in it; its paths are drawn, too.")] = None,
     perspective: Annotated[
-        bool, typer.Option("--perspective", help="As a camera above it would see it; needs OpenGL.")
+        bool, typer.Option("--perspective", help="Draw the view of a camera above it; needs OpenGL.")
     ] = False,
     seed: SpotSeed = 0,
 ) -> None:
-    """Draws a playpen to scale, as PNG, SVG or PDF; to NAME.png by default."""
+    """Draw a playpen to scale, as PNG, SVG or PDF; to NAME.png by default."""
     from khep_twin import playpen as playpens
     from khep_twin.drawing import map as drawing
 
@@ -114,7 +114,7 @@ def draw(
         from khep_twin.drawing.render import render
 
         if log is not None:
-            raise KhepTwinError("--log draws on a map; right is without --perspective")
+            raise KhepTwinError("--log draws on a map; expected no --perspective")
         write_whole(target, render(_placed(found, seed), target))
     else:
         drawing.save(drawing.draw(found, _ways(log) if log is not None else ()), target)
@@ -123,7 +123,7 @@ def draw(
 
 @playpen_app.command()
 def schema(output: Output = None, force: Force = False) -> None:
-    """Writes the format as JSON schema, for editors; to standard output by default."""
+    """Write the format as JSON schema, for editors; to standard output by default."""
     import json
 
     from khep_twin import playpen as playpens
@@ -141,12 +141,12 @@ def schema(output: Output = None, force: Force = False) -> None:
 def scatter(
     density: Annotated[float, typer.Option(help="Part of the floor that obstacles cover, 0 to 0.1.")] = 0.06,
     seed: Annotated[int, typer.Option(help="Seed of the field.")] = 0,
-    width_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Of the arena.")] = 1000,
-    height_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Of the arena.")] = 1000,
+    width_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Width of the arena.")] = 1000,
+    height_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Height of the arena.")] = 1000,
     output: Output = None,
     force: Force = False,
 ) -> None:
-    """Draws a field of obstacles by chance as a playpen file; to standard output by default."""
+    """Write a random field of obstacles as a playpen file; to standard output by default."""
     from khep_twin import playpen as playpens
     from khep_twin.playpen.random_obstacles import obstacle_field
     from khep_twin.randomness import stream
@@ -166,7 +166,7 @@ def scatter(
 
 
 def _placed(playpen: "Playpen", seed: int) -> "Playpen":
-    """A playpen with its robots where a run with this seed puts them."""
+    """Return a playpen with its robots where a run with this seed puts them."""
     from khep_twin.playpen import placed
     from khep_twin.randomness import stream
 
@@ -177,7 +177,7 @@ def _placed(playpen: "Playpen", seed: int) -> "Playpen":
 
 
 def _ways(log: Path) -> "list[Track]":
-    """Where the robots of a log went."""
+    """Return the paths of the robots in a log."""
     from khep_twin.drawing.map import Track
     from khep_twin.log.reader import read
 
@@ -191,7 +191,7 @@ def _ways(log: Path) -> "list[Track]":
 @playpen_app.command("import")
 def import_bitmap(
     file: Annotated[
-        Path, typer.Argument(help="A scanned playpen of the Khepera Toolbox (MAT), or a picture (PNG).")
+        Path, typer.Argument(help="Scanned playpen of the Khepera Toolbox (MAT), or picture (PNG).")
     ],
     output: Output = None,
     mm_per_pixel: Annotated[float, typer.Option(metavar="MM", help="Side of a pixel [mm].")] = 1.0,
@@ -205,7 +205,7 @@ def import_bitmap(
     ] = None,
     variable: Annotated[
         str | None,
-        typer.Option(help="Which matrix of a MAT file; btmap1, or else the only one, by default."),
+        typer.Option(help="Matrix of a MAT file to use; btmap1, or else the only one, by default."),
     ] = None,
     solid: Annotated[
         int | None, typer.Option(help="Value of what is solid in a MAT file; 44 by default.")
@@ -218,13 +218,13 @@ def import_bitmap(
         str | None,
         typer.Option(
             metavar="X,Y,HEADING",
-            help='Where a robot stands [mm, mm, deg], or "none"; by default in the free place nearest to the '
+            help='Pose of a robot [mm, mm, deg], or "none"; by default the free position nearest to the '
             "middle.",
         ),
     ] = None,
     force: Force = False,
 ) -> None:
-    """Makes a playpen from a scanned or painted bitmap; writes NAME.toml by default."""
+    """Make a playpen from a scanned or painted bitmap; write NAME.toml by default."""
     from khep_twin import playpen as playpens
     from khep_twin.errors import BitmapError
     from khep_twin.files import toml_files
@@ -257,7 +257,7 @@ def import_bitmap(
 
 
 def _summary(found: "Bitmap", made: "Imported", upside_down: bool, mm_per_pixel: float) -> Iterator[str]:
-    """What was found in a bitmap, and what was made of it."""
+    """Yield the lines about what was found in a bitmap, and what was made of it."""
     rows, columns = found.solid.shape
     borders, arena = made.borders, made.playpen.arena
     yield (
@@ -276,18 +276,18 @@ def _summary(found: "Bitmap", made: "Imported", upside_down: bool, mm_per_pixel:
 
 
 def _robot(playpen: "Playpen", wanted: bool) -> str:
-    """Where the robot stands, in words."""
+    """Return the robot's pose in words."""
     for robot in playpen.robots:
         return f"at ({robot.x_mm:g}, {robot.y_mm:g}), heading {robot.heading_deg:g} degrees"
-    return "none: no place is free" if wanted else "none"
+    return "none: no position is free" if wanted else "none"
 
 
 def _pose(text: str) -> tuple[float, float, float]:
-    """X,Y,HEADING as numbers."""
+    """Return the numbers of X,Y,HEADING."""
     from khep_twin.errors import BitmapError
 
     try:
         x_mm, y_mm, heading_deg = (float(part) for part in text.split(","))
     except ValueError:
-        raise BitmapError(f'--robot {text}: right is X,Y,HEADING, such as 300,250,90, or "none"') from None
+        raise BitmapError(f'--robot {text}: expected X,Y,HEADING, such as 300,250,90, or "none"') from None
     return x_mm, y_mm, heading_deg

@@ -1,4 +1,4 @@
-"""`khep-twin ports`: where robots and twins are."""
+"""`khep-twin ports`: ports of robots and twins."""
 
 from typing import Annotated
 
@@ -12,11 +12,11 @@ def ports(
     ask: Annotated[
         bool,
         typer.Option(
-            "--ask", help="Ask at each port who is there, at every speed; ports in use are left alone."
+            "--ask", help="Ask at each port for a robot, at every speed; ports in use are left alone."
         ),
     ] = False,
 ) -> None:
-    """Lists the ports at which a robot or a twin may be: what is served on this machine, and serial ports."""
+    """List the ports at which a robot or a twin may be: what is served on this machine, and serial ports."""
     from khep_twin.host.discovery import found_ports
 
     found = found_ports()
@@ -37,6 +37,6 @@ def _answer(url: str) -> str:
     except PortError as error:
         return f": {error}"
     if answer is None:
-        return ": nobody answers"
+        return ": no answer"
     speed, versions = answer
     return f": BIOS {versions.bios}, protocol {versions.protocol} at {speed} baud"

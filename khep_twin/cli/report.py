@@ -1,4 +1,4 @@
-"""The command line's part for what is made of a log: `khep-twin export` and `khep-twin report`."""
+"""The command line's part for exports of a log: `khep-twin export` and `khep-twin report`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,26 +21,26 @@ def export(
     ] = None,
     channels: Annotated[
         str | None,
-        typer.Option(help="Only these, such as proximity,speed; without, all but registers."),
+        typer.Option(help="Write only these, such as proximity,speed; without, all but registers."),
     ] = None,
     robot: Annotated[
         str | None, typer.Option(help="Name of the robot, such as khepera1; without, the first.")
     ] = None,
     transcript: Annotated[
-        Path | None, typer.Option(help="Write what was said on the serial line as this CSV file.")
+        Path | None, typer.Option(help="Write the transcript of the serial line as this CSV file.")
     ] = None,
     force: Force = False,
 ) -> None:
-    """Writes what a log holds of a robot as tables for other programs."""
+    """Write the data of a robot in a log as tables for other programs."""
     from khep_twin.lab.report import export as tables
     from khep_twin.log.reader import read_heads
 
     if output is None and transcript is None:
-        raise LogError("nothing to write; right is -o FILE.csv, .parquet or .mat, or --transcript FILE.csv")
+        raise LogError("nothing to write; expected -o FILE.csv, .parquet or .mat, or --transcript FILE.csv")
     _check_outputs(log, *filter(None, (output, transcript)))
     kind = "" if output is None else tables.checked_suffix(output)
     if transcript is not None and transcript.suffix.lower() != ".csv":
-        raise LogError(f"--transcript {transcript}: right is a name that ends in .csv")
+        raise LogError(f"--transcript {transcript}: expected a name that ends in .csv")
     check_new(force, output, transcript)
     wanted = None if channels is None else [name.strip() for name in channels.split(",")]
     recording = read_heads(log)
@@ -48,7 +48,7 @@ def export(
     found = tables.chosen_channels(recording, name, wanted)
     if output is not None:
         if kind != ".mat" and not found:
-            raise LogError(f"{log}: {name} has no samples; right is --transcript, or -o FILE.mat")
+            raise LogError(f"{log}: {name} has no samples; expected --transcript, or -o FILE.mat")
         with whole_file(output) as file, progress_bar() as progress:
             if kind == ".mat":
                 data, n_rows = tables.matrices(log, name, found, progress)
@@ -67,10 +67,10 @@ def report(
     log: LogFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="Page to write: .html or .pdf.")],
 ) -> None:
-    """Writes a page about a run: its path, sensors, wheels, and its numbers."""
+    """Write a page about a run: its path, sensors, wheels, and its metrics."""
     kind = output.suffix.lower()
     if kind not in (".html", ".pdf"):
-        raise LogError(f"{output}: right is a name that ends in .html or .pdf")
+        raise LogError(f"{output}: expected a name that ends in .html or .pdf")
     _check_outputs(log, output)
     from khep_twin.lab.report.report import report as report_on
     from khep_twin.log.reader import read_series
@@ -89,11 +89,11 @@ def report(
 
 
 def _check_outputs(log: Path, *outputs: Path) -> None:
-    """Refuses files that could not be written at the end, and the log itself."""
+    """Refuse files that could not be written at the end, and the log itself."""
     for path in outputs:
         if reason := unusable(path):
             raise LogError(f"{path}: cannot be written: {reason}")
         if is_same(path, log):
-            raise LogError(f"{path}: this is the log; right is a file of its own")
+            raise LogError(f"{path}: this is the log; expected a file of its own")
     if len({path.resolve() for path in outputs}) < len(outputs):
-        raise LogError(f"{outputs[0]}: named twice; right is a file of its own for each")
+        raise LogError(f"{outputs[0]}: named twice; expected a file of its own for each")

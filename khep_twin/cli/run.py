@@ -71,10 +71,10 @@ def run(
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="End after this time [s]; 60 by default.")] = None,
     cycles: Annotated[int | None, typer.Option(help="End after so many cycles.")] = None,
-    runs: Annotated[int, typer.Option(min=1, max=100_000, help="So many runs, each of that length.")] = 1,
-    pause: Annotated[float, typer.Option(min=0, help="Between two runs [s].")] = 0.0,
+    runs: Annotated[int, typer.Option(min=1, max=100_000, help="Number of runs, each of that length.")] = 1,
+    pause: Annotated[float, typer.Option(min=0, help="Pause between two runs [s].")] = 0.0,
     confirm: Annotated[
-        bool, typer.Option("--confirm", help="Before each run wait for Enter, to put the robot right.")
+        bool, typer.Option("--confirm", help="Wait for Enter before each run, to put the robot right.")
     ] = False,
     start: Annotated[
         list[str] | None,
@@ -87,10 +87,10 @@ def run(
         str | None, typer.Option(help="Lamps: all, random, sequenced or off; without, as in the playpen.")
     ] = None,
     without_lamp: Annotated[
-        list[str] | None, typer.Option(metavar="X,Y", help="Take away the lamp nearest to there [mm].")
+        list[str] | None, typer.Option(metavar="X,Y", help="Remove the lamp nearest to this position [mm].")
     ] = None,
     save: Annotated[
-        Path | None, typer.Option(help="Keep each run's numbers and variables in this folder.")
+        Path | None, typer.Option(help="Keep each run's metrics and variables in this folder.")
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with the series that --save has begun.")
@@ -115,7 +115,7 @@ def run(
         bool,
         typer.Option(
             "--fast",
-            help="Without a serial line, compiled where numba is installed: CONTROLLER is braitenberg or a "
+            help="Run without a serial line, compiled if numba is installed: CONTROLLER is braitenberg or a "
             "function of proximity and ambient light that returns both speeds.",
         ),
     ] = False,
@@ -129,7 +129,7 @@ def run(
     ] = None,
     planar: Annotated[
         bool,
-        typer.Option("--planar", help="With --fast: in a plane instead of MuJoCo, for screening."),
+        typer.Option("--planar", help="With --fast: simulate in a plane instead of MuJoCo, for screening."),
     ] = False,
     picture: Annotated[
         Path | None,
@@ -138,7 +138,7 @@ def run(
         ),
     ] = None,
 ) -> None:
-    """Runs a controller on a twin or a robot, once or in a series."""
+    """Run a controller on a twin or a robot, once or in a series."""
     from khep_twin.host import Khepera
     from khep_twin.host.opening import PORT_IDS
     from khep_twin.lab.experiment.controller_source import source_of
@@ -185,7 +185,7 @@ def run(
             picture=picture,
         )
         return
-    # What was typed is seen from here, wherever a controller goes; during the runs it is where it went.
+    # Typed paths are relative to here, wherever a controller goes; during the runs it is where it went.
     with chdir("."):
         found = find_controller(controller, as_toolbox_form)
         gone_to = Path.cwd()
@@ -202,7 +202,7 @@ def run(
     logs.check_new(runs if start else None, force or resume)
     done: list[Run] = []
     with ExitStack() as stack:
-        # The robot is left, and its log completed, before what remains is cleared up.
+        # The robot is released, and its log completed, before what remains is cleared up.
         stack.enter_context(answered())
         if port is not None:
             bench: Bench = OneRobot(stack.enter_context(Khepera(port)))
@@ -261,7 +261,7 @@ def _twins(
     runs: int,
     begin: "Callable[[Twin, int | None], None]",
 ) -> "tuple[Bench, dict[str, Any]]":
-    """Twins in this process, and what makes them what they are: one for all runs, or with starts new ones."""
+    """Return twins in this process, and their facts: one for all runs, or with starts new ones."""
     from khep_twin.host import Khepera
     from khep_twin.lab.experiment.series import NewTwins, OneRobot
     from khep_twin.lab.experiment.start_poses import starts
@@ -297,7 +297,7 @@ def _beginning(stack: ExitStack, logs: RunLogs, viewer: bool) -> "Callable[[Twin
 
 
 def _scene(playpen: "str | Playpen", lighting: str | None, without_lamp: Sequence[str]) -> "Playpen":
-    """The playpen with the lamps that are wanted."""
+    """Return the playpen with the lamps that are wanted."""
     from khep_twin.lab.experiment.start_poses import lit, numbers, without_nearest_lamp
     from khep_twin.playpen import load
 
@@ -305,21 +305,21 @@ def _scene(playpen: "str | Playpen", lighting: str | None, without_lamp: Sequenc
     for wish in without_lamp:
         place = numbers(wish, 2)
         if place is None:
-            raise usage(f"--without-lamp {wish}: right is X,Y in mm, such as 50,450")
+            raise usage(f"--without-lamp {wish}: expected X,Y in mm, such as 50,450")
         scene = without_nearest_lamp(scene, *place)
     return scene
 
 
 def _check_save(save: Path | None, resume: bool, log: Path | None) -> None:
-    """Refuses a folder that could not be used."""
+    """Refuse a folder that could not be used."""
     if resume and save is None:
-        raise usage("--resume goes on with a series that was saved; right is to give --save FOLDER too")
+        raise usage("--resume goes on with a series that was saved; expected --save FOLDER, too")
     if log is not None and save is not None and log.resolve() == save.resolve():
-        raise usage(f"--save {save}: this is the log; right is a folder of its own")
+        raise usage(f"--save {save}: this is the log; expected a folder of its own")
 
 
 def _confirm(number: int, stop: Callable[[], bool]) -> None:
-    """Waits for a person to press Enter, or for the end of the series."""
+    """Wait for the user to press Enter, or for the end of the series."""
     typer.echo(f"run {number}: put the robot right, then press Enter ", nl=False, err=True)
     entered = b""
     while not entered.endswith(b"\n"):
@@ -330,6 +330,6 @@ def _confirm(number: int, stop: Callable[[], bool]) -> None:
             # Byte by byte, as what is buffered would be waited for again.
             entered = os.read(sys.stdin.fileno(), 1)
             if not entered:
-                raise ControllerError(f"--confirm: the input ended before run {number}; right is a terminal")
+                raise ControllerError(f"--confirm: the input ended before run {number}; expected a terminal")
     # A terminal has shown the Enter itself.
     typer.echo("\r" if sys.stdin.isatty() else "\n", nl=False, err=True)

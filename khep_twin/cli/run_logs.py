@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 
 class RunLogs:
-    """What is recorded of a run, or of a series.
+    """Logs of a run, or of a series.
 
     Args:
-        path: of the log; None for none.
-        picture: drawn from it at the end; None for none.
-        carry_on: whether runs go on without a log that cannot be written.
-        source: of the controller.
+        path: Path of the log; None for none.
+        picture: Picture that is drawn from it at the end; None for none.
+        carry_on: Continue runs without a log that cannot be written.
+        source: Source of the controller.
     """
 
     def __init__(self, path: Path | None, picture: Path | None, carry_on: bool, source: "Source") -> None:
@@ -31,7 +31,7 @@ class RunLogs:
         self._recorders: list[Recorder] = []
 
     def record(self, twin: "Twin", number: int | None = None) -> None:
-        """Starts the log of a twin; with a number its own one, NAME-001.mcap."""
+        """Start the log of a twin; with a number its own one, NAME-001.mcap."""
         from khep_twin.lab.experiment.series import numbered
 
         if self._path is None:
@@ -54,11 +54,11 @@ class RunLogs:
             check_new(force, *paths)
 
     def failed(self) -> bool:
-        """Whether a log has failed that runs cannot go on without."""
+        """Return True if a log has failed that runs cannot go on without."""
         return not self._carry_on and any(each.failure is not None for each in self._recorders)
 
     def finish(self) -> None:
-        """Says where the logs are and draws them; ends the command if one has failed."""
+        """Print where the logs are and draw them; end the command if one has failed."""
         for recorder in self._recorders:
             check_log(recorder, self._carry_on)
         typed = self._path is not None and self._path.is_absolute()
@@ -73,7 +73,7 @@ class RunLogs:
 
 
 def draw_logs(logs: Sequence[Path], picture: Path) -> None:
-    """Draws the playpen and the driven paths of logs."""
+    """Draw the playpen and the driven paths of logs."""
     from khep_twin.drawing import map as drawing
     from khep_twin.log.attached import playpen_of
     from khep_twin.log.reader import read
@@ -89,14 +89,14 @@ def draw_logs(logs: Sequence[Path], picture: Path) -> None:
 
 
 def check_picture(picture: Path | None, log: Path | None, fast: bool) -> None:
-    """Refuses a picture that could not be drawn at the end of the run."""
+    """Refuse a picture that could not be drawn at the end of the run."""
     if picture is None:
         return
     if log is None and not fast:
-        raise usage("--picture draws the path from the log; right is to give --log FILE.mcap too")
+        raise usage("--picture draws the path from the log; expected --log FILE.mcap, too")
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise usage(f"--picture {picture}: right is a name that ends in .png, .svg or .pdf")
+        raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
     if log is not None and picture.resolve() == log.resolve():
-        raise usage(f"--picture {picture}: this is the log; right is a file of its own")
+        raise usage(f"--picture {picture}: this is the log; expected a file of its own")
     if not picture.parent.is_dir():
         raise usage(f"--picture {picture}: there is no directory {picture.parent}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Sensors(StrEnum):
-    """What the sensors are asked for."""
+    """Kind of sensors that are read."""
 
     PROXIMITY = "proximity"
     LIGHT = "light"
@@ -37,7 +37,7 @@ def sense(
         ),
     ] = None,
     what: Annotated[
-        Sensors | None, typer.Option(help="What the sensors tell: proximity (default) or light.")
+        Sensors | None, typer.Option(help="Kind of sensors to read: proximity (default) or light.")
     ] = None,
     linear: Annotated[
         float | None,
@@ -51,16 +51,16 @@ def sense(
         int | None, typer.Option(help="Highest speed, 1 to 127 pulses/10 ms of 8 mm/s each; 20 by default.")
     ] = None,
     acceleration: Annotated[
-        int | None, typer.Option(help="1 to 255, of 3.125 mm/s^2 each; 64 by default.")
+        int | None, typer.Option(help="Acceleration, 1 to 255 times 3.125 mm/s^2; 64 by default.")
     ] = None,
     return_to_zero: Annotated[
         bool | None,
         typer.Option("--return/--no-return", help="Wait 5 s at the end and drive back. Between runs always."),
     ] = None,
     runs: Annotated[
-        int | None, typer.Option(help="How often, 1 to 100; files are numbered -1, -2, ...")
+        int | None, typer.Option(help="Number of runs, 1 to 100; files are numbered -1, -2, ...")
     ] = None,
-    text: Annotated[str | None, typer.Option(help="A description to keep with the data.")] = None,
+    text: Annotated[str | None, typer.Option(help="Description to keep with the data.")] = None,
     output: Annotated[
         list[Path] | None,
         typer.Option("--output", "-o", help="File to write, .csv, .mat or .mcap; as many as wanted."),
@@ -68,17 +68,15 @@ def sense(
     picture: Annotated[
         Path | None, typer.Option(help="Draw the sensors in this PNG, SVG or PDF file.")
     ] = None,
-    sensor: Annotated[
-        str | None, typer.Option(help='The only sensor in the picture, such as "left 10".')
-    ] = None,
-    y_min: Annotated[int | None, typer.Option(help="Where the picture's axis of counts begins.")] = None,
-    grid: Annotated[bool | None, typer.Option("--grid/--no-grid", help="Lines behind the curves.")] = None,
+    sensor: Annotated[str | None, typer.Option(help='Draw only this sensor, such as "left 10".')] = None,
+    y_min: Annotated[int | None, typer.Option(help="Lower end of the picture's axis of counts.")] = None,
+    grid: Annotated[bool | None, typer.Option("--grid/--no-grid", help="Draw a grid.")] = None,
     overlay: Annotated[
-        list[Path] | None, typer.Option(help="An earlier run to draw with; as many as wanted.")
+        list[Path] | None, typer.Option(help="Earlier run to draw with; as many as wanted.")
     ] = None,
     force: Force = False,
 ) -> None:
-    """Reads a robot's sensors while it drives straight or turns, into files and a picture."""
+    """Read a robot's sensors while it drives straight or turns, into files and a picture."""
     from khep_twin.lab.sensor_test import sensor_figure, sensor_files
     from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
 
@@ -133,28 +131,26 @@ def sense(
 def _check_options(
     port: str | None, driven: Mapping[str, object], drawn: Mapping[str, object], picture: Path | None
 ) -> None:
-    """Refuses options that would be without effect, and a command that would do nothing."""
+    """Refuse options that would be without effect, and a command that would do nothing."""
     if picture is None and (option := _first(drawn)):
-        raise SensorTestError(f"{option} is for the picture; right is to give --picture FILE.png, too")
+        raise SensorTestError(f"{option} is for the picture; expected --picture FILE.png, too")
     if port is None:
         if option := _first({key: value for key, value in driven.items() if key != "--what"}):
-            raise SensorTestError(
-                f"{option} is for a robot; right is to give its PORT, such as khep://default"
-            )
+            raise SensorTestError(f"{option} is for a robot; expected its PORT, such as khep://default")
         if drawn["--overlay"] is None:
             raise SensorTestError(
-                "there is nothing to do; right is a PORT such as khep://default, "
+                "there is nothing to do; expected a PORT such as khep://default, "
                 "or --overlay FILE --picture FILE"
             )
     elif (driven["--linear"] is None) == (driven["--rotate"] is None):
         count = "none" if driven["--linear"] is None else "both"
         raise SensorTestError(
-            f"--linear and --rotate: {count} is given; right is one, --linear CM or --rotate DEG"
+            f"--linear and --rotate: {count} is given; expected one, --linear CM or --rotate DEG"
         )
 
 
 def _first(options: Mapping[str, object]) -> str:
-    """The first option that is given; empty without."""
+    """Return the first option that is given; empty without."""
     return next((name for name, value in options.items() if value is not None), "")
 
 
@@ -167,12 +163,12 @@ def _tests(
     return_to_zero: bool | None,
     runs: int | None,
 ) -> "list[SensorTest]":
-    """What to drive, in order."""
+    """Return the tests to drive, in order."""
     from khep_twin.lab.sensor_test.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest
 
     count = 1 if runs is None else runs
     if not 1 <= count <= 100:
-        raise SensorTestError(f"runs = {count}: right is a whole number from 1 to 100")
+        raise SensorTestError(f"runs = {count}; expected an integer from 1 to 100")
     test = partial(
         SensorTest,
         "proximity" if what is None else what.value,
@@ -186,7 +182,7 @@ def _tests(
 
 
 def _numbered(paths: list[Path], number: int, count: int) -> list[Path]:
-    """Names of one run's files: with its number before the suffix, if there are several."""
+    """Return the names of one run's files: with its number before the suffix, if there are several."""
     return [path.with_stem(f"{path.stem}-{number}") if count > 1 and path.name else path for path in paths]
 
 
@@ -194,21 +190,21 @@ def _check_distinct(paths: list[Path]) -> None:
     seen: set[Path] = set()
     for path in paths:
         if path.resolve() in seen:
-            raise SensorTestError(f"{path}: is given twice; right is a name for each file")
+            raise SensorTestError(f"{path}: is given twice; expected a name for each file")
         seen.add(path.resolve())
 
 
 def _check_picture(
     picture: Path, earlier: "list[SensorRun]", tests: "list[SensorTest]", sensor: str | None, y_min: int
 ) -> None:
-    """Refuses a picture that could not be drawn in the end, before the robot moves."""
+    """Refuse a picture that could not be drawn in the end, before the robot moves."""
     import numpy as np
 
     from khep_twin.lab.sensor_test import sensor_figure
     from khep_twin.lab.sensor_test.sensor_test import SensorRun
 
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise SensorTestError(f"{picture}: right is a name that ends in .png, .svg or .pdf")
+        raise SensorTestError(f"{picture}: expected a name that ends in .png, .svg or .pdf")
     expected = [
         SensorRun(test, np.array([(0,) * 10, (*test.target, *(0,) * 8)]), np.zeros(2)) for test in tests
     ]
@@ -216,7 +212,7 @@ def _check_picture(
 
 
 def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[SensorRun], None]") -> bool:
-    """Drives the tests and hands over what each has gathered; whether it was asked to end early."""
+    """Drive the tests and pass on the data of each; return whether it was asked to end early."""
     from khep_twin.host import Khepera
     from khep_twin.lab.sensor_test.sensor_test import sense as drive
 
@@ -234,14 +230,14 @@ def _show_part(show: Callable[[float], None], number: int, count: int, part: flo
 
 
 def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) -> None:
-    """Writes a run's files, and tells what its sensors told."""
+    """Write a run's files, and print a summary of its readings."""
     from khep_twin.lab.sensor_test.sensor_files import save
     from khep_twin.lab.sensor_test.sensor_test import SENSORS
 
     if not len(run.dv):
         return
     done.append(run)
-    # First what must not be lost, then what is said of it; a file that fails does not take the others along.
+    # First the files, then the text about them; a file that fails does not take the others along.
     failures: list[KhepTwinError] = []
     for path in names[len(done) - 1]:
         try:

@@ -1,4 +1,4 @@
-"""`khep-twin series`: saved series of runs in numbers and pictures; and `khep-twin new`: a template."""
+"""`khep-twin series`: metrics and pictures of saved series of runs; and `khep-twin new`: a template."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +12,7 @@ from khep_twin.invocation import command
 
 
 class Kind(StrEnum):
-    """What a template can be of."""
+    """Kind of a template."""
 
     CONTROLLER = "controller"
     TOOLBOX = "toolbox"
@@ -20,20 +20,20 @@ class Kind(StrEnum):
 
 def series(
     folders: Annotated[
-        list[Path], typer.Argument(metavar="FOLDER", help="What `run --save` has made; several to compare.")
+        list[Path], typer.Argument(metavar="FOLDER", help="Folder of `run --save`; several to compare.")
     ],
     columns: Annotated[
         str | None,
-        typer.Option(help="Only these, such as fitness,distance_m; without, all that are numbers."),
+        typer.Option(help="Show only these, such as fitness,distance_m; without, all that are numbers."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw them in this PNG, SVG or PDF file.")] = None,
 ) -> None:
-    """Tells what the runs of a series are measured by: mean, confidence and spread, and how series differ."""
+    """Print the metrics of the runs of a series: mean, confidence and spread, and how series differ."""
     from khep_twin.lab.experiment.series_files import read_series
     from khep_twin.lab.experiment.series_statistics import measured, table
 
     if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise usage(f"--picture {picture}: right is a name that ends in .png, .svg or .pdf")
+        raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
     found = [read_series(folder)[1] for folder in folders]
     for folder, rows in zip(folders, found, strict=True):
         if not rows:
@@ -53,17 +53,15 @@ def series(
 
 
 def new(
-    kind: Annotated[
-        Kind, typer.Argument(help="Of what: a controller, or one in the Khepera Toolbox's form.")
-    ],
-    file: Annotated[Path, typer.Argument(metavar="FILE.py", help="Where to write it.")],
+    kind: Annotated[Kind, typer.Argument(help="Kind: a controller, or one in the Khepera Toolbox's form.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.py", help="File to write.")],
     force: Force = False,
 ) -> None:
-    """Writes a commented template to begin with."""
+    """Write a commented template to begin with."""
     from khep_twin.lab.experiment.controllers import write_template
 
     if file.suffix != ".py":
-        raise usage(f"{file}: right is a name that ends in .py")
+        raise usage(f"{file}: expected a name that ends in .py")
     check_new(force, file)
     write_template(kind.value, file)
     length = ("--seconds", 20) if kind is Kind.CONTROLLER else ("--cycles", 500)

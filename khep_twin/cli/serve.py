@@ -50,7 +50,7 @@ _OF_A_SERVED_TWIN = {"clock", "speed", "unpaced", "strict_line"}
 
 
 class Clock(StrEnum):
-    """What makes time pass for a served twin."""
+    """Clock of a served twin."""
 
     REAL = "real"
     WIRE = "wire"
@@ -77,9 +77,9 @@ def serve(
         bool, typer.Option("--expose", help="Let other machines reach --tcp or --rfc2217, too.")
     ] = False,
     clock: Annotated[
-        Clock, typer.Option(help="real: with the clock on the wall; wire: only bytes on the line take time.")
+        Clock, typer.Option(help="real: the wall clock; wire: only bytes on the line take time.")
     ] = Clock.REAL,
-    speed: Annotated[str, typer.Option(help="Simulated per real second: a number, or max.")] = "1",
+    speed: Annotated[str, typer.Option(help="Simulated seconds per real second: a number, or max.")] = "1",
     unpaced: Annotated[bool, typer.Option("--unpaced", help="Let bytes cross the line in no time.")] = False,
     through: Annotated[
         str | None,
@@ -110,9 +110,9 @@ def serve(
     viewer: Viewer = False,
     force: Force = False,
 ) -> None:
-    """Serves a twin, or with --through a robot, behind pseudo-terminals or on the network until stopped.
+    """Serve a twin, or with --through a robot, behind pseudo-terminals or on the network until stopped.
 
-    Standard output has one line for each robot: what its host opens.
+    Standard output has one line for each robot: the path or URL that its host opens.
     """
     from khep_twin.host.opening import numbered
     from khep_twin.ports.endpoints import far_ends
@@ -179,7 +179,7 @@ def _relay(
     log: Path | None,
     carry_on: bool,
 ) -> None:
-    """Serves the robot at a port."""
+    """Serve the robot at a port."""
     from khep_twin.board.rom import ROMS
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.ports.relay import Device, relay, since_now
@@ -213,7 +213,7 @@ def _relay(
 
 @contextmanager
 def _listed(cables: Sequence["Cable"], what: str) -> Generator[None, None, None]:
-    """Lets `khep-twin ports` find what is served."""
+    """Let `khep-twin ports` find what is served."""
     from khep_twin.ports.service_registry import registered
 
     with ExitStack() as stack:
@@ -225,20 +225,20 @@ def _listed(cables: Sequence["Cable"], what: str) -> Generator[None, None, None]
 
 
 def _tell_served(duration_ns: int, dropped: int) -> None:
-    """What there is to say at the end of serving."""
+    """Print a summary at the end of serving."""
     typer.echo(f"{duration_ns / 1e9:.1f} s served", err=True)
     if dropped:
         typer.echo(f"{dropped} bytes dropped that no host took", err=True)
 
 
 def _tell_log(log: Path | None) -> None:
-    """Says where the log is, if there is one."""
+    """Print where the log is, if there is one."""
     if log is not None:
         typer.echo(f"log      {log}      look at it: {command('view', log)}", err=True)
 
 
 def _announce(cables: Sequence["Cable"], descriptor: int | None, what: str) -> None:
-    """Says what is served, and what hosts open: on standard output and to whoever waits at a descriptor."""
+    """Print what is served and what hosts open: on standard output and to the descriptor, if any."""
     complain(f"serving a {what}; hosts open what the next lines name; Ctrl-C ends it")
     paths = "".join(f"{cable.path}\n" for cable in cables)
     typer.echo(paths, nl=False)
@@ -252,7 +252,7 @@ def _announce(cables: Sequence["Cable"], descriptor: int | None, what: str) -> N
 
 
 def _check_ready_fd(descriptor: int | None) -> None:
-    """Refuse a descriptor that nobody has given to write to."""
+    """Refuse a descriptor that is not open for writing."""
     if descriptor is None:
         return
     wish = "expected 3 or above, of what is open for writing, such as --ready-fd 3 3>ready"
@@ -276,5 +276,5 @@ def _speed(text: str) -> float:
     except ValueError:
         speed = math.nan
     if not 0.001 <= speed <= 1000:
-        raise usage(f"--speed {text}: right is a number from 0.001 to 1000, or max")
+        raise usage(f"--speed {text}: expected a number from 0.001 to 1000, or max")
     return speed

@@ -1,8 +1,8 @@
-"""The command line's standard streams: nothing that goes wrong with one takes a run or its log along.
+"""The command line's standard streams: an error of one does not end a run or its log.
 
-A stream that cannot be written is told of once, in a line, and takes no more; the command goes on, and its
-exit code says it. A reader that has gone, as `head` does, is told to nobody, as the reader wanted that.
-Here, too: the number of descriptors that there may be.
+A stream that cannot be written is reported once, in a line, and takes no more; the command goes on, and its
+exit code says it. A reader that has gone, as `head` does, is not reported, as the reader wanted that.
+Also here: the number of descriptors that there may be.
 """
 
 import errno
@@ -16,18 +16,18 @@ from contextlib import suppress
 from typing import Any
 
 LEAST_OPEN = 64
-"""So many files have to be allowed to be open at once. A run has 8 open, `serve` 13, the page 11 without a
+"""Number of files that have to be allowed open at once. A run has 8 open, `serve` 13, the page 11 without a
 browser (measured); the rest is room for hosts, browsers and files of a controller's own."""
 
 
 class Told(io.FileIO):
-    """A standard stream's bytes on their way out.
+    """Output of a standard stream as bytes.
 
     Args:
-        descriptor: 1 or 2.
+        descriptor: Descriptor 1 or 2.
 
     Attributes:
-        trouble: Why nothing can be written any more; None if it can.
+        trouble: Reason why nothing can be written any more; None if it can.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -35,7 +35,7 @@ class Told(io.FileIO):
         self.trouble: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write, or drop what nobody takes."""
+        """Write, or drop what is not taken."""
         if self.trouble is None:
             try:
                 while (done := super().write(data)) is None:  # as a program before this one has left it
@@ -62,13 +62,13 @@ _guards: list[Open] = []
 
 
 def guard() -> None:
-    """Have whatever is wrong with the standard streams told as above, from now on."""
+    """Guard the standard streams as above, from now on."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
             # Else the next file that is opened, such as a log, would be taken for the stream that is closed.
-            # Output is not writable so, and is told of when it is written.
+            # Output is not writable so, and is reported when it is written.
             os.set_inheritable(os.open(os.devnull, os.O_RDONLY), True)
     if sys.stdin is None:  # pyright: ignore[reportUnnecessaryComparison]
         sys.stdin = open(0, closefd=False)

@@ -1,4 +1,4 @@
-"""`khep-twin sweep`: a study's lives, here or on Ray, each result once in one Parquet table."""
+"""`khep-twin sweep`: a study's episodes, here or on Ray, each result once in one Parquet table."""
 
 import sys
 import time
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from khep_twin.sweep.tasks import Task, Work
 
 SECONDS_BETWEEN_LINES = 60.0
-"""How often a line tells of a sweep that no terminal shows."""
+"""Interval of the lines about a sweep that no terminal shows [s]."""
 
 
 def sweep(
     study: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="What to go through.", autocompletion=studies)
+        Path, typer.Argument(metavar="STUDY.toml", help="Study to run.", autocompletion=studies)
     ],
     ray: Annotated[
-        bool, typer.Option("--ray", help="On Ray, in processes that may die; without, in threads.")
+        bool, typer.Option("--ray", help="Run on Ray, in processes that may die; without, in threads.")
     ] = False,
     address: Annotated[
         str | None,
         typer.Option(
-            metavar="HOST:PORT", help="A Ray cluster that is there, or auto; without, this machine."
+            metavar="HOST:PORT", help="Address of a running Ray cluster, or auto; without, this machine."
         ),
     ] = None,
     workers: Annotated[
@@ -42,13 +42,13 @@ def sweep(
         Path | None, typer.Option("-o", "--output", help="Folder of the results; without, the study's.")
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with what is there: only what is missing is done.")
+        bool, typer.Option("--resume", help="Resume a sweep: only what is missing is run.")
     ] = False,
     check: Annotated[
-        bool, typer.Option("--check", help="Only check the study, and count its lives.")
+        bool, typer.Option("--check", help="Only check the study, and count its episodes.")
     ] = False,
 ) -> None:
-    """Leads all the lives of a study and keeps each one's results once, in a Parquet table."""
+    """Run all the episodes of a study and keep each one's results once, in a Parquet table."""
     from khep_twin.rollout.life import SlowerWarning, is_compiled
     from khep_twin.sweep import study as studies
     from khep_twin.sweep.results import summary
@@ -56,7 +56,7 @@ def sweep(
     from khep_twin.sweep.tasks import work_of
 
     if address is not None and not ray:
-        raise usage(f"--address {address}: is Ray's; right is to give --ray too")
+        raise usage(f"--address {address}: is Ray's; expected --ray, too")
     if address is not None and workers is not None:
         raise usage("--workers is for this machine; a cluster at --address has its own")
     if address not in (None, "auto"):
@@ -70,7 +70,7 @@ def sweep(
     if check:
         work = work_of(file)
         typer.echo(
-            f"{file.study.name}: {work.lives} lives of {file.study.seconds:g} s in {len(work.tasks)} tasks"
+            f"{file.study.name}: {work.lives} episodes of {file.study.seconds:g} s in {len(work.tasks)} tasks"
         )
         return
     doers = here(workers)
@@ -88,7 +88,7 @@ def sweep(
     def begin(work: "Work", missing: Sequence["Task"]) -> None:
         lives = sum(task.count for task in missing)
         there = f", {work.lives - lives} are there already" if lives < work.lives else ""
-        typer.echo(f"{file.study.name}: {work.lives} lives in {len(work.tasks)} tasks{there}")
+        typer.echo(f"{file.study.name}: {work.lives} episodes in {len(work.tasks)} tasks{there}")
 
     def tell_again() -> None:
         complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
@@ -119,7 +119,7 @@ def sweep(
 def _again(
     study: Path, ray: bool, address: str | None, workers: int | None, output: Path | None
 ) -> list[str]:
-    """The words that do the rest of a sweep."""
+    """Return the words of the command that resumes a sweep."""
     words = ["sweep", str(study), "--resume", *(["--ray"] if ray else [])]
     for name, value in (("--address", address), ("--workers", workers), ("--output", output)):
         words += [] if value is None else [name, str(value)]
@@ -138,4 +138,4 @@ class _Lines:
             return
         self._last = now
         left = clock((now - self._start) * (total - done) / done)
-        print(f"{done} of {total} lives, {left} left", file=sys.stderr)
+        print(f"{done} of {total} episodes, {left} left", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The command line's part for looking at logs: `khep-twin view`."""
+"""The command line's part for viewing logs: `khep-twin view`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +19,7 @@ def view(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="LOG", help="A log, FILE.mcap, or several to compare.", autocompletion=known_logs
+            metavar="LOG", help="Log, FILE.mcap, or several to compare.", autocompletion=known_logs
         ),
     ],
     save: Annotated[
@@ -38,10 +38,10 @@ def view(
         bool, typer.Option("--web", help="Show it in a browser instead of a window; for this machine only.")
     ] = False,
     no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="With --web: only tell the page's address.")
+        bool, typer.Option("--no-browser", help="With --web: only print the page's address.")
     ] = False,
 ) -> None:
-    """Shows a log in rerun, or several side by side: arena, robots from above, curves and transcript."""
+    """Show a log in rerun, or several side by side: arena, robots from above, curves and transcript."""
     _check(logs, save, png, live, web, no_browser)
     if not live:
         _tell_of_long_ones(logs)
@@ -70,7 +70,7 @@ def view(
 
 
 def _tell_of_long_ones(logs: list[Path]) -> None:
-    """Say which logs are shown with fewer samples than they have."""
+    """Print which logs are shown with fewer samples than they have."""
     from khep_twin.log.reader import read_end_ns
     from khep_twin.log.viewer.thinning import interval_ns
 
@@ -87,11 +87,11 @@ def _tell_of_long_ones(logs: list[Path]) -> None:
 def _check(
     logs: list[Path], save: Path | None, png: Path | None, live: bool, web: bool, no_browser: bool
 ) -> None:
-    """Refuses options that do not go together, and files that could not be written at the end."""
+    """Refuse options that do not go together, and files that could not be written at the end."""
     ways = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
     given = [name for name, there in ways.items() if there]
     if len(given) > 1 and given != ["--web", "--live"]:
-        raise usage(f"{' and '.join(given)} do not go together; right is one of them, or --web and --live")
+        raise usage(f"{' and '.join(given)} do not go together; expected one of them, or --web and --live")
     if no_browser and not web:
         raise usage("--no-browser is for --web")
     if save is not None and save.suffix.lower() != ".rrd":
@@ -100,8 +100,8 @@ def _check(
         raise usage(f"--live follows one log, not {len(logs)}")
     if png is not None:
         if png.suffix.lower() != ".png":
-            raise usage(f"--png {png}: right is a name that ends in .png")
+            raise usage(f"--png {png}: expected a name that ends in .png")
         if reason := unusable(png):
             raise usage(f"--png {png}: cannot be written: {reason}")
         if any(is_same(png, log) for log in logs):
-            raise LogError(f"{png}: this is the log itself; right is a file of its own")
+            raise LogError(f"{png}: this is the log itself; expected a file of its own")

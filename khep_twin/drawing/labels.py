@@ -1,6 +1,6 @@
-"""Labels of a drawing: each beside what it names, clear of the others and within the axes."""
+"""Labels of a drawing: each beside its object, clear of the others and within the axes."""
 
-# matplotlib's own annotations leave keyword arguments open.
+# The annotations of matplotlib leave keyword arguments untyped.
 # pyright: reportUnknownMemberType=false
 
 from collections.abc import Iterator
@@ -16,10 +16,10 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 SEARCH_LIMIT = 200
-"""Most labels for which free room is searched; with more, each stands below what it names."""
+"""Most labels for which free room is searched; with more, each stands below its object."""
 
 _LINES = 4
-"""Distances that are tried, in lines of text."""
+"""Distances to try, in lines of text."""
 
 _Place = tuple[float, float, Literal["left", "center", "right"], Literal["top", "center", "bottom"]]
 
@@ -33,7 +33,7 @@ class _Label:
 
 
 class Labels:
-    """Collects labels while things are drawn, and writes them when the axes' limits are final.
+    """Labels, collected while objects are drawn, and written when the axes' limits are final.
 
     Args:
         axes: Axes in mm.
@@ -45,11 +45,11 @@ class Labels:
         self._wanted: list[_Label] = []
 
     def add(self, x_mm: float, y_mm: float, reach_mm: float, text: str) -> None:
-        """Ask for a label beside a point, outside of a circle of `reach_mm` around it."""
+        """Request a label beside a point, outside of a circle of `reach_mm` around it."""
         self._wanted.append(_Label(x_mm, y_mm, reach_mm, text))
 
     def write(self) -> None:
-        """Write all labels; earlier ones keep the place that later ones have to avoid."""
+        """Write all labels; later ones avoid the places of earlier ones."""
         figure = self._axes.get_figure(root=True)
         if figure is None or not isinstance(figure.canvas, FigureCanvasAgg):
             raise TypeError("labels expected a figure with an Agg canvas")
@@ -74,7 +74,7 @@ class Labels:
             taken = np.vstack((taken, text.get_window_extent(renderer).extents))
 
     def _text(self, label: _Label) -> Text:
-        # Held apart from what it lies on by a pale rim.
+        # A pale outline keeps it readable on top of other objects.
         rim = withStroke(linewidth=2.2, foreground=(1, 1, 1, 0.8))
         at = label.x_mm, label.y_mm - label.reach_mm
         return self._axes.text(

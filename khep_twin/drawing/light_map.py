@@ -1,9 +1,9 @@
-"""Illumination: how much light of a playpen's lamps comes to a point of it, for pictures.
+"""Illumination: light of a playpen's lamps at points of it, for pictures.
 
-    light = sum over lamps of P / r^2, 0 for a lamp that something hides
+    light = sum over lamps of P / r^2, 0 for a lamp that is hidden
 
-with power P and distance r from the point, which lies at the height of the robot's sensors, to the bulb's
-centre. It is what the robot's ambient light sensors go by (`sensors`), without the direction they look in.
+with power P and distance r from the point, at the height of the robot's sensors, to the bulb's centre. The
+robot's ambient light sensors (`sensors`) use the same light, with the direction they look in.
 Left out: light reflected off walls and objects, and the shadows of robots.
 """
 
@@ -15,7 +15,7 @@ from khep_twin.playpen.footprint import Circle, Footprint
 from khep_twin.units import SENSOR_HEIGHT
 
 SHADOW_LIMIT = 200
-"""Most pairs of lamp and object for which shadows are worked out; with more, lamps shine through objects."""
+"""Most pairs of lamp and object for which shadows are computed; with more, lamps shine through objects."""
 
 _HEIGHT_MM = SENSOR_HEIGHT * 1000
 
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
-    """Light at points x, y of a playpen (any one shape), in that shape [W/mm^2]."""
+    """Return the light at points x, y of a playpen (any one shape), in that shape [W/mm^2]."""
     objects = [(item.footprint, item.height_mm) for item in (*playpen.blocks, *playpen.cylinders)]
     objects += [(shape, wall.height_mm) for wall in playpen.walls for shape in wall.footprints]
     if len(playpen.lamps) * len(objects) > SHADOW_LIMIT:
@@ -34,16 +34,16 @@ def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
         seen = np.ones(x_mm.shape, dtype=bool)
         for shape, height_mm in objects:
             seen &= ~_hidden(lamp, shape, height_mm, x_mm, y_mm)
-        # Nearer than its glass one does not get to a bulb.
+        # No point is nearer to a bulb than its glass.
         light += seen * lamp.power_w * lamp.dim / np.maximum(square, BULB_RADIUS_MM**2)
     return light
 
 
 def _hidden(lamp: Lamp, shape: Footprint, height_mm: float, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:
-    """Whether an object stands between points and the lamp's bulb."""
+    """Return which points have an object between them and the lamp's bulb."""
     to_x, to_y = lamp.x_mm - x_mm, lamp.y_mm - y_mm
-    # Along the way from the point (0) to the bulb's centre (1) the object's footprint is crossed from
-    # `entry` to `leave`; the way ends at the bulb's glass.
+    # The segment from the point (0) to the bulb's centre (1) crosses the object's footprint from `entry` to
+    # `leave`; it ends at the bulb's glass.
     entry, leave = _crossing(shape, x_mm, y_mm, to_x, to_y)
     glass = 1 - BULB_RADIUS_MM / np.maximum(np.hypot(to_x, to_y), BULB_RADIUS_MM)
     entry, leave = np.maximum(entry, 0), np.minimum(leave, glass)
@@ -55,7 +55,7 @@ def _hidden(lamp: Lamp, shape: Footprint, height_mm: float, x_mm: Floats, y_mm: 
 def _crossing(
     footprint: Footprint, x_mm: Floats, y_mm: Floats, to_x: Floats, to_y: Floats
 ) -> tuple[Floats, Floats]:
-    """Where lines from points along vectors enter and leave a footprint, in lengths of the vector."""
+    """Return where lines from points along vectors enter and leave a footprint, in lengths of the vector."""
     x, y = x_mm - footprint.x_mm, y_mm - footprint.y_mm
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(footprint, Circle):

@@ -1,11 +1,11 @@
-"""Drawings: a playpen from above, to scale, with the ways that robots took.
+"""Drawings: a playpen from above, to scale, with the paths of robots.
 
-Lamps, objects and robots stand as the playpen has them (`symbols`), robots at their start. A way is coloured
-by time; where it ends, the robot's outline is dashed. The same arguments give the same bytes, whatever else
-matplotlib is set up to do.
+Lamps, objects and robots are drawn as in the playpen (`symbols`), robots at their start. A path is coloured
+by time; the robot's outline at its end is dashed. The same arguments give the same bytes, whatever the
+configuration of matplotlib.
 """
 
-# matplotlib's own annotations leave keyword arguments open.
+# The annotations of matplotlib leave keyword arguments untyped.
 # pyright: reportUnknownMemberType=false
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -46,7 +46,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.units import BODY_RADIUS
 
 POINT_LIMIT = 20_000
-"""Most points of a way that are drawn; of more, evenly many are left out."""
+"""Most points of a path that are drawn; longer ones are thinned out evenly."""
 
 STYLE: list[Any] = [
     "default",
@@ -60,11 +60,11 @@ STYLE: list[Any] = [
         "xtick.major.width": 0.6,
         "ytick.major.width": 0.6,
         "hatch.linewidth": 0.6,
-        # Without a salt SVG names its parts anew each time.
+        # Without a salt, element names in an SVG would differ each time.
         "svg.hashsalt": "khep_twin",
     },
 ]
-"""How drawings look, whatever else matplotlib is set up to do; for `matplotlib.style.context`."""
+"""Style of drawings, independent of matplotlib's configuration; for `matplotlib.style.context`."""
 
 _START: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
 _END: dict[str, Any] = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
@@ -73,23 +73,23 @@ METADATA: dict[str, dict[str, None]] = {
     "svg": {"Date": None, "Creator": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }
-"""What matplotlib would write of its version and the hour into each kind of file, left away."""
+"""Metadata with version and time that matplotlib would write into each kind of file, left out."""
 
 LONGER_SIDE = 6.2
 """Longer side of the playpen on paper [inch]."""
 
 _ENTRY = 1.0
-"""Width that an entry of the legend needs [inch]."""
+"""Width of an entry of the legend [inch]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """The way of one robot.
+    """The path of one robot.
 
     Attributes:
-        robot: its name, e.g. "khepera0".
-        time_s: when it was where, rising (n,) [s].
-        xy_mm: where it was in the playpen (n, 2) [mm].
+        robot: Name of the robot, e.g. "khepera0".
+        time_s: Times, rising (n,) [s].
+        xy_mm: Positions in the playpen (n, 2) [mm].
     """
 
     robot: str
@@ -97,10 +97,10 @@ class Track:
     xy_mm: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Refuses arrays that are no way.
+        """Check the shapes and values.
 
         Raises:
-            ValueError: the shapes are not (n,) and (n, 2), or a number is not finite.
+            ValueError: The shapes are not (n,) and (n, 2), or a number is not finite.
         """
         if self.time_s.ndim != 1 or self.xy_mm.shape != (len(self.time_s), 2):
             raise ValueError(f"shapes {self.time_s.shape} and {self.xy_mm.shape} are not (n,) and (n, 2)")
@@ -115,13 +115,13 @@ def draw(
     title: str | None = None,
     longer_side: float = LONGER_SIDE,
 ) -> Figure:
-    """Draws a playpen as it is at the start, and the ways that robots took from there.
+    """Draw a playpen at its start, and the paths of robots.
 
     Args:
-        playpen: what is drawn.
-        tracks: of any of its robots; one scale of time colours all.
-        title: above the drawing; without, the playpen's name.
-        longer_side: of the playpen on paper [inch]; letters keep their size.
+        playpen: Playpen to draw.
+        tracks: Paths of any of its robots; one scale of time colours all.
+        title: Title above the drawing; by default the playpen's name.
+        longer_side: Longer side of the playpen on paper [inch]; letters keep their size.
     """
     ways = [track for track in tracks if len(track.time_s)]
     with matplotlib.style.context(STYLE):
@@ -141,7 +141,7 @@ def draw(
             draw_spot(axes, labels, spot)
         for index, robot in enumerate(playpen.robots):
             if robot.spots:
-                continue  # it may stand at any of them
+                continue  # Its spot is not known yet.
             draw_robot(axes, labels, robot, f"khepera{index}")
         draw_lamps(axes, labels, playpen)
         if ways:
@@ -155,19 +155,19 @@ def draw(
 
 
 def save(figure: Figure, file: Path) -> None:
-    """Writes a drawing as PNG, SVG or PDF, by the file's suffix.
+    """Write a drawing as PNG, SVG or PDF, by the file's suffix.
 
     Raises:
-        KhepTwinError: the suffix is another one, or the file cannot be written.
+        KhepTwinError: The suffix is another one, or the file cannot be written.
     """
     kind = file.suffix.lower().removeprefix(".")
     if kind not in METADATA:
-        raise KhepTwinError(f"{file}: right is a name that ends in .png, .svg or .pdf")
+        raise KhepTwinError(f"{file}: expected a name that ends in .png, .svg or .pdf")
     write_whole(file, picture(figure, kind))
 
 
 def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:
-    """A drawing as the bytes of a file, `kind` being "png", "svg" or "pdf"."""
+    """Return a drawing as the bytes of a file; `kind` is "png", "svg" or "pdf"."""
     data = BytesIO()
     with matplotlib.style.context(STYLE):
         figure.savefig(data, format=kind, dpi=dpi, metadata=METADATA[kind])
@@ -175,7 +175,7 @@ def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:
 
 
 def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -> tuple[Figure, Axes, int]:
-    """Return a figure, its axes in mm with room around them, and how many columns its legend has."""
+    """Return a figure, its axes in mm with room around them, and the number of columns of its legend."""
     arena = playpen.arena
     rim_mm = arena.wall_thickness_mm + 2
     width_mm, height_mm = arena.width_mm + 2 * rim_mm, arena.height_mm + 2 * rim_mm

@@ -1,10 +1,10 @@
-"""A playpen as a camera above it would see it, rendered by MuJoCo where there is OpenGL.
+"""View of a playpen from a camera above it, rendered by MuJoCo if OpenGL is available.
 
-A driver of graphics may end the process that uses it, so the picture is made in one of its own:
+A graphics driver may crash the process that uses it, so the picture is made in a process of its own:
 `python -m khep_twin.drawing.render` reads a playpen and writes a PNG.
 """
 
-# MuJoCo's renderer and its libraries of OpenGL are not typed here.
+# MuJoCo's renderer and its OpenGL libraries are not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false, reportAttributeAccessIssue=false, reportUnknownParameterType=false
 
@@ -28,27 +28,27 @@ from khep_twin.playpen import Playpen, dump, parse
 from khep_twin.playpen_to_mjcf import to_spec
 
 WIDTH, HEIGHT = 1280, 960
-"""Of a picture [pixels]."""
+"""Size of a picture [pixels]."""
 
 LONGEST = 60.0
-"""Wall time after which a picture is given up [s]."""
+"""Time-out for rendering a picture, wall time [s]."""
 
 _FLOOR, _LINES = [0.68, 0.76, 0.80], [0.48, 0.57, 0.63]
-"""Colours that no surface of the library has."""
+"""Colours of no surface of the library."""
 
 
 def render(playpen: Playpen, target: Path) -> bytes:
-    """Return a picture of a playpen as it is at the start, as PNG.
+    """Return a picture of a playpen at its start, as PNG.
 
     Args:
-        playpen: what is seen.
-        target: the file's name, which has to fit.
+        playpen: Playpen to render.
+        target: Name of the file, checked for its suffix.
 
     Raises:
-        KhepTwinError: the name does not end in .png, or no picture can be made here.
+        KhepTwinError: The name does not end in .png, or no picture can be made on this machine.
     """
     if target.suffix.lower() != ".png":
-        raise KhepTwinError(f"{target}: right is a name that ends in .png", ", or no --perspective")
+        raise KhepTwinError(f"{target}: expected a name that ends in .png", ", or no --perspective")
     command = [sys.executable, "-m", "khep_twin.drawing.render"]
     text = dump(playpen).encode("utf-8")
     try:
@@ -101,10 +101,10 @@ def _rendered(playpen: Playpen) -> bytes:
 
 
 def _decorate(spec: mujoco.MjSpec) -> None:
-    """Gives a scene a sky, a floor with lines every 100 mm, and light from the side, for shadows.
+    """Add a sky, a floor with lines every 100 mm, and light from the side, for shadows, to a scene.
 
-    The lights together stay below full brightness, so that white things differ from the floor, and their tops
-    from their sides.
+    The lights together stay below full brightness, so that white objects differ from the floor, and their
+    tops from their sides.
     """
     headlight = spec.visual.headlight
     headlight.ambient, headlight.diffuse, headlight.specular = [0.32] * 3, [0.15] * 3, [0.0] * 3
@@ -138,7 +138,7 @@ def _decorate(spec: mujoco.MjSpec) -> None:
     lines = spec.add_material(name="floor", texrepeat=[20, 20], texuniform=True, specular=0.0)
     lines.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     floor.material, floor.rgba = "floor", [1, 1, 1, 1]
-    # The lines go out from its edges: those through the arena's corner are among them.
+    # The grid includes the lines through the arena's corner.
     place, size = np.array(floor.pos), np.array(floor.size)
     low, high = np.floor(10 * (place - size)) / 10, np.ceil(10 * (place + size)) / 10
     floor.pos, floor.size = [*(low + high)[:2] / 2, 0], [*(high - low)[:2] / 2, 0.01]
@@ -146,13 +146,13 @@ def _decorate(spec: mujoco.MjSpec) -> None:
 
 @contextlib.contextmanager
 def window_of(model: mujoco.MjModel) -> Generator[Any, None, None]:
-    """Give what MuJoCo renders into: by the screen's driver, or without a screen."""
+    """Provide a context for MuJoCo to render in: by the screen's driver, or without a screen."""
     screen = bool(os.environ.get("DISPLAY")) or sys.platform != "linux"
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     kinds = [wanted] if wanted in ("egl", "osmesa", "glfw") else (["glfw"] if screen else ["egl", "osmesa"])
     reasons: list[str] = []
     for kind in kinds:
-        # These libraries print what they miss, and raise whatever they like.
+        # These libraries print warnings about what is missing, and raise arbitrary exceptions.
         try:
             with warnings.catch_warnings(), contextlib.redirect_stderr(StringIO()):
                 warnings.simplefilter("ignore")
@@ -169,7 +169,7 @@ def window_of(model: mujoco.MjModel) -> Generator[Any, None, None]:
             context.free()
         return
     raise KhepTwinError(
-        f"there is no OpenGL to render with ({', '.join(reasons)}); right is a graphics driver with EGL, or "
+        f"there is no OpenGL to render with ({', '.join(reasons)}); expected a graphics driver with EGL, or "
         "libOSMesa"
     )
 

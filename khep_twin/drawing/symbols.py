@@ -1,10 +1,10 @@
-"""Symbols: how the parts of a playpen look in a drawing, to scale, on axes in mm.
+"""Symbols: parts of a playpen in a drawing, to scale, on axes in mm.
 
-Walls and objects have their surface's colour; what can be moved is hatched, with a dashed edge. The floor
-glows where light of the lamps comes to (`illumination`). The white wedge on a robot is its front.
+Walls and objects have their surface's colour; movable objects are hatched, with a dashed edge. The floor
+glows where it is lit by the lamps (`illumination`). The white wedge on a robot is its front.
 """
 
-# matplotlib's own annotations leave keyword arguments open.
+# The annotations of matplotlib leave keyword arguments untyped.
 # pyright: reportUnknownMemberType=false
 
 from collections import defaultdict
@@ -34,24 +34,24 @@ from khep_twin.playpen.polygon import walls_around
 from khep_twin.units import BODY_RADIUS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
 
 INK = "#2b2f36"
-"""Of lines and text."""
+"""Colour of lines and text."""
 
 _FLOOR = "#faf8f2"
 _BOARD = "#2f7d5b"
 FILAMENT = "#9a6b00"
-"""Of the lines of a lamp."""
+"""Colour of the lines of a lamp."""
 
 _GLOW = (1.0, 0.72, 0.12)
 
 _HALF_GLOW = 3e-4
-"""Light at which the glow has half its strength [W/mm^2]: that of 7 W in 15 cm."""
+"""Light at which the glow has half its strength [W/mm^2]: that of 7 W at 15 cm."""
 
 _GLOW_CELLS = 480
-"""The glow's resolution along the longer side."""
+"""Resolution of the glow along the longer side."""
 
 
 def draw_arena(axes: Axes, playpen: Playpen) -> None:
-    """Walls, and the floor in the light of the lamps."""
+    """Draw the walls, and the floor in the light of the lamps."""
     arena = playpen.arena
     wall, width, height = arena.wall_thickness_mm, arena.width_mm, arena.height_mm
     colour = surface_colour(playpen, arena.surface)
@@ -90,13 +90,13 @@ def _light_at_start(playpen: Playpen, x_mm: NDArray[np.float64], y_mm: NDArray[n
 
 
 def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> None:
-    """A block or cylinder from above."""
+    """Draw a block or cylinder from above."""
     look = surface_look(playpen, item.surface, item.movable)
     _draw_shape(axes, item.footprint, zorder=3, **look)
 
 
 def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
-    """A wall that stands on the floor, in one colour and with an edge around all of it."""
+    """Draw a free-standing wall, in one colour and with an edge around all of it."""
     colour = surface_colour(playpen, wall.surface)
     for shape in wall.footprints:
         _draw_shape(axes, shape, zorder=2.8, facecolor=colour, edgecolor=INK, lw=1.6)
@@ -105,14 +105,14 @@ def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
 
 
 def draw_patch(axes: Axes, playpen: Playpen, patch: parts.Patch) -> None:
-    """A part of the floor."""
+    """Draw a part of the floor with another surface."""
     look = {"facecolor": surface_colour(playpen, patch.surface), "lw": 0}
     floor = Polygon(np.array(playpen.arena.corners), transform=axes.transData)
     _draw_shape(axes, patch.footprint, zorder=1.2, **look).set_clip_path(floor)
 
 
 def draw_spot(axes: Axes, labels: Labels, spot: Spot) -> None:
-    """A place where a robot may start: its outline, its heading and its name."""
+    """Draw a place where a robot may start: its outline, its heading and its name."""
     radius, heading = 1000 * BODY_RADIUS, np.radians(spot.heading_deg)
     axes.add_patch(
         Circle(
@@ -147,12 +147,12 @@ def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> Patch:
 
 
 def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
-    """Draw bulbs with their power; of lamps that are on one at a time, only one that is on first has rays.
+    """Draw bulbs with their power; if lamps are on one at a time, only one that is on first has rays.
 
     Sequenced lamps have their number before the power, and arrows from each to the next.
     """
     lamps, mode = playpen.lamps, playpen.lighting.mode
-    texts: defaultdict[tuple[float, float], list[str]] = defaultdict(list)  # of lamps at one place
+    texts: defaultdict[tuple[float, float], list[str]] = defaultdict(list)  # by position of the lamps
     for index, lamp in enumerate(lamps):
         power = f"{lamp.power_w * lamp.dim:g} W"
         _draw_lamp(axes, lamp, on=mode == "all" or (mode == "sequenced" and index == 0))
@@ -160,7 +160,7 @@ def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
         if mode == "sequenced" and len(lamps) > 1:
             after = lamps[(index + 1) % len(lamps)]
             ends = (lamp.x_mm, lamp.y_mm), (after.x_mm, after.y_mm)
-            # Bent, so that there and back of two lamps are two arrows.
+            # Bent, so that the arrows between two lamps do not coincide.
             look: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 9, "shrinkB": 9}
             look["connectionstyle"] = "arc3,rad=0.08"
             arrow = FancyArrowPatch(*ends, ls=(0, (4, 3)), lw=0.9, color=FILAMENT, **look)
@@ -172,7 +172,7 @@ def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
 
 
 def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
-    """Draw a bulb: full and with rays where it is on, else empty and dashed."""
+    """Draw a bulb: full and with rays if it is on, else empty and dashed."""
     x, y, radius = lamp.x_mm, lamp.y_mm, BULB_RADIUS_MM
     colour = tuple(part / 255 for part in lamp.rgb) if on else "white"
     bulb = Circle((x, y), radius, facecolor=colour, edgecolor=FILAMENT, lw=0.9, ls="-" if on else ":")
@@ -184,7 +184,7 @@ def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
 
 
 def draw_robot(axes: Axes, labels: Labels, robot: Robot, name: str) -> None:
-    """A robot with its wheels, its front and its name."""
+    """Draw a robot with its wheels, its front and its name."""
     radius = 1000 * robot.body.radius
     heading = np.radians(robot.heading_deg)
     centre = np.array((robot.x_mm, robot.y_mm))
@@ -205,7 +205,7 @@ def draw_robot(axes: Axes, labels: Labels, robot: Robot, name: str) -> None:
 
 
 def surface_look(playpen: Playpen, surface: str, movable: bool) -> dict[str, Any]:
-    """Fill and edge of a patch for something of this surface."""
+    """Return fill and edge of a patch of this surface."""
     look: dict[str, Any] = {"facecolor": surface_colour(playpen, surface), "edgecolor": INK, "lw": 0.8}
     if movable:
         look |= {"lw": 1.0, "ls": (0, (3, 2)), "hatch": "/////"}
@@ -213,6 +213,6 @@ def surface_look(playpen: Playpen, surface: str, movable: bool) -> dict[str, Any
 
 
 def surface_colour(playpen: Playpen, surface: str) -> tuple[float, float, float]:
-    """Red, green and blue from 0 to 1."""
+    """Return red, green and blue of a surface, 0 to 1."""
     red, green, blue = playpen.surface(surface).rgb
     return red / 255, green / 255, blue / 255

@@ -1,4 +1,4 @@
-"""Tasks as dm_env environments on dm_control: a `Physics` with accessors by name, tasks, seeds.
+"""Tasks as dm_env environments on dm_control, with a `Physics` with named accessors.
 
     environment = load("ObstacleAvoidance", seed=1)
     step = environment.reset()
@@ -7,9 +7,9 @@
         print(step.observation["proximity"], step.reward, environment.physics.pose())
 
 Observations are the task's senses by name, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units). An
-action is the speed of the left and of the right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to
-whole ones. One step is one control period, 50 ms unless told otherwise. A trial that has lasted its time ends
-with discount 1, one whose charge has run out with 0.
+action is the speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to integers. One
+step is one control period, 50 ms by default. A trial ends with discount 1 at its time limit, with 0 when the
+charge has run out.
 """
 
 # dm_control and dm_env are not typed.
@@ -38,12 +38,12 @@ from dm_env import specs  # noqa: E402
 
 
 class Physics(mujoco.Physics):
-    """A trial's scene as dm_control has it, `named.data.xpos["khepera0/base"]`, and the robot by name.
+    """A trial's scene in dm_control, `named.data.xpos["khepera0/base"]`, with accessors for the robot.
 
-    Time passes in whole control periods: sensors and control loops belong to the step.
+    Time advances by whole control periods: sensors and control loops are part of the step.
 
     Args:
-        trial: that goes on in it.
+        trial: Trial to simulate.
     """
 
     def __init__(self, trial: Trial) -> None:
@@ -54,74 +54,74 @@ class Physics(mujoco.Physics):
         super().__init__(wrapper.MjData(trial.data))
 
     def proximity(self) -> NDArray[np.int64]:
-        """Counts of command N (8,)."""
+        """Return the counts of command N (8,)."""
         return self._trial.registers[0][PROXIMITY]
 
     def ambient(self) -> NDArray[np.int64]:
-        """Counts of command O (8,), low in the light."""
+        """Return the counts of command O (8,), low in the light."""
         return self._trial.registers[0][AMBIENT]
 
     def setpoints(self) -> NDArray[np.int64]:
-        """Speeds that the wheels are to have (2,) [pulses/10 ms]."""
+        """Return the speed setpoints of the wheels (2,) [pulses/10 ms]."""
         return self._trial.registers[0][SETPOINTS]
 
     def pose(self) -> NDArray[np.float64]:
-        """True x, y [m] and heading [rad] (3,)."""
+        """Return the true x, y [m] and heading [rad] (3,)."""
         return np.array(self._trial.poses[0])
 
     def time(self) -> float:
-        """How long the trial has lasted [s]."""
+        """Return the trial's simulated time [s]."""
         return self._trial.time_s
 
     @property
     def trial(self) -> Trial:
-        """What goes on."""
+        """Trial that is simulated."""
         return self._trial
 
     @property
     def outcome(self) -> Outcome | None:
-        """Of the last period; None at a trial's start."""
+        """Outcome of the last period; None at a trial's start."""
         return self._outcome
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """What the robot sees, all its senses in a row (n,)."""
+        """Observation, all senses concatenated (n,)."""
         return self._observation
 
     def begin(self, seed: int) -> None:
-        """Starts a trial."""
+        """Start a trial."""
         self._observation, self._outcome = self._trial.begin(seed)[0], None
         if self._trial.data is not self._scene:
-            # A world is made anew each time, and so is what shows it.
+            # Each trial of a world creates a new one, so the view is reloaded.
             self._reload_from_data(wrapper.MjData(self._trial.data))
 
     def set_control(self, control: Any) -> None:
-        """Takes the speeds of the next period (2,) [pulses/10 ms], not voltages."""
+        """Set the speeds of the next period (2,) [pulses/10 ms], not voltages."""
         self._speeds = cut(control)
 
     def step(self, nstep: int = 1) -> None:
-        """Lets control periods pass."""
+        """Advance by control periods."""
         for _ in range(nstep):
             (self._outcome,) = self._trial.step([self._speeds])
             self._observation = self._outcome.observation
 
     def timestep(self) -> float:
-        """A control period [s]."""
+        """Return the control period [s]."""
         return self._trial.course.period_ns / 1e9
 
     def reset(self, keyframe_id: int | None = None) -> None:
-        """Nothing: a task's episode begins by `begin`, with its seed."""
+        """Do nothing: an episode starts by `begin`, with its seed."""
 
     def after_reset(self) -> None:
-        """Nothing: a trial that has begun is not to be touched."""
+        """Do nothing: a trial that has begun must not change."""
 
     def copy(self, share_model: bool = False) -> "Physics":
-        """Refused.
+        """Raise a `TypeError`, as a trial cannot be copied.
 
         Raises:
-            TypeError: always; a trial is repeated by its seed and actions.
+            TypeError: Always; a trial is repeated by its seed and actions.
         """
-        raise TypeError("a trial cannot be copied; right is another environment with the same seed")
+        raise TypeError("a trial cannot be copied; expected another environment with the same seed")
 
     @property
     def _scene(self) -> Any:
@@ -129,11 +129,11 @@ class Physics(mujoco.Physics):
 
 
 class TrialTask(control.Task):
-    """A task of `tasks` as dm_control has them.
+    """A task of `tasks` as a dm_control task.
 
     Args:
-        task: which.
-        seed: of all trials, one after another.
+        task: Task.
+        seed: Seed of the sequence of trials.
     """
 
     def __init__(self, task: Task, seed: int) -> None:
@@ -142,23 +142,23 @@ class TrialTask(control.Task):
         self.seed = 0
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Begins a trial by the next seed."""
+        """Start a trial with the next seed."""
         self.seed = int(self._chance.integers(2**31))
         physics.begin(self.seed)
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
-        """Speeds of left and right wheel [pulses/10 ms]."""
+        """Return the bounds of the speeds of left and right wheel [pulses/10 ms]."""
         return specs.BoundedArray((2,), np.float64, -TOP_SPEED, TOP_SPEED, name="left\tright")
 
     def before_step(self, action: Any, physics: Physics) -> None:
-        """Sets the speeds."""
+        """Set the speeds."""
         physics.set_control(action)
 
     def after_step(self, physics: Physics) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def get_observation(self, physics: Physics) -> "OrderedDict[str, NDArray[np.float32]]":
-        """Each sense by name."""
+        """Return each sense by name."""
         found: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
         first = 0
         for name in self._task.senses:
@@ -168,30 +168,30 @@ class TrialTask(control.Task):
         return found
 
     def observation_spec(self, physics: Physics) -> "OrderedDict[str, specs.BoundedArray]":
-        """Bounds of each sense."""
+        """Return the bounds of each sense."""
         return OrderedDict(
             (name, specs.BoundedArray((len(sense.names),), np.float32, sense.low, sense.high, name=name))
             for name, sense in ((name, SENSES[name]) for name in self._task.senses)
         )
 
     def get_reward(self, physics: Physics) -> float:
-        """Of the last period."""
+        """Return the reward of the last period."""
         return physics.outcome.reward if physics.outcome else 0.0
 
     def get_termination(self, physics: Physics) -> float | None:
-        """0 when the charge has run out, 1 when the time is over, else None."""
+        """Return 0 when the charge has run out, 1 at the time limit, else None."""
         if physics.outcome is not None and physics.outcome.ended:
             return 0.0
         return 1.0 if physics.trial.over else None
 
 
 def load(task: Task | str, *, seed: int = 0, **options: Any) -> dm_env.Environment:
-    """An environment.
+    """Return an environment.
 
     Args:
-        task: or its name.
-        seed: of its trials; the same seed and actions give the same steps.
-        options: of `Course`: playpen, noise, spread, period_ns, seconds, compiled.
+        task: Task, or its name.
+        seed: Seed of its trials; the same seed and actions give the same steps.
+        options: Options of `Course`: playpen, noise, spread, period_ns, seconds, compiled.
     """
     course = Course(task, **options)
     return control.Environment(Physics(Trial(course)), TrialTask(course.task, seed))

@@ -1,7 +1,7 @@
-"""Tasks as environments of Gymnasium (extra `rl`), one robot at a time or many side by side.
+"""Tasks as Gymnasium environments (extra `rl`), single or vectorized.
 
     import gymnasium
-    import khep_twin.envs.gymnasium  # makes the names known
+    import khep_twin.envs.gymnasium  # registers the environments
 
     environment = gymnasium.make("khep_twin/ObstacleAvoidance-v0", spread=True)
     observation, info = environment.reset(seed=1)
@@ -9,11 +9,11 @@
 
     many = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
 
-Observation: numbers of the task's senses, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units).
-Action: speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to whole ones.
+Observation: the task's senses, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units).
+Action: speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to integers.
 """
 
-# Its spaces are not typed throughout.
+# Gymnasium's spaces are only partly typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
 import os
@@ -41,28 +41,28 @@ RENDER_MODES = ("rgb_array",)
 
 
 def spaces(task: Task) -> tuple[Space[Any], Space[Any]]:
-    """What a task's robot may see, and what it may be told [pulses/10 ms]."""
+    """Return a task's observation space and action space [pulses/10 ms]."""
     low, high = task.bounds
     return Box(low, high, dtype=np.float32), Box(-TOP_SPEED, TOP_SPEED, (2,), np.float32)
 
 
 class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """One robot at a task.
+    """A task for one robot.
 
-    A trial that has lasted its time is truncated; it terminates when the robot's charge has run out.
+    A trial is truncated at its time limit, and terminates when the robot's charge has run out.
 
-    `info` has what is true, not what the robot knows: "x" and "y" [m], "heading" [rad], "time" [s], and
-    "seed", by which the trial comes again: `reset(options={"seed": ...})`.
+    `info` has ground truth, unknown to the robot: "x" and "y" [m], "heading" [rad], "time" [s], and "seed",
+    which repeats the trial: `reset(options={"seed": ...})`.
 
     Args:
-        task: or its name.
+        task: Task, or its name.
         render_mode: "rgb_array", or None for no pictures.
-        view: of pictures: "scene" by MuJoCo, "map", or "auto" (`view.Painter`).
-        course: that is made ready, in place of the task and options.
-        options: of `Course`: playpen, noise, spread, period_ns, seconds, compiled.
+        view: View of pictures: "scene" by MuJoCo, "map", or "auto" (`view.Painter`).
+        course: Prepared course, in place of the task and options.
+        options: Options of `Course`: playpen, noise, spread, period_ns, seconds, compiled.
 
     Attributes:
-        labels: of the observation's numbers.
+        labels: Labels of the observation's numbers.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
@@ -90,25 +90,25 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts a trial; a seed makes all that follow the same each time."""
+        """Start a trial; a seed makes it and all later trials reproducible."""
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
         self._seed = int((options or {}).get("seed", drawn))
         return self._trial.begin(self._seed)[0], self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Lets a control period pass with these speeds of left and right wheel [pulses/10 ms] (2,)."""
+        """Advance by a control period at these speeds of left and right wheel [pulses/10 ms] (2,)."""
         (outcome,) = self._trial.step([cut(action)])
         return outcome.observation, outcome.reward, outcome.ended, self._trial.over, self._info()
 
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """A picture of now, or nothing without a render mode."""
+        """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
             return None
         return self._painter.picture(self._trial.data, self._trial.poses)
 
     def close(self) -> None:
-        """Gives back what rendering has taken."""
+        """Release the resources of rendering."""
         self._painter.close()
 
     def _info(self) -> dict[str, Any]:
@@ -119,14 +119,14 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
 class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     """Many robots, each in a playpen of its own, stepped by threads.
 
-    Each does what one alone would, whatever the number of threads: robot i begins with the seed + i. One
-    whose trial is over begins another in the next step, without regard to its action, for no reward.
+    Each gives the same results as a single environment, for any number of threads: robot i starts with the
+    seed + i. After the end of a trial the next step starts another, ignores the action, and has reward 0.
 
     Args:
-        num_envs: how many.
-        task: or its name.
-        threads: how many; without, as many as there are cores.
-        options: as of `KheperaEnvironment`.
+        num_envs: Number of environments.
+        task: Task, or its name.
+        threads: Number of threads; by default one per core.
+        options: Options of `KheperaEnvironment`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -146,7 +146,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
     ) -> None:
         for name, number in (("environments", num_envs), ("threads", 1 if threads is None else threads)):
             if number < 1:
-                raise ValueError(f"{number} {name}; right is 1 or more")
+                raise ValueError(f"{number} {name}; expected 1 or more")
         course = Course(task, **options)
         self._all = [
             KheperaEnvironment(course=course, render_mode=render_mode, view=view) for _ in range(num_envs)
@@ -162,13 +162,13 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts all anew."""
+        """Start a trial in each environment."""
         if seed is None or isinstance(seed, int):
             seeds = [None if seed is None else seed + index for index in range(self.num_envs)]
         else:
             seeds = list(seed)
         if len(seeds) != self.num_envs:
-            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments; right are as many")
+            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments; expected {self.num_envs}")
         begun = self._share_out(lambda i: self._all[i].reset(seed=seeds[i], options=options))
         self._over[:] = False
         return np.stack([observation for observation, _ in begun]), self._infos([info for _, info in begun])
@@ -176,7 +176,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Lets a control period of all pass with these speeds [pulses/10 ms] (num_envs, 2)."""
+        """Advance all by a control period at these speeds [pulses/10 ms] (num_envs, 2)."""
 
         def one(index: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
             each = self._all[index]
@@ -186,7 +186,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
             return each.step(actions[index])
 
         if np.shape(actions)[:1] != (self.num_envs,):
-            raise ValueError(f"actions of shape {np.shape(actions)}; right is ({self.num_envs}, 2)")
+            raise ValueError(f"actions of shape {np.shape(actions)}; expected ({self.num_envs}, 2)")
         observations, rewards, ended, late, infos = zip(*self._share_out(one), strict=True)
         terminated, truncated = np.array(ended, np.bool_), np.array(late, np.bool_)
         self._over = terminated | truncated
@@ -199,17 +199,17 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         )
 
     def render(self) -> tuple[Any, ...]:
-        """A picture of each."""
+        """Return a picture of each environment."""
         return tuple(each.render() for each in self._all)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the threads."""
+        """End the threads."""
         self._pool.shutdown()
         for each in self._all:
             each.close()
 
     def _share_out(self, deed: Callable[[int], Any]) -> list[Any]:
-        """Does something with all of them; each thread has a share."""
+        """Call a function for each environment; each thread has a share."""
         results: list[Any] = [None] * self.num_envs
 
         def work(first: int) -> None:
@@ -228,7 +228,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
 
 
 def register() -> None:
-    """Makes the tasks known to Gymnasium as khep_twin/NAME-v0."""
+    """Register the tasks with Gymnasium as khep_twin/NAME-v0."""
     for name in TASKS:
         if (known := f"khep_twin/{name}-v0") not in gymnasium.registry:
             gymnasium.register(

@@ -6,9 +6,9 @@
         actions = {agent: environment.action_space(agent).sample() for agent in environment.agents}
         observations, rewards, terminated, truncated, infos = environment.step(actions)
 
-Agents are the robots by the names that logs have for them, khepera0 on. They see and are told the same as in
-`gymnasium`, and are in each other's way; a robot reflects a sixth of what white paper does, so
-that others see it from some 5 mm. One whose charge has run out stands where it is while the others go on.
+Agents are the robots by their names in logs, khepera0 on. Their observations and actions are those of
+`gymnasium`, and they are obstacles to each other; a robot reflects a sixth of what white paper does, so that
+others see it from some 5 mm. One whose charge has run out stops while the others go on.
 """
 
 # pyright: reportMissingTypeStubs=false
@@ -34,14 +34,14 @@ except ModuleNotFoundError as error:
 
 
 class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
-    """Several robots at a task.
+    """A task for several robots.
 
     Args:
-        task: or its name.
-        robots: how many; a playpen with spots has room for as many as it has spots.
+        task: Task, or its name.
+        robots: Number of robots; a playpen with spots has room for as many as it has spots.
         render_mode: "rgb_array", or None for no pictures.
-        view: of pictures: "scene" by MuJoCo, "map", or "auto".
-        options: of `Course`: playpen, noise, spread, period_ns, seconds.
+        view: View of pictures: "scene" by MuJoCo, "map", or "auto".
+        options: Options of `Course`: playpen, noise, spread, period_ns, seconds.
     """
 
     def __init__(
@@ -75,17 +75,17 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
             self.observation_spaces[agent], self.action_spaces[agent] = spaces(self._course.task)
 
     def observation_space(self, agent: str) -> Space[Any]:
-        """What a robot may see."""
+        """Return the observation space of a robot."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Space[Any]:
-        """What it may be told [pulses/10 ms]."""
+        """Return the action space of a robot [pulses/10 ms]."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Starts a trial; a seed makes all that follow the same each time."""
+        """Start a trial; a seed makes it and all later trials reproducible."""
         if seed is not None:
             self._chance = seeding.np_random(seed)[0]
         drawn = int(self._chance.integers(2**31))
@@ -103,11 +103,11 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Lets a control period pass with these speeds [pulses/10 ms] (2,) of each agent.
+        """Advance by a control period at these speeds [pulses/10 ms] (2,) of each agent.
 
         Raises:
-            KhepTwinError: there is no action for an agent.
-            ValueError: one is not two numbers.
+            KhepTwinError: There is no action for an agent.
+            ValueError: An action is not two numbers.
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
@@ -115,7 +115,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         for agent in self.agents:
             if agent not in actions:
                 raise KhepTwinError(
-                    f"no action for {agent}; right is one for each of {', '.join(self.agents)}"
+                    f"no action for {agent}; expected one for each of {', '.join(self.agents)}"
                 )
             speeds[self.possible_agents.index(agent)] = cut(actions[agent])
         became = dict(zip(self.possible_agents, self._trial.step(speeds), strict=True))
@@ -131,17 +131,17 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         )
 
     def render(self) -> Picture | None:
-        """A picture of now, or nothing without a render mode."""
+        """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
             return None
         return self._painter.picture(self._trial.data, self._trial.poses)
 
     def close(self) -> None:
-        """Gives back what rendering has taken."""
+        """Release the resources of rendering."""
         self._painter.close()
 
     def _infos(self) -> dict[str, dict[str, Any]]:
-        """What is true of each agent that there is."""
+        """Return the ground truth of each present agent."""
         poses = dict(zip(self.possible_agents, self._trial.poses, strict=True))
         return {
             agent: {

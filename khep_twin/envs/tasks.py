@@ -1,15 +1,14 @@
-"""Tasks: what a robot is to learn, where, what it sees, and what it is rewarded for.
+"""Tasks for learning: playpen, observation and reward.
 
     ObstacleAvoidance   forwards, fast, straight and clear of things, among obstacles
-    LoopingMaze         the same along a corridor without an end (Floreano and Mondada 1994)
+    LoopingMaze         the same along a looping corridor (Floreano and Mondada 1994)
     LightSeeking        into the light of a lamp behind a screen (ours)
     Homing              fast and clear of things, and back to the charger in time (Floreano and Mondada 1996)
     WallOrCylinder      find the cylinder and stay beside it, and not beside a wall (Nolfi 1996)
 
-A reward is that of one control period, 0 to 1; the rewards of the classics are those of
-`khep_twin.rollout.fitness`, with the speeds that the wheels' encoders have counted, not those that were asked
-for.
-A task of your own is one more `Task`, e.g. `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
+A reward is that of one control period, 0 to 1; published rewards are those of `khep_twin.rollout.fitness`,
+with the speeds that the wheels' encoders have counted, not the setpoints. To define a task, create a `Task`,
+e.g. `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,13 +31,13 @@ class Moment:
     """One robot at the end of a control period.
 
     Attributes:
-        registers: of its board (N_REGISTERS,).
-        left: speed of the wheel over the period, as counted by its encoder [pulses/10 ms].
-        right: likewise.
-        dark: ambient reading in the dark [counts].
-        floor: in the brightest light.
-        at_goal: whether it is where the task wants it.
-        charge: what is left of its charge, 1 to 0.
+        registers: Registers of its board (N_REGISTERS,).
+        left: Speed of the left wheel over the period, as counted by its encoder [pulses/10 ms].
+        right: Speed of the right wheel over the period, as counted by its encoder [pulses/10 ms].
+        dark: Ambient reading in the dark [counts].
+        floor: Ambient reading in the brightest light [counts].
+        at_goal: Whether the robot is at the goal.
+        charge: Charge left, 1 to 0.
     """
 
     registers: Sequence[int]
@@ -51,26 +50,26 @@ class Moment:
 
     @property
     def nearest(self) -> float:
-        """The largest proximity reading, 0 to 1."""
+        """Largest proximity reading, 0 to 1."""
         return max(self.registers[index] for index in PROXIMITY) / COUNTS_LIMIT
 
     @property
     def brightness(self) -> float:
-        """How brightly the receiver that sees most light is lit, 0 to 1."""
+        """Light at the brightest receiver, 0 to 1."""
         darkest = min(self.registers[index] for index in AMBIENT)
         return fitness.light_seeking(float(darkest), self.dark, self.floor)
 
 
 @dataclass(frozen=True, slots=True)
 class Sense:
-    """A part of what a robot sees, a row of numbers within bounds.
+    """A part of an observation, numbers within bounds.
 
     Attributes:
-        read: the numbers of a moment (n,).
-        names: of each of them (n,).
-        low: none is below.
-        high: none is above.
-        unit: what 1 means.
+        read: Function that returns the numbers of a moment (n,).
+        names: Names of the numbers (n,).
+        low: Lower bound.
+        high: Upper bound.
+        unit: Meaning of 1.
     """
 
     read: Callable[[Moment], Sequence[float]]
@@ -106,10 +105,10 @@ SENSES = {
     "speed": Sense(_speed, ("left", "right"), -1.0, 1.0, "20 pulses/10 ms, 160 mm/s, counted, cut"),
     "charge": Sense(_charge, ("charge",), 0.0, 1.0, "a full charge"),
 }
-"""All that a task may let a robot see, in the order of an observation."""
+"""All senses that a task may choose from."""
 
 TOP_SPEED = float(fitness.TOP_SPEED_PULSES)
-"""What an action may ask of a wheel, forwards and backwards [pulses/10 ms]: 160 mm/s."""
+"""Top speed of a wheel in an action, forwards and backwards [pulses/10 ms]: 160 mm/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,15 +116,16 @@ class Task:
     """A task.
 
     Attributes:
-        name: of the task, in one word.
-        playpen: name or path of where it is.
-        senses: what the robot sees, of `SENSES`.
-        reward: of a control period, 0 to 1.
-        seconds: how long a trial lasts at most [s].
-        starts: "anywhere" there is room, or as the "playpen" has it: in its place or at one of its spots.
-        goal: name of the playpen's patch or cylinder that is the robot's goal; none if empty.
-        reach_mm: how near to the goal's centre the robot's centre is at the goal [mm].
-        charge_s: how long a charge lasts, full again at the goal; a trial ends without any [s]. 0 for always.
+        name: Name of the task, in one word.
+        playpen: Name or path of the playpen.
+        senses: Senses in the observation, of `SENSES`.
+        reward: Reward of a control period, 0 to 1.
+        seconds: Time limit of a trial [s].
+        starts: "anywhere" there is room, or as in the "playpen": the robot's own pose or one of its spots.
+        goal: Name of the playpen's patch or cylinder that is the robot's goal; none if empty.
+        reach_mm: Largest distance of the robot's centre from the goal's centre at the goal [mm].
+        charge_s: Duration of a charge, full again at the goal; a trial ends when it is empty [s]. 0 for no
+            limit.
     """
 
     name: str
@@ -139,10 +139,10 @@ class Task:
     charge_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuses senses that there are not.
+        """Check the senses.
 
         Raises:
-            KhepTwinError: a sense is unknown, or there is none.
+            KhepTwinError: A sense is unknown, or there is none.
         """
         for sense in self.senses:
             if sense not in SENSES:
@@ -152,19 +152,19 @@ class Task:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Of an observation's numbers (n,), e.g. "proximity left_90"."""
+        """Labels of an observation's numbers (n,), e.g. "proximity left_90"."""
         return tuple(f"{sense} {name}" for sense in self.senses for name in SENSES[sense].names)
 
     @property
     def bounds(self) -> tuple[Observation, Observation]:
-        """What an observation's numbers are not below and not above (n,), (n,)."""
+        """Lower and upper bounds of an observation (n,), (n,)."""
         senses = [SENSES[name] for name in self.senses]
         sizes = [len(sense.names) for sense in senses]
         low, high = ([sense.low for sense in senses], [sense.high for sense in senses])
         return np.repeat(np.array(low, np.float32), sizes), np.repeat(np.array(high, np.float32), sizes)
 
     def observe(self, moment: Moment) -> Observation:
-        """What the robot sees (n,), in the order of `labels`."""
+        """Return the observation (n,), in the order of `labels`."""
         numbers: list[float] = []
         for name in self.senses:
             numbers += SENSES[name].read(moment)
@@ -172,30 +172,30 @@ class Task:
 
 
 def avoiding(moment: Moment) -> float:
-    """V (1 - sqrt(dV)) (1 - i) forwards, nothing backwards.
+    """Return V (1 - sqrt(dV)) (1 - i) forwards, 0 backwards.
 
-    Floreano and Mondada's V has no sign. By that, learners find that to and fro is clear of things, too.
+    Floreano and Mondada's V has no sign, so that learners find driving to and fro, which avoids things, too.
     """
     return avoiding_either_way(moment) if moment.left + moment.right > 0 else 0.0
 
 
 def avoiding_either_way(moment: Moment) -> float:
-    """V (1 - sqrt(dV)) (1 - i) as published: see `fitness.obstacle_avoidance`."""
+    """Return V (1 - sqrt(dV)) (1 - i) as published: see `fitness.obstacle_avoidance`."""
     return fitness.obstacle_avoidance(moment.left, moment.right, moment.nearest)
 
 
 def seeking_light(moment: Moment) -> float:
-    """How bright it is."""
+    """Return the brightness."""
     return moment.brightness
 
 
 def homing(moment: Moment) -> float:
-    """V (1 - i) away from home, nothing at home."""
+    """Return V (1 - i) away from home, 0 at home."""
     return 0.0 if moment.at_goal else fitness.homing(moment.left, moment.right, moment.nearest)
 
 
 def staying(moment: Moment) -> float:
-    """1 at the goal, 0 elsewhere."""
+    """Return 1 at the goal, 0 elsewhere."""
     return float(moment.at_goal)
 
 
@@ -226,14 +226,14 @@ TASKS = {
         ),
     )
 }
-"""The tasks that ship with the package, by name."""
+"""Tasks that ship with the package, by name."""
 
 
 def find(task: Task | str) -> Task:
-    """A task by name.
+    """Return a task by name.
 
     Raises:
-        KhepTwinError: there is none.
+        KhepTwinError: The name is unknown.
     """
     if isinstance(task, Task):
         return task

@@ -1,4 +1,4 @@
-"""Trials of a task: begin by a seed, then step by step, with what the robots see and are rewarded with.
+"""Trials of a task: `begin` with a seed, then `step` by step, with observations and rewards.
 
     trial = Trial(Course("ObstacleAvoidance"))
     trial.begin(seed=1)
@@ -6,10 +6,10 @@
         outcome, = trial.step([(10, 10)])
         print(outcome.observation, outcome.reward)
 
-This is what all forms of environment are made of: dm_env, Gymnasium, PettingZoo. A step is one control
-period, 50 ms unless told otherwise (the cycle of the Khepera Toolbox's controllers): the speeds are set as by
-a command D that takes no time, physics, sensors and control loops go on at their own pace, and the robots
-look again. A trial depends on its seed and its actions alone, whatever was done before.
+The dm_env, Gymnasium and PettingZoo environments are built on trials. A step is one control period, 50 ms by
+default (the cycle of the Khepera Toolbox's controllers): the speeds are set as by a command D without delay,
+physics, sensors and control loops run at their own rates, and the robots are observed again. A trial depends
+on its seed and its actions alone, not on earlier trials.
 """
 
 import math
@@ -41,34 +41,34 @@ from khep_twin.rollout.stages import (
 from khep_twin.sensing import calibration
 
 PERIOD_NS = 50_000_000
-"""Of the controller, unless told otherwise [ns]."""
+"""Default control period [ns]."""
 
 _ENCODERS = (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER)
 
 
 def cut(action: Any) -> tuple[float, float]:
-    """An action as the speeds of left and right wheel, cut at the top speed [pulses/10 ms].
+    """Return an action as the speeds of left and right wheel, clipped to the top speed [pulses/10 ms].
 
     Raises:
-        ValueError: it is not two numbers.
+        ValueError: The action is not two numbers.
     """
     try:
         left, right = np.clip(np.asarray(action, np.float64), -TOP_SPEED, TOP_SPEED).tolist()
         return float(left), float(right)
     except (TypeError, ValueError):
         raise ValueError(
-            f"action {action!r}: right are two speeds, left and right, from {-TOP_SPEED:g} to {TOP_SPEED:g}"
+            f"action {action!r}; expected two speeds, left and right, from {-TOP_SPEED:g} to {TOP_SPEED:g}"
         ) from None
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one robot in a step.
+    """Results of one robot's step.
 
     Attributes:
-        observation: what it sees now (n,).
-        reward: for this control period, 0 to 1.
-        ended: whether its charge has run out.
+        observation: Observation after the step (n,).
+        reward: Reward for this control period, 0 to 1.
+        ended: Whether the charge has run out.
     """
 
     observation: Observation
@@ -77,22 +77,22 @@ class Outcome:
 
 
 class Course:
-    """A task made ready; any number of trials, in any threads, may share it.
+    """A prepared task; any number of trials, in any threads, may share it.
 
     Args:
-        task: or its name.
-        playpen: another one than the task's, by name, path, or as it is.
-        robots: how many.
-        noise: whether sensors are noisy.
-        spread: whether each trial has the sensors of another robot of the same make, by its seed.
-        period_ns: of the controller [ns], whole ticks of 10 ms.
-        seconds: how long a trial lasts at most [s]; without, as the task has it.
-        compiled: None for compiled where numba is installed; robots together are never.
+        task: Task, or its name.
+        playpen: Playpen in place of the task's, as a name, path or object.
+        robots: Number of robots.
+        noise: Whether sensors are noisy.
+        spread: Whether each trial has the sensors of another robot of the same make, by its seed.
+        period_ns: Control period [ns], whole ticks of 10 ms.
+        seconds: Time limit of a trial [s]; by default the task's.
+        compiled: Whether to run compiled; None if numba is installed. Several robots never are.
 
     Raises:
-        KhepTwinError: there is no such task, or no such goal in the playpen.
-        PlaypenError: the playpen cannot be used.
-        ValueError: a number is out of its range.
+        KhepTwinError: The task is unknown, or the playpen has no such goal.
+        PlaypenError: The playpen cannot be used.
+        ValueError: A number is out of range.
     """
 
     def __init__(
@@ -108,9 +108,9 @@ class Course:
         compiled: bool | None = None,
     ) -> None:
         if robots < 1:
-            raise ValueError(f"{robots} robots; right is 1 or more")
+            raise ValueError(f"{robots} robots; expected 1 or more")
         if period_ns <= 0 or period_ns % units.TICK_NS:
-            raise ValueError(f"a control period of {period_ns / 1e6:g} ms; right are whole ticks of 10 ms")
+            raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
         self.task = find(task)
         given = self.task.playpen if playpen is None else playpen
         self.playpen = several(given if isinstance(given, Playpen) else load(given), robots)
@@ -118,7 +118,7 @@ class Course:
         self.seconds = self.task.seconds if seconds is None else seconds
         if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
             raise ValueError(
-                f"seconds = {self.seconds}: right are one or more whole control periods of "
+                f"seconds = {self.seconds}; expected one or more whole control periods of "
                 f"{period_ns / 1e6:g} ms"
             )
         self.n_steps = n_steps(to_ns(self.seconds), period_ns)
@@ -129,25 +129,25 @@ class Course:
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
 
     def stage(self) -> Stage:
-        """A new place for a trial."""
+        """Return a new simulation for a trial."""
         if self._ground is None:
             return Together(self.period_ns)
         return Alone(self._ground, self._compiled)
 
     def started(self, seed: int) -> Playpen:
-        """The playpen as a trial starts.
+        """Return the playpen at the start of a trial.
 
         Raises:
-            PlaypenError: there is no room for the robots.
+            PlaypenError: There is no room for the robots.
         """
         return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
 
 
 class Trial:
-    """Room for one trial at a time; `begin` starts a new one in it.
+    """One trial at a time; `begin` starts a new one.
 
     Args:
-        course: of the task.
+        course: Prepared task.
     """
 
     def __init__(self, course: Course) -> None:
@@ -159,11 +159,11 @@ class Trial:
         self._steps = course.n_steps
 
     def begin(self, seed: int) -> list[Observation]:
-        """Starts a trial; what each robot sees.
+        """Start a trial; return each robot's observation.
 
         Raises:
-            PlaypenError: there is no room for the robots.
-            ValueError: the seed is negative or too large.
+            PlaypenError: There is no room for the robots.
+            ValueError: The seed is negative or too large.
         """
         course = self.course
         self._stage.begin(seed, course.started(seed), course.noise, course.spread)
@@ -173,19 +173,19 @@ class Trial:
         return [course.task.observe(self._moment(robot, (0.0, 0.0))) for robot in range(self._n_robots)]
 
     def step(self, speeds: Sequence[Sequence[float]]) -> list[Outcome]:
-        """Lets a control period pass.
+        """Advance by a control period.
 
         Args:
-            speeds: of each robot, left and right [pulses/10 ms]; rounded to whole ones, cut at 127.
+            speeds: Speeds of each robot, left and right [pulses/10 ms]; rounded to integers, clipped to 127.
 
         Raises:
-            DivergedError: a speed is no number, or the physics left its bounds.
-            ValueError: the trial is over, or there are not as many speeds as robots.
+            DivergedError: A speed is no number, or the physics left its bounds.
+            ValueError: The trial is over, or the number of speeds is not that of the robots.
         """
         if self.over:
-            raise ValueError("the trial is over; right is to begin another one")
+            raise ValueError("the trial is over; begin another one")
         if len(speeds) != self._n_robots:
-            raise ValueError(f"{len(speeds)} pairs of speeds for {self._n_robots} robots; right are as many")
+            raise ValueError(f"{len(speeds)} pairs of speeds; expected {self._n_robots}, one for each robot")
         for robot, (left, right) in enumerate(speeds):
             self._stage.drive(robot, float(left), float(right))
         self._stage.go_on()
@@ -194,12 +194,12 @@ class Trial:
 
     @property
     def over(self) -> bool:
-        """Whether its time is over, or it has not begun."""
+        """True if the time is over, or no trial has begun."""
         return self._steps >= self.course.n_steps
 
     @property
     def time_s(self) -> float:
-        """How long it has lasted [s]."""
+        """Simulated time [s]."""
         return self._steps * self.course.period_ns / 1e9
 
     @property
@@ -209,12 +209,12 @@ class Trial:
 
     @property
     def registers(self) -> Sequence[NDArray[np.int64]]:
-        """Of each robot's board (N_REGISTERS,), live."""
+        """Registers of each robot's board (N_REGISTERS,), live."""
         return self._stage.registers
 
     @property
     def data(self) -> mujoco.MjData:
-        """The scene's state, live."""
+        """State of the scene, live."""
         return self._stage.data
 
     def _outcome(self, robot: int) -> Outcome:
@@ -243,13 +243,13 @@ class Trial:
         return (x - goal_x) ** 2 + (y - goal_y) ** 2 <= reach * reach
 
     def _counted(self, robot: int) -> list[int]:
-        """Pulses of both encoders."""
+        """Return the pulses of both encoders."""
         registers = self._stage.registers[robot]
         return [int(registers[index]) for index in _ENCODERS]
 
 
 def _place_of(playpen: Playpen, name: str) -> tuple[float, float]:
-    """Where a playpen's patch or cylinder of a name is [m]."""
+    """Return the position of a playpen's named patch or cylinder [m]."""
     places = {
         item.name: (units.metres(item.x_mm), units.metres(item.y_mm))
         for item in (*playpen.patches, *playpen.cylinders)

@@ -1,6 +1,6 @@
-"""Pictures of a trial as arrays: the scene rendered by MuJoCo, or, where there is no GL, a map.
+"""Pictures of a trial as arrays: the scene rendered by MuJoCo, or, without GL, a map.
 
-MuJoCo renders without a screen by EGL or OSMesa, as `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` says before mujoco
+MuJoCo renders without a screen by EGL or OSMesa if `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` is set before mujoco
 is imported.
 """
 
@@ -25,25 +25,25 @@ View = Literal["auto", "scene", "map"]
 VIEWS = ("auto", "scene", "map")
 
 WIDTH, HEIGHT = 640, 480
-"""Of a rendered scene [pixels]: MuJoCo's room for pictures off screen; a map is as large as it needs."""
+"""Size of a rendered scene [pixels]: MuJoCo's offscreen buffer; a map has its own size."""
 
 _MAP_DPI = 100.0
 
 
 class MapWarning(UserWarning):
-    """MuJoCo cannot render here, so that pictures are maps."""
+    """Warning that pictures are maps, as MuJoCo cannot render here."""
 
 
 class Painter:
-    """Makes pictures of one playpen.
+    """Renderer of pictures of one playpen.
 
     Args:
-        playpen: which.
-        view: "scene" rendered by MuJoCo, "map", or "auto" for a scene where it can be had, else a map with a
+        playpen: Playpen.
+        view: "scene" rendered by MuJoCo, "map", or "auto" for a scene if possible, else a map with a
             warning.
 
     Raises:
-        KhepTwinError: there is no such view.
+        KhepTwinError: The view is unknown.
     """
 
     def __init__(self, playpen: Playpen, view: View = "auto") -> None:
@@ -56,23 +56,23 @@ class Painter:
 
     @property
     def view(self) -> View:
-        """What pictures are of; "auto" before the first."""
+        """View of the pictures; "auto" before the first."""
         return self._view
 
     def picture(self, data: mujoco.MjData, poses: Sequence[Pose]) -> Picture:
-        """A picture of a state, which stays untouched.
+        """Return a picture of a state, which is not changed.
 
         Args:
-            data: of the scene.
-            poses: of the robots.
+            data: State of the scene.
+            poses: Poses of the robots.
 
         Raises:
-            KhepTwinError: a scene is wished, and MuJoCo cannot render here.
+            KhepTwinError: The view is "scene", and MuJoCo cannot render here.
         """
         if self._view != "map":
             try:
                 picture = self._scene(data)
-            except Exception as error:  # each way to GL fails in its own
+            except Exception as error:  # each GL backend raises its own errors
                 if self._view == "scene":
                     raise KhepTwinError(f"MuJoCo cannot render here ({_told(error)}); {_REMEDY}") from error
                 warnings.warn(
@@ -87,7 +87,7 @@ class Painter:
         return self._map(poses)
 
     def close(self) -> None:
-        """Gives back what rendering has taken."""
+        """Release the resources of rendering."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -126,13 +126,13 @@ class Painter:
             return np.array(image.convert("RGB"))
 
 
-_REMEDY = "right is MUJOCO_GL=egl or MUJOCO_GL=osmesa, with that library installed, or view='map'"
+_REMEDY = "expected MUJOCO_GL=egl or MUJOCO_GL=osmesa, with that library installed, or view='map'"
 
 
 def _told(error: Exception) -> str:
-    """The first line of an error, without its tail."""
+    """Return the first line of an error, without a full stop."""
     try:
         lines = str(error).splitlines()
-    except Exception:  # PyOpenGL's cannot always say what they are
+    except Exception:  # str() of PyOpenGL's errors may fail
         lines = []
     return lines[0].strip().rstrip(".") if lines else type(error).__name__

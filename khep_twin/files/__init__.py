@@ -1,1 +1,1 @@
-"""Files of users: atomic writing, TOML that keeps its comments, MAT files."""
+"""User files: atomic writing, TOML editing that keeps comments, MAT files."""

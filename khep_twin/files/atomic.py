@@ -1,4 +1,4 @@
-"""Files of users: what is read is a file indeed, what is written is there as a whole or not at all."""
+"""Safe reading and atomic writing: only regular files are read, and a file is written whole or not at all."""
 
 import errno
 import os
@@ -14,12 +14,12 @@ from khep_twin.signals import clear_at_end, undisturbed
 
 
 def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
-    """Open a file to read it; a pipe, which may be waited for for ever, or a device is refused at once.
+    """Open a file to read it; refuse pipes, which could block for ever, and devices at once.
 
     Raises:
         OSError: It cannot be opened, or is no regular file.
     """
-    # Before it is opened, as that alone may move a device, and once more, as it may be another one by then.
+    # Check before opening, which alone may act on a device, and after, as the file may be another by then.
     _check_regular(os.stat(path))
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     try:
@@ -31,7 +31,7 @@ def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
 
 
 def read_regular(path: Path) -> bytes:
-    """Return what is in a file, which is refused as by `open_regular`.
+    """Return the content of a file, which is refused as by `open_regular`.
 
     Raises:
         OSError: It cannot be read, or is no regular file.
@@ -41,25 +41,25 @@ def read_regular(path: Path) -> bytes:
 
 
 def is_same(path: Path, other: Path) -> bool:
-    """Return whether two names are those of one file, which may still have to be made."""
+    """Return whether two paths name the same file, which need not exist yet."""
     try:
         return path.resolve() == other.resolve() or path.samefile(other)
-    except (OSError, ValueError):  # one that is not there is no other's
+    except (OSError, ValueError):  # a missing file is not the same as any other
         return False
 
 
 def unusable(path: Path) -> str:
-    """Why nothing can be written under a name; empty if it can.
+    """Return the reason why nothing can be written under a name; empty if it can.
 
-    Devices, pipes and directories are left alone: giving a file their name would take them away.
+    Devices, pipes and directories are refused: a rename to their name would replace them.
     """
     try:
         if not path.name or path.is_dir():
-            return "this is a directory; right is the name of a file"
+            return "this is a directory; expected the name of a file"
         if not path.parent.is_dir():
             return f"there is no directory {path.parent}"
         if path.exists() and not path.is_file():
-            return "this is no regular file; right is the name of a file"
+            return "this is no regular file; expected the name of a file"
         if path.exists() and not (path.stat().st_mode & 0o222 and os.access(path, os.W_OK)):
             return "the file is read-only"
         if not os.access(path.resolve().parent, os.W_OK):
@@ -70,10 +70,10 @@ def unusable(path: Path) -> str:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file beside `path` and give it its name when it is whole; a link is followed.
+    """Write a file beside `path` and rename it when it is whole; a link is followed.
 
     Raises:
-        KhepTwinError: That is not possible; what was there before is untouched.
+        KhepTwinError: It cannot be written; the previous file is unchanged.
     """
     with undisturbed(), whole_file(path) as file:
         file.write(data)
@@ -81,10 +81,10 @@ def write_whole(path: Path, data: bytes) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Generator[BinaryIO]:
-    """Open a file for writing that gets its name when it is whole; a link is followed.
+    """Open a file for writing that is renamed to `path` when it is whole; a link is followed.
 
     Raises:
-        KhepTwinError: That is not possible; what was there before is untouched.
+        KhepTwinError: It cannot be written; the previous file is unchanged.
     """
     if reason := unusable(path):
         raise KhepTwinError(f"{path}: cannot be written: {reason}")
@@ -97,10 +97,10 @@ def whole_file(path: Path) -> Generator[BinaryIO]:
 
 @contextmanager
 def part_file(path: Path) -> Generator[BinaryIO]:
-    """Do what `whole_file` does, for those who tell of trouble in their own words.
+    """Do the same as `whole_file`, for callers that report errors in their own words.
 
     Raises:
-        OSError: That is not possible; what was there before is untouched.
+        OSError: It cannot be written; the previous file is unchanged.
     """
     target = path.resolve()
     with undisturbed():
@@ -122,7 +122,7 @@ def is_part(path: Path, whole: Path) -> bool:
 
 
 def _new_part(target: Path) -> Path:
-    """Make an empty file beside another one, under a name that nothing else has."""
+    """Make an empty file beside another one, under a unique name."""
     number = 0
     while True:
         part = target.with_name(f".{target.name}.part{number or ''}")

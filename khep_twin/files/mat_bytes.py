@@ -1,4 +1,4 @@
-"""MAT files without the machine and the hour in them: the same variables give the same bytes."""
+"""MAT files without machine name and time: the same variables give the same bytes."""
 
 # scipy is not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
@@ -15,15 +15,15 @@ _TITLE_BYTES = 116
 
 
 def mat_bytes(values: Mapping[str, Any], what: str, *, packed: bool = True) -> bytes:
-    """Variables as a MAT file of Matlab 5.
+    """Return variables as a MAT file of Matlab 5.
 
     Args:
-        values: by names that Matlab takes.
-        what: the file is, for its title.
-        packed: by zlib.
+        values: Variables by names that Matlab accepts.
+        what: Description of the file for its title.
+        packed: True to compress by zlib.
     """
     file = BytesIO()
     savemat(file, dict(values), do_compression=packed)
-    # scipy writes the machine and the hour here.
+    # scipy writes the machine and the time here.
     title = f"MATLAB 5.0 MAT-file, {what} by khep_twin {__version__}".encode("ascii")
     return title.ljust(_TITLE_BYTES) + file.getvalue()[_TITLE_BYTES:]

@@ -1,7 +1,7 @@
 """Variables of MAT files, Matlab 4 to 7.2: matrices of real numbers and of characters.
 
-scipy reads them too, but a damaged file can end the whole process there. Here it is an error that says where,
-and what a file may cost is limited before it is spent.
+scipy reads them too, but a damaged file can end the whole process there. Here it is an error with its place,
+and memory and time for a file are limited in advance.
 
     Matlab 4        one header of five int32 a matrix: kind, rows, columns, imaginary, length of the name
     Matlab 5 to 7.2 128 bytes, then elements of type and size, each matrix packed by zlib or not
@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from khep_twin.errors import MatError
 
 SIZE_LIMIT = 2**26
-"""Most bytes of a file, and of all that is packed in it [bytes]."""
+"""Most bytes of a file, and of all its unpacked content [bytes]."""
 
 VARIABLE_LIMIT = 10_000
 """Most variables in a file."""
 
 TEXT_LIMIT = 2**20
-"""Most characters in all matrices of them together."""
+"""Most characters in all character matrices together."""
 
 _DIMENSION_LIMIT = 32
 
@@ -36,7 +36,7 @@ class Foreign:
     """A variable that is neither real numbers nor characters.
 
     Attributes:
-        kind: in words, such as "a struct".
+        kind: Kind in words, such as "a struct".
     """
 
     kind: str
@@ -44,8 +44,8 @@ class Foreign:
 
 Numbers = NDArray[np.number[Any]]
 Variable = Numbers | tuple[str, ...] | Foreign
-"""A matrix of numbers (rows, columns) in the type that they are stored in, the rows of one of characters, or
-something else."""
+"""A matrix of numbers (rows, columns) in the type that they are stored in, the rows of a character matrix, or
+a variable of another kind."""
 
 _MATRIX, _PACKED, _INT32 = 14, 15, 5
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -56,27 +56,27 @@ _TYPES_OF_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 
 
 def read_variables(data: bytes) -> dict[str, Variable]:
-    """The variables of a MAT file, by name.
+    """Return the variables of a MAT file, by name.
 
     Raises:
-        MatError: it is no whole MAT file of Matlab 4 to 7.2, or larger than the limits.
+        MatError: It is no whole MAT file of Matlab 4 to 7.2, or larger than the limits.
     """
     if len(data) < 20:
-        raise MatError(f"no MAT file: only {len(data)} bytes; right is one of Matlab 4 to 7.2")
+        raise MatError(f"no MAT file: only {len(data)} bytes; expected one of Matlab 4 to 7.2")
     if len(data) > SIZE_LIMIT:
         raise MatError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
     variables: dict[str, Variable] = {}
     characters = 0
-    # A name of text begins the newer files; the older ones have a small number there.
+    # The newer files begin with a text; the older ones with a small number.
     found = _of_4(data) if 0 in data[:4] else _of_5(data)
     for number, (name, value) in enumerate(found):
         if number >= VARIABLE_LIMIT:
-            raise MatError(f"more than {VARIABLE_LIMIT} variables; right is a file with fewer")
+            raise MatError(f"more than {VARIABLE_LIMIT} variables; expected a file with fewer")
         if isinstance(value, tuple):
             characters += sum(map(len, value))
         if characters > TEXT_LIMIT:
             raise _too_long(characters)
-        # What has no name is a store of Matlab's own.
+        # A variable without a name is internal to Matlab.
         if name:
             variables[name] = value
     return variables
@@ -84,7 +84,7 @@ def read_variables(data: bytes) -> dict[str, Variable]:
 
 @dataclass(slots=True)
 class _Bytes:
-    """What is left to read."""
+    """The unread rest of a file."""
 
     data: memoryview
     order: str
@@ -101,7 +101,7 @@ class _Bytes:
         return struct.unpack(f"{self.order}{count}I", self.take(4 * count))
 
     def element(self) -> tuple[int, memoryview]:
-        """Type and bytes of the next element; small ones have both in four bytes."""
+        """Return type and bytes of the next element; small ones have both in four bytes."""
         (kind,) = self.words(1)
         if kind >> 16:
             content = self.take(4)[: min(kind >> 16, 4)]
@@ -118,21 +118,21 @@ class _Bytes:
 
 
 def _broken(what: str) -> MatError:
-    return MatError(f"no whole MAT file: {what}; right is the file as saved")
+    return MatError(f"no whole MAT file: {what}; expected the file as saved")
 
 
 def _of_5(data: bytes) -> Iterator[tuple[str, Variable]]:
     if data[:4] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
-        raise MatError("a MAT file of Matlab 7.3; right is one of Matlab 4 to 7.2, as save -v7 writes it")
+        raise MatError("a MAT file of Matlab 7.3; expected one of Matlab 4 to 7.2, as save -v7 writes it")
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None or data[124:126] not in (b"\x00\x01", b"\x01\x00"):
-        raise MatError(f"no MAT file: begins {data[:20]!r}; right is one of Matlab 4 to 7.2")
+        raise MatError(f"no MAT file: begins {data[:20]!r}; expected one of Matlab 4 to 7.2")
     rest, room = _Bytes(memoryview(data), order, 128), SIZE_LIMIT
     elements = 0
     while not rest.empty:
         elements += 1
         if elements > VARIABLE_LIMIT:
-            raise MatError(f"more than {VARIABLE_LIMIT} variables; right is a file with fewer")
+            raise MatError(f"more than {VARIABLE_LIMIT} variables; expected a file with fewer")
         kind, content = rest.element()
         if kind == _PACKED:
             unpacked = _unpacked(content, room)
@@ -158,7 +158,7 @@ def _matrix(rest: _Bytes) -> tuple[str, Variable]:
         raise _broken("a matrix without its kind")
     (word,) = struct.unpack(f"{rest.order}I", flags[:4])
     kind = word & 0xFF
-    # These alone have no size before their name.
+    # Only these have no size before their name.
     shape = [] if kind == _OPAQUE else _shape(*rest.element(), rest.order)
     name = bytes(rest.element()[1][:1000]).decode("latin-1")
     if kind != _CHARACTERS and kind not in _NUMBERS:
@@ -190,11 +190,11 @@ def _numbers(kind: int, content: memoryview, order: str) -> Numbers:
 def _shaped(values: Numbers, shape: list[int], name: str) -> Numbers:
     size = " x ".join(map(str, shape))
     if math.prod(shape) != len(values):
-        raise MatError(f"{name[:40]!r}: {len(values)} values; right are {size}")
+        raise MatError(f"{name[:40]!r}: {len(values)} values; expected {size}")
     try:
         return values.reshape(shape, order="F")
     except ValueError:
-        # Nothing at all in too many ways.
+        # Size 0 in one dimension, too large a product in the others.
         raise _broken(f"a matrix of {size}") from None
 
 
@@ -217,11 +217,11 @@ def _from_codes(codes: Numbers) -> str:
 
 
 def _too_long(characters: int) -> MatError:
-    return MatError(f"text of {characters} characters; right is up to {TEXT_LIMIT}")
+    return MatError(f"text of {characters} characters; expected up to {TEXT_LIMIT}")
 
 
 def _rows(text: str, shape: list[int]) -> tuple[str, ...]:
-    """The rows of a char matrix, which is stored by columns."""
+    """Return the rows of a char matrix, which is stored by columns."""
     if len(shape) != 2 or shape[0] < 2 or not text or math.prod(shape) != len(text):
         return (text,) if text else ()
     return tuple(text[row :: shape[0]] for row in range(shape[0]))
@@ -236,7 +236,7 @@ def _of_4(data: bytes) -> Iterator[tuple[str, Variable]]:
         if kind >= 5000 or number >= len(_TYPES_OF_4) or text > 2 or length > 1000:
             raise MatError(
                 f"no MAT file: a matrix of kind {kind} at byte {rest.place - 20}; "
-                "right is one of Matlab 4 to 7.2"
+                "expected one of Matlab 4 to 7.2"
             )
         name = bytes(rest.take(length)).split(b"\0")[0].decode("latin-1")
         dtype = np.dtype(order + _TYPES_OF_4[number])

@@ -1,4 +1,4 @@
-"""Changing a TOML file where its content changes, and nowhere else: comments, order and spaces stay."""
+"""Editing of a TOML file that changes only what differs: comments, order and spaces stay."""
 
 # tomlkit's containers are partly untyped.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -17,13 +17,13 @@ def change(
     after: Mapping[str, Any],
     bare: Mapping[str, Any],
 ) -> None:
-    """Lets a table of a document say `after` where it said `before`.
+    """Change a table of a document from `before` to `after`.
 
     Args:
-        table: of a tomlkit document; keys that have their defaults may be missing.
-        before: what it says, defaults included.
-        after: what it is to say, likewise.
-        bare: The same without defaults: what is written of a table that is new.
+        table: Table of a tomlkit document; keys that have their defaults may be missing.
+        before: Current content, defaults included.
+        after: New content, defaults included.
+        bare: New content without defaults, as written for a new table.
     """
     for key in before:
         if key not in after and key in table:
@@ -50,7 +50,7 @@ def _change_list(
     after: Sequence[Mapping[str, Any]],
     bare: Sequence[Mapping[str, Any]],
 ) -> None:
-    """The same for an array of tables: those that stay keep their comments wherever they move to."""
+    """Change an array of tables; those that stay keep their comments wherever they move to."""
     steps = SequenceMatcher(None, [*map(repr, before)], [*map(repr, after)], autojunk=False).get_opcodes()
     for kind, start, end, first, last in reversed(steps):
         if kind == "equal":
@@ -74,7 +74,7 @@ def _tables(values: Sequence[Mapping[str, Any]]) -> AoT:
 
 
 def _set(table: MutableMapping[str, Any], key: str, value: Any) -> None:
-    """Gives a key a value; what stands behind it on its line stays."""
+    """Set the value of a key; the rest of its line stays."""
     if key in table and hasattr(table[key], "trivia"):
         trivia = table[key].trivia
         item = tomlkit.item(value)

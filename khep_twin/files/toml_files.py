@@ -1,7 +1,7 @@
-"""Reading the TOML files that people write: playpens and calibrations, strictly.
+"""Strict reading of hand-written TOML files: playpens and calibrations.
 
 A file is checked against a pydantic model, and every problem becomes one line that names the file, its line,
-the table, the key, the value found and what would be right:
+the table, the key, the value found and what was expected:
 
     arena.toml:12: block 2: heigth_mm = 50: unknown key; did you mean 'height_mm'? (choices: ...)
 """
@@ -28,23 +28,23 @@ SIZE_LIMIT = 2**20
 """Largest file that is read [bytes]."""
 
 PROBLEM_LIMIT = 50
-"""Most problems of a file that are told at once."""
+"""Most problems of a file that are reported at once."""
 
 NAME_WISH = "1 to 64 letters, digits, '_' or '-'"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 
 Model = TypeVar("Model", bound="Table")
 
-# One key of thousands of parts takes tomllib seconds and ends in a RecursionError.
+# A key of thousands of parts takes tomllib seconds and ends in a RecursionError.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){32}""")
 
 
 class Problem(NamedTuple):
-    """Something wrong with a file as a whole.
+    """A problem of a whole file.
 
     Attributes:
-        location: table and key that it is about; empty for the file.
-        text: place, value and what would be right.
+        location: Table and key that it is about; empty for the file.
+        text: Place, value and what was expected.
     """
 
     location: Location
@@ -52,7 +52,7 @@ class Problem(NamedTuple):
 
 
 class Problems(ValueError):
-    """What a model's own checks have found."""
+    """Problems found by a model's own checks."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         super().__init__("\n".join(problem.text for problem in problems))
@@ -60,7 +60,7 @@ class Problems(ValueError):
 
 
 class Table(BaseModel):
-    """A table of a file: nothing but the keys it has, nothing converted, nothing infinite, never changed."""
+    """A table of a file: no unknown keys, no conversion, no infinite numbers, immutable."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=False
@@ -68,20 +68,20 @@ class Table(BaseModel):
 
 
 def folder(kind: str) -> Path:
-    """Where the shipped files of a kind lie: "playpens" or "calibration"."""
+    """Return the folder of the shipped files of a kind: "playpens" or "calibration"."""
     return Path(str(files("khep_twin"))) / "assets" / kind
 
 
 def names(kind: str) -> list[str]:
-    """The bare names of the shipped files of a kind."""
+    """Return the bare names of the shipped files of a kind."""
     return sorted(path.stem for path in folder(kind).glob("*.toml"))
 
 
 def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, str]:
-    """The text of a file given by bare name or path, and what to call it in messages.
+    """Return the text of a file given by bare name or path, and its name in messages.
 
     Raises:
-        error: there is no such file, or it cannot be text of a sensible size.
+        error: The file does not exist, is too large, or is not text.
     """
     path = folder(kind) / f"{name}.toml" if str(name) in names(kind) else Path(name)
     source = str(name)
@@ -89,7 +89,7 @@ def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, 
         with open_regular(path) as file:
             data = file.read(SIZE_LIMIT + 1)
     except FileNotFoundError:
-        wish = f"right is the path of a file or a shipped name; {choices(name, names(kind))}"
+        wish = f"expected the path of a file or a shipped name; {choices(name, names(kind))}"
         raise error(f"{source}: no such file; {wish}") from None
     except (OSError, ValueError) as trouble:
         reason = trouble.strerror if isinstance(trouble, OSError) else trouble
@@ -109,10 +109,10 @@ def validate(
     error: type[KhepTwinError],
     context: Mapping[str, Any] | None = None,
 ) -> Model:
-    """The text of a file as `model`, whose validators are given `context`.
+    """Validate the text of a file as `model`; `context` is passed to its validators.
 
     Raises:
-        error: the text is no TOML, or not what the model asks for; one line per problem.
+        error: The text is no TOML, or does not fit the model; one line per problem.
     """
     if _DEEP_KEY.search(text):
         raise error(f"{source}: a key has more than 32 parts")
@@ -135,17 +135,17 @@ def check(
     text: str = "",
     context: Mapping[str, Any] | None = None,
 ) -> Model:
-    """The tables of a file, arrays as tuples, as `model`; its text tells the lines where they stand.
+    """Check the tables of a file, arrays as tuples, against `model`; its text gives the line numbers.
 
     Raises:
-        error: they are not what the model asks for; one line per problem.
+        error: They do not fit the model; one line per problem.
     """
     try:
         return model.model_validate(data, context=context)
     except ValidationError as trouble:
         problems = list(islice(_problems(model, trouble), PROBLEM_LIMIT + 1))
         if len(problems) > PROBLEM_LIMIT:
-            last = f"more than {PROBLEM_LIMIT} problems; the others are told once these are gone"
+            last = f"more than {PROBLEM_LIMIT} problems; the others are reported once these are gone"
             problems[-1] = Problem((), last)
         lines = Lines(text)
         raise error(
@@ -154,7 +154,7 @@ def check(
 
 
 def problems(model: type[Model], data: Mapping[str, Any]) -> list[Problem]:
-    """What is wrong with data as `model`, as `check` would tell it; empty if nothing is."""
+    """Return the problems of data as `model`, as reported by `check`; empty if there are none."""
     try:
         model.model_validate(frozen(data))
     except ValidationError as trouble:
@@ -163,7 +163,7 @@ def problems(model: type[Model], data: Mapping[str, Any]) -> list[Problem]:
 
 
 def frozen(value: Any) -> Any:
-    """Data with its arrays as tuples, which strict models ask for."""
+    """Return data with its arrays as tuples, as required by strict models."""
     if isinstance(value, dict):
         return {key: frozen(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType]
     if isinstance(value, list):
@@ -172,7 +172,7 @@ def frozen(value: Any) -> Any:
 
 
 def dump(table: Table) -> str:
-    """A table as the text of a file, every key written out; reading it back gives the same table."""
+    """Return a table as the text of a file, every key written out; reading it back gives the same table."""
     return tomlkit.dumps(_plain_data(table))
 
 
@@ -183,16 +183,16 @@ def edited(
     said: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda before, _: before,
     bare: Callable[[dict[str, Any]], dict[str, Any]] = lambda after: after,
 ) -> str:
-    """A file's text, `before` to its reader, changed so that it is `after`; comments and all else stay.
+    """Return the text of a file, changed from `before` to `after`; comments and all else stay.
 
-    A new table gets no keys that have their defaults.
+    Keys of a new table that have their defaults are left out.
 
     Args:
-        text: of the file.
-        before: what it says.
-        after: what it is to say.
-        said: given both as data, what of `before` stands in the file by itself.
-        bare: Returns `after` as data without what follows from other keys; is given it without defaults.
+        text: Text of the file.
+        before: Current content.
+        after: New content.
+        said: Function of both as data that returns the part of `before` which the file states itself.
+        bare: Function of `after` without defaults that returns it without what follows from other keys.
     """
     if before == after:
         return text
@@ -203,7 +203,7 @@ def edited(
 
 
 def schema(model: type[Table]) -> dict[str, Any]:
-    """What a file of a model may say, as JSON schema."""
+    """Return the JSON schema of a model's files."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **model.model_json_schema(by_alias=True),
@@ -211,14 +211,14 @@ def schema(model: type[Table]) -> dict[str, Any]:
 
 
 def show(value: object) -> str:
-    """A value as it stands in a message: short, and as TOML writes it."""
+    """Return a value as in messages: short, and as TOML writes it."""
     if isinstance(value, bool):
         return str(value).lower()
     return _plain(f'"{value}"' if isinstance(value, str) else _text(value))
 
 
 def _text(value: object) -> str:
-    """A value in words; Python refuses to write out a whole number of thousands of digits."""
+    """Return a value as text; Python refuses to print an integer of thousands of digits."""
     try:
         return str(value)
     except ValueError:
@@ -226,7 +226,7 @@ def _text(value: object) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text without control characters, and not too long for a line."""
+    """Return text without control characters, and not too long for a line."""
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -248,13 +248,13 @@ def _problems(model: type[BaseModel], trouble: ValidationError) -> Iterator[Prob
 
 
 def _at(lines: Lines, location: Location) -> str:
-    """Where a problem is, as compilers tell it: ":12"."""
+    """Return the line of a problem in the style of compilers: ":12"."""
     number = lines.of(location)
     return "" if number is None else f":{number}"
 
 
 def _place(location: Sequence[str | int]) -> tuple[str, str]:
-    """Table and key of a location, e.g. ("block 2: ", "height_mm")."""
+    """Return table and key of a location, e.g. ("block 2: ", "height_mm")."""
     words: list[str] = []
     for part in location:
         if isinstance(part, int) and words:
@@ -269,19 +269,19 @@ def _reason(model: type[BaseModel], location: Sequence[str | int], key: str, pro
     kind: str = problem["type"]
     field, keys = _field(model, location)
     if kind == "missing":
-        return f"{key} is missing; right is {_wish(field)}"
+        return f"{key} is missing; expected {_wish(field)}"
     if location[-1] == "[key]":
-        return f"{show(key)} is no name; right is {NAME_WISH}"
+        return f"{show(key)} is no name; expected {NAME_WISH}"
     given = key if isinstance(problem["input"], dict | tuple) else f"{key} = {show(problem['input'])}"
     if kind == "extra_forbidden":
         return f"{given}: unknown key; {choices(key, keys)}"
     if kind == "literal_error" and field is not None:
         return f"{given}: unknown; {choices(_text(problem['input']), _literals(field.annotation))}"
-    return f"{given}: right is {_wish(field)}"
+    return f"{given}; expected {_wish(field)}"
 
 
 def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[str]]:
-    """The field at a location, and the keys of the table that it belongs to."""
+    """Return the field at a location, and the keys of its table."""
     table: type[BaseModel] | None = model
     field: FieldInfo | None = None
     keys: list[str] = []
@@ -298,7 +298,7 @@ def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[Field
 
 
 def _table_of(annotation: Any) -> type[BaseModel] | None:
-    """The table within an annotation such as tuple[Block, ...] or dict[str, Surface]."""
+    """Return the table within an annotation such as tuple[Block, ...] or dict[str, Surface]."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next((table for part in get_args(annotation) if (table := _table_of(part)) is not None), None)
@@ -311,7 +311,7 @@ def _literals(annotation: Any) -> list[object]:
 
 
 def _wish(field: FieldInfo | None) -> str:
-    """What a field takes, in words."""
+    """Return what a field accepts, in words."""
     if field is None:
         return "a key of this table"
     if field.description:
@@ -320,7 +320,7 @@ def _wish(field: FieldInfo | None) -> str:
     if literals := _literals(annotation):
         return " or ".join(show(literal) for literal in literals)
     if annotation is int or annotation is float:
-        word = "a whole number" if annotation is int else "a number"
+        word = "an integer" if annotation is int else "a number"
         return f"{word} {_range(field)}".rstrip()
     if annotation is bool:
         return "true or false"
@@ -332,13 +332,13 @@ def _wish(field: FieldInfo | None) -> str:
 
 
 def _given_type(annotation: Any) -> Any:
-    """The type of what is given where a key may be left out: `float` of `float | None`."""
+    """Return the type of an optional key's value: `float` of `float | None`."""
     parts = [part for part in get_args(annotation) if part is not NoneType]
     return parts[0] if len(parts) == 1 and NoneType in get_args(annotation) else annotation
 
 
 def _range(field: FieldInfo) -> str:
-    """A number's limits, e.g. "from 0 to 2", "above 0 up to 1000"."""
+    """Return a number's limits, e.g. "from 0 to 2", "above 0 up to 1000"."""
     keys = ("ge", "gt", "le", "lt")
     limits = {key: getattr(rule, key) for rule in field.metadata for key in keys if hasattr(rule, key)}
     words: list[str] = []

@@ -1,4 +1,4 @@
-"""Where in a TOML file a table or a key stands, which the readers of TOML do not tell."""
+"""Line numbers of tables and keys in a TOML file, which TOML readers do not report."""
 
 import re
 from collections.abc import Sequence
@@ -14,10 +14,10 @@ _TOKEN = re.compile(r"""\"\"\"|'''|"(?:\\.|[^"\\])*"|'[^']*'|[\[\]{}]|\#.*""")
 
 
 class Lines:
-    """The lines of a file by location.
+    """Line numbers of a file by location.
 
     Args:
-        text: that can be read as TOML.
+        text: Text of a valid TOML file.
     """
 
     def __init__(self, text: str) -> None:
@@ -38,14 +38,14 @@ class Lines:
             depth, ending = _after(line, depth, ending)
 
     def of(self, location: Sequence[str | int]) -> int | None:
-        """Number of the line from 1, or of the innermost table around it; None for the file itself."""
+        """Return the line number from 1, or that of the innermost table around it; None for the file."""
         place = tuple(location)
         while place and place not in self._lines:
             place = place[:-1]
         return self._lines.get(place)
 
     def _absolute(self, parts: Location, counts: dict[Location, int], *, listed: bool) -> Location:
-        """A header's location, with the numbers of the arrays of tables that it is in."""
+        """Return a header's location, with the numbers of the arrays of tables that it is in."""
         place: Location = ()
         for index, part in enumerate(parts):
             place = (*place, part)
@@ -61,7 +61,7 @@ def _parts(path: str) -> Location:
 
 
 def _after(line: str, depth: int, ending: str) -> tuple[int, str]:
-    """How deep in brackets the next line begins, and which marks would end a text that goes on there."""
+    """Return the depth in brackets at the next line, and the marks that would end a text open there."""
     place = 0
     while place < len(line):
         if ending:

@@ -1,6 +1,6 @@
-"""The protocol's commands as values: what is sent, how the reply reads, and whether it may be sent twice.
+"""The protocol's commands as values: request, reply and whether the command may be sent twice.
 
-`Khepera` has a method for each; several of them make a burst:
+`Khepera` has a method for each; a burst takes several of them:
 
     proximity, positions = robot.burst(commands.proximity(), commands.position())
 """
@@ -30,9 +30,9 @@ class Command(Generic[T_co]):
     """One command.
 
     Attributes:
-        request: what is sent, without its ending.
-        read: gives what a reply says; raises ValueError with what would be right.
-        repeatable: whether it does no harm twice, as a read does and a move does not.
+        request: Line to send, without its ending.
+        read: Function from the reply to its value; raises ValueError with what is expected.
+        repeatable: True if it does no harm twice, as a read; a move does harm.
     """
 
     request: str
@@ -41,42 +41,42 @@ class Command(Generic[T_co]):
 
 
 def mode_codes(bios: str) -> tuple[int, int, int]:
-    """How command K numbers speed, position and PWM mode in a version of the BIOS: before 5 as ROM 4.06."""
+    """Return command K's numbers of speed, position and PWM mode in a BIOS version: before 5 as ROM 4.06."""
     return ROMS["4.06" if bios.partition(".")[0] < "5" else "5.02"].mode_codes
 
 
 def versions() -> Command[Versions]:
-    """B: versions of the BIOS and of the protocol."""
+    """Return command B: versions of the BIOS and of the protocol."""
     return Command("B", lambda reply: Versions(*_fields("b", 2, reply)), repeatable=True)
 
 
 def speed() -> Command[Speeds]:
-    """E: measured speeds [pulses/10 ms]."""
+    """Return command E: measured speeds [pulses/10 ms]."""
     return _numbers("E", 2, lambda values: Speeds(*values))
 
 
 def position() -> Command[Positions]:
-    """H: position counters [pulses]."""
+    """Return command H: position counters [pulses]."""
     return _numbers("H", 2, lambda values: Positions(*values))
 
 
 def proximity() -> Command[SensorCounts]:
-    """N: eight proximity counts."""
+    """Return command N: eight proximity counts."""
     return _numbers("N", N_SENSORS, lambda values: SensorCounts(*values))
 
 
 def ambient() -> Command[SensorCounts]:
-    """O: eight ambient counts."""
+    """Return command O: eight ambient counts."""
     return _numbers("O", N_SENSORS, lambda values: SensorCounts(*values))
 
 
 def converter(channel: int) -> Command[int]:
-    """I: one channel of the converter [counts]."""
+    """Return command I: one channel of the converter [counts]."""
     return _numbers("I", 1, lambda values: values[0], channel)
 
 
 def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> Command[MotionStatus]:
-    """K: motion control; `codes` as `mode_codes` gives them."""
+    """Return command K: motion control; `codes` as `mode_codes` returns them."""
 
     def read(values: Sequence[int]) -> MotionStatus:
         left, right = (_wheel(*values[at : at + 3], codes=codes) for at in (0, 3))
@@ -86,71 +86,71 @@ def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> Command[Mot
 
 
 def set_speed(left: int, right: int) -> Command[None]:
-    """D: speeds [pulses/10 ms]. Only a stop may be sent twice."""
+    """Return command D: speeds [pulses/10 ms]. Only a stop may be sent twice."""
     return _order("D", left, right, repeatable=left == right == 0)
 
 
 def set_target(left: int, right: int) -> Command[None]:
-    """C: targets [pulses]."""
+    """Return command C: targets [pulses]."""
     return _order("C", left, right)
 
 
 def set_duty(left: int, right: int) -> Command[None]:
-    """P: duties, -255 to 255."""
+    """Return command P: duties, -255 to 255."""
     return _order("P", left, right)
 
 
 def set_position(left: int, right: int) -> Command[None]:
-    """G: position counters [pulses]. Sent twice, it would lose what was driven in between."""
+    """Return command G: position counters [pulses]. Sent twice, it would lose the pulses in between."""
     return _order("G", left, right)
 
 
 def configure_speed_controller(kp: int, ki: int, kd: int) -> Command[None]:
-    """A: gains of the speed controller."""
+    """Return command A: gains of the speed controller."""
     return _order("A", kp, ki, kd, repeatable=True)
 
 
 def configure_position_controller(kp: int, ki: int, kd: int) -> Command[None]:
-    """F: gains of the position controller."""
+    """Return command F: gains of the position controller."""
     return _order("F", kp, ki, kd, repeatable=True)
 
 
 def configure_profile(
     left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
 ) -> Command[None]:
-    """J: trapezoid of moves to a target, by wheel: speed [pulses/10 ms], acceleration [3.125 mm/s^2]."""
+    """Return command J: trapezoid of moves, by wheel: speed [pulses/10 ms], acceleration [3.125 mm/s^2]."""
     return _order("J", left_speed, left_acceleration, right_speed, right_acceleration, repeatable=True)
 
 
 def set_led(led: int, action: int) -> Command[None]:
-    """L: LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle."""
+    """Return command L: LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle."""
     return _order("L", led, action, repeatable=action != 2)
 
 
 def read_bus(address: int) -> Command[int]:
-    """R: a byte of the extension bus. What is there may notice a read, so it is not repeated."""
+    """Return command R: read a byte of the extension bus. A read may have effects: it is not repeated."""
     return _numbers("R", 1, lambda values: values[0], address, repeatable=False)
 
 
 def write_bus(data: int, address: int) -> Command[None]:
-    """W: writes a byte to the extension bus."""
+    """Return command W: write a byte to the extension bus."""
     return _order("W", data, address)
 
 
 def turret(number: int, message: str) -> Command[str]:
-    """T: a message for a turret; reads its answer without the head "t,1,"."""
+    """Return command T: message to a turret, whose answer is read without the head "t,1,"."""
     head = f"t,{number},"
 
     def read(reply: str) -> str:
         if not reply.startswith(head):
-            raise ValueError(f"right is {head!r} and the turret's answer")
+            raise ValueError(f"expected {head!r} and the turret's answer")
         return reply.removeprefix(head)
 
     return Command(f"T,{number},{message}", read)
 
 
 def _order(letter: str, *arguments: int, repeatable: bool = False) -> Command[None]:
-    """A command whose reply is its letter alone."""
+    """Return a command whose reply is its letter alone."""
 
     def read(reply: str) -> None:
         _fields(letter.lower(), 0, reply)
@@ -161,14 +161,14 @@ def _order(letter: str, *arguments: int, repeatable: bool = False) -> Command[No
 def _numbers(
     letter: str, count: int, make: Callable[[Sequence[int]], T], *arguments: int, repeatable: bool = True
 ) -> Command[T]:
-    """A command whose reply is its letter and so many whole numbers."""
+    """Return a command whose reply is its letter and so many integers."""
 
     def read(reply: str) -> T:
         fields = _fields(letter.lower(), count, reply)
         try:
             values = [int(field) for field in fields]
         except ValueError:
-            raise ValueError("right are whole numbers") from None
+            raise ValueError("expected integers") from None
         return make(values)
 
     return Command(_request(letter, arguments), read, repeatable)
@@ -182,11 +182,11 @@ def _fields(letter: str, count: int, reply: str) -> list[str]:
     head, *fields = reply.split(",")
     if head != letter or len(fields) != count:
         values = f" and {count} values" if count else " alone"
-        raise ValueError(f"right is {letter!r}{values}")
+        raise ValueError(f"expected {letter!r}{values}")
     return fields
 
 
 def _wheel(on_target: int, mode: int, error: int, *, codes: tuple[int, int, int]) -> WheelStatus:
     if mode not in codes:
-        raise ValueError(f"right is a mode of {', '.join(map(str, sorted(codes)))}")
+        raise ValueError(f"expected a mode of {', '.join(map(str, sorted(codes)))}")
     return WheelStatus(bool(on_target), MotorMode(codes.index(mode)), error)

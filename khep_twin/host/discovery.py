@@ -1,4 +1,4 @@
-"""Where a robot or a twin may be: this machine's serial ports, and what `khep-twin serve` offers on it."""
+"""Discovery of robots and twins: this machine's serial ports, and what `khep-twin serve` offers on it."""
 
 import time
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from khep_twin.ports.holders import holder
 from khep_twin.ports.service_registry import served
 
 _WAIT = 0.3
-"""For an answer to B [s]."""
+"""Longest wait for an answer to B [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +21,9 @@ class FoundPort:
     """A port that can be opened.
 
     Attributes:
-        url: what `Khepera` opens.
-        what: is there, in words: an adapter, or a twin and its playpen.
-        twin: whether a server of this project is behind it; nobody knows what is behind the others.
+        url: URL that `Khepera` opens.
+        what: Description of an adapter, or of a twin and its playpen.
+        twin: True if a server of this project is behind it; of other ports that is unknown.
     """
 
     url: str
@@ -32,10 +32,10 @@ class FoundPort:
 
 
 def found_ports() -> list[FoundPort]:
-    """Served twins first, then serial ports; nothing is opened.
+    """Return served twins first, then serial ports; no port is opened.
 
     Raises:
-        PortError: the directory in which servers leave their notes is not this user's alone.
+        PortError: The directory in which servers leave their notes is not this user's alone.
     """
     twins = [FoundPort(path, what, True) for path, what in served()]
     adapters = [
@@ -52,11 +52,11 @@ def who_answers(url: str) -> tuple[int, commands.Versions] | None:
     A port that another program has open is not touched: each would take half of the other's bytes.
 
     Returns:
-        The speed [baud] and the versions; None if nobody answers.
+        The speed [baud] and the versions; None if there is no answer.
 
     Raises:
-        PortInUse: another program has the port open.
-        PortError: the port cannot be opened or fails.
+        PortInUse: Another program has the port open.
+        PortError: The port cannot be opened or fails.
     """
     if who := holder(url):
         raise PortInUse(f"{url}: in use by {who}")

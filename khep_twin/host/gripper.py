@@ -15,17 +15,17 @@ from khep_twin.host.khepera import Khepera
 from khep_twin.units import ARM_DOWN, ARM_UP, GRIPPER_NUMBER
 
 _PAUSE = 0.1
-"""Between two looks at what moves [s]."""
+"""Pause between two reads of what moves [s]."""
 
 
 class Gripper:
-    """A gripper on top of a robot. Orders return at once; `wait` waits until they are done.
+    """Gripper on a robot. Commands return at once; `wait` waits until they are done.
 
     Args:
-        robot: that carries it.
+        robot: Robot that carries it.
 
     Raises:
-        ProtocolError: the robot has no gripper.
+        ProtocolError: The robot has no gripper.
     """
 
     def __init__(self, robot: Khepera) -> None:
@@ -33,53 +33,53 @@ class Gripper:
         self.versions()
 
     def versions(self) -> tuple[str, str]:
-        """B: versions of its software, as the turret tells them."""
+        """Return the versions of the turret's software, as it reports them (command B)."""
         fields = self._robot.turret(GRIPPER_NUMBER, "B").split(",")
         if len(fields) != 3:
-            raise ProtocolError(f"{self._robot.name}: the gripper told its versions as {fields}")
+            raise ProtocolError(f"{self._robot.name}: the gripper reported its versions as {fields}")
         return fields[1], fields[2]
 
     def open(self) -> None:
-        """D: opens the fingers."""
+        """Open the fingers (command D)."""
         self._robot.turret(GRIPPER_NUMBER, "D,0")
 
     def close(self) -> None:
-        """D: closes the fingers."""
+        """Close the fingers (command D)."""
         self._robot.turret(GRIPPER_NUMBER, "D,1")
 
     def move_arm(self, place: int) -> None:
-        """E: sends the arm to a place, 152 (up) to 255 (down)."""
+        """Move the arm to a position, 152 (up) to 255 (down) (command E)."""
         self._robot.turret(GRIPPER_NUMBER, f"E,{place}")
 
     def lower(self) -> None:
-        """E: sends the arm down, the fingers to the floor."""
+        """Move the arm down, the fingers to the floor (command E)."""
         self.move_arm(ARM_DOWN)
 
     def lift(self) -> None:
-        """E: sends the arm up."""
+        """Move the arm up (command E)."""
         self.move_arm(ARM_UP)
 
     def resistivity(self) -> int:
-        """F: of what both fingers touch, 255 for an insulator or nothing, 0 for a short circuit."""
+        """Return the resistivity between the fingers, 255 insulator or none, 0 short circuit (command F)."""
         return self._value("F")
 
     def barrier(self) -> int:
-        """G: light barrier between the fingers, 0 free to 255 dark."""
+        """Return the light barrier between the fingers, 0 free to 255 dark (command G)."""
         return self._value("G")
 
     def fingers(self) -> int:
-        """H: where the fingers are, 0 closed to 200 open."""
+        """Return the position of the fingers, 0 closed to 200 open (command H)."""
         return self._value("H,0")
 
     def arm(self) -> int:
-        """H: where the arm is, 152 up to 255 down."""
+        """Return the position of the arm, 152 up to 255 down (command H)."""
         return self._value("H,1")
 
     def wait(self, timeout: float = 5.0) -> None:
-        """Waits until neither arm nor fingers move.
+        """Wait until neither arm nor fingers move.
 
         Raises:
-            PortTimeout: they still do after `timeout` [s].
+            PortTimeout: They still do after `timeout` [s].
         """
         end = self._robot.time + timeout
         before = None

@@ -1,7 +1,7 @@
 """`Khepera`: a robot at the other end of a serial port, real or simulated.
 
 The port is a URL of pyserial: `/dev/ttyUSB0` is a robot on a cable, the link of `khep-twin serve` a twin in
-real time, `socket://` and `rfc2217://` either of them over a network, `khep://default` a twin in this very
+real time, `socket://` and `rfc2217://` either of them over a network, `khep://default` a twin in this
 process, in lock-step.
 
     from khep_twin.host import Khepera
@@ -33,25 +33,25 @@ C = TypeVar("C")
 D = TypeVar("D")
 
 BURST = 7
-"""So many commands are sent without waiting; public host programs do as many."""
+"""Number of commands that are sent without waiting, as public host programs do."""
 
 
 class Khepera:
     """A Khepera behind a serial port. A method for each command; leaving it as a context stops the motors.
 
-    A reply that is missing or strange is told as an error with the exchange in it, after the line was found
+    A reply that is missing or malformed raises an error with the exchange in it, after the line was found
     in step again. Reads are asked once more before; what moves the robot is never sent twice.
 
     Args:
-        url: of the port, or an open port of pyserial, which keeps its own timeout.
-        timeout: longest wait for a robot that is silent [s], in the port's own time; half of it for a reply,
-            half to find out whether anybody is there.
-        baudrate: of the line; a robot in running mode 1 speaks 9600; "auto" tries all that there are.
-        retries: how often a read is asked again; beyond once, a silent robot is waited for longer.
-        wheel_base: distance of the wheels, by which `turn` turns [m].
+        url: URL of the port, or an open port of pyserial, which keeps its own timeout.
+        timeout: Longest wait for a robot that is silent [s], in the port's own time; half of it for a reply,
+            half to find out whether a robot is there.
+        baudrate: Speed of the line; a robot in running mode 1 speaks 9600; "auto" tries all that there are.
+        retries: Number of times a read is asked again; beyond once, a silent robot is waited for longer.
+        wheel_base: Distance of the wheels, by which `turn` turns [m].
 
     Raises:
-        PortError: the port cannot be opened, or with "auto" nobody answers.
+        PortError: The port cannot be opened, or with "auto" there is no answer.
     """
 
     def __init__(
@@ -74,10 +74,10 @@ class Khepera:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stops the motors and closes the port.
+        """Stop the motors and close the port.
 
         Raises:
-            PortError: they could not be stopped, or the port has failed before; with what was done about it.
+            PortError: They could not be stopped, or the port has failed before; with what was done about it.
         """
         if not self.port.is_open:
             return
@@ -98,20 +98,20 @@ class Khepera:
         self._line.hold()
 
     def close(self) -> None:
-        """Stops the motors, if the robot still answers, and closes the port."""
+        """Stop the motors, if the robot still answers, and close the port."""
         if self.port.is_open:
             self._line.halt()
 
     @property
     def port(self) -> Any:
-        """The port, of pyserial."""
+        """Port, of pyserial."""
         return self._line.port
 
     def listen(self, listener: Callable[[str, str], None] | None) -> Callable[[str, str], None] | None:
-        """Let `listener` hear each request and its reply from now on; None for nobody.
+        """Call `listener` with each request and its reply from now on; None for no listener.
 
         Returns:
-            Who has listened before.
+            The previous listener.
         """
         before, self._line.listener = self._line.listener, listener
         return before
@@ -120,41 +120,41 @@ class Khepera:
 
     @property
     def time(self) -> float:
-        """The port's own time [s]: simulated on khep://, else the wall clock's."""
+        """Time of the port [s]: simulated on khep://, else the wall clock's."""
         return self._line.time
 
     def sleep(self, duration: float) -> None:
-        """Waits in the port's own time [s]."""
+        """Wait in the port's own time [s]."""
         self._line.sleep(duration)
 
     # Motors --------------------------------------------------------------------------------------------
 
     def set_speed(self, left: int, right: int) -> None:
-        """D: drives the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127."""
+        """Drive the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127 (command D)."""
         self._do(commands.set_speed(left, right))
 
     def set_target(self, left: int, right: int) -> None:
-        """C: sends the wheels to these positions [pulses of 0.08 mm], and returns at once."""
+        """Send the wheels to these positions [pulses of 0.08 mm], and return at once (command C)."""
         self._do(commands.set_target(left, right))
 
     def set_duty(self, left: int, right: int) -> None:
-        """P: drives the motors with a fixed duty, -255 to 255, uncontrolled."""
+        """Drive the motors with a fixed duty, -255 to 255, uncontrolled (command P)."""
         self._do(commands.set_duty(left, right))
 
     def set_position(self, left: int, right: int) -> None:
-        """G: sets the position counters [pulses]."""
+        """Set the position counters [pulses] (command G)."""
         self._do(commands.set_position(left, right))
 
     def speed(self) -> Speeds:
-        """E: measured speed of the left and right wheel [pulses/10 ms]."""
+        """Return the measured speed of the left and right wheel [pulses/10 ms] (command E)."""
         return self._do(commands.speed())
 
     def position(self) -> Positions:
-        """H: position counters of the left and right wheel [pulses]."""
+        """Return the position counters of the left and right wheel [pulses] (command H)."""
         return self._do(commands.position())
 
     def status(self) -> MotionStatus:
-        """K: motion control of the left and right wheel.
+        """Return the motion control status of the left and right wheel (command K).
 
         The first time, B is asked too: the ROM's version says how K numbers the modes.
         """
@@ -163,81 +163,84 @@ class Khepera:
         return self._do(commands.status(self._mode_codes))
 
     def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
-        """A: gains of the speed controller; 3800, 800, 100 after a reset."""
+        """Set the gains of the speed controller; 3800, 800, 100 after a reset (command A)."""
         self._do(commands.configure_speed_controller(kp, ki, kd))
 
     def configure_position_controller(self, kp: int, ki: int, kd: int) -> None:
-        """F: gains of the position controller; 3000, 20, 4000 after a reset."""
+        """Set the gains of the position controller; 3000, 20, 4000 after a reset (command F)."""
         self._do(commands.configure_position_controller(kp, ki, kd))
 
     def configure_profile(
         self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
     ) -> None:
-        """J: trapezoid of `set_target`, by wheel: speed [pulses/10 ms], acceleration [3.125 mm/s^2]."""
+        """Set the profile of `set_target`: speed [pulses/10 ms], acceleration [3.125 mm/s^2] (command J)."""
         self._do(commands.configure_profile(left_speed, left_acceleration, right_speed, right_acceleration))
 
     # Moves that wait -----------------------------------------------------------------------------------
 
     def move(self, distance: float, timeout: float = 30.0) -> Positions:
-        """Drives straight on by a distance [m], back if it is below 0, and returns when it is done.
+        """Drive straight on by a distance [m], back if it is below 0, and return when it is done.
 
         Raises:
-            MoveError: it was not done after `timeout` [s]; the motors are stopped.
+            MoveError: It was not done after `timeout` [s]; the motors are stopped.
         """
         pulses = moves.way_pulses(distance)
         return moves.drive_by(self, pulses, pulses, timeout)
 
     def turn(self, angle: float, timeout: float = 30.0) -> Positions:
-        """Turns on the spot by an angle [rad], left if it is above 0, and returns when it is done.
+        """Turn on the spot by an angle [rad], left if it is above 0, and return when it is done.
 
         Raises:
-            MoveError: it was not done after `timeout` [s]; the motors are stopped.
+            MoveError: It was not done after `timeout` [s]; the motors are stopped.
         """
         pulses = moves.turn_pulses(angle, self._wheel_base)
         return moves.drive_by(self, -pulses, pulses, timeout)
 
     def wait_for_target(self, timeout: float = 30.0) -> None:
-        """Waits until both wheels are where `set_target` has sent them.
+        """Wait until both wheels are where `set_target` has sent them.
 
         Raises:
-            MoveError: they were not after `timeout` [s], or are not on their way at all.
+            MoveError: They were not after `timeout` [s], or are not on their way at all.
         """
         moves.wait_for_target(self, timeout)
 
     # Senses --------------------------------------------------------------------------------------------
 
     def proximity(self) -> SensorCounts:
-        """N: eight proximity counts, 0 to 1023; left 90, 45, 10, right 10, 45, 90, back right, back left."""
+        """Return eight proximity counts, 0 to 1023 (command N).
+
+        Left 90, 45, 10, right 10, 45, 90, back right, back left.
+        """
         return self._do(commands.proximity())
 
     def ambient(self) -> SensorCounts:
-        """O: eight ambient counts in the order of `proximity`, about 500 (dark) to 50 (bright)."""
+        """Return eight ambient counts as ordered in `proximity`, 500 (dark) to 50 (bright) (command O)."""
         return self._do(commands.ambient())
 
     def converter(self, channel: int) -> int:
-        """I: one channel of the 10-bit converter, 1024 = 4.09 V."""
+        """Return one channel of the 10-bit converter, 1024 = 4.09 V (command I)."""
         return self._do(commands.converter(channel))
 
     # The rest ------------------------------------------------------------------------------------------
 
     def versions(self) -> Versions:
-        """B: versions of the BIOS and of the protocol, e.g. ("5.02", "5.01")."""
+        """Return the versions of BIOS and protocol, e.g. ("5.02", "5.01") (command B)."""
         return self._do(commands.versions())
 
     def set_led(self, led: int, action: int) -> None:
-        """L: LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle."""
+        """Switch LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle (command L)."""
         self._do(commands.set_led(led, action))
 
     def read_bus(self, address: int) -> int:
-        """R: a byte of the extension bus, addresses 0 to 63."""
+        """Return a byte of the extension bus, addresses 0 to 63 (command R)."""
         return self._do(commands.read_bus(address))
 
     def write_bus(self, data: int, address: int) -> None:
-        """W: writes a byte to the extension bus."""
+        """Write a byte to the extension bus (command W)."""
         self._do(commands.write_bus(data, address))
 
     def turret(self, number: int, message: str) -> str:
-        """T: passes a message such as "D,0" on to a turret; returns its answer without the head "t,1,"."""
+        """Pass a message such as "D,0" on to a turret; return its answer without "t,1," (command T)."""
         return self._do(commands.turret(number, message))
 
     # Whole exchanges -----------------------------------------------------------------------------------
@@ -255,7 +258,7 @@ class Khepera:
     @overload
     def burst(self, /, *wanted: Command[Any]) -> tuple[Any, ...]: ...
     def burst(self, /, *wanted: Command[Any]) -> tuple[Any, ...]:
-        """Sends several commands of `khep_twin.host.commands` at once and gives what each of them tells.
+        """Send several commands of `khep_twin.host.commands` at once and return the value of each.
 
         While a reply comes back the next command is under way already, which saves line time. They are
         repeated as a whole, if all may be; after an error some may have been carried out.
@@ -266,11 +269,11 @@ class Khepera:
         return tuple(values)
 
     def ask(self, request: str) -> str:
-        """Sends any line, once, and returns the reply, both without their ending.
+        """Send any line, once, and return the reply, both without their ending.
 
         Raises:
-            PortTimeout: no whole reply came within the timeout.
-            PortError: the port failed or went away.
+            PortTimeout: No whole reply came within the timeout.
+            PortError: The port failed or went away.
         """
         return self._line.ask(request)
 

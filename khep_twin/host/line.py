@@ -1,4 +1,4 @@
-"""The serial line to a robot: requests and replies, and what becomes of an exchange that went wrong.
+"""The serial line to a robot: requests, replies and the recovery of an exchange that went wrong.
 
 The robot answers each line with one line, in order. So when a reply is missing or strange, `B` is asked: all
 that comes before its answer belongs to the past, and the last of it is the reply that was waited for. Only
@@ -31,25 +31,25 @@ _PATIENCE = 1.0
 """Wait for what comes where a port has no timeout of its own [s]."""
 
 _PROBES = "BHEK"
-"""Reads that tell where the robot's answers stand."""
+"""Reads whose replies show where the robot's answers stand."""
 
 
 class Line:
     """The line to one robot.
 
     Args:
-        url: of the port, or an open port of pyserial.
-        timeout: longest wait for one try of a reply, and for a write [s], in the port's own time.
-        baudrate: of the line; "auto" tries `SPEEDS`.
-        retries: how often a command that may be repeated is sent again.
+        url: URL of the port, or an open port of pyserial.
+        timeout: Longest wait for one try of a reply, and for a write [s], in the port's own time.
+        baudrate: Speed of the line; "auto" tries `SPEEDS`.
+        retries: Number of times a command that may be repeated is sent again.
 
     Attributes:
-        port: of pyserial.
-        name: of the port, for messages.
-        listener: is told each request and its reply, both without their ending; None for nobody.
+        port: Port of pyserial.
+        name: Name of the port, for messages.
+        listener: Callback that takes each request and its reply, both without their ending, or None.
 
     Raises:
-        PortError: the port cannot be opened, or at no speed anybody answers.
+        PortError: The port cannot be opened, or there is no answer at any speed.
     """
 
     def __init__(
@@ -83,12 +83,12 @@ class Line:
 
     @property
     def time(self) -> float:
-        """The port's own time [s]: simulated on khep://, else the wall clock's."""
+        """Time of the port [s]: simulated on khep://, else the wall clock's."""
         time_ns = getattr(self.port, "time_ns", None)
         return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
 
     def sleep(self, duration: float) -> None:
-        """Waits in the port's own time [s]."""
+        """Wait in the port's own time [s]."""
         if hasattr(self.port, "sleep"):
             self._give_way()
             with self._exchange:
@@ -99,24 +99,24 @@ class Line:
     # Exchanges -----------------------------------------------------------------------------------------
 
     def carry_out(self, commands: Sequence[Command[Any]]) -> list[Any]:
-        """Sends commands in one burst and gives what their replies say.
+        """Send commands in one burst and return the values of their replies.
 
         Raises:
-            PortTimeout: a reply did not come.
-            PortError: the port failed or went away.
-            ProtocolError: a reply is not what its command asks for.
-            StoppedError: a command would move a robot that is to stand.
+            PortTimeout: A reply did not come.
+            PortError: The port failed or went away.
+            ProtocolError: A reply is not what its command asks for.
+            StoppedError: A command would move a robot that is to stand.
         """
         self._give_way()
         with self._exchange:
             return self._carry_out(commands)
 
     def ask(self, request: str) -> str:
-        """Sends any line, once, and returns the reply, both without their ending.
+        """Send any line, once, and return the reply, both without their ending.
 
         Raises:
-            PortTimeout: no whole reply came within the timeout.
-            PortError: the port failed or went away.
+            PortTimeout: No whole reply came within the timeout.
+            PortError: The port failed or went away.
         """
         replies: list[str] = []
         self._give_way()
@@ -137,7 +137,7 @@ class Line:
                 tries -= 1
                 before = self._settle()
                 if before is None:
-                    # Nobody there, or the probe itself got lost.
+                    # No robot there, or the probe itself got lost.
                     tries -= 1
                     if tries <= 0:
                         raise first from None
@@ -154,7 +154,7 @@ class Line:
             self._stood.wait(STOP_WAIT)
 
     def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
-        """Sends lines and appends the replies, each as it comes."""
+        """Send lines and append the replies, each as it comes."""
         if self._held and (moves := [each for each in requests if each[:1] in "CDP" and each != _STOP]):
             raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
         if self._unanswered and self._settle() is None:
@@ -184,7 +184,7 @@ class Line:
         return values
 
     def _settle(self) -> list[str] | None:
-        """Finds where the robot's answers stand.
+        """Find where the robot's answers stand.
 
         Returns:
             The lines that came before the answer to a probe; None where none came.
@@ -215,7 +215,7 @@ class Line:
             self.port.write(data)
         except serial.SerialTimeoutException as error:
             raise PortTimeout(
-                f"{self.name}: {request!r} could not be sent within {self.port.write_timeout} s: nobody "
+                f"{self.name}: {request!r} could not be sent within {self.port.write_timeout} s: no program "
                 "reads at the other end"
             ) from error
         except (serial.SerialException, OSError) as error:
@@ -240,10 +240,10 @@ class Line:
     # The end -------------------------------------------------------------------------------------------
 
     def hold(self) -> None:
-        """Stops the motors after the exchange that another thread is at, and refuses from now on to move.
+        """Stop the motors after the exchange that another thread is at, and refuse from now on to move.
 
         Raises:
-            PortError: they could not be stopped.
+            PortError: They could not be stopped.
         """
         self._held = True
         try:
@@ -255,12 +255,12 @@ class Line:
             self._stood.set()
 
     def halt(self) -> tuple[bool, str]:
-        """Stops the motors as far as that is possible, and closes the port.
+        """Stop the motors as far as that is possible, and close the port.
 
         It waits for STOP_WAIT on the line; where that fails, it opens the port once more and waits again.
 
         Returns:
-            Whether the robot has confirmed the stop, and in words what became of it.
+            True if the robot has confirmed the stop, and a text on what was done.
         """
         with self._exchange:
             return self._halt()
@@ -287,7 +287,7 @@ class Line:
             self._close()
 
     def _stop(self) -> None:
-        """Tells the motors to stop, twice if need be, and waits for the answer."""
+        """Send the stop of the motors, twice if need be, and wait for the answer."""
         wait = STOP_WAIT / 2
         try:
             if self.port.timeout is None or not 0 < self.port.timeout <= wait:
@@ -314,18 +314,18 @@ class Line:
             self.port.close()
 
     def _end(self) -> None:
-        """Stops the motors of a robot where the process is ended from outside, even amid an exchange."""
+        """Stop the motors of a robot where the process is ended from outside, even amid an exchange."""
         if not hasattr(self.port, "time_ns"):
             with suppress(PortError):
                 self._stop()
 
     def _refuses_again(self) -> str:
-        """Why the port is not opened once more; empty if it may be."""
+        """Return the reason not to open the port once more; empty if it may be opened."""
         if self._url is None or hasattr(self.port, "time_ns"):
             return "this port is not opened again"
         path = Path(self._url)
         if "://" not in self._url and path.resolve().is_relative_to("/dev/pts") and not leads_to_ours(path):
-            return "a terminal that has gone is not opened again, as its number may be a stranger's by now"
+            return "a terminal that has gone is not opened again, as its number may be reused by now"
         return ""
 
 

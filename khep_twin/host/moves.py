@@ -1,6 +1,6 @@
-"""Moves that wait until they are done: along a way, on the spot, to a target.
+"""Moves that wait until they are done: along a straight path, on the spot, to a target.
 
-The wheels follow the board's own trapezoid (command J), and the board says when they are there (command K).
+The wheels follow the board's own trapezoid (command J), and the board reports the arrival (command K).
 """
 
 import math
@@ -17,16 +17,16 @@ LONGEST_WAY_PULSES = 2**23 - 2
 """Farthest target of command C (manual, appendix A)."""
 
 _PAUSE = 0.05
-"""Between two looks at the wheels [s]."""
+"""Pause between two reads of the wheels [s]."""
 
 
 def way_pulses(distance: float) -> int:
-    """Pulses of both wheels along a way [m]."""
+    """Return the pulses of both wheels along a straight path [m]."""
     return round(_finite("distance", distance) / PULSE_LENGTH)
 
 
 def turn_pulses(angle: float, wheel_base: float = WHEEL_BASE) -> int:
-    """Pulses of the right wheel, and less than none of the left, for a turn on the spot [rad].
+    """Return the pulses of the right wheel, minus those of the left, for a turn on the spot [rad].
 
     pulses = angle * wheel_base / 2 / PULSE_LENGTH
     """
@@ -34,11 +34,11 @@ def turn_pulses(angle: float, wheel_base: float = WHEEL_BASE) -> int:
 
 
 def drive_by(robot: "Khepera", left: int, right: int, timeout: float) -> Positions:
-    """Moves the wheels on by so many pulses and waits; see `Khepera.move`."""
+    """Move the wheels on by so many pulses and wait; see `Khepera.move`."""
     start = robot.position()
     target = start.left + left, start.right + right
     if max(map(abs, target)) > LONGEST_WAY_PULSES:
-        raise ValueError(f"targets {target} pulses: right is within {LONGEST_WAY_PULSES} of 0")
+        raise ValueError(f"targets {target} pulses; expected within {LONGEST_WAY_PULSES} of 0")
     robot.set_target(*target)
     try:
         wait_for_target(robot, timeout)
@@ -50,7 +50,7 @@ def drive_by(robot: "Khepera", left: int, right: int, timeout: float) -> Positio
 
 
 def wait_for_target(robot: "Khepera", timeout: float) -> None:
-    """Waits until both wheels are there; see `Khepera.wait_for_target`."""
+    """Wait until both wheels are there; see `Khepera.wait_for_target`."""
     end = robot.time + timeout
     while not (status := robot.status()).on_target:
         moving = [
@@ -61,8 +61,8 @@ def wait_for_target(robot: "Khepera", timeout: float) -> None:
         for name, wheel in moving:
             if wheel.mode != MotorMode.POSITION:
                 raise MoveError(
-                    f"{robot.name}: the {name} wheel is on no way to a target but in {wheel.mode.name} mode; "
-                    "right is set_target before"
+                    f"{robot.name}: the {name} wheel goes to no target but is in {wheel.mode.name} mode; "
+                    "expected set_target before"
                 )
         if robot.time > end:
             names = " and ".join(name for name, _ in moving)
@@ -72,5 +72,5 @@ def wait_for_target(robot: "Khepera", timeout: float) -> None:
 
 def _finite(name: str, value: float) -> float:
     if not math.isfinite(value):
-        raise ValueError(f"{name} = {value}: right is a finite number")
+        raise ValueError(f"{name} = {value}; expected a finite number")
     return value

@@ -1,4 +1,4 @@
-"""Opening the port of a robot, and finding out at which speed it speaks."""
+"""Opening of a robot's port, with a search for its speed."""
 
 import errno
 import os
@@ -15,13 +15,13 @@ from khep_twin.invocation import command
 from khep_twin.ports.service_registry import served
 
 SPEEDS = (9600, 19200, 38400, 57600, 115200)
-"""Of the line in the robots' running modes, tried in this order [baud] (manual, appendix E; manual II)."""
+"""Speeds of the line in the robots' running modes, in the order tried [baud] (appendix E; manual II)."""
 
 PORT_IDS = (1, 2, 3, 4)
 """Numbers of ports in the Khepera Toolbox, on the command line and in programs."""
 
 VARIABLE = "KHEP_PORT_"
-"""With a port's number behind it: what the environment calls a port."""
+"""Environment variable of a port, without the port's number at its end."""
 
 _LISTEN = 0.3
 """Wait for an answer at each speed that is tried [s]: B is answered within 0.03 s at 9600 baud."""
@@ -30,10 +30,10 @@ _VERSIONS = re.compile(rb"b,[0-9][0-9.]*,[0-9][0-9.]*\r?\n$")
 
 
 def numbered(port: str) -> str:
-    """Return what a port's number, "1" to "4", stands for in the environment; any other port as it is.
+    """Return the port that a number, "1" to "4", stands for in the environment; any other port as it is.
 
     Raises:
-        PortError: the environment does not tell what the number stands for.
+        PortError: The environment has no port for the number.
     """
     if port not in map(str, PORT_IDS):
         return port
@@ -46,17 +46,17 @@ def numbered(port: str) -> str:
 
 
 def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool = False) -> Any:
-    """Opens a port of pyserial as the robot's line has it: eight bits, two stop bits.
+    """Open a port of pyserial as the robot's line has it: eight bits, two stop bits.
 
     Args:
-        url: of the port.
-        baudrate: speed of the line [baud].
-        timeout: of reads and writes [s].
-        exclusive: whether to leave a port alone that another program has locked.
+        url: URL of the port.
+        baudrate: Speed of the line [baud].
+        timeout: Timeout of reads and writes [s].
+        exclusive: Refuse a port that another program has locked.
 
     Raises:
-        PortInUse: it is locked.
-        PortError: it cannot be opened.
+        PortInUse: It is locked.
+        PortError: It cannot be opened.
     """
     # Not every kind of port can bound its writes: pyserial's RFC 2217 leaves them to the network.
     bound: dict[str, Any] = {} if url.startswith("rfc2217:") else {"write_timeout": timeout or None}
@@ -69,7 +69,7 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
             exclusive=exclusive or None,
             **bound,
         )
-    # One error tells all; its causes repeat it.
+    # One error says all; its causes repeat it.
     except serial.SerialException as error:
         if error.errno in (errno.EBUSY, errno.EAGAIN):
             raise PortInUse(f"{url}: in use by a program that has locked it") from None
@@ -79,19 +79,19 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
 
 
 def find_speed(port: Any, name: str, now: Callable[[], float]) -> int:
-    """Sets a port to the speed at which its robot answers command B.
+    """Set a port to the speed at which its robot answers command B.
 
     Args:
-        port: an open port of pyserial.
-        name: of it, for messages.
-        now: the port's own time [s].
+        port: Open port of pyserial.
+        name: Name of the port, for messages.
+        now: Function that returns the port's own time [s].
 
     Returns:
         The speed [baud]. A network socket or a twin that is not strict understands any, and keeps the first.
 
     Raises:
-        PortTimeout: nobody answers at any of `SPEEDS`.
-        PortError: the port failed.
+        PortTimeout: There is no answer at any of `SPEEDS`.
+        PortError: The port failed.
     """
     before = port.timeout
     try:
@@ -102,7 +102,7 @@ def find_speed(port: Any, name: str, now: Callable[[], float]) -> int:
         raise PortError(f"{name}: the port failed at 'B': {error}") from error
     if found is None:
         tried = ", ".join(map(str, SPEEDS))
-        raise PortTimeout(f"{name}: nobody answers 'B' at {tried} baud; is the robot on, in a serial mode?")
+        raise PortTimeout(f"{name}: no answer to 'B' at {tried} baud; is the robot on, in a serial mode?")
     return found
 
 

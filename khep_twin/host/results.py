@@ -1,4 +1,4 @@
-"""What a robot tells, by name and with units; tuples, so that they compare, index and unpack as such."""
+"""Results of commands, by name and with units; tuples, so that they compare, index and unpack as such."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -11,9 +11,9 @@ class Versions(NamedTuple):
     """Command B: versions of the robot's software, e.g. ("5.02", "5.01")."""
 
     bios: str
-    """Of the BIOS."""
+    """Version of the BIOS."""
     protocol: str
-    """Of the serial protocol."""
+    """Version of the serial protocol."""
 
 
 class Speeds(NamedTuple):
@@ -24,7 +24,7 @@ class Speeds(NamedTuple):
 
     @property
     def si(self) -> tuple[float, float]:
-        """The same [m/s]."""
+        """Speeds [m/s]."""
         return speed(self.left), speed(self.right)
 
 
@@ -36,7 +36,7 @@ class Positions(NamedTuple):
 
     @property
     def si(self) -> tuple[float, float]:
-        """The same [m]."""
+        """Positions [m]."""
         return self.left * PULSE_LENGTH, self.right * PULSE_LENGTH
 
 
@@ -57,7 +57,7 @@ class SensorCounts(NamedTuple):
 
 
 class MotorMode(IntEnum):
-    """What a motor's controller does, as command K of ROM 5.02 numbers it; those of 4.06 are translated."""
+    """Modes of a motor's controller, numbered as by command K of ROM 5.02; those of 4.06 are translated."""
 
     SPEED = 0
     POSITION = 1
@@ -66,12 +66,12 @@ class MotorMode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class WheelStatus:
-    """One wheel's motion control, as command K tells it.
+    """One wheel's motion control, as command K reports it.
 
     Attributes:
-        on_target: whether the target is reached; after a reset, too.
-        mode: of the motor, whatever number the robot's ROM has for it.
-        error: of the controller [pulses in position mode, pulses/10 ms in speed mode].
+        on_target: True if the target is reached; after a reset, too.
+        mode: Mode of the motor, whatever number the robot's ROM has for it.
+        error: Error of the controller [pulses in position mode, pulses/10 ms in speed mode].
     """
 
     on_target: bool
@@ -87,5 +87,5 @@ class MotionStatus(NamedTuple):
 
     @property
     def on_target(self) -> bool:
-        """Whether both wheels have reached their targets."""
+        """True if both wheels have reached their targets."""
         return self.left.on_target and self.right.on_target

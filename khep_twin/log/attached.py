@@ -1,6 +1,6 @@
-"""What is attached to a log, as what it stands for: the playpen, calibrations, and the scene for its shapes.
+"""Attachments of a log, decoded: the playpen, calibrations, and the scene for its shapes.
 
-A log may come from anywhere, so that an attachment is believed no more than a file that somebody wrote.
+A log may come from anywhere, so its attachments are checked like any file of a user.
 """
 
 # MuJoCo's types are partly unknown.
@@ -22,25 +22,25 @@ from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import Sensor
 
 DEEPEST = 64
-"""Most elements of a scene within each other."""
+"""Most levels of nested elements in a scene."""
 
 _KEPT = {"compiler", "default", "worldbody"}
-"""Parts of a scene that say where its shapes are."""
+"""Parts of a scene that define its shapes."""
 
 _SHAPES = {"body", "frame", "inertial", "joint", "geom", "site", "camera", "light"}
 _ELEMENTS = {"worldbody", "compiler", "default", "general", *_SHAPES}
-"""What these parts may hold, as khep_twin writes them: nothing that names a file or multiplies itself."""
+"""Elements that these parts may hold, as khep_twin writes them: none names a file or replicates itself."""
 
 
 def playpen_of(attachments: Mapping[str, str], source: object) -> Playpen:
     """Return the playpen of a log.
 
     Args:
-        attachments: texts by name, among them playpen.toml.
-        source: what to call the log in messages.
+        attachments: Texts by name, including playpen.toml.
+        source: Name of the log in messages.
 
     Raises:
-        LogError: it cannot be used; one line, however much is wrong.
+        LogError: It cannot be used; one line, however many problems there are.
     """
     try:
         text = _text(attachments, "playpen.toml")
@@ -52,15 +52,15 @@ def playpen_of(attachments: Mapping[str, str], source: object) -> Playpen:
 
 
 def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -> Calibration | None:
-    """Return the calibration of a robot; None where the log has none.
+    """Return the calibration of a robot; None if the log has none.
 
     Args:
-        attachments: texts by name.
-        robot: its name.
-        source: what to call the log in messages.
+        attachments: Texts by name.
+        robot: Name of the robot.
+        source: Name of the log in messages.
 
     Raises:
-        LogError: it cannot be used.
+        LogError: It cannot be used.
     """
     name = f"calibration/{robot}.toml"
     if name not in attachments:
@@ -74,15 +74,15 @@ def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -
 
 
 def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: object) -> mujoco.MjModel:
-    """Return the scene of a log with no more than its shapes.
+    """Return the scene of a log, reduced to its shapes.
 
     Args:
-        attachments: texts by name, among them scene.xml.
-        robots: whose bodies and sensors are in it.
-        source: what to call the log in messages.
+        attachments: Texts by name, including scene.xml.
+        robots: Names of the robots whose bodies and sensors are in it.
+        source: Name of the log in messages.
 
     Raises:
-        LogError: it cannot be used.
+        LogError: It cannot be used.
     """
     try:
         model = _model(_text(attachments, "scene.xml"))

@@ -1,6 +1,6 @@
-"""Writing MCAP in batches: many messages of one size become a chunk's bytes in one go.
+"""Batched writing of MCAP: many messages of one size become a chunk's bytes in one operation.
 
-The mcap package defines the records and writes all that is rare; messages, which are many, are laid out by
+The mcap package defines the records and writes the rare ones; messages, which are many, are laid out by
 numpy, several times faster than one by one.
 """
 
@@ -40,24 +40,24 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 
 
 class Sink(Protocol):
-    """Where the bytes go."""
+    """Destination of the bytes."""
 
     def write(self, data: bytes, /) -> int:
-        """Appends bytes, all or none."""
+        """Append bytes, all or none."""
         ...
 
     def tell(self) -> int:
-        """How many bytes there are."""
+        """Return the number of bytes written."""
         ...
 
 
 class BatchWriter:
-    """An MCAP file in the making.
+    """Writer of an MCAP file.
 
     Args:
-        sink: where it goes.
-        profile: of the messages, such as "ros2".
-        library: what wrote it.
+        sink: Destination.
+        profile: Profile of the messages, such as "ros2".
+        library: Name and version of the writing program.
     """
 
     def __init__(self, sink: Sink, profile: str, library: str) -> None:
@@ -76,7 +76,7 @@ class BatchWriter:
         sink.write(MCAP0_MAGIC + _record(Header(profile, library)))
 
     def attach(self, name: str, text: str) -> None:
-        """Adds a text file."""
+        """Add a text file as an attachment."""
         data = text.encode("utf-8")
         offset = self._sink.tell()
         record = Attachment(create_time=0, log_time=0, name=name, media_type="text/plain", data=data)
@@ -94,18 +94,18 @@ class BatchWriter:
         )
 
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
-        """Adds a table of facts about the run."""
+        """Add a metadata record about the run."""
         offset = self._sink.tell()
         length = self._sink.write(_record(Metadata(name=name, metadata=dict(facts))))
         self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
 
     def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
-        """The number of a topic's channel, made at its first use.
+        """Return the number of a topic's channel, made at its first use.
 
         Args:
-            topic: of the channel.
-            schema: name of its message type.
-            definition: of that type: text for ROS 2, a google.protobuf.FileDescriptorSet for protobuf.
+            topic: Topic of the channel.
+            schema: Name of its message type.
+            definition: Definition of it: text for ROS 2, a google.protobuf.FileDescriptorSet for protobuf.
         """
         ros = isinstance(definition, str)
         if topic not in self._channels:
@@ -127,14 +127,14 @@ class BatchWriter:
         return self._channels[topic].id
 
     def add(self, channel: int, time_ns: int, message: bytes) -> None:
-        """Adds one message."""
+        """Add one message."""
         self._begin_anew()
         head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, 22 + len(message), channel, 0, time_ns, time_ns)
         self._note(channel, np.array([[time_ns, self._size]], np.uint64))
         self._append(head + message)
 
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
-        """Adds messages of different sizes, at these times in their order."""
+        """Add messages of different sizes, at these times in their order."""
         self._begin_anew()
         places: list[tuple[int, int]] = []
         size = self._size
@@ -149,7 +149,7 @@ class BatchWriter:
             self._append(b"".join(pieces))
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
-        """Adds messages of one size, a row each, at these times (n,), rising."""
+        """Add messages of one size, a row each, at these times (n,), rising."""
         self._begin_anew()
         size = messages.itemsize
         rows = np.zeros(
@@ -177,7 +177,7 @@ class BatchWriter:
         self._append(rows.tobytes())
 
     def flush(self) -> None:
-        """Writes what was added as one chunk."""
+        """Write the added messages as one chunk."""
         if not self._index:
             return
         data = b"".join(self._pieces)
@@ -212,7 +212,7 @@ class BatchWriter:
         self._size = 0
 
     def finish(self) -> None:
-        """Writes the summary; the file is whole then."""
+        """Write the summary, which completes the file."""
         self.flush()
         self._sink.write(_record(DataEnd(data_section_crc=0)))
         start_ns, end_ns = self._span or (0, 0)
@@ -237,7 +237,7 @@ class BatchWriter:
         ]
         summary_start = self._sink.tell()
         crc, offsets = 0, b""
-        # Written bit by bit: of a day it is 30 MB.
+        # Written in parts: for a day it is 30 MB.
         for opcode, pieces in groups:
             start = self._sink.tell()
             for piece in pieces:
@@ -251,7 +251,7 @@ class BatchWriter:
         self._sink.write(offsets + _record(footer) + MCAP0_MAGIC)
 
     def _begin_anew(self) -> None:
-        """Write what was added where the next message would make a chunk that is too large to read."""
+        """Write the added messages if the next one would make the chunk too large to read."""
         if self._size > LARGEST_CHUNK // 4:
             self.flush()
 
@@ -260,7 +260,7 @@ class BatchWriter:
         self._size += len(data)
 
     def _note(self, channel: int, places: NDArray[np.uint64]) -> None:
-        """Remembers times and places within the chunk of a channel's messages (n, 2)."""
+        """Note times and places within the chunk of a channel's messages (n, 2)."""
         self._index.setdefault(channel, []).append(places)
 
 

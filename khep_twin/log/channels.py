@@ -1,9 +1,9 @@
-"""What a log's channels carry, as ROS 2 messages in CDR, which rerun and Foxglove read without code of ours.
+"""Channels of a log, as ROS 2 messages in CDR, which rerun and Foxglove read without code of ours.
 
     /robot_description          std_msgs/String             the playpen and its robots as URDF, once
-    /channel_names              std_msgs/String             what the numbers of the channels are, once
+    /channel_names              std_msgs/String             meaning of the numbers of the channels, once
     /scene                      foxglove.SceneUpdate        the same for Foxglove, once (`foxglove_scene`)
-    /tf                         tf2_msgs/TFMessage          where every body is
+    /tf                         tf2_msgs/TFMessage          poses of all bodies
     /khepera0/proximity         std_msgs/Float64MultiArray  eight counts, in the order of N
     /khepera0/ambient           std_msgs/Float64MultiArray  eight counts, in the order of O
     /khepera0/speed             std_msgs/Float64MultiArray  left, right; setpoint left, right [pulses/10 ms]
@@ -13,15 +13,15 @@
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
     /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
     /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
-    /khepera0/wire              std_msgs/Int64MultiArray    what its host did, to repeat it (`wire`)
+    /khepera0/wire              std_msgs/Int64MultiArray    acts of its host, to repeat them (`wire`)
     /state                      std_msgs/Int64MultiArray    hashes of the whole state (`wire`)
     /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change; of
                                                 other lamps set up meanwhile /lamps_2 and so on
-    /events                     rcl_interfaces/Log          notes
+    /events                     rcl_interfaces/Log          events
 
 CDR here is little-endian: a header of four bytes, then each value at a multiple of its size, counted from the
-header's end; strings and sequences are preceded by their length. Messages that are written often have a fixed
-size: many copies of a ready-made frame are filled in at once.
+header's end; strings and sequences are preceded by their length. Frequent messages have a fixed size: many
+copies of a prepared frame are filled in at once.
 """
 
 import struct
@@ -99,11 +99,11 @@ uint32 line
 {_RULE}
 {_TIME}""",
 }
-"""Text of each message type, as `ros2msg` schemas have it."""
+"""Definition of each message type, as text of a `ros2msg` schema."""
 
 
 class Level(IntEnum):
-    """How grave a line of a log is."""
+    """Severity of a line of a log."""
 
     DEBUG = 10
     INFO = 20
@@ -113,7 +113,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of a transcript or of the events."""
+    """A line of a transcript or of the events."""
 
     time_ns: int
     level: int
@@ -122,45 +122,45 @@ class Line:
 
 
 class Encoder:
-    """Writes values one after the other, each where CDR wants it."""
+    """Encoder of consecutive values, each aligned as CDR requires."""
 
     def __init__(self) -> None:
         self._data = bytearray()
 
     def put(self, kind: str, value: float) -> "Encoder":
-        """A number, `kind` as in `struct`."""
+        """Append a number, `kind` as in `struct`."""
         self.align(struct.calcsize(kind))
         self._data += struct.pack("<" + kind, value)
         return self
 
     def text(self, value: str) -> "Encoder":
-        """A string."""
+        """Append a string."""
         data = value.encode("utf-8") + b"\0"
         self.put("I", len(data))
         self._data += data
         return self
 
     def time(self, time_ns: int) -> "Encoder":
-        """A time since the start of the run."""
+        """Append a time since the start of the run."""
         return self.put("i", time_ns // NS_PER_S).put("I", time_ns % NS_PER_S)
 
     def align(self, size: int) -> int:
-        """Goes on to a multiple of `size`; returns the place in the finished message."""
+        """Pad to a multiple of `size`; return the place in the finished message."""
         self._data += bytes(-len(self._data) % size)
         return len(CDR_HEADER) + len(self._data)
 
     def message(self) -> bytes:
-        """The finished message."""
+        """Return the finished message."""
         return CDR_HEADER + bytes(self._data)
 
 
 class ArrayFrame:
-    """Messages of one std_msgs/Float64MultiArray or Int64MultiArray channel, always of the same length.
+    """Messages of one std_msgs/Float64MultiArray or Int64MultiArray channel, all of the same length.
 
     Args:
-        length: of the array.
+        length: Length of the array.
         kind: "f8" for float64, "i8" for int64.
-        label: what the array holds.
+        label: Description of the array's values.
     """
 
     def __init__(self, length: int, kind: str, label: str) -> None:
@@ -172,17 +172,17 @@ class ArrayFrame:
         self._type = _layout(len(self._frame), {"values": (f"({length},)<{kind}", values)})
 
     def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
-        """One message per row of values (n, length), as rows of bytes (n,)."""
+        """Return a message per row of values (n, length), as rows of bytes (n,)."""
         filled = _copies(self._frame, len(values), self._type)
         filled["values"] = values
         return filled
 
 
 class TransformFrame:
-    """Messages of /tf for always the same bodies, in the world's frame.
+    """Messages of /tf for a fixed set of bodies, in the world's frame.
 
     Args:
-        names: of the bodies' frames.
+        names: Names of the bodies' frames.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -202,12 +202,12 @@ class TransformFrame:
     def messages(
         self, times_ns: NDArray[np.int64], positions: NDArray[np.float64], quaternions: NDArray[np.float64]
     ) -> NDArray[np.void]:
-        """One message per time (n,), as rows of bytes (n,).
+        """Return a message per time (n,), as rows of bytes (n,).
 
         Args:
-            times_ns: of the messages (n,) [ns].
-            positions: of the bodies (n, bodies, 3) [m].
-            quaternions: of the bodies, w, x, y, z (n, bodies, 4).
+            times_ns: Times of the messages (n,) [ns].
+            positions: Positions of the bodies (n, bodies, 3) [m].
+            quaternions: Rotations of the bodies, w, x, y, z (n, bodies, 4).
         """
         filled = _copies(self._frame, len(times_ns), self._type)
         stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
@@ -219,32 +219,32 @@ class TransformFrame:
 
 
 def _layout(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
-    """The type of a message of `size` bytes with some named fields: format and place of each."""
+    """Return the type of a message of `size` bytes with named fields: format and place of each."""
     formats, places = zip(*fields.values(), strict=True) if fields else ((), ())
     return np.dtype({"names": list(fields), "formats": formats, "offsets": places, "itemsize": size})
 
 
 def _copies(frame: bytes, count: int, layout: np.dtype[np.void]) -> NDArray[np.void]:
-    """`count` copies of a message, to be filled in."""
+    """Return `count` copies of a message, to be filled in."""
     return np.frombuffer(bytearray(frame * count), layout)
 
 
 def text_message(text: str) -> bytes:
-    """A std_msgs/String."""
+    """Return a std_msgs/String."""
     return Encoder().text(text).message()
 
 
 def line_message(line: Line) -> bytes:
-    """An rcl_interfaces/Log."""
+    """Return an rcl_interfaces/Log."""
     return LineFrame(line.name, line.level).message(line.time_ns, line.text.encode("utf-8"))
 
 
 class LineFrame:
-    """Messages of one rcl_interfaces/Log channel that come from one side.
+    """Messages of one rcl_interfaces/Log channel from one source.
 
     Args:
-        name: of who tells it.
-        level: how grave it is.
+        name: Name of the source.
+        level: Severity.
     """
 
     def __init__(self, name: str, level: int) -> None:
@@ -253,7 +253,7 @@ class LineFrame:
         self._middle = frame.message()[len(CDR_HEADER) + _STAMP.size :]
 
     def message(self, time_ns: int, text: bytes) -> bytes:
-        """One line, `text` in UTF-8."""
+        """Return a line as a message, `text` in UTF-8."""
         seconds, rest_ns = divmod(time_ns, NS_PER_S)
         size = len(text) + 1
         stamp, padding = _STAMP.pack(seconds, rest_ns), bytes(1 + -size % 4)

@@ -1,7 +1,7 @@
-"""The index of a log's chunks, kept small until the end of the file, where it belongs.
+"""Index of a log's chunks, kept compact in memory until the end of the file, where it is written.
 
 `serve` writes a chunk each half second. As mcap's records, each with the places of all message indexes behind
-the chunk, a day of them takes 190 MB of memory. All that they say follows from a few numbers that differ
+the chunk, a day of them takes 190 MB of memory. All their content follows from a few numbers that differ
 little from chunk to chunk: as columns of differences, compressed in blocks, they take less than 2 MB.
 """
 
@@ -13,22 +13,22 @@ import numpy as np
 from mcap.opcode import Opcode
 
 ENTRY_BYTES = 16
-"""Of a message in a message index: its time and its place in the chunk [bytes]."""
+"""Size of a message's entry in a message index: its time and its place in the chunk [bytes]."""
 
 COMPRESSION = b"zstd"
-"""Of all chunks."""
+"""Compression of all chunks."""
 
 _CHUNK_FRAME = struct.calcsize("<BQQQQII4sQ")
-"""A chunk's record without its packed content [bytes]."""
+"""Size of a chunk's record without its compressed content [bytes]."""
 
 _INDEX_FRAME = struct.calcsize("<BQHI")
-"""A message index without its entries [bytes]."""
+"""Size of a message index without its entries [bytes]."""
 
 _BLOCK = 512
 
 
 class ChunkIndex:
-    """What is to be said of each chunk at the end of the file."""
+    """Chunk index records for the end of the file."""
 
     def __init__(self) -> None:
         self._rows: list[list[int]] = []
@@ -40,14 +40,14 @@ class ChunkIndex:
     def add(
         self, place: int, length: int, size: int, times_ns: tuple[int, int], counts: Mapping[int, int]
     ) -> None:
-        """Notes a chunk.
+        """Add a chunk.
 
         Args:
-            place: of its record in the file [bytes].
-            length: of its record [bytes].
-            size: of its content, unpacked [bytes].
-            times_ns: of its first and its last message [ns].
-            counts: how many messages of which channel it holds; their indexes follow in this order.
+            place: Place of its record in the file [bytes].
+            length: Length of its record [bytes].
+            size: Size of its content, uncompressed [bytes].
+            times_ns: Times of its first and its last message [ns].
+            counts: Number of messages by channel; their indexes follow in this order.
         """
         row = [*times_ns, place, length, size, *(number for pair in counts.items() for number in pair)]
         self._rows.append(row)
@@ -59,7 +59,7 @@ class ChunkIndex:
             self._rows.clear()
 
     def records(self) -> Iterator[bytes]:
-        """The chunk index records, many at a time, in the order of the chunks."""
+        """Yield the chunk index records, many at a time, in the order of the chunks."""
         for width, packed in self._blocks:
             columns = np.frombuffer(zlib.decompress(packed), np.int64).reshape(width, _BLOCK)
             yield b"".join(map(_record, np.cumsum(columns, axis=1).T.tolist()))
@@ -67,12 +67,12 @@ class ChunkIndex:
 
 
 def _record(row: list[int]) -> bytes:
-    """A chunk index record of the numbers that were noted."""
+    """Return a chunk index record of the stored numbers."""
     start_ns, end_ns, place, length, size, *pairs = row
     offsets: list[int] = []
     at = place + length
     for channel, count in zip(pairs[::2], pairs[1::2], strict=True):
-        if count:  # what a block has in other rows only is 0
+        if count:  # Channels of other rows of the block have 0 here.
             offsets += channel, at
             at += _INDEX_FRAME + ENTRY_BYTES * count
     places = struct.pack(f"<{len(offsets) // 2 * 'HQ'}", *offsets)

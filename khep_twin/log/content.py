@@ -1,7 +1,7 @@
-"""The records of a finished log's file, each within bounds: nothing that a file declares is believed unseen.
+"""Records of a finished log's file, each within bounds: nothing that a file declares is used unchecked.
 
-A size is compared with the bytes that are there before so much is read, and with a constant before so much is
-unpacked. What the index names lies in the file and does not overlap, so that no byte is read twice.
+A size is compared with the bytes that are there before reading, and with a constant before unpacking.
+The parts named by the index lie in the file and do not overlap, so that no byte is read twice.
 """
 
 import os
@@ -28,7 +28,7 @@ from khep_twin.log.record_bytes import (
 )
 
 LARGEST_RECORD = LARGEST_CHUNK
-"""Largest record but a chunk's content that is read, such as an attachment [bytes]."""
+"""Largest record that is read, except a chunk's content, such as an attachment [bytes]."""
 
 _FOOTER = struct.Struct("<QQI")
 _CHUNK_PLACE = struct.Struct("<QQQQI")
@@ -40,10 +40,10 @@ class Entry(NamedTuple):
     """One message.
 
     Attributes:
-        topic: of its channel.
-        schema: name of its type, empty without.
-        time_ns: when it was written [ns].
-        data: as it was written.
+        topic: Topic of its channel.
+        schema: Name of its type, empty if it has none.
+        time_ns: Log time [ns].
+        data: Content as written.
     """
 
     topic: str
@@ -53,13 +53,13 @@ class Entry(NamedTuple):
 
 
 class Content:
-    """What a finished log's file holds.
+    """Content of a finished log's file.
 
     Args:
-        file: that is open.
+        file: Open file.
 
     Raises:
-        Misfit: here and in each method: it is no whole MCAP file, or larger than it may be.
+        Misfit: Here and in each method: it is no whole MCAP file, or exceeds a limit.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -94,7 +94,7 @@ class Content:
         yield from sorted(held, key=_time)
 
     def first_messages(self) -> Iterator[Entry]:
-        """Yield the first message of each channel, out of the chunks that the index says have them."""
+        """Yield the first message of each channel, from the chunks that have them by the index."""
         seen: set[str] = set()
         for start_ns, place, length in sorted(set(self._first.values())) or self._chunks:
             for entry in sorted(self._entries(self._chunk(place, length), place, start_ns), key=_time):
@@ -108,9 +108,9 @@ class Content:
                     yield entry
 
     def pieces(self, length: int) -> Iterator[tuple[float, list[Entry]]]:
-        """Yield the messages in parts of some `length` bytes and a chunk, none earlier than those before it.
+        """Yield the messages in parts of about `length` bytes and a chunk, none earlier than those before it.
 
-        Each comes with the share of the log that has been read by then, 0 to 1.
+        Each comes with the share of the log that has been read so far, 0 to 1.
         """
         held: list[Entry] = []
         size, count, split_ns = 0, 0, 0
@@ -137,7 +137,7 @@ class Content:
             yield found
 
     def metadata(self) -> Iterator[Metadata]:
-        """Yield the tables of facts."""
+        """Yield the metadata records."""
         for place, content in self._records(Opcode.METADATA):
             found = parsed(Opcode.METADATA, content)
             if not isinstance(found, Metadata):
@@ -152,7 +152,7 @@ class Content:
         return schema.data.decode("ascii", "ignore") if schema.encoding == "ros2msg" else schema.data
 
     def end_ns(self) -> int:
-        """Return the time of the last message, as the index has it [ns]."""
+        """Return the time of the last message by the index [ns]."""
         if self._end_ns is None:
             raise Misfit("no statistics", "them in the index")
         if self._end_ns > LATEST_NS:
@@ -160,7 +160,7 @@ class Content:
         return self._end_ns
 
     def _read_summary(self) -> bool:
-        """Read the index; returns whether there is one of chunks."""
+        """Read the index; return whether it lists chunks."""
         magic = len(MCAP0_MAGIC)
         if self._end < magic or self._bytes(0, magic) != MCAP0_MAGIC:
             raise Misfit("no MCAP file", "one that begins and ends as such")
@@ -207,7 +207,7 @@ class Content:
         return bool(self._chunks)
 
     def _pieces(self) -> Iterator[tuple[int, Iterator[Entry]]]:
-        """Yield the messages of each chunk, and from what time on there are none of an earlier chunk."""
+        """Yield the messages of each chunk, and the time from which on no earlier chunk has any."""
         if not self._indexed:
             yield 0, self._unindexed()
         for start_ns, place, length in self._chunks:
@@ -291,7 +291,7 @@ class Content:
                 raise Misfit(f"definition at byte {place}", "texts of the lengths that they say")
 
     def _records(self, wanted: Opcode) -> Iterator[tuple[int, bytes]]:
-        """Yield places and records, heads included, of a kind."""
+        """Yield places and records of a kind, heads included."""
         if not self._indexed:
             for opcode, place, size in self._walk(len(MCAP0_MAGIC), self._end):
                 if opcode == wanted:
@@ -306,7 +306,7 @@ class Content:
             yield place, self._content(place, size)
 
     def _walk(self, place: int, end: int) -> Iterator[tuple[int, int, int]]:
-        """Yield opcode, place and length of the content of the records that follow each other."""
+        """Yield opcode, place and length of the content of consecutive records."""
         while place < end:
             opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
             if size > end - place - HEAD.size:
@@ -319,7 +319,7 @@ class Content:
         return self._bytes(place + HEAD.size, size)
 
     def _bytes(self, place: int, size: int) -> bytes:
-        """Return so many bytes of the file."""
+        """Return `size` bytes of the file."""
         if size > LARGEST_RECORD:
             raise Misfit(f"record of {size} bytes at byte {place}", f"at most {LARGEST_RECORD}")
         self._file.seek(place)

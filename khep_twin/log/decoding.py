@@ -1,7 +1,7 @@
-"""Messages of a log as typed values: the border at which bytes of a file are believed or refused.
+"""Decoding of a log's messages to typed values, with all checks of untrusted bytes.
 
-Nobody knows who wrote a log. What is read here is in the message, in range and finite, or it is a `Misfit`,
-which says what was found and what was expected; whoever read it from a file adds the file and the place.
+A log may come from anyone. A decoded value is in the message, in range and finite, or else a `Misfit` is
+raised with what was found and what was expected; the caller that reads a file adds the file and the place.
 """
 
 import struct
@@ -17,21 +17,21 @@ from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.log.channels import CDR_HEADER, Line
 
 LATEST_NS = 2**63 - 1
-"""Last time that is believed [ns]: what fits where times are kept, 292 years."""
+"""Latest time that is accepted [ns]: the range of int64, 292 years."""
 
 SHOWN = 60
 """Most characters of a value from a file that a message shows."""
 
 
 class Misfit(ValueError):
-    """What is in a log and does not belong there.
+    """Invalid content of a log.
 
     Args:
-        found: what and of which value.
-        expected: what would be right.
+        found: Value that was found, and its name.
+        expected: Expected value.
 
     Attributes:
-        row: of several messages that were read at once, which one it is in.
+        row: Row of the invalid message, if several were read at once.
     """
 
     def __init__(self, found: str, expected: str) -> None:
@@ -45,26 +45,26 @@ class Misfit(ValueError):
 
 
 def shown(text: object) -> str:
-    """Return a text out of a file as a line shows it: short, and without what a terminal would obey."""
+    """Return a text from a file as shown in a line: short, and without control characters."""
     words = str(text)
     short = words if len(words) <= SHOWN else f"{words[:SHOWN]}..."
     return short if short.isprintable() else repr(short)
 
 
 def first_line(error: KhepTwinError) -> str:
-    """Return the first of an error's lines: of what is attached to a log, one problem is enough."""
+    """Return the first of an error's lines: one problem of an attachment is enough."""
     lines = str(error).splitlines()
     return lines[0] if len(lines) < 2 else f"{lines[0]} (and {len(lines) - 1} more)"
 
 
 class Decoder:
-    """Reads values one after the other, as `channels.Encoder` writes them.
+    """Decoder of consecutive values, as written by `channels.Encoder`.
 
     Args:
-        message: in CDR.
+        message: Message in CDR.
 
     Raises:
-        Misfit: here and in each method: it is none, or does not hold what is read.
+        Misfit: Here and in each method: it is no such message, or ends before the value.
     """
 
     def __init__(self, message: bytes) -> None:
@@ -75,7 +75,7 @@ class Decoder:
         self._place = 0
 
     def get(self, kind: str, count: int = 1) -> tuple[Any, ...]:
-        """Return numbers in a row, `kind` as in `struct`."""
+        """Return consecutive numbers, `kind` as in `struct`."""
         size = struct.calcsize(kind)
         self._place += -self._place % size
         self._check(count, size)
@@ -84,7 +84,7 @@ class Decoder:
         return values
 
     def number(self) -> int:
-        """Return one uint32."""
+        """Return a uint32."""
         return self.get("I")[0]
 
     def text(self) -> str:
@@ -107,12 +107,12 @@ class Decoder:
         return seconds * NS_PER_S + rest_ns
 
     def end(self) -> None:
-        """Refuse bytes behind what was read."""
+        """Refuse bytes after the decoded values."""
         if self._place != len(self._data):
             raise Misfit(f"{len(self._data)} bytes", f"{self._place}, as its lengths say")
 
     def _check(self, count: int, size: int) -> None:
-        # Before anything of the size is asked for.
+        # Check before allocating memory of this size.
         if count * size > len(self._data) - self._place:
             there = max(len(self._data) - self._place, 0)
             raise Misfit(f"{count} values of {size} bytes", f"at most the {there} bytes that are there")
@@ -122,7 +122,7 @@ def read_array(message: bytes, kind: str) -> tuple[Any, ...]:
     """Return the values of a Float64MultiArray ("d") or Int64MultiArray ("q").
 
     Raises:
-        Misfit: it is none.
+        Misfit: It is none.
     """
     decoder = Decoder(message)
     for _ in range(decoder.number()):
@@ -138,7 +138,7 @@ def read_arrays_of(messages: Sequence[bytes], kind: str) -> NDArray[np.int64] | 
     """Return the values of several messages of a channel (n, length), `kind` as for `read_array`.
 
     Raises:
-        Misfit: one, at its `row`, is no such message, or has another length than the first.
+        Misfit: One, at its `row`, is no such message, or has another length than the first.
     """
     rows: list[tuple[Any, ...]] = []
     for row, message in enumerate(messages):
@@ -151,7 +151,7 @@ def read_arrays_of(messages: Sequence[bytes], kind: str) -> NDArray[np.int64] | 
             misfit.row = row
             raise
         length = len(rows[0])
-        # Where all begin alike, as a log's writer makes them, the values lie at the same place in each.
+        # If all begin alike, as a log's writer makes them, the values are at the same place in each.
         head = message[: len(message) - 8 * length]
         alike = (len(each) == len(message) and each.startswith(head) for each in messages)
         if row == 0 and length and all(alike):
@@ -165,7 +165,7 @@ def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
     """Return the poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w.
 
     Raises:
-        Misfit: it is none.
+        Misfit: It is none.
     """
     decoder = Decoder(message)
     poses: dict[str, tuple[float, ...]] = {}
@@ -182,7 +182,7 @@ def read_line(message: bytes) -> Line:
     """Return a line of the transcript or of the events.
 
     Raises:
-        Misfit: it is none.
+        Misfit: It is none.
     """
     decoder = Decoder(message)
     time_ns = decoder.time()

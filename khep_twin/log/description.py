@@ -1,7 +1,7 @@
-"""The scene as URDF, from the compiled model: what viewers that do not know MuJoCo draw.
+"""URDF of the scene, from the compiled model: geometry for viewers that do not know MuJoCo.
 
-Each body becomes a link named as the body, with its shown geoms and sites as visuals; what stands still is
-part of the link "world". Poses come from /tf, so the joints only say what hangs on what.
+Each body becomes a link named as the body, with its shown geoms and sites as visuals; fixed bodies are
+part of the link "world". Poses come from /tf, so the joints only connect the links.
 """
 
 import math
@@ -24,7 +24,7 @@ _KINDS: dict[int, Kind] = {
     _CYLINDER: "cylinder",
     _BOX: "box",
 }
-"""Kinds of `mujoco.mjtGeom` that are drawn, and as what; ellipsoids and meshes are left out."""
+"""Shape names of the kinds of `mujoco.mjtGeom` that are drawn; ellipsoids and meshes are left out."""
 
 _PLANE_THICKNESS = 0.0002
 _ENDLESS_SIZE = 10.0
@@ -33,15 +33,15 @@ _HIDDEN_GROUP = 3
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """One thing that is drawn of a body.
+    """A drawn geom or site of a body.
 
     Attributes:
-        name: of the geom or site.
-        kind: what it is; those that are round have their axis along z.
-        size: along x, y and z [m]; of a capsule, z is without its ends.
-        position: in the body's frame (3,) [m].
-        quaternion: in the body's frame, w, x, y, z (4,).
-        rgba: its colour (4,) [0 to 1].
+        name: Name of the geom or site.
+        kind: Kind of shape; round ones have their axis along z.
+        size: Size along x, y and z [m]; for a capsule, z is without its ends.
+        position: Position in the body's frame (3,) [m].
+        quaternion: Rotation in the body's frame, w, x, y, z (4,).
+        rgba: Colour (4,) [0 to 1].
     """
 
     name: str
@@ -53,7 +53,7 @@ class Shape:
 
 
 def urdf(model: mujoco.MjModel) -> str:
-    """The scene as URDF text; lengths in m, angles in rad."""
+    """Return the scene as URDF text; lengths in m, angles in rad."""
     robot = ElementTree.Element("robot", name=model.names[: model.names.index(b"\0")].decode() or "playpen")
     for body in range(model.nbody):
         name = body_name(model, body)
@@ -68,12 +68,12 @@ def urdf(model: mujoco.MjModel) -> str:
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
-    """A body's name in links and frames."""
+    """Return a body's name in links and frames."""
     return model.body(body).name or f"body{body}"
 
 
 def shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:
-    """What is drawn of a body; what is transparent, for contact only or of another kind is not."""
+    """Yield the drawn shapes of a body, without transparent, contact-only and unsupported ones."""
     for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
         if model.geom_group[geom] != _HIDDEN_GROUP:
             name = model.geom(geom).name or f"geom{geom}"
@@ -95,11 +95,11 @@ def _shape(
     quaternion: NDArray[np.float64],
     rgba: NDArray[np.float32],
 ) -> Iterator[Shape]:
-    """A shape of MuJoCo, which counts half sizes; nothing for one that cannot be seen or drawn."""
+    """Yield a shape of MuJoCo, which stores half sizes; nothing for one that is invisible or not drawn."""
     if rgba[3] <= 0 or kind not in _KINDS:
         return
     if kind == _PLANE:
-        # Size 0 is a plane that never ends.
+        # Size 0 is an infinite plane.
         length, width = (2 * half or _ENDLESS_SIZE for half in halves[:2])
         size = length, width, _PLANE_THICKNESS
     elif kind == _BOX:
@@ -111,7 +111,7 @@ def _shape(
 
 
 def _geometry(shape: Shape) -> ElementTree.Element:
-    """A shape as URDF has it."""
+    """Return a shape as a URDF geometry."""
     if shape.kind == "box":
         return ElementTree.Element("box", size=_numbers(shape.size))
     radius = _numbers([shape.size[0] / 2])
@@ -139,10 +139,10 @@ def _numbers(values: Sequence[float]) -> str:
 
 
 def _roll_pitch_yaw(quaternion: NDArray[np.float64]) -> list[float]:
-    """A rotation w, x, y, z as angles about the fixed axes x, y, z [rad], as URDF wants it."""
+    """Return a rotation w, x, y, z as angles about the fixed axes x, y, z [rad], as in URDF."""
     w, x, y, z = quaternion.tolist()
     sine = 2 * (w * y - z * x)
-    if abs(sine) > 1 - 1e-12:  # straight up or down, where roll and yaw turn about the same axis
+    if abs(sine) > 1 - 1e-12:  # gimbal lock: roll and yaw turn about the same axis
         return [0.0, math.copysign(math.pi / 2, sine), -2 * math.copysign(1.0, sine) * math.atan2(x, w)]
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = math.asin(sine)

@@ -1,9 +1,9 @@
-"""The scene as foxglove.SceneUpdate, which Foxglove shows without being told to.
+"""The scene as foxglove.SceneUpdate, which Foxglove shows without configuration.
 
-One message holds all that is drawn: what stands still in the frame "world", an entity each, and every body
-that moves as an entity in its own frame of /tf, to which it is locked. The message is protobuf, written here
-by hand as ROS messages are in `channels`: to import protobuf takes ten times as long as to write it. What it
-means stands in the log as the descriptors that Foxglove publishes, kept in assets/foxglove_scene_update.bin
+One message holds all shapes: fixed bodies in the frame "world", an entity each, and every moving body as an
+entity in its own frame of /tf, to which it is locked. The message is protobuf, encoded here like the ROS
+messages in `channels`: importing protobuf takes ten times as long as writing the message. The log holds
+the descriptors that Foxglove publishes, kept in assets/foxglove_scene_update.bin
 (`make schemas`).
 """
 
@@ -21,7 +21,7 @@ SCHEMA = "foxglove.SceneUpdate"
 """Name of the message type."""
 
 _VARINT, _DOUBLE, _BYTES = 0, 1, 2
-"""Kinds of fields on the wire."""
+"""Wire types of fields."""
 
 _ENTITIES = 2
 """Number of the field in SceneUpdate."""
@@ -31,19 +31,19 @@ _TIMESTAMP, _FRAME, _ID, _FRAME_LOCKED, _CUBES, _SPHERES, _CYLINDERS = 1, 2, 3, 
 
 
 def descriptors() -> bytes:
-    """The message type as a google.protobuf.FileDescriptorSet, as MCAP wants it."""
+    """Return the message type as a google.protobuf.FileDescriptorSet, as required by MCAP."""
     return (files("khep_twin") / "assets" / "foxglove_scene_update.bin").read_bytes()
 
 
 def scene_update(model: mujoco.MjModel) -> bytes:
-    """The whole scene as one message; lengths in m."""
+    """Return the whole scene as one message; lengths in m."""
     entities: list[bytes] = []
     for body in range(model.nbody):
         if model.body_weldid[body]:
             name = body_name(model, body)
             entities.append(_entity(name, name, list(shapes(model, body)), *_HERE))
         else:
-            # Not in /tf: each thing for itself, at its place in the world.
+            # Not in /tf: each body is an entity of its own, at its place in the world.
             place = _place(model, body)
             entities += [
                 _entity("world", f"world/{each.name}", [each], *place) for each in shapes(model, body)
@@ -52,11 +52,11 @@ def scene_update(model: mujoco.MjModel) -> bytes:
 
 
 _HERE = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-"""A frame's own place in itself."""
+"""Identity pose."""
 
 
 def _place(model: mujoco.MjModel, body: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where a body that stands still is in the world: position and quaternion w, x, y, z."""
+    """Return the pose of a fixed body in the world: position and quaternion w, x, y, z."""
     position, quaternion = _HERE
     while body:
         position, quaternion = _composed(model.body_pos[body], model.body_quat[body], position, quaternion)
@@ -70,7 +70,7 @@ def _composed(
     inner_position: NDArray[np.float64],
     inner_quaternion: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A pose within a pose."""
+    """Compose two poses."""
     place, turn = np.zeros(3), np.zeros(4)
     mujoco.mju_mulPose(place, turn, position, quaternion, inner_position, inner_quaternion)
     return place, turn
@@ -83,7 +83,7 @@ def _entity(
     position: NDArray[np.float64],
     quaternion: NDArray[np.float64],
 ) -> bytes:
-    """A SceneEntity of shapes that are given at a place in the frame; empty without any."""
+    """Return a SceneEntity of shapes at a place in the frame; empty without any."""
     if not drawn:
         return b""
     parts = [
@@ -96,7 +96,7 @@ def _entity(
     for shape in drawn:
         pose = _composed(position, quaternion, shape.position, shape.quaternion)
         primitives += _primitives(shape, *pose)
-    # In the order of their fields, as protobuf itself writes them.
+    # In the order of their fields, as protobuf writes them.
     parts += [_message(number, content) for number, content in sorted(primitives, key=lambda each: each[0])]
     return b"".join(parts)
 
@@ -104,7 +104,7 @@ def _entity(
 def _primitives(
     shape: Shape, position: NDArray[np.float64], quaternion: NDArray[np.float64]
 ) -> list[tuple[int, bytes]]:
-    """A shape as field and primitive; a capsule is a cylinder with a sphere at either end."""
+    """Return a shape as field and primitive; a capsule is a cylinder with a sphere at either end."""
     colour = _doubles(*shape.rgba.tolist())
     pose, size = _pose(position, quaternion), _doubles(*shape.size)
     if shape.kind == "box":
@@ -130,18 +130,18 @@ def _pose(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> byt
 
 
 def _doubles(*values: float) -> bytes:
-    """A message of doubles in fields 1, 2, 3 and so on: a vector, a quaternion, a colour."""
+    """Return a message of doubles in fields 1, 2, 3 and so on: a vector, a quaternion, a colour."""
     return b"".join(_double(number, value) for number, value in enumerate(values, 1))
 
 
 def _double(number: int, value: float) -> bytes:
-    """A double; one of 0 is left out, as protobuf does."""
+    """Return a field with a double; empty for 0, as in protobuf."""
     data = struct.pack("<d", value)
     return _tag(number, _DOUBLE) + data if any(data) else b""
 
 
 def _message(number: int, content: bytes) -> bytes:
-    """A field that is a text or a message of its own."""
+    """Return a field with a text or a message."""
     return _tag(number, _BYTES) + _varint(len(content)) + content
 
 
@@ -150,7 +150,7 @@ def _tag(number: int, kind: int) -> bytes:
 
 
 def _varint(value: int) -> bytes:
-    """A whole number, seven bits a byte, the lowest first."""
+    """Return an integer, seven bits a byte, the lowest first."""
     data = bytearray()
     while value > 0x7F:
         data.append(value & 0x7F | 0x80)

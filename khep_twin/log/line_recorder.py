@@ -1,8 +1,8 @@
-"""Recording a real robot's serial line: what both sides say, and what the robot tells of itself in it.
+"""Recorder of a real robot's serial line: its transcript, and the robot's data in its replies.
 
-The log has the shape of a twin's, as far as a line can tell: the transcript, the events, and the sensor
-values and wheel speeds of the robot's own replies to N, O and E, at the time of their last byte. The truth
-about the robot's place, which only a twin knows, is missing.
+The log has the format of a twin's, as far as a line can provide it: the transcript, the events, and the
+sensor values and wheel speeds of the robot's own replies to N, O and E, at the time of their last byte. The
+robot's true pose, which only a twin knows, is missing.
 """
 
 import json
@@ -22,27 +22,27 @@ from khep_twin.log.transcript import Transcript
 from khep_twin.log.wire import acts_message
 
 ROBOT = "khepera0"
-"""Name that the robot has in the log."""
+"""Name of the robot in the log."""
 
 _REPLIES = {b"n": ("proximity", 8), b"o": ("ambient", 8), b"e": ("speed", 2)}
-"""Replies that carry what a twin's log samples: topic, and how many whole numbers it is."""
+"""Replies with values that a twin's log samples: topic, and number of integers."""
 
 
 class LineRecorder:
-    """Writes what crosses one robot's line into one file.
+    """Recorder of one robot's line in a log.
 
     Args:
-        path: of the finished log, by custom NAME.mcap.
-        settings: how the line was set up, kept in the log as configuration.json.
-        now: gives the time since the start [ns].
-        carry_on: takes the line about a log that cannot be written any more, and the relay goes on without
-            it; None ends it by a `LogError`.
+        path: Path of the finished log, by convention NAME.mcap.
+        settings: Configuration of the line, kept in the log as configuration.json.
+        now: Function that returns the time since the start [ns].
+        carry_on: Function that takes the message if the log can no longer be written, after which the relay
+            continues without it; None ends it by a `LogError`.
 
     Attributes:
-        kept: where an unfinished log of an earlier run was moved to, None if there was none.
+        kept: New path of an unfinished log of an earlier run, None if there was none.
 
     Raises:
-        LogError: the file cannot be made.
+        LogError: The file cannot be made.
     """
 
     def __init__(
@@ -76,11 +76,11 @@ class LineRecorder:
 
     @property
     def failure(self) -> LogError | None:
-        """Why the log could not be written any more, None if it could."""
+        """Error after which the log is no longer written, None if there was none."""
         return self._log.failure
 
     def wire(self, to_robot: bool, data: bytes) -> None:
-        """Writes bytes that cross the line now."""
+        """Record bytes that cross the line now."""
         if not self._log.open:
             return
         time_ns = self._now()
@@ -94,19 +94,19 @@ class LineRecorder:
                 self._take_values(time_ns, line)
 
     def event(self, text: str) -> None:
-        """Writes a note, and everything so far to the file."""
+        """Record an event; flush the file."""
         if self._log.open:
             self._log.add_event(self._now(), ROBOT, text)
             self.flush()
 
     def flush(self) -> None:
-        """Hands everything so far to the file system."""
+        """Hand everything so far to the file system."""
         if self._log.open:
             self._write()
             self._log.flush()
 
     def close(self) -> None:
-        """Completes the file and gives it its name."""
+        """Complete the file and rename it to its path."""
         if self._log.open:
             self._write()
             self._transcript.write_rests(self._now())
@@ -133,7 +133,7 @@ class LineRecorder:
         try:
             values = [int(field) for field in fields]
         except ValueError:
-            return  # noise on the line; the transcript has it
+            return  # noise on the line, kept in the transcript
         if topic == "speed":
             values += self._setpoints
         message = self._frames[topic].messages(np.array([values]))[0].tobytes()

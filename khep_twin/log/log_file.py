@@ -1,6 +1,6 @@
-"""The file of a log: where it may be, how it grows, and what happens when that goes wrong.
+"""File of a log: checks of its path, writing, and handling of write errors.
 
-It grows as NAME.mcap.part and gets its name when it is whole.
+It is written as NAME.mcap.part and renamed when it is whole.
 """
 
 import os
@@ -24,30 +24,31 @@ from khep_twin.signals import clear_at_end, undisturbed
 
 
 class LogFile:
-    """An MCAP file with channels of ours in it.
+    """An MCAP file with channels of khep_twin.
 
     Args:
-        path: of the finished log, by custom NAME.mcap.
-        now: gives the time of the run [ns].
+        path: Path of the finished log, by convention NAME.mcap.
+        now: Function that returns the time of the run [ns].
 
     Attributes:
-        path: of the finished log.
-        part: of the file while it grows.
-        kept: where an unfinished log of an earlier run was moved to, None if there was none.
-        open: whether it takes anything more.
-        failure: what went wrong with it, None so far.
-        tell: takes the line about a failure, after which the run goes on without a log; None raises it.
-        complete: is called where the process is ended from outside; at first it takes the file away.
+        path: Path of the finished log.
+        part: Path of the file while it is written.
+        kept: New path of an unfinished log of an earlier run, None if there was none.
+        open: True while it can be written.
+        failure: First error, None if there was none.
+        tell: Function that takes the message of an error, after which the run goes on without a log; None
+            raises it.
+        complete: Function called if the process is ended from outside; by default it removes the file.
 
     Raises:
-        LogError: the file cannot be made.
+        LogError: The file cannot be made.
     """
 
     def __init__(self, path: Path, now: Callable[[], int]) -> None:
         if reason := unusable(path) or _no_log(path):
             raise LogError(f"{path}: cannot write a log here: {reason}")
         self.path = path
-        # A link is followed, so that it stays a link; a controller may go to another folder meanwhile.
+        # Links are followed, so that they stay links; resolved now, as a controller may change the directory.
         self._target = path.resolve() if path.is_symlink() else path.absolute()
         self.part = self._target.with_name(self._target.name + ".part")
         self._now = now
@@ -66,54 +67,54 @@ class LogFile:
             self._writer = BatchWriter(self._file, "ros2", f"khep_twin {__version__}")
 
     def describe(self, attachments: Mapping[str, str], facts: Mapping[str, str]) -> None:
-        """Writes what the run is: texts by their names, and facts in few words."""
+        """Write the run's description: texts by name, and a table of facts."""
         with self.guarded():
             for name, text in attachments.items():
                 self._writer.attach(name, text)
             self._writer.describe("run", facts)
 
     def add(self, topic: str, schema: str, time_ns: int, message: bytes) -> None:
-        """Writes one message."""
+        """Write one message."""
         with self.guarded():
             self._writer.add(self._channel(topic, schema), time_ns, message)
 
     def add_protobuf(self, topic: str, schema: str, descriptors: bytes, time_ns: int, message: bytes) -> None:
-        """Writes one message in protobuf, whose type `descriptors` define."""
+        """Write one message in protobuf, whose type `descriptors` define."""
         with self.guarded():
             self._writer.add(self._writer.channel(topic, schema, descriptors), time_ns, message)
 
     def add_rows(
         self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]
     ) -> None:
-        """Writes messages of one size, a row each."""
+        """Write messages of one size, a row each."""
         with self.guarded():
             self._writer.add_rows(self._channel(topic, schema), times_ns, messages)
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
-        """Writes lines of a transcript."""
+        """Write lines of a transcript."""
         with self.guarded():
             channel = self._channel(topic, "rcl_interfaces/msg/Log")
             self._writer.add_lines(channel, times_ns, messages)
 
     def add_event(self, time_ns: int, name: str, text: str) -> None:
-        """Writes a note."""
+        """Write an event."""
         message = channels.line_message(Line(time_ns, Level.INFO, name, text))
         self.add("/events", "rcl_interfaces/msg/Log", time_ns, message)
 
     def flush(self) -> None:
-        """Hands everything so far to the file system."""
+        """Hand everything so far to the file system."""
         with self.guarded():
             self._writer.flush()
 
     def finish(self) -> None:
-        """Completes the file and gives it its name."""
+        """Complete the file and rename it to its path."""
         with self.guarded():
             self._writer.finish()
             os.replace(self.part, self._target)
             self._close()
 
     def discard(self) -> None:
-        """Takes the file away: of a run that has not begun, nothing is to be left."""
+        """Remove the file, for a run that has not begun."""
         with undisturbed():
             if self.open:
                 self._close()
@@ -121,7 +122,7 @@ class LogFile:
 
     @contextmanager
     def guarded(self) -> Generator[None, None, None]:
-        """Turns the first trouble with the file into an error or a line; then the file is left alone."""
+        """Turn the first error of the file into a `LogError` or a message; then the file is left alone."""
         try:
             with undisturbed():
                 yield
@@ -148,12 +149,12 @@ class LogFile:
 
 
 def _no_log(path: Path) -> str:
-    """Why a file that is there must not be replaced by a log; empty if it may."""
+    """Return the reason why an existing file must not be replaced by a log; empty if it may."""
     try:
         if not path.exists() or path.stat().st_size == 0:
             return ""
         with open_regular(path) as file:
             begins_so = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
-        return "" if begins_so else "this file is no log; right is another name"
+        return "" if begins_so else "this file is no log; expected another name"
     except OSError as error:
         return error.strerror or str(error)

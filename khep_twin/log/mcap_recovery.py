@@ -1,10 +1,10 @@
-"""What is still whole in the bytes of a damaged MCAP file.
+"""Recovery of whole records from the bytes of a damaged MCAP file.
 
-The file is walked record by record. Where one does not hold what it promises, the next place is looked for at
-which a record can be proved: by its checksum, or by parsing to its last byte with another record behind it.
+The file is read record by record. After an invalid one, the next place is searched at which a record can be
+verified: by its checksum, or by parsing to its last byte with another record behind it.
 
-A chunk that the end of the file cuts off is unpacked as far as it goes. One damaged in the middle fails its
-checksum and is left out as a whole: nobody can tell which of its values are still those of the run.
+A chunk that the end of the file cuts off is unpacked as far as possible. One damaged in the middle fails its
+checksum and is left out as a whole, as its valid values cannot be told from invalid ones.
 """
 
 from collections.abc import Callable, Generator
@@ -32,24 +32,24 @@ _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 
 Progress = Callable[[float], None] | None
-"""Takes the share that is done, 0 to 1."""
+"""Function that takes the share that is done, 0 to 1."""
 
 
 class Salvage:
-    """Looks through a file for what is whole in it.
+    """Search of a file for whole records.
 
     Args:
-        data: the file.
-        progress: takes the share of the file that has been looked through, 0 to 1.
+        data: Content of the file.
+        progress: Function that takes the share of the file that has been searched, 0 to 1.
 
     Attributes:
-        header: of the file.
-        schemas: by number.
-        channels: by number.
-        attachments: those that fail their checksum are called damaged/NAME.
-        metadata: facts about the run.
-        damaged: how many places could not be read.
-        torn: whether the end of the file cuts off something that carried content.
+        header: Header of the file.
+        schemas: Schemas by number.
+        channels: Channels by number.
+        attachments: Attachments; those that fail their checksum are named damaged/NAME.
+        metadata: Metadata records of the run.
+        damaged: Number of places that could not be read.
+        torn: True if the end of the file cuts off a record with content.
     """
 
     def __init__(self, data: bytes | mmap, progress: Progress = None) -> None:
@@ -69,7 +69,7 @@ class Salvage:
             self._walk()
 
     def messages(self, progress: Progress = None) -> Generator[Message, None, None]:
-        """The messages whose channels are known, in the order of the file; `progress` as above."""
+        """Yield the messages of known channels, in the order of the file; `progress` as above."""
         for number, piece in enumerate(self._pieces):
             if progress is not None:
                 progress(number / len(self._pieces))
@@ -103,7 +103,7 @@ class Salvage:
             place = end
 
     def _take(self, place: int) -> int | None:
-        """Keeps what the record at a place holds; returns where the next begins, None if it is none."""
+        """Keep the content of the record at a place; return where the next begins, None if it is none."""
         opcode, end = self._bytes.head(place)
         if opcode == Opcode.CHUNK:
             records, end = self._bytes.chunk(place)
@@ -111,7 +111,7 @@ class Salvage:
                 return None
             self._unpacked += len(records)
             if self._unpacked > SLACK + LARGEST_RATIO * len(self._data):
-                self.damaged += 1  # no run's, but a trap: all else of it may be one, too
+                self.damaged += 1  # a decompression bomb, so the rest of it is not used either
                 return len(self._data)
             self._define(records)
             self._pieces.append(place)
@@ -156,7 +156,7 @@ class Salvage:
                 break
 
     def _is_torn(self, place: int) -> bool:
-        """Whether the file ends within the record at a place; what can be had of it is kept."""
+        """Return whether the file ends within the record at a place; keep its readable part."""
         data = self._data
         opcode, end = self._bytes.head(place)
         if end is not None:
@@ -164,7 +164,7 @@ class Salvage:
         if opcode in PLACES and len(data) - place < HEAD.size:
             return True
         if opcode in PLACES:
-            # Of a list of places nothing is lost, if this is one and not a length gone wrong.
+            # Losing a list of places loses nothing, if it is one and not a wrong length.
             return self._bytes.next_record(place + 1) is None
         if opcode == Opcode.CHUNK and (found := self._bytes.chunk_head(place)) is not None:
             size, _, compression, start, inner = found

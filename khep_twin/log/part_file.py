@@ -1,7 +1,6 @@
-"""The file of a log while it grows: NAME.mcap.part, of which nothing that was written gets lost.
+"""File of a log while it is written: NAME.mcap.part, of which written data is never lost.
 
-A disk that fills up, a second run of the same name and what a crash left behind each do no harm to what is
-there.
+A full disk, a second run of the same name and the remains of a crash do no harm to existing data.
 """
 
 import fcntl
@@ -16,20 +15,20 @@ from khep_twin.files.atomic import open_regular
 
 
 class PartFile:
-    """A file without a buffer of its own, in which each write is there as a whole or not at all.
+    """An unbuffered file in which each write is there as a whole or not at all.
 
-    It is locked while it is open, so that a second run does not take it for what a crash left behind.
+    It is locked while it is open, so that a second run does not take it for the remains of a crash.
     """
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         self._size = 0
         self._closed = False
-        with suppress(OSError):  # some network file systems know no locks
+        with suppress(OSError):  # some network file systems have no locks
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def write(self, data: bytes) -> int:
-        """Appends `data`; what a full disk tore off is taken back before the error goes on."""
+        """Append `data`; on an error, remove what was written of it and raise."""
         rest = memoryview(data)
         try:
             while rest:
@@ -42,23 +41,23 @@ class PartFile:
         return len(data)
 
     def tell(self) -> int:
-        """How much has been written [bytes]."""
+        """Return the number of bytes written."""
         return self._size
 
     def close(self) -> None:
-        """Ends the file."""
+        """Close the file."""
         if not self._closed:
             self._closed = True
-            # Its number may be another file's from now on.
+            # The number of the descriptor may be reused from now on.
             descriptor, self._descriptor = self._descriptor, -1
             os.close(descriptor)
 
 
 def set_aside(part: Path) -> Path | None:
-    """Move an unfinished log out of the way, so that nothing that could be rescued is lost.
+    """Move an unfinished log out of the way, so that it can still be recovered.
 
     Returns:
-        Where it is now; None if there was none.
+        Its new path; None if there was none.
 
     Raises:
         LogError: Another run is writing it, or it is no log.
@@ -74,8 +73,8 @@ def set_aside(part: Path) -> Path | None:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise LogError(f"{part}: another run is writing it; right is another name for the log") from None
-        # It may be torn off early; anything else is somebody's, such as the playpen of this very run.
+            raise LogError(f"{part}: another run is writing it; expected another name for the log") from None
+        # It may be cut off early; anything else belongs to the user, such as the playpen of this very run.
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
             raise LogError(f"{part}: this is no unfinished log; expected another name for the log")
     number = 1

@@ -1,4 +1,4 @@
-"""Reading a log back: what was recorded as arrays, without ROS, rerun or the simulator."""
+"""Reading of logs: recorded data as arrays, without ROS, rerun or the simulator."""
 
 import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -26,22 +26,22 @@ from khep_twin.log.decoding import (
 from khep_twin.log.wire import read_acts, read_states
 
 PIECE = 32 << 20
-"""Most bytes of messages that are read at a time by `read_pieces`, besides a chunk."""
+"""Most bytes of messages that `read_pieces` reads at a time, besides a chunk."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What was recorded of one robot.
+    """Recorded data of one robot.
 
     Attributes:
-        times_ns: of the samples (n,) [ns].
-        pose: x, y [m] and heading [rad] (n, 3).
-        proximity: counts in the order of N (n, 8).
-        ambient: counts in the order of O (n, 8).
-        speed: left, right, setpoint left, setpoint right (n, 4) [pulses/10 ms].
-        duty: left, right (n, 2) [-255 to 255].
-        registers: the board's whole state (n, n_registers).
-        serial: the transcript, in order of time.
+        times_ns: Times of the samples (n,) [ns].
+        pose: Positions x, y [m] and headings [rad] (n, 3).
+        proximity: Counts in the order of N (n, 8).
+        ambient: Counts in the order of O (n, 8).
+        speed: Speeds left, right, setpoint left, setpoint right (n, 4) [pulses/10 ms].
+        duty: Duties left, right (n, 2) [-255 to 255].
+        registers: Whole state of the board (n, n_registers).
+        serial: Transcript, in order of time.
     """
 
     times_ns: NDArray[np.int64]
@@ -56,12 +56,12 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What a log says of itself.
+    """Metadata and attachments of a log.
 
     Attributes:
-        metadata: seed, versions, settings.
-        attachments: playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
-        robots: names.
+        metadata: Seed, versions, settings.
+        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
+        robots: Names of the robots.
     """
 
     metadata: Mapping[str, str]
@@ -74,10 +74,10 @@ class Run:
     """A whole log.
 
     Attributes:
-        metadata: seed, versions, settings.
-        attachments: playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
-        robots: the tracks, by name.
-        events: notes, in order of time.
+        metadata: Seed, versions, settings.
+        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
+        robots: Tracks of the robots, by name.
+        events: Events, in order of time.
     """
 
     metadata: Mapping[str, str]
@@ -91,8 +91,8 @@ class Series:
     """One channel of numbers.
 
     Attributes:
-        times_ns: of the messages (n,) [ns].
-        values: as they were written (n, length).
+        times_ns: Times of the messages (n,) [ns].
+        values: Values as written (n, length).
     """
 
     times_ns: NDArray[np.int64]
@@ -101,12 +101,12 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A whole log with each channel at its own times, as logs of real robots have them.
+    """A whole log with each channel at its own times, as in logs of real robots.
 
     Attributes:
-        label: what the log says of itself.
-        series: channels of samples by topic; "/khepera0/pose" is x, y [m] and heading [rad] out of /tf.
-        lines: channels of text by topic, in order of time.
+        label: Metadata and attachments of the log.
+        series: Channels of samples by topic; "/khepera0/pose" is x, y [m] and heading [rad] from /tf.
+        lines: Channels of text by topic, in order of time.
     """
 
     label: Label
@@ -115,10 +115,10 @@ class Recording:
 
 
 def read(path: Path) -> Run:
-    """A log as arrays.
+    """Read a log as arrays.
 
     Raises:
-        LogError: there is none, or it is not whole.
+        LogError: It does not exist, or is not whole.
     """
     with _opened(path) as content:
         label = _label(path, content)
@@ -130,30 +130,30 @@ def read(path: Path) -> Run:
 
 
 def read_label(path: Path) -> Label:
-    """What a log says of itself; quick however long the run was.
+    """Read metadata and attachments of a log; fast for any length of the run.
 
     Raises:
-        LogError: there is none, or it is not whole.
+        LogError: It does not exist, or is not whole.
     """
     with _opened(path) as content:
         return _label(path, content)
 
 
 def read_end_ns(path: Path) -> int:
-    """The time of a log's last message [ns]; quick however long the run was.
+    """Return the time of a log's last message [ns]; fast for any length of the run.
 
     Raises:
-        LogError: there is none, or it is not whole.
+        LogError: It does not exist, or is not whole.
     """
     with _opened(path) as content:
         return content.end_ns()
 
 
 def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
-    """What a log says of itself, and its arrays of floats by topic: times (n,) [ns] and values (n, length).
+    """Read a log's label and its arrays of floats by topic: times (n,) [ns] and values (n, length).
 
     Raises:
-        LogError: there is none, or it is not whole.
+        LogError: It does not exist, or is not whole.
     """
     messages = _Messages(path)
     with _opened(path) as content:
@@ -167,35 +167,35 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
 
 
 def read_series(path: Path) -> Recording:
-    """A log with each channel at its own times.
+    """Read a log with each channel at its own times.
 
     Raises:
-        LogError: there is none, or it is not whole.
+        LogError: It does not exist, or is not whole.
     """
     with _opened(path) as content:
-        # In the file's order, in which each channel is in order of time anyway: to sort all takes long.
+        # In the file's order, in which each channel is in order of time anyway: sorting all takes long.
         return _recording(path, _label(path, content), content.messages(in_order=False))
 
 
 def read_heads(path: Path) -> Recording:
-    """Return a log with the first message of each channel; quick however long the run was.
+    """Return a log with the first message of each channel; fast for any length of the run.
 
     Raises:
-        LogError: there is none, or it is not whole.
+        LogError: It does not exist, or is not whole.
     """
     with _opened(path) as content:
         return _recording(path, _label(path, content), content.first_messages())
 
 
 def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> Iterator[Recording]:
-    """Yield a log in pieces that are short enough for the memory, in order of time.
+    """Yield a log in pieces small enough for the memory, in order of time.
 
     Args:
         path: Path of a finished log.
-        progress: Takes the share that has been read, 0 to 1.
+        progress: Function that takes the share that has been read, 0 to 1.
 
     Raises:
-        LogError: there is none, or it is not whole.
+        LogError: It does not exist, or is not whole.
     """
     return (recording for recording, _, _ in read_with_messages(path, progress))
 
@@ -203,7 +203,7 @@ def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> 
 def read_with_messages(
     path: Path, progress: Callable[[float], None] | None = None
 ) -> Iterator[tuple[Recording, list[Entry], Callable[[str], str | bytes | None]]]:
-    """Yield pieces as `read_pieces` does, with their messages and what gives the definition of a type."""
+    """Yield pieces as `read_pieces` does, with their messages and a function for the definition of a type."""
     with _opened(path) as content:
         label = _label(path, content)
         for share, messages in content.pieces(PIECE):
@@ -236,26 +236,26 @@ def _in_order(times_ns: NDArray[np.int64], values: NDArray[np.int64] | NDArray[n
 
 
 _KINDS = {FLOATS: "d", INTEGERS: "q"}
-"""How the numbers of a message type are packed."""
+"""Format of the numbers of a message type."""
 
 _FOR_REPEAT = ("wire", "state")
-"""Channels that hold no samples but what `khep-twin repeat` needs, in rows of any length."""
+"""Channels without samples, for `khep-twin repeat`, in rows of any length."""
 
 
 def read_raw(
     path: Path, wanted: Callable[[str], bool]
 ) -> tuple[Label, dict[str, list[tuple[int, bytes]]], bool]:
-    """What a log says of itself, times [ns] and bytes of its messages by topic, in the order of the file.
+    """Read a log's label, and times [ns] and bytes of its messages by topic, in the order of the file.
 
     Args:
-        path: of a finished log.
-        wanted: whether a topic is.
+        path: Path of a finished log.
+        wanted: Function that returns whether to read a topic.
 
     Returns:
         Label, messages, and whether the log was recovered, so that its end may be missing.
 
     Raises:
-        LogError: there is none, or it is not whole.
+        LogError: It does not exist, or is not whole.
     """
     found: dict[str, list[tuple[int, bytes]]] = {}
     with _opened(path) as content:
@@ -270,7 +270,7 @@ def read_raw(
 
 @contextmanager
 def _opened(path: Path) -> Generator[Content, None, None]:
-    """Opens a log; what goes wrong with its file and its content becomes one line."""
+    """Open a log; turn errors of its file and its content into one line."""
     try:
         file = open_regular(path)
     except OSError as error:
@@ -296,7 +296,7 @@ def _label(path: Path, content: Content) -> Label:
     attachments: dict[str, str] = {}
     for each in content.attachments():
         try:
-            # Of what was damaged, `recover` has kept what there is.
+            # `recover` has kept what it could of damaged attachments.
             damaged = each.name.startswith("damaged/")
             attachments[each.name] = each.data.decode("utf-8", "replace" if damaged else "strict")
         except UnicodeDecodeError as error:
@@ -309,10 +309,10 @@ def _label(path: Path, content: Content) -> Label:
 
 
 def robot_names(text: str) -> tuple[str, ...]:
-    """The names of a log's robots, as its metadata have them.
+    """Return the names of a log's robots from its metadata.
 
     Raises:
-        Misfit: they cannot be.
+        Misfit: They are no valid names.
     """
     if not _NAMES.fullmatch(text):
         raise Misfit(f"robots = {shown(text)}", f"names with commas between, each {NAME_WISH}")
@@ -326,10 +326,10 @@ _NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")
 
 
 class Sieve:
-    """Messages as the reader takes them, for who writes a log out of what may be anything.
+    """Filter of messages that the reader accepts, for writing a log from untrusted data.
 
     Args:
-        robots: names.
+        robots: Names of the robots.
     """
 
     def __init__(self, robots: Sequence[str]) -> None:
@@ -338,7 +338,7 @@ class Sieve:
         self._lengths: dict[tuple[str, str], int] = {}
 
     def takes(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
-        """Tell if the reader takes a message after those that it was asked about before."""
+        """Return whether the reader accepts a message after those passed before."""
         try:
             return self._fits(topic, schema, time_ns, message)
         except (Misfit, LogError):
@@ -357,7 +357,7 @@ class Sieve:
         for kept in (columns.times_ns, columns.poses, columns.lines):
             kept.clear()
         columns.add(topic, time_ns, message)
-        # One row is enough to know how long the others have to be.
+        # One row defines the length of the others.
         del columns.arrays.get(topic, [])[1:]
         if topic == "/tf" and not self._bases <= columns.poses.keys():
             return False
@@ -401,7 +401,7 @@ class _Messages:
 
 @dataclass
 class _Columns:
-    """Messages sorted by topic, as they are read."""
+    """Messages sorted by topic while they are read."""
 
     path: Path
     robots: Sequence[str]
@@ -436,7 +436,7 @@ class _Columns:
             rows.append(row)
 
     def pose(self, name: str) -> NDArray[np.float64]:
-        """x, y [m] and heading [rad] of a robot at `times_ns` (n, 3)."""
+        """Return x, y [m] and heading [rad] of a robot at `times_ns` (n, 3)."""
         rows = self.poses.get(f"{name}/base", [])
         if len(rows) != len(self.times_ns):
             found = f"{name}/base in {len(rows)} of {len(self.times_ns)} messages"
@@ -464,7 +464,7 @@ class _Columns:
 
 
 _WIDTHS = {"proximity": 8, "ambient": 8, "speed": 4, "duty": 2, "registers": 0}
-"""Numbers of a message by channel; 0 for as many as the first one has."""
+"""Numbers of a message by channel; 0 for as many as in the first one."""
 
 _LARGEST = 2**62
-"""Largest number that is taken as a whole one."""
+"""Largest number that is accepted as an integer."""

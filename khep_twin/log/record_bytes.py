@@ -1,6 +1,6 @@
-"""The records of an MCAP file as bytes: where one ends, what is in it, and whether it is one at all.
+"""Records of an MCAP file as bytes: their extent, their content, and whether they are valid.
 
-No length is believed before the bytes are there.
+No length is used before the bytes are known to be there.
 """
 
 # lz4 is not typed.
@@ -28,29 +28,29 @@ _CHUNK_HEAD = struct.Struct("<QQQI")
 MESSAGE = struct.Struct("<HIQQ")
 _DAMAGE = (McapError, struct.error, ValueError, EOFError, LookupError, OverflowError, MemoryError)
 LARGEST_RATIO = 200
-"""Most that a log unpacks to, in sizes of its file, besides `SLACK`; of khep_twin's it is less than 40."""
+"""Largest ratio of a log's unpacked content to its file's size, besides `SLACK`; khep_twin's are below 40."""
 
 SLACK = 4 << 20
-"""So much a log of any size may unpack to [bytes]."""
+"""Unpacked content that is accepted for a log of any size [bytes]."""
 
 _PIECE = 1 << 16
 _LZ4 = b"\x04\x22\x4d\x18"
-"""Beginning of an lz4 frame."""
+"""Magic number of an lz4 frame."""
 
 _FRAME = 18
-"""Most that the head of a zstandard frame takes [bytes]."""
+"""Largest header of a zstandard frame [bytes]."""
 
 _PATIENCE = 20
-"""So many bytes are looked at for each byte of a file, at most, to prove where records are."""
+"""Most bytes that are examined for each byte of a file to verify records."""
 
 LARGEST_CHUNK = 64 << 20
-"""Most that a chunk unpacks to [bytes]; khep_twin begins another one at a quarter of it."""
+"""Largest unpacked chunk [bytes]; khep_twin begins another one at a quarter of it."""
 
 _START = re.compile(rb"(?=[\x01\x03-\x0f].{5}\x00\x00\x00)", re.DOTALL)
 """Opcode and the upper bytes of a length, where a record may begin."""
 
 _PACKED = re.compile(rb"(?=\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4)")
-"""In the middle of a chunk's head."""
+"""Middle of a chunk's head."""
 
 READERS: Mapping[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.HEADER: Header.read,
@@ -71,14 +71,14 @@ PLACES = {
     Opcode.SUMMARY_OFFSET,
     Opcode.FOOTER,
 }
-"""Records that say only where others are."""
+"""Records that only point to others."""
 
 
 class RecordBytes:
-    """A file, asked for the record at a place.
+    """A file with access to the record at a place.
 
     Args:
-        data: the file.
+        data: Content of the file.
     """
 
     def __init__(self, data: bytes | mmap) -> None:
@@ -86,7 +86,7 @@ class RecordBytes:
         self._spent = 0
 
     def next_record(self, place: int) -> int | None:
-        """The first place from here on at which a record can be proved, as long as there is patience left."""
+        """Return the first place from here on with a verified record, None if the search limit is reached."""
         limit = LARGEST_CHUNK + _PATIENCE * len(self._data)
         for start in self._starts(place):
             if self._spent > limit:
@@ -96,7 +96,7 @@ class RecordBytes:
         return None
 
     def head(self, place: int) -> tuple[int, int | None]:
-        """Opcode of a record and where it ends, None if that is not in the file."""
+        """Return the opcode of a record and its end, None if that is not in the file."""
         if place < 0 or place + HEAD.size > len(self._data):
             return self._data[place] if 0 <= place < len(self._data) else 0, None
         opcode, length = HEAD.unpack_from(self._data, place)
@@ -104,7 +104,7 @@ class RecordBytes:
         return opcode, end if end <= len(self._data) else None
 
     def chunk_head(self, place: int) -> tuple[int, int, str, int, int] | None:
-        """Unpacked size and checksum, compression, where the packed bytes begin and where they end."""
+        """Return unpacked size, checksum and compression, and begin and end of the packed bytes."""
         start = place + HEAD.size
         try:
             _, _, size, crc = _CHUNK_HEAD.unpack_from(self._data, start)
@@ -120,7 +120,7 @@ class RecordBytes:
         return size, crc, compression, first, first + packed
 
     def chunk(self, place: int) -> tuple[bytes | None, int | None]:
-        """The records in a chunk and where it ends, by either of the two lengths that it has."""
+        """Return the records in a chunk and its end, by either of the two lengths that it has."""
         found = self.chunk_head(place)
         if found is None:
             return None, None
@@ -140,7 +140,7 @@ class RecordBytes:
         return None, None
 
     def _may_be(self, compression: str, start: int, end: int, size: int) -> bool:
-        """Whether packed bytes say of themselves that they unpack to so many; costs nothing."""
+        """Return whether the header of packed bytes states this unpacked size; a cheap test."""
         if not compression:
             return end - start == size
         if compression == "lz4":
@@ -152,7 +152,7 @@ class RecordBytes:
         return says in (size, zstandard.CONTENTSIZE_UNKNOWN)
 
     def attachment(self, place: int, end: int) -> Attachment | None:
-        """An attachment; one that fails its checksum is called damaged/NAME."""
+        """Return an attachment; one that fails its checksum is named damaged/NAME."""
         content = self._data[place + HEAD.size : end]
         self._spent += len(content)
         try:
@@ -164,7 +164,7 @@ class RecordBytes:
         return replace(attachment, name=f"damaged/{attachment.name}")
 
     def _starts(self, place: int) -> Iterator[int]:
-        """Where a record may begin, from a place on; looked for one by one."""
+        """Yield the places from `place` on where a record may begin."""
         data = self._data
         before_name = HEAD.size + _CHUNK_HEAD.size
         starts = (match.start() for match in _START.finditer(data, place))
@@ -172,7 +172,7 @@ class RecordBytes:
         return (start for start, _ in groupby(merge(starts, chunks)))
 
     def is_record(self, place: int) -> bool:
-        """Whether a record at a place is proved by more than its opcode."""
+        """Return whether a record at a place is verified by more than its opcode."""
         if self.chunk(place)[0] is not None:
             return True
         opcode, end = self.head(place)
@@ -192,7 +192,7 @@ class RecordBytes:
 
 
 def parsed(opcode: int, content: bytes) -> McapRecord | None:
-    """A record of exactly these bytes; None if they are none."""
+    """Return the record of exactly these bytes; None if they are none."""
     stream = ReadDataStream(BytesIO(content))
     try:
         record = _READERS[opcode](stream)
@@ -202,7 +202,7 @@ def parsed(opcode: int, content: bytes) -> McapRecord | None:
 
 
 def records_in(data: bytes) -> Generator[tuple[int, int, int], None, None]:
-    """Opcode and content, from where to where, of the whole records that follow each other."""
+    """Yield opcode, begin and end of the content of consecutive whole records."""
     place = 0
     while place + HEAD.size <= len(data):
         opcode, length = HEAD.unpack_from(data, place)
@@ -214,7 +214,7 @@ def records_in(data: bytes) -> Generator[tuple[int, int, int], None, None]:
 
 
 def unpacked(compression: str, packed: bytes, limit: int) -> bytes:
-    """As much as can be unpacked, at most one byte more than `limit`, which itself is bounded."""
+    """Unpack as much as possible, at most one byte more than `limit`, which itself is bounded."""
     limit = min(limit, LARGEST_CHUNK) + 1
     if not compression:
         return packed[:limit]

@@ -1,8 +1,7 @@
-"""Recording a run: a tap that writes what it sees into an MCAP file.
+"""Recording of a run: a tap that writes an MCAP file.
 
-Attachments and metadata come first, so
-that even a torn file says what it was. All times are simulated, and nothing of the clock on the wall, the
-machine or the file's own name goes in: the same run gives the same bytes.
+Attachments and metadata come first, so that even a torn file describes its run. All times are simulated, and
+the file holds no wall clock time, machine name or file name: the same run gives the same bytes.
 """
 
 import json
@@ -43,15 +42,15 @@ from khep_twin.units import Sensor
 from khep_twin.world import SAMPLE_NS, World
 
 FLUSH_NS = 5 * NS_PER_S
-"""Simulated time after which everything is handed to the file system [ns]."""
+"""Simulated time between two flushes to the file system [ns]."""
 
 _BATCH = FLUSH_NS // SAMPLE_NS
 
 _FINENESS = 2.0**30
-"""Steps of places in a log to a metre, and of rotations to 1: about a nanometre each.
+"""Steps of positions in a log per metre, and of rotations per 1: about a nanometre each.
 
-What is finer is noise of contacts, which no compressor can make smaller: a seventh of the file. The state's
-hash has all of it."""
+Finer digits are noise of contacts, which does not compress: a seventh of the file. The hashes of the state
+include them."""
 
 _NONE: Mapping[str, str] = {}
 
@@ -70,28 +69,28 @@ SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
     ("duty", FLOATS, "f8", "left, right [-255 to 255]", list(DUTIES)),
     ("leds", FLOATS, "f8", "lateral, frontal [1 is lit]", [int(Board.LED_0), int(Board.LED_1)]),
 ]
-"""Channels of every robot: topic, message type, kind of number, label, and the registers that they show."""
+"""Channels of every robot: topic, message type, format of numbers, label, and registers."""
 
 
 class Recorder:
-    """Writes one run into one file; a `Tap` of its world.
+    """Recorder of one run in one file; a `Tap` of its world.
 
     Args:
-        path: of the finished log, by custom NAME.mcap.
-        world: what is recorded.
-        settings: how the run was set up, kept in the log as configuration.json.
-        facts: more to say of the run, in its metadata.
-        attachments: more texts to keep, by name.
-        carry_on: takes the line about a log that cannot be written any more, and the run goes on without it;
-            None ends the run by a `LogError`.
+        path: Path of the finished log, by convention NAME.mcap.
+        world: World to record.
+        settings: Configuration of the run, kept in the log as configuration.json.
+        facts: More metadata of the run.
+        attachments: More texts to keep, by name.
+        carry_on: Function that takes the message if the log can no longer be written, after which the run
+            goes on without it; None ends the run by a `LogError`.
 
     Attributes:
-        path: of the finished log.
-        part: of the file while it grows.
-        kept: where an unfinished log of an earlier run was moved to, None if there was none.
+        path: Path of the finished log.
+        part: Path of the file while it is written.
+        kept: New path of an unfinished log of an earlier run, None if there was none.
 
     Raises:
-        LogError: the file cannot be made.
+        LogError: The file cannot be made.
     """
 
     def __init__(
@@ -108,7 +107,7 @@ class Recorder:
         self.path, self.part, self.kept = path, self._log.part, self._log.kept
         self._world = world
         self._transcript = Transcript(self._log, [robot.name for robot in world.robots])
-        # What moves is shown at every sample, what stands is part of the description.
+        # Moving bodies are shown at every sample, fixed ones are part of the description.
         model, data = world.model, world.data
         self._moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
         self._transforms = TransformFrame([body_name(model, body) for body in self._moving])
@@ -118,7 +117,7 @@ class Recorder:
         self._powers = np.zeros((_BATCH, len(world.lamps.names)))
         self._answers = Answered(len(world.robots))
         self._acts: list[list[tuple[int, HostAct]]] = [[] for _ in world.robots]
-        # What follows from these is worked out batch by batch.
+        # Values that follow from these are computed batch by batch.
         self._rows = 0
         self._times_ns = np.zeros(_BATCH, np.int64)
         self._answered = np.zeros((_BATCH, len(world.robots)), np.int64)
@@ -127,13 +126,13 @@ class Recorder:
         self._quaternions = np.zeros((_BATCH, len(self._moving), 4))
         self._physics = np.zeros((_BATCH, len(self._qpos) + len(self._qvel)))
         self._begin(settings, facts, attachments)
-        # A log that fails at its very start is an error in any case.
+        # An error at the very start of a log is always raised.
         self._log.tell = carry_on
         self._log.complete = self.close
 
     @property
     def failure(self) -> LogError | None:
-        """Why the log could not be written any more, None if it could."""
+        """Error after which the log is no longer written, None if there was none."""
         return self._log.failure
 
     def __enter__(self) -> Self:
@@ -145,17 +144,17 @@ class Recorder:
         self.close()
 
     def sample(self, world: World) -> None:
-        """Notes where everything is and what the boards hold; it is written in batches."""
+        """Record the state of all bodies and boards; it is written in batches."""
         if not self._log.open:
             return
         if world.lamps is not self._known_lamps:
-            # Rows of a channel have one length, and lamps set up later are none of those before.
+            # Rows of a channel have one length, so lamps set up later have a channel of their own.
             self.flush()
             self._lamps_sets += 1
             self._lamps_topic = f"/lamps_{self._lamps_sets}"
             self._known_lamps, self._lamps = world.lamps, _lamps_frame(world)
             self._powers = np.zeros((_BATCH, len(world.lamps.names)))
-        elif self._lamps is None and not world.lamps.steady:  # a hand has switched one
+        elif self._lamps is None and not world.lamps.steady:  # one was switched by hand
             self.flush()
             self._lamps = _lamps_frame(world)
         row = self._rows
@@ -175,36 +174,36 @@ class Recorder:
             self.flush()
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Notes bytes of the transcript."""
+        """Record bytes for the transcript."""
         if self._log.open:
             self._transcript.hear(time_ns, robot, to_robot, data)
             if not to_robot:
                 self._answers.hear(time_ns, robot, data)
 
     def act(self, time_ns: int, robot: int, act: HostAct) -> None:
-        """Notes what a host did."""
+        """Record an act of a host."""
         if self._log.open:
             self._acts[robot].append((time_ns, act))
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Writes a note, and everything so far to the file."""
+        """Record an event; flush the file."""
         if self._log.open:
             name = "world" if robot is None else self._world.robots[robot].name
             self._log.add_event(time_ns, name, text)
             self.flush()
 
     def flush(self) -> None:
-        """Hands everything so far to the file system."""
+        """Hand everything so far to the file system."""
         if self._log.open:
             with self._log.guarded():
                 self._write()
                 self._log.flush()
 
     def close(self) -> None:
-        """Completes the file and gives it its name.
+        """Complete the file and rename it to its path.
 
         Raises:
-            LogError: that is not possible; what was written before stays as NAME.mcap.part.
+            LogError: That is not possible; the data written before stays as NAME.mcap.part.
         """
         if self._log.open:
             with self._log.guarded():
@@ -213,7 +212,7 @@ class Recorder:
                 self._log.finish()
 
     def _write(self) -> None:
-        """Writes the samples and lines noted so far."""
+        """Write the samples and lines recorded so far."""
         rows, self._rows = self._rows, 0
         times_ns = self._times_ns[:rows]
         poses = self._transforms.messages(
@@ -230,12 +229,12 @@ class Recorder:
             if acts:
                 self._log.add(f"/{robot.name}/wire", INTEGERS, acts[0][0], acts_message(acts))
                 acts.clear()
-        # At the end, so that what a torn file has of it can be repeated with what came before.
+        # Last, so that the part of it in a torn file can be repeated with what came before.
         if rows:
             self._log.add("/state", INTEGERS, int(times_ns[0]), states_message(self._states(rows)))
 
     def _states(self, rows: int) -> NDArray[np.int64]:
-        """Hashes of the state, for the first rows of the batch (rows,)."""
+        """Return hashes of the state, for the first rows of the batch (rows,)."""
         noted = (stream.noted[:rows] for stream in self._streams)
         return hashes(self._answered[:rows], self._physics[:rows], *noted)
 
@@ -274,7 +273,7 @@ def _lamps_frame(world: World) -> ArrayFrame:
 
 
 def channel_names() -> bytes:
-    """Return a message that names what the numbers of each channel are, for viewers that only count them."""
+    """Return a message that names the numbers of each channel, for viewers that only index them."""
     topics: dict[str, list[str]] = {}
     for topic, _, _, label, _ in SAMPLED:
         topics.setdefault(label, []).append(topic)
@@ -291,7 +290,7 @@ def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def versions() -> dict[str, str]:
-    """What the last bits of a run may depend on: packages, and the kind of machine, not which one it is."""
+    """Return all that the last bits of a run may depend on: packages and kind of machine."""
     return {
         "khep_twin": __version__,
         "mujoco": mujoco.__version__,
@@ -301,10 +300,10 @@ def versions() -> dict[str, str]:
 
 
 class _RobotStream:
-    """One robot's sampled channels: all of them are parts of the registers of its board and its turrets.
+    """Sampled channels of one robot, all of them parts of the registers of its board and its turrets.
 
     Attributes:
-        noted: the registers of a batch (samples, registers).
+        noted: Registers of a batch (samples, registers).
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -325,11 +324,11 @@ class _RobotStream:
         ]
 
     def note(self, row: int) -> None:
-        """Keeps the board's state as a row of the batch."""
+        """Store the board's state as a row of the batch."""
         self.noted[row] = np.concatenate(self._sources) if len(self._sources) > 1 else self._sources[0]
 
     def messages(self, rows: int) -> list[tuple[str, str, NDArray[np.void]]]:
-        """Topic, message type and messages of each channel, for the first rows of the batch."""
+        """Return topic, message type and messages of each channel, for the first rows of the batch."""
         return [
             (topic, schema, frame.messages(self.noted[:rows, columns]))
             for topic, schema, frame, columns in self._channels

@@ -1,4 +1,4 @@
-"""Rescuing an interrupted log: all that is whole in it becomes a log that opens everywhere."""
+"""Recovery of an interrupted log: all whole records of it become a log that opens everywhere."""
 
 import fcntl
 import os
@@ -26,16 +26,16 @@ _PART = re.compile(r"\.part(\.[0-9]+)?$")
 
 @dataclass(frozen=True, slots=True)
 class Rescue:
-    """What was rescued.
+    """Result of a recovery.
 
     Attributes:
-        path: of the new log.
-        messages: how many it holds.
-        until_ns: time of the last one [ns].
-        attachments: how many it holds.
-        damaged: how many places in the middle could not be read.
-        torn: whether the end cut off something that carried content.
-        refused: how many messages and attachments were left out, as no reader of logs takes them.
+        path: Path of the new log.
+        messages: Number of messages in it.
+        until_ns: Time of the last one [ns].
+        attachments: Number of attachments in it.
+        damaged: Number of places in the middle that could not be read.
+        torn: True if the end cut off a record with content.
+        refused: Number of messages and attachments left out, as no reader of logs accepts them.
     """
 
     path: Path
@@ -48,21 +48,21 @@ class Rescue:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is known to be missing."""
+        """True if nothing is known to be missing."""
         return not (self.damaged or self.torn or self.refused)
 
 
 def recover(path: Path, progress: Progress = None) -> Rescue:
-    """Writes what is whole in a log beside it, as NAME.mcap or, where that is taken, NAME.recovered.mcap.
+    """Write all whole records of a log beside it, as NAME.mcap or, if that exists, NAME.recovered.mcap.
 
     Args:
-        path: of an interrupted log, NAME.mcap.part, or of a damaged one. It is left as it is.
-        progress: takes the share that is done, 0 to 1.
+        path: Path of an interrupted log, NAME.mcap.part, or of a damaged one. It is not changed.
+        progress: Function that takes the share that is done, 0 to 1.
 
     Raises:
-        LogError: there is nothing to rescue, or the new log cannot be written.
+        LogError: There is nothing to recover, or the new log cannot be written.
     """
-    # To look through a file takes about as long as to write it anew.
+    # Searching a file takes about as long as writing the new one.
     salvage = Salvage(_content(path), progress and (lambda share: progress(share / 2)))
     if not (salvage.attachments or salvage.metadata or any(True for _ in salvage.messages())):
         raise LogError(f"{path}: nothing to rescue: no record of an MCAP file is whole")
@@ -70,7 +70,7 @@ def recover(path: Path, progress: Progress = None) -> Rescue:
     if reason := unusable(target):
         raise LogError(f"{target}: cannot be written: {reason}")
     try:
-        # Its own name comes only when it is whole, and a name that was taken meanwhile is an error.
+        # It is renamed only when it is whole; if the name was taken meanwhile, that is an error.
         with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
             whole = Path(folder) / target.name
             written = _write(salvage, whole, CompressionType.ZSTD, progress)
@@ -92,22 +92,22 @@ def recover(path: Path, progress: Progress = None) -> Rescue:
 
 
 def _content(path: Path) -> bytes | mmap:
-    """Return a file without reading it into memory."""
+    """Return a file as a memory map."""
     try:
         with open_regular(path) as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise LogError(f"{path}: a run is writing it; right is to wait for its end") from None
+                raise LogError(f"{path}: a run is writing it; expected a log whose run has ended") from None
             except OSError:
-                pass  # some network file systems know no locks
+                pass  # some network file systems have no locks
             return mmap(file.fileno(), 0, access=ACCESS_READ) if os.fstat(file.fileno()).st_size else b""
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _target(path: Path) -> Path:
-    """The finished log's own name, or the first one like it that is free."""
+    """Return the finished log's own name, or the first free one like it."""
     wish = path.with_name(_PART.sub("", path.name))
     found, number = wish, 1
     while found.exists() or found.is_symlink():
@@ -118,7 +118,7 @@ def _target(path: Path) -> Path:
 
 @dataclass(slots=True)
 class _Written:
-    """What a new log holds: messages, the time of the last [ns], attachments, what was refused, bytes."""
+    """Totals of a new log: messages, the time of the last [ns], attachments, refused items, bytes."""
 
     messages: int = 0
     until_ns: int = 0
@@ -128,7 +128,7 @@ class _Written:
 
 
 def _write(salvage: Salvage, path: Path, compression: CompressionType, progress: Progress) -> _Written:
-    """Writes a whole file that our reader takes."""
+    """Write a whole file that our reader accepts."""
     written, sieve = _Written(), _sieve(salvage)
     with path.open("xb") as file:
         writer = Writer(file, compression=compression)
@@ -168,11 +168,11 @@ _LARGEST = LARGEST_CHUNK // 4
 """Most bytes of a message, of an attachment and of all definitions that are kept."""
 
 _RATIO = LARGEST_RATIO // 4
-"""What would be packed more than so many times is kept as it is: the reader takes it for a trap."""
+"""Highest compression ratio; content above it is kept unpacked, as the reader takes it for a bomb."""
 
 
 def _sieve(salvage: Salvage) -> Sieve | None:
-    """What our reader takes; None where it takes nothing, as this is no log of khep_twin."""
+    """Return the filter of messages that our reader accepts; None if this is no log of khep_twin."""
     facts = {
         key: text for each in salvage.metadata if each.name == "run" for key, text in each.metadata.items()
     }
@@ -191,7 +191,7 @@ def _is_text(attachment: Attachment) -> bool:
 
 
 def _defined(salvage: Salvage, writer: Writer) -> tuple[dict[int, str], dict[int, int], int]:
-    """Defines schemas and channels; returns names of schemas, channels by their old numbers, and a size."""
+    """Define schemas and channels; return names of schemas, channels by their old numbers, and a size."""
     numbers, names, channels, size = {0: 0}, {0: ""}, dict[int, int](), 0
     for number, schema in salvage.schemas.items():
         size += len(schema.data)
@@ -208,7 +208,7 @@ def _defined(salvage: Salvage, writer: Writer) -> tuple[dict[int, str], dict[int
 
 
 def summary(path: Path, rescue: Rescue) -> str:
-    """What was rescued from a log, in one line."""
+    """Return the result of a recovery in one line."""
     kept = f"{rescue.messages} messages until {rescue.until_ns / NS_PER_S:.2f} s"
     reasons = [f"{rescue.damaged} damaged places skipped"] * bool(rescue.damaged)
     reasons += ["the end is torn off"] * rescue.torn

@@ -1,6 +1,6 @@
-"""Reading a log while its run still writes it, NAME.mcap.part: what is new since the last look.
+"""Reading of a log while its run still writes it, NAME.mcap.part.
 
-Only the file is read, so that the run does nothing more than it does anyway.
+Only the file is read, which costs the run nothing.
 """
 
 import fcntl
@@ -24,10 +24,10 @@ from khep_twin.log.reader import Label, read_label, robot_names
 from khep_twin.log.record_bytes import HEAD, MESSAGE, RecordBytes, parsed, records_in
 
 _BLOCK = 1 << 22
-"""Read at once [bytes]."""
+"""Bytes read at once."""
 
 _SILENCE = 2.0
-"""After so much wall time without anything new it is asked whether the run is still there [s]."""
+"""Wall time without new data after which the run is checked to be still there [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,11 @@ class Message:
     """One message of a log.
 
     Attributes:
-        topic: of its channel.
-        schema: name of its type.
-        definition: of its type: text for ROS 2, bytes for protobuf.
-        time_ns: simulated [ns].
-        data: as it was written.
+        topic: Topic of its channel.
+        schema: Name of its type.
+        definition: Definition of its type: text for ROS 2, bytes for protobuf.
+        time_ns: Simulated time [ns].
+        data: Content as written.
     """
 
     topic: str
@@ -53,17 +53,17 @@ class GrowingLog:
     """A log that a run is writing.
 
     Args:
-        path: NAME.mcap or NAME.mcap.part.
+        path: Path NAME.mcap or NAME.mcap.part.
 
     Attributes:
-        path: of the finished log.
-        part: of the file while it grows.
-        finished: whether the run has come to its end and all of it is read.
-        behind: whether much more is there than was read so far.
+        path: Path of the finished log.
+        part: Path of the file while it is written.
+        finished: True if the run has ended and the whole log is read.
+        behind: True if much more is there than was read so far.
 
     Raises:
-        FileNotFoundError: no run is writing it, and it is not finished either.
-        LogError: it is finished already, or cannot be read.
+        FileNotFoundError: No run is writing it, and it is not finished either.
+        LogError: It is finished already, or cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -76,7 +76,7 @@ class GrowingLog:
             if not self.path.exists():
                 raise
             read_label(self.path)
-            raise LogError(f"{self.path}: this log is finished; right is to view it without --live") from None
+            raise LogError(f"{self.path}: this log is finished; to view it, leave out --live") from None
         except OSError as error:
             raise LogError(f"{self.part}: cannot be read: {error.strerror}") from error
         self.finished = self.behind = False
@@ -97,10 +97,10 @@ class GrowingLog:
         self._file.close()
 
     def label(self) -> Label | None:
-        """What the log says of itself; None as long as it has not said it.
+        """Return metadata and attachments of the log; None as long as they are not written.
 
         Raises:
-            LogError: it cannot be.
+            LogError: They are invalid.
         """
         if "robots" not in self._facts:
             return None
@@ -110,12 +110,12 @@ class GrowingLog:
             raise misfit.at(self.part, "metadata") from None
 
     def new(self) -> list[Message]:
-        """The messages of what was written since the last look, of a long log a part of them.
+        """Return the messages written since the last call, of a long log a part of them.
 
-        In the order of the file, in which each channel is in order of time.
+        They are in the order of the file, in which each channel is in order of time.
 
         Raises:
-            LogError: this is no log of khep_twin, or its run has ended without finishing it.
+            LogError: This is no log of khep_twin, or its run has ended without finishing it.
         """
         try:
             block = self._file.read(_BLOCK)
@@ -130,12 +130,12 @@ class GrowingLog:
         return list(self._take())
 
     def _take(self) -> Generator[Message, None, None]:
-        """Reads the whole records; what is there in part stays for the next time."""
+        """Read the whole records; a partial one stays for the next time."""
         size = len(MCAP0_MAGIC)
         place = 0
         if not self._begun:
             if not MCAP0_MAGIC.startswith(self._rest[:size]):
-                raise LogError(f"{self.part}: this is no MCAP file; right is the log of a run")
+                raise LogError(f"{self.part}: this is no MCAP file; expected the log of a run")
             if len(self._rest) < size:
                 return
             self._begun, place = True, size
@@ -164,7 +164,8 @@ class GrowingLog:
     def _unpack(self, records: RecordBytes, place: int) -> Generator[Message, None, None]:
         content, _ = records.chunk(place)
         if content is None:
-            raise LogError(f"{self.part}: a part of it is damaged; right is: {command('recover', self.part)}")
+            recovery = command("recover", self.part)
+            raise LogError(f"{self.part}: a part of it is damaged; to recover it: {recovery}")
         if self.label() is None:
             raise LogError(f"{self.part}: an MCAP file, but no log of khep_twin")
         for opcode, start, end in records_in(content):
@@ -185,11 +186,11 @@ class GrowingLog:
                 yield Message(channel.topic, schema.name, definition, time_ns, data)
 
     def _check_alive(self) -> None:
-        """Asks, now and then, whether somebody still has the file open to write."""
+        """Check, now and then, that a process still has the file open to write."""
         if time.monotonic() - self._grown < _SILENCE:
             return
         self._grown = time.monotonic()
-        # A run has its file locked. Where the file system knows no locks, this never finds an end.
+        # A run has its file locked. If the file system has no locks, this never finds an end.
         try:
             fcntl.flock(self._file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except OSError:
@@ -198,5 +199,6 @@ class GrowingLog:
         if os.fstat(self._file.fileno()).st_size > self._file.tell():
             return
         raise LogError(
-            f"{self.part}: its run has ended without finishing it; right is: {command('recover', self.part)}"
+            f"{self.part}: its run has ended without finishing it; "
+            f"to recover it: {command('recover', self.part)}"
         )

@@ -1,4 +1,4 @@
-"""The transcript of serial lines: bytes as they come, written as whole lines, at the time of their end."""
+"""Transcript of serial lines: bytes as they come, written as whole lines, at the time of their end."""
 
 from typing import Protocol
 
@@ -11,19 +11,19 @@ _FROM = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to
 
 
 class Lines(Protocol):
-    """Where lines go, such as a `LogFile`."""
+    """Destination of lines, such as a `LogFile`."""
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
-        """Takes lines of one robot."""
+        """Add lines of one robot."""
         ...
 
 
 class Transcript:
-    """Both directions of the lines of one or more robots.
+    """Transcript of both directions of one or more robots.
 
     Args:
-        log: where it goes.
-        robots: their names.
+        log: Destination of the lines.
+        robots: Names of the robots.
     """
 
     def __init__(self, log: Lines, robots: list[str]) -> None:
@@ -33,16 +33,16 @@ class Transcript:
         self._rests: dict[tuple[int, bool], bytes] = {}
 
     def hear(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Notes bytes; they are written with the next `write`."""
+        """Record bytes; they are written with the next `write`."""
         self._heard.append((time_ns, robot, to_robot, data))
 
     def write(self) -> None:
-        """Writes the lines that the noted bytes complete."""
+        """Write the lines that the recorded bytes complete."""
         lines: list[tuple[list[int], list[bytes]]] = [([], []) for _ in self._robots]
         for time_ns, robot, to_robot, data in self._heard:
             text = self._rests.pop((robot, to_robot), b"") + data
             whole = text.splitlines()
-            # Beyond the limit it is noise, or a host that knows no line ends.
+            # A line beyond the limit is noise, or from a host that sends no line ends.
             if text[-1:] not in _LINE_ENDS and len(whole[-1]) <= _LINE_LIMIT:
                 self._rests[robot, to_robot] = whole.pop()
             times_ns, messages = lines[robot]
@@ -56,18 +56,18 @@ class Transcript:
                 self._log.add_lines(f"/{self._robots[robot]}/serial", times_ns, messages)
 
     def write_rests(self, time_ns: int) -> None:
-        """Writes lines that were begun and never ended."""
+        """Write unfinished lines."""
         for (robot, to_robot), rest in self._rests.items():
             message = _message(time_ns, to_robot, rest)
             self._log.add_lines(f"/{self._robots[robot]}/serial", [time_ns], [message])
 
 
 def _message(time_ns: int, to_robot: bool, line: bytes) -> bytes:
-    # Nearly all lines are readable as they are.
+    # Nearly all lines are printable as they are.
     text = text_of(line).encode("ascii") if line.translate(None, _PLAIN) else line
     return _FROM[to_robot].message(time_ns, text)
 
 
 def text_of(line: bytes) -> str:
-    """A line readable and whole: control characters and noise on the line become escapes of Python's."""
+    """Return a line in printable form: control characters and noise become Python escapes."""
     return line.decode("latin-1").encode("unicode_escape").decode("ascii")

@@ -1,16 +1,16 @@
-"""What a log needs to be repeated and compared: the hosts' acts, and the state in eight bytes.
+"""Data to repeat and compare a log: acts of the hosts, and hashes of the state in eight bytes.
 
-    /khepera0/wire   std_msgs/Int64MultiArray   acts of the host, one after the other: when the world came to
-                                                know of it [ns], what (0 sends, 1 hangs up, 2 takes back,
-                                                3 sets its line, 4 puts the robot elsewhere, 5 switches
-                                                a lamp, 6 converts all sensors, 7 changes the lamps), from
+    /khepera0/wire   std_msgs/Int64MultiArray   acts of the host, one after the other: time when the world
+                                                learned of it [ns], kind (0 sends, 1 disconnects, 2 discards,
+                                                3 sets its line, 4 moves the robot, 5 switches a lamp,
+                                                6 converts all sensors, 7 changes the lamps), time from
                                                 when on it holds [ns], baud and stop bits of the host's end
-                                                (-1 for as the robot has it), how many bytes, then each byte
+                                                (-1 for as the robot has it), number of bytes, then each byte
     /state           std_msgs/Int64MultiArray   hashes of the whole world's state, every 20 ms from the
                                                 message's own time on
 
-The bytes are those that left the host; the transcript has what reached the robot. A message has all since the
-last one: they are written where a log hands what it has to the file system.
+The bytes are those that left the host; the transcript has those that reached the robot. A message has all
+acts since the last one: they are written when a log is flushed to the file system.
 """
 
 import zlib
@@ -28,7 +28,7 @@ _LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
 
 def acts_message(acts: Sequence[tuple[int, HostAct]]) -> bytes:
-    """Acts and when the world came to know of them [ns] as a message of /khepera0/wire."""
+    """Return acts, with the times when the world learned of them [ns], as a message of /khepera0/wire."""
     numbers: list[int] = []
     for time_ns, act in acts:
         baud, stop_bits = (act.host.baud, act.host.stop_bits) if act.host is not None else (-1, -1)
@@ -38,10 +38,10 @@ def acts_message(acts: Sequence[tuple[int, HostAct]]) -> bytes:
 
 
 def read_acts(message: bytes) -> Iterator[tuple[int, HostAct]]:
-    """Acts and their times [ns] from their message.
+    """Yield acts and their times [ns] from their message.
 
     Raises:
-        Misfit: it is none.
+        Misfit: It is none.
     """
     numbers: tuple[int, ...] = read_array(message, "q")
     place = 0
@@ -78,7 +78,7 @@ _HEAD = 6
 """Numbers before the bytes of an act."""
 
 _FASTEST = 10**9
-"""Highest speed of a line that is believed [baud]."""
+"""Highest speed of a line that is accepted [baud]."""
 
 _SIZES = {
     Act.HANG_UP: (0,),
@@ -88,19 +88,19 @@ _SIZES = {
     Act.SWITCH: (5,),
     Act.SCAN: (0,),
 }
-"""How many bytes acts may have, as `placing` and `switching` make them; others have any number."""
+"""Sizes of acts, as `placing` and `switching` make them; others have any number of bytes."""
 
 
 def states_message(states: NDArray[np.int64]) -> bytes:
-    """Hashes of consecutive samples as a message of /state."""
+    """Return hashes of consecutive samples as a message of /state."""
     return _message(states, "hash of the state every 20 ms")
 
 
 def read_states(message: bytes) -> list[int]:
-    """Hashes of consecutive samples from their message.
+    """Return hashes of consecutive samples from their message.
 
     Raises:
-        Misfit: it is none.
+        Misfit: It is none.
     """
     return list(read_array(message, "q"))
 
@@ -110,38 +110,38 @@ def _message(numbers: NDArray[np.int64], label: str) -> bytes:
 
 
 def boards(robot: Robot) -> list[NDArray[np.int64]]:
-    """The registers of a robot's board and its turrets."""
+    """Return the registers of a robot's board and its turrets."""
     return [robot.registers, *(turret.registers for turret in robot.firmware.turrets.values())]
 
 
 class Answered:
-    """All that robots have answered so far, in a number each.
+    """Running hash of all answers of each robot.
 
     Args:
-        robots: how many there are.
+        robots: Number of robots.
 
     Attributes:
-        numbers: of the robots.
+        numbers: Hash of each robot.
     """
 
     def __init__(self, robots: int) -> None:
-        # Each robot's for itself: which of two was heard first within a step depends on who asked when.
+        # One per robot: the order of two robots within a step depends on which is read first.
         self.numbers = [0] * robots
 
     def hear(self, time_ns: int, robot: int, data: bytes) -> None:
-        """Takes bytes that a robot has answered."""
+        """Add bytes that a robot has answered."""
         self.numbers[robot] = zlib.crc32(b"%d " % time_ns + data, self.numbers[robot])
 
 
 def hashes(*parts: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.int64]:
-    """Samples of a state in eight bytes each (n,).
+    """Return samples of a state in eight bytes each (n,).
 
-    A sum of the parts' words, each times an odd number of its own, modulo 2^64: any change of one word is
-    seen, and of several all but one in 2^64.
+    A sum of the parts' words, each times its own odd number, modulo 2^64: any change of one word is
+    detected, and of several all but one in 2^64.
 
     Args:
-        parts: of the state, a row for each sample (n, length): what was answered, positions and speeds, and
-            the registers of every robot's boards.
+        parts: Parts of the state, a row for each sample (n, length): answers, positions and speeds, and the
+            registers of every robot's boards.
     """
     words = np.hstack([np.ascontiguousarray(part).view(np.uint64) for part in parts])
     # The highest bit of a word, the sign of a float, would only ever change the sum's highest.
@@ -150,7 +150,7 @@ def hashes(*parts: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.int64]
 
 
 def _odd_numbers(count: int) -> NDArray[np.uint64]:
-    """Odd numbers (count,) that look random: the finalizer of splitmix64 over 1, 2, 3, ..."""
+    """Return odd pseudorandom numbers (count,): the finalizer of splitmix64 over 1, 2, 3, ..."""
     numbers = np.arange(1, count + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
         numbers = (numbers ^ (numbers >> np.uint64(shift))) * np.uint64(factor)

@@ -1,7 +1,7 @@
 """Playpens from bitmaps: solid pixels become blocks, solid edges the arena's walls.
 
-The blocks cover the solid pixels exactly and do not overlap. Equal runs of pixels in rows that follow each
-other are one block, or the same by columns, whichever gives fewer. A slanting edge is a flight of steps, and
+The blocks cover the solid pixels exactly and do not overlap. Equal runs of pixels in consecutive rows are
+merged to one block, or the same by columns, whichever gives fewer blocks. A slanting edge becomes steps, and
 each step costs a block.
 """
 
@@ -25,11 +25,11 @@ BLOCK_LIMIT = THING_LIMIT - 1
 """Most blocks, which leave room for a robot."""
 
 CLEARANCE_MM = 1.0
-"""Least space around a robot that is put in a free place [mm]."""
+"""Least clearance around a robot that is placed automatically [mm]."""
 
 _THICKNESS_MM, _LEAST_MM, _THICKEST_MM = 10.0, 1.0, 1000.0
 _ARENA_MM = (100.0, 10_000.0)
-_ADVICE = ", as a picture of fewer pixels with a larger --mm-per-pixel gives"
+_ADVICE = ", as from a picture of fewer pixels with a larger --mm-per-pixel"
 
 Pixels = NDArray[np.bool_]
 """Solid pixels (rows, columns), the first row at the top."""
@@ -40,7 +40,7 @@ Pose = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Borders:
-    """How many rows and columns at the edges are wholly solid [pixels]."""
+    """Numbers of wholly solid rows and columns at the edges [pixels]."""
 
     left: int
     right: int
@@ -49,13 +49,13 @@ class Borders:
 
     @property
     def equal(self) -> bool:
-        """Whether there are as many on all four sides."""
+        """True if there are as many on all four sides."""
         return self.left == self.right == self.bottom == self.top
 
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A playpen and what it was made of."""
+    """A playpen and the solid borders of its bitmap."""
 
     playpen: Playpen
     borders: Borders
@@ -70,28 +70,28 @@ def to_playpen(
     robot: Pose | None = None,
     find_place: bool = True,
 ) -> Imported:
-    """A playpen as a bitmap shows it.
+    """Convert a bitmap to a playpen.
 
     Args:
-        solid: the bitmap (rows, columns), its first row at the top, where y is largest.
-        name: of the playpen.
-        mm_per_pixel: side of a pixel [mm].
-        height_mm: of the blocks [mm].
-        robot: where one stands.
-        find_place: without `robot`, whether one is put in the free place nearest to the middle.
+        solid: Bitmap (rows, columns), its first row at the top, where y is largest.
+        name: Name of the playpen.
+        mm_per_pixel: Side of a pixel [mm].
+        height_mm: Height of the blocks [mm].
+        robot: Pose of a robot.
+        find_place: True to place a robot in the free place nearest to the middle if `robot` is not given.
 
     Raises:
-        BitmapError: the arena or a block would have a size that there is none of, there are too many blocks,
-            or the robot cannot stand where it should.
+        BitmapError: The arena's or a block's size is out of range, there are too many blocks, or the robot
+            cannot stand at its place.
     """
     _check_scale(solid, mm_per_pixel, height_mm)
     inner, borders = strip(solid)
     height, width = (float(side * mm_per_pixel) for side in inner.shape)
     if not all(_ARENA_MM[0] <= side <= _ARENA_MM[1] for side in (width, height)):
         raise BitmapError(
-            f"an arena of {width:g} x {height:g} mm within the walls; right are {_ARENA_MM[0]:g} to "
+            f"an arena of {width:g} x {height:g} mm within the walls; expected {_ARENA_MM[0]:g} to "
             f"{_ARENA_MM[1]:g} mm a side",
-            ", which another --mm-per-pixel may give",
+            ", as with another --mm-per-pixel",
         )
     low, size = _blocks(inner, mm_per_pixel)
     if robot is None and find_place:
@@ -122,26 +122,26 @@ def to_playpen(
     try:
         return Imported(toml_files.check(Playpen, data, "playpen", BitmapError), borders)
     except BitmapError as error:
-        # A robot on a slanting block overlaps dozens; one of them says it.
+        # A robot on a slanting block overlaps dozens; one message is enough.
         raise BitmapError(str(error).splitlines()[0].removeprefix("playpen: ")) from None
 
 
 def _check_scale(solid: Pixels, mm_per_pixel: float, height_mm: float) -> None:
     for key, value, least in (("--mm-per-pixel", mm_per_pixel, 0.001), ("--height-mm", height_mm, 1.0)):
-        # Not the other way round: comparing nan is false.
+        # Not the other way round: comparisons with nan are false.
         if not least <= value <= 1000:
-            raise BitmapError(f"{key} {value:g}: right is a number from {least:g} to 1000")
+            raise BitmapError(f"{key} {value:g}; expected a number from {least:g} to 1000")
     if not solid.size or max(solid.shape) > SIDE_LIMIT:
         rows, columns = solid.shape
-        raise BitmapError(f"{rows} x {columns} pixels; right are 1 to {SIDE_LIMIT} rows and columns")
+        raise BitmapError(f"{rows} x {columns} pixels; expected 1 to {SIDE_LIMIT} rows and columns")
 
 
 def _blocks(inner: Pixels, mm_per_pixel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lower left corners and extents along x and y of the blocks, (blocks, 2) each [mm]."""
+    """Return the blocks' lower left corners and extents along x and y, (blocks, 2) each [mm]."""
     boxes = rectangles(inner)
     least = float(boxes[:, 2:].min(initial=SIDE_LIMIT) * mm_per_pixel)
     if least < _LEAST_MM:
-        raise BitmapError(f"a block of {least:g} mm; right is at least {_LEAST_MM:g} mm", _ADVICE)
+        raise BitmapError(f"a block of {least:g} mm; expected at least {_LEAST_MM:g} mm", _ADVICE)
     row, column, rows, columns = boxes.T
     low = np.column_stack((column, inner.shape[0] - row - rows)).astype(np.float64)
     size = np.column_stack((columns, rows)).astype(np.float64)
@@ -151,41 +151,41 @@ def _blocks(inner: Pixels, mm_per_pixel: float) -> tuple[NDArray[np.float64], ND
 
 
 def strip(solid: Pixels) -> tuple[Pixels, Borders]:
-    """What is left within the wholly solid rows and columns at the edges, and how many these are.
+    """Strip the wholly solid rows and columns at the edges; return the rest and their numbers.
 
     Raises:
-        BitmapError: nothing is left.
+        BitmapError: Nothing is left.
     """
     rows, columns = np.all(solid, axis=1).tolist(), np.all(solid, axis=0).tolist()
     if all(rows):
-        raise BitmapError("every pixel is solid; right is a bitmap with a free floor")
+        raise BitmapError("every pixel is solid; expected a bitmap with a free floor")
     top, bottom, left, right = (line.index(False) for line in (rows, rows[::-1], columns, columns[::-1]))
     inner = solid[top : solid.shape[0] - bottom, left : solid.shape[1] - right]
     return inner, Borders(left, right, bottom, top)
 
 
 def rectangles(solid: Pixels) -> NDArray[np.int64]:
-    """Rectangles that cover the solid pixels exactly, without overlap.
+    """Cover the solid pixels exactly with rectangles that do not overlap.
 
     Returns:
         Row and column of the first pixel, rows, columns (rectangles, 4), from the top left on.
 
     Raises:
-        BitmapError: there are more than a playpen may hold beside a robot.
+        BitmapError: There are more than a playpen may hold beside a robot.
     """
     (fewest, boxes), (others, turned) = _merged_runs(solid), _merged_runs(solid.T)
     if others < fewest:
         fewest, boxes = others, turned[:, [1, 0, 3, 2]]
     if fewest > BLOCK_LIMIT:
-        raise BitmapError(f"{fewest} blocks; right are up to {BLOCK_LIMIT}", _ADVICE)
+        raise BitmapError(f"{fewest} blocks; expected up to {BLOCK_LIMIT}", _ADVICE)
     return boxes[np.lexsort((boxes[:, 1], boxes[:, 0]))]
 
 
 def _merged_runs(solid: Pixels) -> tuple[int, NDArray[np.int64]]:
-    """How many rectangles the equal runs of adjoining rows are, and these where they are not too many."""
+    """Merge equal runs of adjoining rows; return the number of rectangles, and these unless too many."""
     rows, columns = solid.shape
     count, done = 0, [np.zeros((0, 4), dtype=np.int64)]
-    # A run is one number here: its first column and the one behind its last.
+    # A run is encoded as one number: its first column and the one behind its last.
     runs = since = np.zeros(0, dtype=np.int64)
     for row in range(rows + 1):
         line = np.zeros(columns + 2, dtype=np.int8)
@@ -209,16 +209,16 @@ def _merged_runs(solid: Pixels) -> tuple[int, NDArray[np.int64]]:
 def free_place(
     low_mm: NDArray[np.float64], size_mm: NDArray[np.float64], width_mm: float, height_mm: float
 ) -> Pose | None:
-    """The place for a robot, nearest to the middle of an arena, that is clear of all rectangles and walls.
+    """Return the place for a robot, nearest to the arena's middle, clear of all rectangles and walls.
 
     Args:
-        low_mm: the rectangles' lower left corners (rectangles, 2) [mm].
-        size_mm: their extents along x and y (rectangles, 2) [mm].
-        width_mm: of the arena.
-        height_mm: of the arena.
+        low_mm: Lower left corners of the rectangles (rectangles, 2) [mm].
+        size_mm: Extents of the rectangles along x and y (rectangles, 2) [mm].
+        width_mm: Width of the arena.
+        height_mm: Height of the arena.
 
     Returns:
-        It, looking along y; None where there is none on a grid of a thousandth of the arena, at least 1 mm.
+        Pose, looking along y; None if there is none on a grid of a thousandth of the arena, at least 1 mm.
     """
     step = max(1.0, math.ceil(max(width_mm, height_mm) / 1000))
     reach = BODY_RADIUS * 1000 + CLEARANCE_MM
@@ -237,13 +237,13 @@ def free_place(
 
 
 def _grid(side_mm: float, step_mm: float, reach_mm: float) -> NDArray[np.float64]:
-    """Places along a side, the middle among them, that are as far as `reach_mm` from its ends."""
+    """Return positions along a side, including the middle, at least `reach_mm` from its ends."""
     places = np.arange(0.0, side_mm, step_mm) + side_mm / 2 % step_mm
     return places[(places >= reach_mm) & (places <= side_mm - reach_mm)]
 
 
 def _beyond(places: NDArray[np.float64], low: float, size: float) -> NDArray[np.float64]:
-    """How far places lie outside an interval."""
+    """Return the distances of places outside an interval."""
     return np.maximum(np.maximum(low - places, places - low - size), 0.0)
 
 

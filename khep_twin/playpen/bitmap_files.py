@@ -1,7 +1,7 @@
 """Bitmaps from files: scanned playpens of the Khepera Toolbox (MAT), and pictures (PNG).
 
-What a file is, is told from its first bytes. Nothing of it is trusted: sizes are checked before anything is
-decoded, and of a PNG only the parts that make its pixels reach the decoder.
+The first bytes identify the format. Files are not trusted: sizes are checked before anything is decoded, and
+of a PNG only the chunks that make its pixels reach the decoder.
 """
 
 import os
@@ -23,16 +23,16 @@ from khep_twin.files.mat_file import SIZE_LIMIT, Foreign, Variable, read_variabl
 from khep_twin.playpen.bitmap import SIDE_LIMIT, Pixels
 
 SCAN = "btmap1"
-"""The variable of a scanned playpen."""
+"""Name of the variable of a scanned playpen."""
 
 SOLID = 44
-"""The colour index of what is solid in it."""
+"""Colour index of its solid pixels."""
 
 LEAST_SIDE = 10
 """Fewest rows and columns of a matrix that may be a bitmap."""
 
 CHUNK_LIMIT = 100_000
-"""Most parts of a PNG."""
+"""Most chunks of a PNG."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
@@ -40,12 +40,12 @@ _PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 
 @dataclass(frozen=True, slots=True)
 class Bitmap:
-    """A bitmap as it lies in its file.
+    """A bitmap as stored in its file.
 
     Attributes:
-        solid: its solid pixels (rows, columns).
-        what: what to call it: the name of a variable, or "picture".
-        scanned: whether it comes from a MAT file, as the toolbox's upside-down scans do.
+        solid: Solid pixels (rows, columns).
+        what: Name in messages: that of a variable, or "picture".
+        scanned: True if it comes from a MAT file, as the toolbox's upside-down scans do.
     """
 
     solid: Pixels
@@ -54,15 +54,15 @@ class Bitmap:
 
 
 def read(path: str | os.PathLike[str], variable: str | None = None, solid: int | None = None) -> Bitmap:
-    """The bitmap in a file.
+    """Read the bitmap in a file.
 
     Args:
-        path: of a MAT or PNG file.
-        variable: which of a MAT file's; by default btmap1, or else the only one that can be a bitmap.
-        solid: the value of its solid pixels; 44 by default.
+        path: Path of a MAT or PNG file.
+        variable: Variable of a MAT file; by default btmap1, or else the only one that can be a bitmap.
+        solid: Value of the solid pixels; 44 by default.
 
     Raises:
-        BitmapError: there is no such file, or no bitmap in it.
+        BitmapError: The file does not exist, or holds no bitmap.
     """
     try:
         with open_regular(Path(path)) as file:
@@ -77,20 +77,20 @@ def read(path: str | os.PathLike[str], variable: str | None = None, solid: int |
 
 
 def decode(data: bytes, variable: str | None = None, solid: int | None = None) -> Bitmap:
-    """The bitmap in the bytes of a file; arguments as for `read`.
+    """Decode the bitmap in the bytes of a file; arguments as for `read`.
 
     Raises:
-        BitmapError: there is none.
-        MatError: it is no PNG, and no whole MAT file either.
+        BitmapError: There is none.
+        MatError: The data is neither a PNG nor a whole MAT file.
     """
     if len(data) > SIZE_LIMIT:
         raise BitmapError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
     if data[: len(_PNG)] == _PNG:
         if variable is not None or solid is not None:
-            raise BitmapError("a PNG; right is a MAT file for --variable and --solid")
+            raise BitmapError("a PNG; expected a MAT file for --variable and --solid")
         return Bitmap(_dark(data), "picture", False)
     if data[:1] in (b"\xff", b"G", b"B", b"%", b"\x89") and data[:4] != b"\x89HDF":
-        raise BitmapError(f"begins {data[:8]!r}; right is a MAT file of Matlab 4 to 7.2 or a PNG")
+        raise BitmapError(f"begins {data[:8]!r}; expected a MAT file of Matlab 4 to 7.2 or a PNG")
     name, matrix = _chosen(read_variables(data), variable)
     value = SOLID if solid is None else solid
     pixels: Pixels = np.asarray(matrix == value)
@@ -98,7 +98,7 @@ def decode(data: bytes, variable: str | None = None, solid: int | None = None) -
         some: list[float] = np.unique(matrix.reshape(-1)[: 2**20]).tolist()
         listed = ", ".join(f"{each:g}" for each in some[:8]) + (", ..." if len(some) > 8 else "")
         raise BitmapError(
-            f"{name}: no pixel is {value}", f"; right is --solid with one of its values ({listed})"
+            f"{name}: no pixel is {value}", f"; expected --solid with one of its values ({listed})"
         )
     return Bitmap(pixels, name, True)
 
@@ -110,21 +110,21 @@ def _chosen(variables: Mapping[str, Variable], wanted: str | None) -> tuple[str,
         bitmaps = [name for name, value in told.items() if _may_be_bitmap(value)]
         if len(bitmaps) > 1:
             raise BitmapError(
-                f"several matrices ({_listed(told, bitmaps)})", "; right is --variable with one of them"
+                f"several matrices ({_listed(told, bitmaps)})", "; expected --variable with one of them"
             )
         if not bitmaps:
             raise BitmapError(
                 f"no bitmap among its variables ({_listed(told, list(told))}): probably an editable playpen; "
-                f"right is the scanned one, with {SCAN}, which Scan Playpen writes"
+                f"expected the scanned one, with {SCAN}, which Scan Playpen writes"
             )
         wanted = bitmaps[0]
     if wanted not in told:
         raise BitmapError(f"no variable {wanted[:40]!r}; {choices(wanted, list(told)[:20])}")
     matrix = told[wanted]
     if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or not matrix.size:
-        raise BitmapError(f"{wanted}: is {_kind(matrix)}; right is a full matrix of real numbers")
+        raise BitmapError(f"{wanted}: is {_kind(matrix)}; expected a full matrix of real numbers")
     if max(matrix.shape) > SIDE_LIMIT:
-        raise BitmapError(f"{wanted}: is {_kind(matrix)}; right are up to {SIDE_LIMIT} rows and columns")
+        raise BitmapError(f"{wanted}: is {_kind(matrix)}; expected up to {SIDE_LIMIT} rows and columns")
     return wanted, matrix
 
 
@@ -148,7 +148,7 @@ def _plain(name: str) -> str:
 
 
 def _dark(data: bytes) -> Pixels:
-    """Where a PNG is dark: luminance, over white where it is transparent, below one half."""
+    """Return the dark pixels of a PNG: luminance, over white if transparent, below one half."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -157,13 +157,13 @@ def _dark(data: bytes) -> Pixels:
     except BitmapError:
         raise
     except UnidentifiedImageError:
-        raise BitmapError("no whole PNG: its head is damaged; right is the file as saved") from None
-    # Pillow raises whatever it comes across in a damaged file.
+        raise BitmapError("no whole PNG: its head is damaged; expected the file as saved") from None
+    # Pillow raises arbitrary exceptions for a damaged file.
     except Exception as error:
         reason = str(error).split("\n")[0][:100] or type(error).__name__
-        raise BitmapError(f"no whole PNG: {reason}; right is the file as saved") from None
+        raise BitmapError(f"no whole PNG: {reason}; expected the file as saved") from None
     if not dark.any():
-        raise BitmapError("no pixel is dark; right is a picture with dark walls or blocks on a bright floor")
+        raise BitmapError("no pixel is dark; expected a picture with dark walls or blocks on a bright floor")
     return dark
 
 
@@ -178,12 +178,12 @@ def _dark_pixels(picture: Image.Image) -> Pixels:
 
 
 def _pixel_chunks(data: bytes) -> bytes:
-    """A PNG without text, profiles and animation, which can be packed bombs; its size is checked."""
+    """Return a PNG without text, profiles and animation, which can be zip bombs; check its size."""
     kept, place, count = [_PNG], len(_PNG), 0
     while place < len(data):
         count += 1
         if count > CHUNK_LIMIT:
-            raise BitmapError(f"a PNG of more than {CHUNK_LIMIT} parts; right is one saved anew")
+            raise BitmapError(f"a PNG of more than {CHUNK_LIMIT} parts; expected one saved anew")
         if place + 12 > len(data):
             break
         size, kind = struct.unpack(">I4s", data[place : place + 8])
@@ -199,7 +199,7 @@ def _pixel_chunks(data: bytes) -> bytes:
 
 def _check_size(kind: bytes, header: bytes) -> None:
     if kind != b"IHDR" or len(header) != 8:
-        raise BitmapError("no whole PNG: begins without its size; right is the file as saved")
+        raise BitmapError("no whole PNG: begins without its size; expected the file as saved")
     width, height = struct.unpack(">II", header)
     if not (1 <= width <= SIDE_LIMIT and 1 <= height <= SIDE_LIMIT):
-        raise BitmapError(f"{height} x {width} pixels; right are 1 to {SIDE_LIMIT} rows and columns")
+        raise BitmapError(f"{height} x {width} pixels; expected 1 to {SIDE_LIMIT} rows and columns")

@@ -1,4 +1,4 @@
-"""What makes a playpen's parts a place: surfaces exist, robots can be what they are, and all have room."""
+"""Checks across a playpen's parts: surfaces exist, robots are consistent, and all have room."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 
 def playpen_problems(playpen: "Playpen", recorded: bool = False) -> Iterator[Problem]:
-    """What is wrong with a playpen whose keys are right, each by itself.
+    """Yield the problems of a playpen whose keys are valid one by one.
 
     Args:
-        playpen: to be checked.
-        recorded: whether a run took place in it: how low its walls are does not matter any more.
+        playpen: Playpen to check.
+        recorded: True if a run took place in it already: the height of its walls is then not checked.
     """
     outline = [Problem(("arena", "outline_mm"), text) for text in playpen.arena.outline_problems()]
     if outline:
@@ -41,16 +41,16 @@ def playpen_problems(playpen: "Playpen", recorded: bool = False) -> Iterator[Pro
 
 
 def at_spot(robot: Robot, spot: Spot) -> Robot:
-    """A robot that stands at a spot."""
+    """Return a robot that stands at a spot."""
     return robot.model_copy(update={"x_mm": spot.x_mm, "y_mm": spot.y_mm, "heading_deg": spot.heading_deg})
 
 
 def assigned(playpen: "Playpen", order: Callable[[Sequence[str]], Sequence[str]]) -> list[Robot] | None:
-    """The robots, each with spots at one of them, none on another; None if that cannot be.
+    """Return the robots, each with spots at one of them, clear of the others; None if that is impossible.
 
     Args:
-        playpen: says who may stand where.
-        order: in which a robot's spots are tried.
+        playpen: Playpen with robots and spots.
+        order: Function that orders a robot's spots for the search.
     """
     spots = {spot.name: spot for spot in playpen.spots}
     robots = list(playpen.robots)
@@ -77,18 +77,18 @@ def assigned(playpen: "Playpen", order: Callable[[Sequence[str]], Sequence[str]]
 
 
 _ASSIGNMENT_LIMIT = 20_000
-"""Most robots that are tried to be placed at a spot."""
+"""Most placements of robots at spots that are tried."""
 
 
 def completed(data: dict[str, Any]) -> dict[str, Any]:
-    """A file's content, in which robots have what follows from their spots and their model."""
+    """Return a file's content with the keys of robots that follow from their spots and their model."""
     spots = {str(spot.get("name")): spot for spot in _tables(data, "spot")}
     robots: list[dict[str, Any]] = []
     for robot in _tables(data, "robot"):
         known = [spots[name] for name in map(str, _items(robot, "spots")) if name in spots]
         follows = following(str(robot.get("model")), known)
         if not known and _items(robot, "spots"):
-            # That the names are wrong is told later.
+            # Wrong names are reported later.
             follows |= {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}
         robots.append({**follows, **robot})
     return {**data, "robot": tuple(robots)} if robots else data
@@ -102,25 +102,25 @@ def following(model: str, spots: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _tables(data: dict[str, Any], kind: str) -> list[dict[str, Any]]:
-    """An array of tables as it stands in a file; none where there is something else."""
+    """Return an array of tables of a file; empty if it is something else."""
     items = _items(data, kind)
     return list(items) if all(isinstance(item, dict) for item in items) else []
 
 
 def _items(data: dict[str, Any], key: str) -> tuple[Any, ...]:
-    """An array as it stands in a file; empty where there is something else."""
+    """Return an array of a file; empty if it is something else."""
     found: Any = data.get(key)
     return found if isinstance(found, tuple) else ()  # pyright: ignore[reportUnknownVariableType]
 
 
 LOWEST_WALL_MM, LOWEST_WALL_WITH_TURRET_MM = 15.0, 30.0
-"""Of an arena with robots, with bare ones and with turrets. At full speed,
+"""Lowest walls of an arena with bare robots, and with turrets [mm]. At full speed,
 7 of 42 drives of 20 s ended beyond walls of 8 mm, 2 beyond 10 mm, none beyond 12 and 15 mm; with a gripper,
 which is top-heavy, 7 beyond 12 mm and 2 beyond 15 mm (measured)."""
 
 
 THINNEST_WALL_MM, LIGHTEST_G = 10.0, 5.0
-"""Thickness of an arena's walls and mass of what is movable, where there is a robot to push it. In 2,000
+"""Least thickness of an arena's walls [mm] and mass of movable objects [g] if there is a robot. In 2,000
 random drives of 10 s a cylinder was pressed through walls of 1 to 3 mm in four, of 1 g also through 10 mm in
 one of 1,000; from 5 g and 10 mm on, in none (measured)."""
 
@@ -130,7 +130,7 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
     lowest_mm = LOWEST_WALL_WITH_TURRET_MM if turrets else LOWEST_WALL_MM
     if playpen.robots and height_mm < lowest_mm:
         what = "a robot with a turret topples over it" if turrets else "a robot drives over it"
-        text = f"arena: wall_height_mm = {height_mm:g}: {what} at full speed; right is {lowest_mm:g} or more"
+        text = f"arena: wall_height_mm = {height_mm:g}: {what} at full speed; expected at least {lowest_mm:g}"
         yield Problem(("arena", "wall_height_mm"), text)
     thickness_mm = playpen.arena.wall_thickness_mm
     movable = [
@@ -141,19 +141,19 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
     ]
     if movable and thickness_mm < THINNEST_WALL_MM:
         what = "a robot presses movable things through it"
-        text = f"arena: wall_thickness_mm = {thickness_mm:g}: {what}; right is {THINNEST_WALL_MM:g} or more"
+        text = f"arena: wall_thickness_mm = {thickness_mm:g}: {what}; expected at least {THINNEST_WALL_MM:g}"
         yield Problem(("arena", "wall_thickness_mm"), text)
     for kind, index, item in movable:
         if item.mass_g < LIGHTEST_G:
             what = "a robot presses it through walls"
-            text = f"{kind} {index + 1}: mass_g = {item.mass_g:g}: {what}; right is {LIGHTEST_G:g} or more"
+            text = f"{kind} {index + 1}: mass_g = {item.mass_g:g}: {what}; expected at least {LIGHTEST_G:g}"
             yield Problem((kind, index, "mass_g"), text)
 
 
 def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
     for name in playpen.surfaces:
         if name in BUILT_IN_SURFACES:
-            wish = f"right is a name other than {', '.join(BUILT_IN_SURFACES)}"
+            wish = f"expected a name other than {', '.join(BUILT_IN_SURFACES)}"
             yield Problem(("surfaces", name), f"surfaces {name}: built in; {wish}")
     known = {**BUILT_IN_SURFACES, **playpen.surfaces}
     users: list[tuple[Location, str, str]] = [(("arena",), "arena", playpen.arena.surface)]
@@ -177,18 +177,18 @@ def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
         for number, (x_mm, y_mm) in enumerate(wall.points_mm, 1):
             for value, limit in ((x_mm, playpen.arena.width_mm), (y_mm, playpen.arena.height_mm)):
                 if value > limit:
-                    wish = f"outside the arena; right is from 0 to {limit:g}"
+                    wish = f"outside the arena; expected 0 to {limit:g}"
                     yield Problem(location, f"{place}: points_mm {number}: {value:g}: {wish}")
         for number, (start, end) in enumerate(edges(wall.points_mm, closed=wall.closed), 1):
             if start == end:
-                text = f"{place}: points_mm {number}: the next one is at its place; right is each point once"
+                text = f"{place}: points_mm {number}: same as the next point; expected each point once"
                 yield Problem(location, text)
 
 
 def _patch_problems(playpen: "Playpen") -> Iterator[Problem]:
     for index, patch in enumerate(playpen.patches):
         if not patch.is_one_shape:
-            wish = "right is radius_mm alone, or length_mm and width_mm"
+            wish = "expected radius_mm alone, or length_mm and width_mm"
             yield Problem(
                 ("patch", index),
                 f"{label('patch', index + 1, patch.name)}: neither disc nor rectangle; {wish}",
@@ -200,14 +200,14 @@ def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
     if not lighting.min_angle_deg < lighting.max_angle_deg:
         yield Problem(
             ("lighting", "max_angle_deg"),
-            f"lighting: max_angle_deg = {lighting.max_angle_deg:g}: right is above min_angle_deg = "
+            f"lighting: max_angle_deg = {lighting.max_angle_deg:g}; expected above min_angle_deg = "
             f"{lighting.min_angle_deg:g}",
         )
     for index, lamp in enumerate(playpen.lamps):
         if 0 < lamp.blink_period_s < SHORTEST_BLINK_S:
             text = (
-                f"{label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}: "
-                f"right is 0, or from {SHORTEST_BLINK_S:g} to 3600"
+                f"{label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}; "
+                f"expected 0, or {SHORTEST_BLINK_S:g} to 3600"
             )
             yield Problem(("lamp", index, "blink_period_s"), text)
         last = 0.0
@@ -215,15 +215,15 @@ def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
             if not last <= start < end:
                 yield Problem(
                     ("lamp", index, "on_s"),
-                    f"{label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]: "
-                    f"right are times that rise, from {last:g} on",
+                    f"{label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]; "
+                    f"expected times that rise, from {last:g} on",
                 )
                 break
             last = end
 
 
 def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
-    """What of a robot's keys does not go together."""
+    """Yield the inconsistencies of the robots' keys."""
     known = [spot.name for spot in playpen.spots]
     for index, robot in enumerate(playpen.robots):
         place = label("robot", index + 1, robot.name)
@@ -239,12 +239,12 @@ def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
                 yield Problem(("robot", index, "spots"), text)
     if all(name in known for robot in playpen.robots for name in robot.spots) and not assigned(playpen, list):
         if any(robot.spots for robot in playpen.robots):
-            text = "robots: there is not a spot for each of them, clear of the others; right is a spot more"
+            text = "robots: there is not a spot for each of them, clear of the others; expected a spot more"
             yield Problem(("robot",), text)
 
 
 def things(playpen: "Playpen") -> Iterator[Thing]:
-    """All that stands in a playpen, and the places where robots may be drawn to stand."""
+    """Yield all parts of a playpen, and the spots where robots may start."""
     for number, item in enumerate(playpen.blocks, 1):
         yield Thing("block", number, item.name, item.footprint, 0, item.height_mm, item.movable)
     for number, item in enumerate(playpen.cylinders, 1):
@@ -256,7 +256,7 @@ def things(playpen: "Playpen") -> Iterator[Thing]:
         low_mm, high_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
         yield Thing("lamp", number, item.name, item.footprint, low_mm, high_mm, False)
     for number, spot in enumerate(playpen.spots, 1):
-        # As large as the largest robot that may be drawn to it; where none may, as a bare one.
+        # As large as the largest robot that may start on it; a bare robot if none may.
         bare = Robot(x_mm=spot.x_mm, y_mm=spot.y_mm, heading_deg=spot.heading_deg)
         users = [at_spot(robot, spot) for robot in playpen.robots if spot.name in robot.spots] or [bare]
         largest = max((user.footprint for user in users), key=lambda disc: disc.radius_mm)

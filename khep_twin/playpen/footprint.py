@@ -1,11 +1,11 @@
-"""What things cover of the floor, and whether two of them overlap. Lengths in mm."""
+"""Footprints: areas of the floor that things cover, and a test for their overlap. Lengths in mm."""
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 _TOUCHING_MM = 1e-6
-"""Things that merely touch do not overlap; so much is lost in rounding."""
+"""Tolerance for rounding: things that merely touch do not overlap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class Circle:
     radius_mm: float
 
     def reach(self, direction: tuple[float, float]) -> float:
-        """How far it extends from its centre along a unit vector [mm]."""
+        """Return its extent from the centre along a unit vector [mm]."""
         return self.radius_mm
 
 
@@ -32,12 +32,12 @@ class Rectangle:
     angle_deg: float
 
     def axes(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Unit vectors along its length and its width."""
+        """Return the unit vectors along its length and its width."""
         angle = math.radians(self.angle_deg)
         return (math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))
 
     def reach(self, direction: tuple[float, float]) -> float:
-        """How far it extends from its centre along a unit vector [mm]."""
+        """Return its extent from the centre along a unit vector [mm]."""
         along, across = (abs(axis[0] * direction[0] + axis[1] * direction[1]) for axis in self.axes())
         return along * self.length_mm / 2 + across * self.width_mm / 2
 
@@ -46,7 +46,7 @@ Footprint = Circle | Rectangle
 
 
 def overlap(one: Footprint, other: Footprint) -> bool:
-    """Whether two things share more than an edge.
+    """Return whether two footprints share more than an edge.
 
     Two convex shapes are apart exactly if some direction separates them; for discs and rectangles it is
     enough to try the rectangles' axes and, for a disc, the direction to the other's nearest point.
@@ -66,7 +66,7 @@ def overlap(one: Footprint, other: Footprint) -> bool:
 
 
 def sticks_out(shape: Footprint, width_mm: float, height_mm: float) -> Iterator[tuple[str, float]]:
-    """The arena's walls that a thing reaches into, and how far [mm]."""
+    """Yield the arena's walls that a thing reaches into, and the depth [mm]."""
     right, top = shape.reach((1.0, 0.0)), shape.reach((0.0, 1.0))
     depths = {
         "left": right - shape.x_mm,
@@ -78,10 +78,10 @@ def sticks_out(shape: Footprint, width_mm: float, height_mm: float) -> Iterator[
 
 
 def _towards(disc: Circle, other: Footprint) -> tuple[float, float]:
-    """Unit vector from a disc's centre to the nearest point of another shape."""
+    """Return the unit vector from a disc's centre to the nearest point of another shape."""
     dx, dy = other.x_mm - disc.x_mm, other.y_mm - disc.y_mm
     if isinstance(other, Rectangle):
-        # The nearest point is the disc's centre held within the sides, seen from the rectangle's centre.
+        # The nearest point is the disc's centre clamped to the sides, in the rectangle's frame.
         for axis, half_mm in zip(other.axes(), (other.length_mm / 2, other.width_mm / 2), strict=True):
             along = -(other.x_mm - disc.x_mm) * axis[0] - (other.y_mm - disc.y_mm) * axis[1]
             held = max(-half_mm, min(half_mm, along))

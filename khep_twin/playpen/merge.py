@@ -1,4 +1,4 @@
-"""Blocks that continue each other, as one: fewer geoms, and the same walls."""
+"""Merging of blocks that continue each other: fewer geoms, and the same walls."""
 
 import math
 from collections.abc import Sequence
@@ -7,11 +7,11 @@ from itertools import groupby
 from khep_twin.playpen.model import Block
 
 _SAME = 6
-"""Decimals of a millimetre and of a degree within which places are the same."""
+"""Decimals of a millimetre and of a degree to which coordinates are compared."""
 
 
 def merged(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
-    """Blocks with their first number, those that continue each other as one.
+    """Merge blocks that continue each other; return them with the first number of each.
 
     Merged are fixed blocks without names, of one angle, height and surface, that touch or cross along one of
     their axes and are equally thick across it.
@@ -25,7 +25,7 @@ def merged(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
 
 
 def _merged_along(blocks: list[tuple[int, Block]], lengthwise: bool) -> list[tuple[int, Block]]:
-    """Blocks of which those in one line along their length, or across it, are one."""
+    """Merge the blocks of each line along their length, or across it."""
     found: list[tuple[int, Block]] = []
     rows = sorted(
         ((_row(block, lengthwise), number, block) for number, block in blocks), key=lambda row: row[:2]
@@ -49,7 +49,7 @@ def _axis(block: Block, lengthwise: bool) -> tuple[float, float]:
 
 
 def _row(block: Block, lengthwise: bool) -> tuple[object, ...]:
-    """What blocks of one line have in common."""
+    """Return the key that blocks of one line share."""
     x, y = _axis(block, lengthwise)
     across = block.y_mm * x - block.x_mm * y
     thick = block.width_mm if lengthwise else block.length_mm
@@ -65,7 +65,7 @@ def _stretch(block: Block, lengthwise: bool) -> tuple[float, float]:
 
 
 def _stretched(block: Block, start: float, end: float, lengthwise: bool) -> Block:
-    """A block from start to end of its line."""
+    """Return a block from start to end of its line."""
     if (start, end) == _stretch(block, lengthwise):
         return block
     x, y = _axis(block, lengthwise)

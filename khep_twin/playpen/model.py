@@ -1,4 +1,4 @@
-"""The whole playpen: reading, checking and writing of playpen files."""
+"""Model of a whole playpen: reading, checking and writing of playpen files."""
 
 import os
 from collections.abc import Mapping
@@ -67,18 +67,18 @@ class Playpen(Table):
     robots: Annotated[tuple[Robot, ...], Field(alias="robot")] = ()
 
     def surface(self, name: str) -> Surface:
-        """The surface of a name, built-in or this playpen's own."""
+        """Return the surface of a name, built-in or this playpen's own."""
         return BUILT_IN_SURFACES.get(name) or self.surfaces[name]
 
     @model_serializer(mode="wrap")
     def _without_empty_arrays(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # A file with `lamp = []` in it could not be given a [[lamp]] by hand.
+        # Keep `lamp = []` out of a file: TOML allows no [[lamp]] after it.
         return {key: value for key, value in serialize(self).items() if value not in ([], (), {})}
 
     @model_validator(mode="before")
     @classmethod
     def _robots_have_what_follows(cls, data: Any) -> Any:
-        # Before a seed has drawn one, a robot stands at the first of its spots.
+        # Until the seed selects a spot, a robot stands at the first of its spots.
         return completed(data) if isinstance(data, dict) else data  # pyright: ignore
 
     @model_validator(mode="after")
@@ -91,43 +91,43 @@ class Playpen(Table):
 
 
 def load(path_or_name: str | os.PathLike[str]) -> Playpen:
-    """A playpen by the bare name of a shipped one, or by path.
+    """Load a playpen by the bare name of a shipped one, or by path.
 
     Raises:
-        PlaypenError: there is none, or its file cannot be used; one line per problem.
+        PlaypenError: The file does not exist or cannot be used; one line per problem.
     """
     text, source = toml_files.read("playpens", Path(path_or_name), PlaypenError)
     return parse(text, source)
 
 
 def parse(text: str, source: str, recorded: bool = False) -> Playpen:
-    """The text of a playpen file.
+    """Parse the text of a playpen file.
 
     Args:
-        text: in TOML.
-        source: what to call the file in messages.
-        recorded: whether a run took place in it, so that robots need not be kept from leaving it any more.
+        text: Text in TOML.
+        source: Name of the file in messages.
+        recorded: True if a run took place in it already, so that walls too low for robots are accepted.
 
     Raises:
-        PlaypenError: it cannot be used; one line per problem.
+        PlaypenError: It cannot be used; one line per problem.
     """
     return toml_files.validate(Playpen, text, source, PlaypenError, {"recorded": recorded})
 
 
 def dump(playpen: Playpen) -> str:
-    """A playpen as the text of a file, always the same for the same playpen; `parse` gives it back."""
+    """Return a playpen as the text of a file, the same for equal playpens; the inverse of `parse`."""
     return toml_files.dump(playpen)
 
 
 def edited(text: str, playpen: Playpen) -> str:
-    """A playpen file's text with what a playpen has otherwise; all else stays, comments included.
+    """Return a playpen file's text, changed to describe `playpen`; comments and all else stay.
 
     Args:
-        text: of a file that `parse` takes.
-        playpen: what the file is to say.
+        text: Text of a file that `parse` accepts.
+        playpen: Playpen to describe.
 
     Raises:
-        PlaypenError: the text is no playpen, or written in a way that leaves no room for the change.
+        PlaypenError: The text is no playpen, or is written in a way that cannot be changed in place.
     """
     before = parse(text, "the file to be edited")
     changed = toml_files.edited(text, before, playpen, _with_what_follows, partial(_bare, playpen))
@@ -136,13 +136,11 @@ def edited(text: str, playpen: Playpen) -> str:
             return changed
     except PlaypenError:
         pass
-    raise PlaypenError(
-        f"{playpen.name}: this file cannot be changed where it stands; right is a new one, by `dump`"
-    )
+    raise PlaypenError(f"{playpen.name}: this file cannot be changed in place; expected a new one, by `dump`")
 
 
 def schema() -> dict[str, Any]:
-    """The format as JSON schema, with which editors complete and check playpen files."""
+    """Return the format as JSON schema, for editors that complete and check playpen files."""
     found = toml_files.schema(Playpen)
     robot, place = found["$defs"]["Robot"], ["x_mm", "y_mm", "heading_deg"]
     robot["required"] = [key for key in robot["required"] if key not in place]
@@ -151,7 +149,7 @@ def schema() -> dict[str, Any]:
 
 
 def _with_what_follows(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
-    """What a file said, less the keys of robots that follow from others which change."""
+    """Return a file's data without the keys of robots that follow from other keys which change."""
     robots = list(before.get("robot", []))
     for index, (old, new) in enumerate(zip(robots, after.get("robot", []), strict=False)):
         follows: list[str] = []
@@ -164,7 +162,7 @@ def _with_what_follows(before: dict[str, Any], after: dict[str, Any]) -> dict[st
 
 
 def _bare(playpen: Playpen, data: dict[str, Any]) -> dict[str, Any]:
-    """Return the data of a playpen, without defaults, less the keys of robots that follow from others."""
+    """Return the data of a playpen, without defaults and without keys of robots that follow from others."""
     spots = {spot.name: spot.model_dump() for spot in playpen.spots}
     robots: list[dict[str, Any]] = []
     for robot, found in zip(playpen.robots, data.get("robot", ()), strict=False):
@@ -175,21 +173,21 @@ def _bare(playpen: Playpen, data: dict[str, Any]) -> dict[str, Any]:
 
 
 def placed(playpen: Playpen, chance: np.random.Generator) -> Playpen:
-    """A playpen whose robots stand at spots that were drawn.
+    """Return a playpen whose robots stand at randomly drawn spots.
 
     Raises:
-        PlaypenError: the spots do not suffice.
+        PlaypenError: The spots do not suffice.
     """
     if not any(robot.spots for robot in playpen.robots):
         return playpen
     robots = assigned(playpen, lambda spots: [spots[int(i)] for i in chance.permutation(len(spots))])
     if robots is None:
-        raise PlaypenError(f"{playpen.name}: no way was found to give each robot a spot; right is one more")
+        raise PlaypenError(f"{playpen.name}: the robots do not fit on their spots; expected one spot more")
     return playpen.model_copy(
         update={"robots": tuple(robot.model_copy(update={"spots": ()}) for robot in robots)}
     )
 
 
 def names() -> list[str]:
-    """The playpens that ship with the package."""
+    """Return the names of the playpens that ship with the package."""
     return toml_files.names("playpens")

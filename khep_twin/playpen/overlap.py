@@ -1,7 +1,7 @@
-"""Placement: whether things can stand where a playpen puts them.
+"""Placement: checks that the parts of a playpen can stand at their places.
 
-What is fixed may touch and cross anything, as the walls of a maze do. What is free (robots, movable objects)
-must start clear of all else, or the physics would begin by throwing it out. Heights count: two things whose
+Fixed parts may touch and cross anything, as the walls of a maze do. Free ones (robots, movable objects)
+must start clear of all else, or the physics would begin by throwing them out. Heights count: two things whose
 heights do not meet, such as a robot and a lamp above it, are clear of each other.
 """
 
@@ -17,21 +17,21 @@ from khep_twin.playpen.footprint import Footprint, overlap, sticks_out
 from khep_twin.playpen.polygon import Point, contains, walls_around
 
 THING_LIMIT = 5000
-"""Most things in one playpen: MuJoCo needs seconds to compile so many."""
+"""Most parts of one playpen: MuJoCo needs seconds to compile so many."""
 
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """Something in a playpen.
+    """A part of a playpen.
 
     Attributes:
-        kind: its table in the playpen file.
-        number: its place among its kind, from 1.
-        name: its own name, None without.
-        footprint: what it covers of the floor.
-        bottom_mm: where it begins above the floor [mm].
-        top_mm: where it ends [mm].
-        free: whether it is moved by what pushes it.
+        kind: Its table in the playpen file.
+        number: Its number among its kind, from 1.
+        name: Its name, or None.
+        footprint: Area of the floor that it covers.
+        bottom_mm: Height of its lower end above the floor [mm].
+        top_mm: Height of its upper end [mm].
+        free: True if it can be pushed.
     """
 
     kind: str
@@ -49,21 +49,21 @@ class Thing:
 
     @property
     def label(self) -> str:
-        """What to call it in messages."""
+        """Its name in messages."""
         return label(self.kind, self.number, self.name)
 
     def __str__(self) -> str:
-        """Label and place."""
+        """Return label and place."""
         return f"{self.label} at ({self.footprint.x_mm:g}, {self.footprint.y_mm:g})"
 
 
 def label(kind: str, number: int, name: str | None) -> str:
-    """What messages call a part of a playpen: kind, number from 1, and name if it has one."""
+    """Return the name of a part in messages: kind, number from 1, and its name if it has one."""
     return f"{kind} {number}" + (f" ({name})" if name else "")
 
 
 class Floor(Protocol):
-    """What things stand on."""
+    """The floor that things stand on."""
 
     width_mm: float
     height_mm: float
@@ -72,9 +72,9 @@ class Floor(Protocol):
 
 
 def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
-    """What is wrong with things on a floor, one line each."""
+    """Yield the placement problems of things on a floor, one line each."""
     if len(things) > THING_LIMIT:
-        text = f"{len(things)} blocks, cylinders, lamps and robots; right is up to {THING_LIMIT} together"
+        text = f"{len(things)} blocks, cylinders, lamps and robots; expected up to {THING_LIMIT} together"
         yield Problem((), text)
         return
     yield from _shared_names(things)
@@ -90,10 +90,10 @@ def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Proble
 def _shared_names(things: Sequence[Thing]) -> Iterator[Problem]:
     first: dict[str, Thing] = {}
     for thing in things:
-        # The pieces of a wall have one name together.
+        # The pieces of a wall share one name.
         if thing.name is not None and first.setdefault(thing.name, thing).place != thing.place:
             other = first[thing.name].label
-            text = f'{thing.label}: name = "{thing.name}": taken by {other}; right is a name used once'
+            text = f'{thing.label}: name = "{thing.name}": taken by {other}; expected a unique name'
             yield Problem((*thing.place, "name"), text)
 
 
@@ -103,10 +103,10 @@ def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
     for key, value, limit in (("x_mm", at.x_mm, floor.width_mm), ("y_mm", at.y_mm, floor.height_mm)):
         if value > limit:
             told = True
-            text = f"{thing.label}: {key} = {value:g}: outside the arena; right is from 0 to {limit:g}"
+            text = f"{thing.label}: {key} = {value:g}: outside the arena; expected 0 to {limit:g}"
             yield Problem((*thing.place, key), text)
     if not told and floor.outline_mm and not contains(floor.outline_mm, at.x_mm, at.y_mm):
-        yield Problem(thing.place, f"{thing} is outside the arena's outline; right is a place within it")
+        yield Problem(thing.place, f"{thing} is outside the arena's outline; expected a place within it")
 
 
 def _collisions(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
@@ -118,21 +118,21 @@ def _collisions(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
             continue
         for number, wall in enumerate(around, 1):
             if overlap(thing.footprint, wall):
-                text = f"{thing} overlaps the wall after corner {number}; right is a place further in"
+                text = f"{thing} overlaps the wall after corner {number}; expected a place further in"
                 yield Problem(thing.place, text)
         for wall, depth_mm in () if around else sticks_out(thing.footprint, width_mm, height_mm):
             inward_mm = math.ceil(depth_mm * 10) / 10
-            text = f"{thing} overlaps the {wall} wall at {walls[wall]}; right is {inward_mm:g} mm further in"
+            text = f"{thing} overlaps the {wall} wall at {walls[wall]}; expected {inward_mm:g} mm further in"
             yield Problem(thing.place, text)
     for thing, other in _overlapping_pairs(things):
-        # Spots may have one place, and a robot may stand there: who is drawn is put where there is room.
+        # Spots may coincide, and a robot may stand on one: a robot is placed on a spot only if it is clear.
         kinds = {thing.kind, other.kind}
         if "spot" not in kinds or not kinds <= {"spot", "robot"}:
-            yield Problem(thing.place, f"{thing} overlaps {other}; right is a place clear of it")
+            yield Problem(thing.place, f"{thing} overlaps {other}; expected a place clear of it")
 
 
 def _overlapping_pairs(things: Sequence[Thing]) -> Iterator[tuple[Thing, Thing]]:
-    """Pairs of overlapping things, the first of each free."""
+    """Yield pairs of overlapping things, the first of each free."""
     if not things:
         return
     shapes = [thing.footprint for thing in things]
@@ -141,12 +141,12 @@ def _overlapping_pairs(things: Sequence[Thing]) -> Iterator[tuple[Thing, Thing]]
     low, high = centres - reaches, centres + reaches
     for index, thing in enumerate(things):
         if thing.free:
-            # Few of thousands have their surrounding rectangles in common: only those are looked at closely.
+            # Bounding rectangles first: few of thousands overlap, and only those need the exact test.
             near = ((low < high[index]) & (high > low[index])).all(axis=1)
             neighbours: list[int] = near.nonzero()[0].tolist()
             for neighbour in neighbours:
                 other = things[neighbour]
-                # Of two free things the later one has found the earlier.
+                # A pair of free things is reported once, by the later one.
                 if (neighbour < index or not other.free) and _meet(thing, other):
                     yield thing, other
 

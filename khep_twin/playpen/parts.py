@@ -1,4 +1,4 @@
-"""The parts of a playpen file: one class per table, its attributes the table's keys."""
+"""Parts of a playpen file: one class per table, its attributes the table's keys."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
@@ -13,13 +13,13 @@ from khep_twin.playpen.surfaces import Colour
 from khep_twin.units import BODIES, BULB_RADIUS, Body
 
 BULB_RADIUS_MM = BULB_RADIUS * 1000
-"""Of a lamp [mm]."""
+"""Radius of a lamp's bulb [mm]."""
 
 SHORTEST_BLINK_S = 0.01
-"""Lamps change at the physics' step of 2.5 ms [s]."""
+"""Shortest blink period [s]; lamps change at the physics step of 2.5 ms."""
 
 MIN_ANGLE_DEG, MAX_ANGLE_DEG = 10.0, 85.0
-"""Of the toolbox's law of light: what meets the lamp of the calibration `khepera1` best [deg]."""
+"""Angles of the toolbox's light model that fit the lamp of the calibration `khepera1` best [deg]."""
 
 
 Place = Annotated[float, Field(ge=0, le=10_000)]
@@ -35,15 +35,15 @@ ObjectName = Annotated[Name | None, Field(description=NAME_WISH)]
 
 
 class Arena(Table):
-    """The floor within its walls; the walls stand around it, not on it. All in [mm].
+    """The floor within its walls; the walls stand around it, not on it. All lengths in [mm].
 
     Attributes:
-        width_mm: along x.
-        height_mm: along y.
-        outline_mm: corners of a floor that is no rectangle, in order, within width and height.
-        wall_height_mm: of the walls.
-        wall_thickness_mm: likewise.
-        surface: likewise.
+        width_mm: Size along x.
+        height_mm: Size along y.
+        outline_mm: Corners of a non-rectangular floor, in order, within width and height.
+        wall_height_mm: Height of the walls.
+        wall_thickness_mm: Thickness of the walls.
+        surface: Surface of the walls.
     """
 
     width_mm: Annotated[float, Field(ge=100, le=10_000)]
@@ -58,58 +58,58 @@ class Arena(Table):
 
     @property
     def corners(self) -> tuple[Point, ...]:
-        """Of the floor, counter-clockwise where it is a rectangle."""
+        """Corners of the floor, counter-clockwise for a rectangle."""
         width, height = self.width_mm, self.height_mm
         return self.outline_mm or ((0, 0), (width, 0), (width, height), (0, height))
 
     def outline_problems(self) -> Iterator[str]:
-        """What is wrong with the corners, one line each."""
+        """Yield the problems of the corners, one line each."""
         corners = self.outline_mm
         if not corners:
             return
         if len(corners) < 3:
-            yield f"arena: outline_mm: {len(corners)} corners; right are 3 to 200"
+            yield f"arena: outline_mm: {len(corners)} corners; expected 3 to 200"
             return
         for number, (x_mm, y_mm) in enumerate(corners, 1):
             for value, limit in ((x_mm, self.width_mm), (y_mm, self.height_mm)):
                 if value > limit:
                     yield (
                         f"arena: outline_mm {number}: {value:g}: outside width and height; "
-                        f"right is from 0 to {limit:g}"
+                        f"expected 0 to {limit:g}"
                     )
         for number, (start, end) in enumerate(edges(corners, closed=True), 1):
             if start == end:
-                yield f"arena: outline_mm {number}: the next one is at its place; right is each corner once"
+                yield f"arena: outline_mm {number}: same as the next corner; expected each corner once"
                 return
         if meeting := crossing(corners):
             yield (
-                f"arena: outline_mm: edges {meeting[0]} and {meeting[1]} meet; right is an outline that "
-                "meets itself nowhere"
+                f"arena: outline_mm: edges {meeting[0]} and {meeting[1]} meet; expected an outline that "
+                "does not cross or touch itself"
             )
         elif abs(area(corners)) < 10_000:
-            yield f"arena: outline_mm: {abs(area(corners)):g} mm2; right are 10000 and more"
+            yield f"arena: outline_mm: {abs(area(corners)):g} mm2; expected at least 10000"
         else:
             for number in reaching_in(corners, self.wall_thickness_mm):
                 yield (
                     f"arena: outline_mm: the wall after corner {number} is thicker than the room behind it; "
-                    "right are thinner walls, or more room"
+                    "expected thinner walls or more room"
                 )
 
 
 class Wall(Table):
-    """A wall that stands on the floor along a line.
+    """A free-standing wall along a line on the floor.
 
     Attributes:
-        points_mm: where it begins, turns and ends.
-        closed: whether it goes on from the last point to the first.
-        thickness_mm: half of it to either side of the line.
+        points_mm: Points where it begins, turns and ends.
+        closed: True if it continues from the last point to the first.
+        thickness_mm: Thickness, half of it to either side of the line.
     """
 
     name: ObjectName = None
     points_mm: Annotated[
         tuple[PlacePair, ...],
         Field(
-            min_length=2, max_length=1000, description="two points and more, such as [[100, 100], [100, 300]]"
+            min_length=2, max_length=1000, description="at least two points, such as [[100, 100], [100, 300]]"
         ),
     ]
     closed: bool = False
@@ -119,12 +119,12 @@ class Wall(Table):
 
     @property
     def footprints(self) -> tuple[Footprint, ...]:
-        """What it covers of the floor, piece by piece."""
+        """Areas of the floor that it covers, piece by piece."""
         return tuple(pieces(self.points_mm, self.thickness_mm, closed=self.closed))
 
 
 class Patch(Table):
-    """A part of the floor that looks otherwise: a disc, or a rectangle at an angle. Only the eye sees it."""
+    """A part of the floor with another surface: a disc, or a rectangle at an angle. Only the eye sees it."""
 
     name: ObjectName = None
     x_mm: Place
@@ -137,20 +137,20 @@ class Patch(Table):
 
     @property
     def footprint(self) -> Footprint:
-        """What it covers of the floor."""
+        """Area of the floor that it covers."""
         if self.radius_mm is not None:
             return Circle(self.x_mm, self.y_mm, self.radius_mm)
         return Rectangle(self.x_mm, self.y_mm, self.length_mm or 0.0, self.width_mm or 0.0, self.angle_deg)
 
     @property
     def is_one_shape(self) -> bool:
-        """Whether it is a disc or a rectangle, and not half of both."""
+        """True if it is either a disc or a rectangle."""
         sides = [self.length_mm is not None, self.width_mm is not None]
         return not any(sides) if self.radius_mm is not None else all(sides)
 
 
 class Spot(Table):
-    """A place with a name, where robots may start."""
+    """A named place where robots may start."""
 
     name: Annotated[Name, Field(description=NAME_WISH)]
     x_mm: Place
@@ -159,7 +159,7 @@ class Spot(Table):
 
 
 class Block(Table):
-    """A cuboid on the floor; its length runs at `angle_deg`. `mass_g` counts where it is movable."""
+    """A cuboid on the floor; its length runs at `angle_deg`. `mass_g` applies if it is movable."""
 
     name: ObjectName = None
     x_mm: Place
@@ -174,12 +174,12 @@ class Block(Table):
 
     @property
     def footprint(self) -> Rectangle:
-        """What it covers of the floor."""
+        """Area of the floor that it covers."""
         return Rectangle(self.x_mm, self.y_mm, self.length_mm, self.width_mm, self.angle_deg)
 
 
 class Cylinder(Table):
-    """An upright cylinder on the floor. `mass_g` counts where it is movable."""
+    """An upright cylinder on the floor. `mass_g` applies if it is movable."""
 
     name: ObjectName = None
     x_mm: Place
@@ -192,7 +192,7 @@ class Cylinder(Table):
 
     @property
     def footprint(self) -> Circle:
-        """What it covers of the floor."""
+        """Area of the floor that it covers."""
         return Circle(self.x_mm, self.y_mm, self.radius_mm)
 
 
@@ -200,13 +200,13 @@ class Lamp(Table):
     """A light bulb with its centre at x, y, z.
 
     Attributes:
-        power_w: of the bulb.
-        rgb: its colour, for looks only.
-        on_s: from when to when it is on, such as [[0, 10], [30, 40]]; always, without.
-        dim: part of its power that it is turned to.
-        blink_period_s: from one flash to the next; 0 for a steady lamp.
-        blink_duty: part of that time in which it is on.
-        fade_s: that it takes to go from dark to bright, and back.
+        power_w: Power of the bulb.
+        rgb: Colour, for rendering only.
+        on_s: Intervals in which it is on, such as [[0, 10], [30, 40]]; always, if empty.
+        dim: Fraction of its power that it is dimmed to.
+        blink_period_s: Time from one flash to the next; 0 for a steady lamp.
+        blink_duty: Fraction of that time in which it is on.
+        fade_s: Time that it takes to go from dark to bright, and back.
     """
 
     name: ObjectName = None
@@ -214,14 +214,14 @@ class Lamp(Table):
     y_mm: Place
     z_mm: Height = 15.0
     power_w: Annotated[float, Field(ge=0, le=1000)]
-    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three whole numbers from 0 to 255")] = (
+    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three integers from 0 to 255")] = (
         255,
         217,
         77,
     )
     on_s: Annotated[
         tuple[TimePair, ...],
-        Field(max_length=1000, description="from when to when, such as [[0, 10], [30, 40]]"),
+        Field(max_length=1000, description="intervals, such as [[0, 10], [30, 40]]"),
     ] = ()
     dim: Annotated[float, Field(ge=0, le=1)] = 1.0
     blink_period_s: Seconds = 0.0
@@ -230,7 +230,7 @@ class Lamp(Table):
 
     @property
     def footprint(self) -> Circle:
-        """What it covers of the floor."""
+        """Area of the floor that it covers."""
         return Circle(self.x_mm, self.y_mm, BULB_RADIUS_MM)
 
 
@@ -238,15 +238,15 @@ LightingMode = Literal["all", "random", "sequenced"]
 
 
 class Lighting(Table):
-    """Which lamps are on, and how their light is reckoned.
+    """Selection of the lamps that are on, and model of their light.
 
     Attributes:
         mode: "all", or one at a time, the next when a robot comes near it or a wall of the arena: drawn at
             "random", or "sequenced" in the file's order.
-        switch_distance_mm: how near, from the robot's edge to bulb or wall (assumed: half a robot).
-        law: "optics" as measured, or "toolbox" as the Khepera Toolbox for Matlab reckoned, without shadows.
-        min_angle_deg: the toolbox's, up to which a lamp off the sensor's axis loses nothing.
-        max_angle_deg: the toolbox's, from which on nothing is left.
+        switch_distance_mm: Distance from robot's edge to bulb or wall to switch at (assumed: half a robot).
+        law: "optics" as measured, or "toolbox" as in the Khepera Toolbox for Matlab, without shadows.
+        min_angle_deg: Toolbox angle, up to which a lamp off the sensor's axis loses nothing.
+        max_angle_deg: Toolbox angle, from which on nothing is left.
     """
 
     mode: LightingMode = "all"
@@ -260,23 +260,22 @@ MODELS: Mapping[str, Mapping[str, str]] = {
     "khepera1": {"calibration": "khepera1", "rom": "5.02"},
     "khepera2": {"calibration": "khepera2", "rom": "khepera2"},
 }
-"""Sensors and firmware that a model of the robot has unless they are given."""
+"""Default sensors and firmware of each model of the robot."""
 
 
 class Robot(Table):
     """A robot at its start.
 
     Attributes:
-        model: its body; for "khepera2" calibration and rom are "khepera2", too, unless they are given.
-        calibration: of its sensors: a name in assets/calibration, or the path of a file.
-        mode: its running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
+        model: Body; for "khepera2", calibration and rom default to "khepera2", too.
+        calibration: Calibration of its sensors: a name in assets/calibration, or the path of a file.
+        mode: Running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
             demonstration that drives by itself, 7 for the self-test, with rom khepera2 also 8 and 9 for
             57600 and 115200 baud.
-        spots: names of spots at one of which it starts, drawn by the seed; then x, y and heading may be left
-            out.
-        rom: the version of its firmware.
-        turrets: what is plugged on top.
-        battery_used_min: minutes that it has run on its cells at start; without it, it is on the charger.
+        spots: Names of spots at one of which it starts, drawn by the seed; x, y and heading become optional.
+        rom: Version of its firmware.
+        turrets: Turrets plugged on top.
+        battery_used_min: Minutes that it has run on its battery at the start; on the charger if not given.
     """
 
     name: ObjectName = None
@@ -298,12 +297,12 @@ class Robot(Table):
 
     @property
     def body(self) -> Body:
-        """That of its model."""
+        """Body of its model."""
         return BODIES[self.model]
 
     @property
     def footprint(self) -> Circle:
-        """What it covers of the floor, with the turrets that there are."""
+        """Area of the floor that it covers, with its turrets."""
         known = installed()
         reaches = [known[name].reach for name in self.turrets if name in known]
         return Circle(self.x_mm, self.y_mm, max([self.body.radius, *reaches]) * 1000)

@@ -1,4 +1,4 @@
-"""Walls along lines: polygons around an arena, and walls that stand free in it. Lengths in mm."""
+"""Polygons around an arena, and walls along lines within it. Lengths in mm."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -11,18 +11,18 @@ Edge = tuple[Point, Point]
 
 
 def edges(points: Sequence[Point], *, closed: bool) -> list[Edge]:
-    """From each point to the next; of a closed line from the last to the first, too."""
+    """Return the edges from each point to the next; of a closed line from the last to the first, too."""
     following = [*points[1:], points[0]] if closed else points[1:]
     return list(zip(points, following, strict=False))
 
 
 def area(points: Sequence[Point]) -> float:
-    """Of a polygon [mm^2]; below 0 if its points run clockwise."""
+    """Return the area of a polygon [mm^2]; negative if its points run clockwise."""
     return sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in edges(points, closed=True)) / 2
 
 
 def crossing(points: Sequence[Point]) -> tuple[int, int] | None:
-    """Numbers from 1 of the first two edges of a polygon that meet elsewhere than in its corners."""
+    """Return the numbers from 1 of the first two edges of a polygon that meet outside its corners."""
     numbered = list(enumerate(edges(points, closed=True)))
     for (i, one), (k, other) in combinations(numbered, 2):
         if k - i in (1, len(points) - 1):
@@ -39,7 +39,7 @@ def crossing(points: Sequence[Point]) -> tuple[int, int] | None:
 
 
 def contains(points: Sequence[Point], x: float, y: float) -> bool:
-    """Whether a point lies in a polygon or on its edge."""
+    """Return whether a point lies in a polygon or on its edge."""
     inside = False
     for (x0, y0), (x1, y1) in edges(points, closed=True):
         if _on(((x0, y0), (x1, y1)), (x, y)):
@@ -50,12 +50,12 @@ def contains(points: Sequence[Point], x: float, y: float) -> bool:
 
 
 def distance(points: Sequence[Point], x: float, y: float) -> float:
-    """From a point to a polygon's nearest edge [mm]."""
+    """Return the distance from a point to a polygon's nearest edge [mm]."""
     return min(_away(edge, (x, y)) for edge in edges(points, closed=True))
 
 
 def walls_around(points: Sequence[Point], thickness_mm: float) -> list[Rectangle]:
-    """A wall along each edge of a polygon, all of them outside it, that close its corners."""
+    """Return a wall along each edge of a polygon, outside it, with closed corners."""
     ring = list(points) if area(points) > 0 else list(reversed(points))
     lines = edges(ring, closed=True)
     walls: list[Rectangle] = []
@@ -64,7 +64,7 @@ def walls_around(points: Sequence[Point], thickness_mm: float) -> list[Rectangle
         along = (x1 - x0) / length, (y1 - y0) / length
         before = _turn(lines[index - 1], lines[index])
         after = _turn(lines[index], lines[(index + 1) % len(lines)])
-        # Where the polygon turns left, the walls of both edges reach on to where their outer faces meet.
+        # Where the polygon turns left, extend the walls of both edges to where their outer faces meet.
         start, end = (thickness_mm * min(math.tan(max(turn, 0) / 2), 2.0) for turn in (before, after))
         centre = (end - start) / 2
         out = along[1], -along[0]
@@ -81,7 +81,7 @@ def walls_around(points: Sequence[Point], thickness_mm: float) -> list[Rectangle
 
 
 def reaching_in(points: Sequence[Point], thickness_mm: float) -> list[int]:
-    """Numbers from 1 of the edges whose walls, as of `walls_around`, stand in the polygon itself."""
+    """Return the numbers from 1 of the edges whose walls (`walls_around`) reach into the polygon itself."""
     ring = list(points) if area(points) > 0 else list(reversed(points))
     found: list[int] = []
     for number, wall in enumerate(walls_around(points, thickness_mm), 1):
@@ -101,7 +101,7 @@ def reaching_in(points: Sequence[Point], thickness_mm: float) -> list[int]:
 
 
 def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Iterator[Footprint]:
-    """A wall along a line as rectangles, with round corners between them."""
+    """Yield a wall along a line as rectangles, with round corners between them."""
     for (x0, y0), (x1, y1) in edges(points, closed=closed):
         angle_deg = math.degrees(math.atan2(y1 - y0, x1 - x0))
         length = math.hypot(x1 - x0, y1 - y0)
@@ -111,7 +111,7 @@ def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Ite
 
 
 def _turn(one: Edge, other: Edge) -> float:
-    """How far an edge turns left from the one before [rad]."""
+    """Return the angle by which an edge turns left from the one before [rad]."""
     first = one[1][0] - one[0][0], one[1][1] - one[0][1]
     second = other[1][0] - other[0][0], other[1][1] - other[0][1]
     return math.atan2(
@@ -120,7 +120,7 @@ def _turn(one: Edge, other: Edge) -> float:
 
 
 def _side(edge: Edge, point: Point) -> float:
-    """Above 0 if a point lies left of an edge, 0 if on its line."""
+    """Return a positive number if a point lies left of an edge, 0 if on its line."""
     (x0, y0), (x1, y1) = edge
     return (x1 - x0) * (point[1] - y0) - (y1 - y0) * (point[0] - x0)
 
@@ -132,7 +132,7 @@ def _on(edge: Edge, point: Point) -> bool:
 
 
 def _meet(one: Edge, other: Edge) -> bool:
-    """Whether two edges have a point in common."""
+    """Return whether two edges have a point in common."""
     if any(_on(one, point) for point in other) or any(_on(other, point) for point in one):
         return True
     apart = _side(one, other[0]) * _side(one, other[1]), _side(other, one[0]) * _side(other, one[1])

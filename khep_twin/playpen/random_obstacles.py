@@ -1,4 +1,4 @@
-"""Fields of obstacles by chance: a playpen whose blocks and cylinders cover a given part of the floor.
+"""Random obstacle fields: a playpen whose blocks and cylinders cover a given part of the floor.
 
 Obstacles are as far apart as a lane is wide, and as far from the walls, so that a robot fits between any two
 of them; the middle is left free for it.
@@ -14,10 +14,10 @@ from khep_twin.playpen.model import Arena, Block, Cylinder, Playpen, Robot
 from khep_twin.units import BODY_RADIUS
 
 LANE_MM = 70.0
-"""Between any two obstacles [mm]: a robot of 55 mm and some room."""
+"""Gap between any two obstacles [mm]: a robot of 55 mm and some room."""
 
 HIGHEST_DENSITY = 0.1
-"""Part of the floor that obstacles with lanes between them can cover."""
+"""Highest part of the floor that obstacles with lanes between them can cover."""
 
 _TRIES = 20_000
 
@@ -25,20 +25,20 @@ _TRIES = 20_000
 def obstacle_field(
     name: str, width_mm: float, height_mm: float, density: float, chance: np.random.Generator
 ) -> Playpen:
-    """Draws a field.
+    """Generate an obstacle field.
 
     Args:
-        name: of the playpen.
-        width_mm: of the arena.
-        height_mm: likewise.
-        density: part of the floor that obstacles cover, 0 to `HIGHEST_DENSITY`.
-        chance: draws kinds, sizes, places and angles.
+        name: Name of the playpen.
+        width_mm: Width of the arena.
+        height_mm: Height of the arena.
+        density: Part of the floor that obstacles cover, 0 to `HIGHEST_DENSITY`.
+        chance: Random generator for kinds, sizes, places and angles.
 
     Raises:
-        PlaypenError: the density is beyond its range, or there was no room for so much.
+        PlaypenError: The density is out of range, or there was not enough room for it.
     """
     if not 0 <= density <= HIGHEST_DENSITY:
-        raise PlaypenError(f"density = {density:g}: right is from 0 to {HIGHEST_DENSITY:g}")
+        raise PlaypenError(f"density = {density:g}; expected 0 to {HIGHEST_DENSITY:g}")
     arena = Arena(width_mm=width_mm, height_mm=height_mm)
     middle = Circle(width_mm / 2, height_mm / 2, 1000 * BODY_RADIUS)
     kept: list[Footprint] = [middle]
@@ -84,12 +84,12 @@ def obstacle_field(
     part = covered / (width_mm * height_mm)
     raise PlaypenError(
         f"density = {density:g}: with lanes of {LANE_MM:g} mm there was room for {part:.3f} of the floor; "
-        "right is less, or another seed"
+        "expected less, or another seed"
     )
 
 
 def _place(arena: Arena, margin_mm: float, along: float, across: float) -> tuple[float, float]:
-    """A place with so much room to the walls; below 0 where there is none."""
+    """Return a random place with this distance to the walls; below 0 if there is none."""
     spans = arena.width_mm - 2 * margin_mm, arena.height_mm - 2 * margin_mm
     if min(spans) <= 0:
         return -1.0, -1.0

@@ -1,4 +1,4 @@
-"""Surfaces: what walls and objects are made of, as the infrared sensors and the eye see it."""
+"""Surfaces: materials of walls and objects, as the infrared sensors and the eye see them."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -12,21 +12,21 @@ Colour = Annotated[int, Field(ge=0, le=255)]
 
 
 class Surface(Table):
-    """What something is made of.
+    """The material of an object.
 
     Attributes:
-        reflectance: infrared, relative to the calibration's reference wall.
-        rgb: its colour, for looks only.
-        resistance_ohm: between two fingers that grip it [ohm]; without it, it does not conduct.
+        reflectance: Infrared reflectance, relative to the calibration's reference wall.
+        rgb: Colour, for rendering only.
+        resistance_ohm: Resistance between two fingers that grip it [ohm]; if not given, it does not conduct.
     """
 
     reflectance: Annotated[float, Field(ge=0, le=2)]
-    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three whole numbers from 0 to 255")]
+    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three integers from 0 to 255")]
     resistance_ohm: Annotated[float | None, Field(ge=1, le=1e9)] = None
 
     @property
     def conductance(self) -> float:
-        """Between two fingers [S]."""
+        """Conductance between two fingers [S]."""
         return 0.0 if self.resistance_ohm is None else 1 / self.resistance_ohm
 
 
@@ -42,7 +42,7 @@ BUILT_IN_SURFACES: Mapping[str, Surface] = MappingProxyType(
         "lego": Surface(reflectance=0.8, rgb=(196, 62, 48)),
     }
 )
-"""White is the calibration's reference by definition. Grey and black plastic, wood, green styropor, pink
-sponge and copper, beside white plastic: fitted to the counts over distance in the manual's figure 11, all
-with one gain, to 11.5 counts rms (the manual's other wood is 0.78). Lego bricks of mixed colours: assumed.
-Copper conducts as well as a surface can."""
+"""Built-in surfaces. White is the calibration's reference by definition. Grey and black plastic, wood, green
+styropor, pink sponge and copper, beside white plastic: fitted to the counts over distance in the manual's
+figure 11, all with one gain, to 11.5 counts rms (the manual's other wood is 0.78). Lego bricks of mixed
+colours: assumed. Copper conducts as well as a surface can."""

@@ -1,1 +1,1 @@
-"""The ways in: khep:// in the host's own process, and a pseudo-terminal for every other program."""
+"""Ports of a twin: khep:// in the host's own process, and a pseudo-terminal for every other program."""

@@ -8,13 +8,13 @@ from khep_twin.robot import Robot
 
 
 class Connection:
-    """Carries bytes between a robot's line and its cable, and watches how the host treats its end.
+    """Byte transfer between a robot's line and its cable, with a check of the host's line settings.
 
     Args:
-        twin: the world of the robot.
-        robot: at this end.
-        cable: to the host.
-        tell: takes what somebody should see.
+        twin: Twin whose world the robot is in.
+        robot: Robot at this end.
+        cable: Cable to the host.
+        tell: Callback that takes notices for the user.
     """
 
     def __init__(self, twin: Twin, robot: Robot, cable: Cable, tell: Callable[[str], None]) -> None:
@@ -24,19 +24,19 @@ class Connection:
         self._tell = tell
 
     def descriptors(self) -> Sequence[int]:
-        """What to wait for."""
+        """Return the descriptors to wait for."""
         return self._cable.descriptors(self._robot.uart.room > 0)
 
     def events_ns(self) -> list[int]:
-        """When the robot takes its next command and when its next byte arrives at the host [ns]."""
+        """Return the times of the robot's next command and of its next byte's arrival at the host [ns]."""
         times_ns = (self._robot.next_command_ns(), self._robot.uart.tx.next_ns)
         return [time_ns for time_ns in times_ns if time_ns is not None]
 
     def exchange(self, now: Callable[[], int] | None = None) -> None:
-        """Takes what the host has sent, and gives it what has arrived for it.
+        """Pass the host's bytes to the robot, and the robot's that have arrived to the host.
 
         Args:
-            now: gives simulated time by the clock on the wall, behind which the world may lag a little [ns].
+            now: Simulated time by the wall clock, which the world may lag behind a little [ns].
         """
         robot, cable, uart = self._robot, self._cable, self._robot.uart
         answered = not len(uart.rx) and not len(uart.tx)
@@ -46,7 +46,7 @@ class Connection:
         if received.last:
             robot.send(received.last, time_ns)
         if received.left:
-            # What the host has sent still reaches the robot, as on a cable; nobody gets the answers.
+            # What the host has sent still reaches the robot, as on a cable; the answers are dropped.
             robot.hang_up()
             robot.compare_line(None)
         if received.data:
@@ -56,7 +56,7 @@ class Connection:
         self.give()
 
     def give(self) -> None:
-        """Gives the host what has arrived for it."""
+        """Pass the bytes that have arrived to the host."""
         reply = self._robot.uart.tx.read(self._world.time_ns)
         if reply and self._cable.occupied:
             self._cable.write(reply)

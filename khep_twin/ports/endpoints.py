@@ -1,4 +1,4 @@
-"""The far ends of a served twin's cables, from what the user asks for."""
+"""Host endpoints of a served twin's cables, as the options ask for them."""
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -13,23 +13,23 @@ from khep_twin.ports.pty import PtyPort
 def far_ends(
     bauds: Mapping[int, int], *, link: str | None, tcp: str | None, rfc2217: str | None, expose: bool
 ) -> Generator[Sequence[Cable], None, None]:
-    """One cable for each robot: pseudo-terminals, or TCP servers at ports one after the other.
+    """Open one cable for each robot: pseudo-terminals, or TCP servers at consecutive ports.
 
     Args:
-        bauds: speed of each robot's line, by the robot's number.
-        link: path of the link to the pseudo-terminal, as typed.
+        bauds: Speed of each robot's line, by the robot's number.
+        link: Path of the link to the pseudo-terminal, as typed.
         tcp: HOST:PORT to serve plain bytes at instead.
         rfc2217: HOST:PORT to serve RFC 2217 at instead.
-        expose: whether other machines may reach these.
+        expose: Allow connections from other machines.
 
-    Of several robots the links end in the robot's number: khepera0, khepera1 …
+    Links of several robots end in the robot's number: khepera0, khepera1 …
 
     Raises:
-        PortError: one cannot be made, or too much is asked for at once.
+        PortError: An endpoint cannot be opened, or more than one kind is asked for.
     """
     given = [option for option in (link, tcp, rfc2217) if option is not None]
     if len(given) > 1:
-        raise PortError("--link, --tcp and --rfc2217 are one cable each; right is one of them")
+        raise PortError("--link, --tcp and --rfc2217 are one cable each; expected one of them")
     address = tcp or rfc2217
     with ExitStack() as stack:
         cables: list[Cable] = []
@@ -41,7 +41,7 @@ def far_ends(
                 host, port = parse_address(address)
                 if not is_loopback(host) and not expose:
                     raise PortError(
-                        f"{address}: other machines could drive the robot from there; right is "
+                        f"{address}: other machines could drive the robot from there; expected "
                         f"127.0.0.1:{port}, or --expose if that is wanted"
                     )
                 port += count if port else 0

@@ -95,10 +95,10 @@ class _TimerSpec(ctypes.Structure):
 
 
 class Timer:
-    """Becomes readable at a time of the wall clock (CLOCK_MONOTONIC).
+    """Timer whose descriptor becomes readable at a time of the wall clock (CLOCK_MONOTONIC).
 
     Attributes:
-        descriptor: for `select`; None where the system has no such timers.
+        descriptor: Descriptor for `select`; None where the system has no such timers.
     """
 
     def __init__(self) -> None:
@@ -109,19 +109,19 @@ class Timer:
             self.descriptor = made if made >= 0 else None
 
     def set(self, wall_ns: int) -> None:
-        """Wakes at this time [ns]; a time that is over wakes at once."""
+        """Set the time to wake at [ns]; a time in the past wakes at once."""
         if self.descriptor is not None:
             spec = _TimerSpec(0, 0, *divmod(max(wall_ns, 1), NS_PER_S))
             self._libc.timerfd_settime(self.descriptor, _TFD_TIMER_ABSTIME, ctypes.byref(spec), None)
 
     def clear(self) -> None:
-        """Makes it unreadable again."""
+        """Make the descriptor unreadable again."""
         if self.descriptor is not None:
             with suppress(BlockingIOError):
                 os.read(self.descriptor, 8)
 
     def close(self) -> None:
-        """Gives it back."""
+        """Release the descriptor."""
         if self.descriptor is not None:
             os.close(self.descriptor)
             self.descriptor = None

@@ -1,4 +1,4 @@
-"""Who has a port open, from what the kernel tells: nothing is opened, so that a running session goes on.
+"""Processes that have a port open, as the kernel reports them: no port is opened, so sessions go on.
 
 A process holds a device that it has open (/proc/PID/fd), that is its controlling terminal (/proc/PID/stat,
 which every user may read), or for which it has left a lock file, as terminal programs do. A program at the
@@ -26,10 +26,10 @@ _UNIX98_PTS = range(136, 144)
 
 
 def holder(url: str) -> str:
-    """Name who has a port open: "process 1234 (picocom)", "a connection"; empty if nobody is seen.
+    """Name the holder of a port: "process 1234 (picocom)", "a connection"; empty if none is seen.
 
     Args:
-        url: a device, a link to one, or a URL of pyserial's.
+        url: Device, link to one, or URL of pyserial's.
     """
     parts = urlsplit(url)
     if parts.scheme in ("socket", "rfc2217"):
@@ -81,7 +81,7 @@ def _count(process: Path, device: os.stat_result) -> int:
 
 
 def _is_same(descriptor: Path, device: os.stat_result) -> bool:
-    """Tell whether a descriptor is of a device; of pseudo-terminals, each container numbers its own."""
+    """Return whether a descriptor is of a device; of pseudo-terminals, each container numbers its own."""
     with suppress(OSError):
         if os.readlink(descriptor).startswith("/dev/"):
             found = descriptor.stat()
@@ -92,7 +92,7 @@ def _is_same(descriptor: Path, device: os.stat_result) -> bool:
 
 
 def _controls(process: Path, major: int, minor: int) -> bool:
-    """Tell whether a device that is no pseudo-terminal is the controlling terminal of a process."""
+    """Return whether a device that is no pseudo-terminal is the controlling terminal of a process."""
     # Behind the name in brackets: state, parent, group, session, terminal.
     about = (process / "stat").read_text(encoding="utf-8", errors="replace")
     terminal = int(about.rpartition(")")[2].split()[4])
@@ -101,7 +101,7 @@ def _controls(process: Path, major: int, minor: int) -> bool:
 
 
 def _has_master(process: Path, terminal: int) -> bool:
-    """Tell whether a process has the far end of a pseudo-terminal open."""
+    """Return whether a process has the far end of a pseudo-terminal open."""
     for descriptor in (process / "fd").iterdir():
         with suppress(OSError):
             if os.readlink(descriptor).endswith("ptmx"):
@@ -121,7 +121,7 @@ def _name(number: int) -> str:
 
 
 def _is_connected(host: str, port: int) -> bool:
-    """Tell whether this machine serves a TCP port to which somebody is connected."""
+    """Return whether this machine serves a TCP port that has an established connection."""
     infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     addresses = {_address(info[4][0]) for info in infos if isinstance(info[4][0], str)}
     anywhere = any(not int(address, 16) for address in addresses)

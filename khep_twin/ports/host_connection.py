@@ -1,4 +1,4 @@
-"""What joins one robot of a served twin and its host: a pseudo-terminal, or a connection over a network."""
+"""Connection of one robot of a served twin to its host: a pseudo-terminal, or a network connection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class Received:
         data: Bytes sent by hosts that are here.
         left: All hosts that were here have left, even if another came since; what they left is cleared.
         last: Bytes sent by hosts that have left.
-        notices: Lines for whoever runs the server.
+        notices: Lines for the user who runs the server.
     """
 
     data: bytes = b""
@@ -29,25 +29,25 @@ class Cable(Protocol):
 
     @property
     def path(self) -> str:
-        """What a host opens."""
+        """Path or URL that a host opens."""
         ...
 
     @property
     def dropped(self) -> int:
-        """Bytes that no host took in time."""
+        """Number of bytes that no host took in time."""
         ...
 
     @property
     def occupied(self) -> bool:
-        """Whether a host is there, as far as that can be known."""
+        """True if a host is there, as far as that can be known."""
         ...
 
     def descriptors(self, room: bool) -> Sequence[int]:
-        """What becomes readable when a host comes, goes or, if there is room for it, writes."""
+        """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
         ...
 
     def settings(self) -> LineSettings | None:
-        """How the host has set its end; None where it has not, or where that cannot be seen."""
+        """Return the line settings of the host; None where it has set none, or where they cannot be seen."""
         ...
 
     def receive(self, limit: int, answered: bool = False) -> Received:
@@ -61,9 +61,9 @@ class Cable(Protocol):
         ...
 
     def write(self, data: bytes) -> None:
-        """Sends to the host."""
+        """Send to the host."""
         ...
 
     def close(self) -> None:
-        """Takes the far end away."""
+        """Close the host's endpoint."""
         ...

@@ -1,7 +1,7 @@
-"""A stable name for a pseudo-terminal: a symbolic link that is only ever taken from ourselves.
+"""A stable name for a pseudo-terminal: a symbolic link that replaces only links of our own.
 
-Numbers of terminals are given out anew at once, so that a link left over from a killed server soon leads to
-a stranger's terminal. Beside each link lies a lock file, held while the server lives, with the terminal in
+Numbers of terminals are reused at once, so that a link left over from a killed server soon leads to another
+process's terminal. Beside each link lies a lock file, held while the server runs, with the terminal in
 it: a link whose lock is free and whose terminal is the one in the file is our own and may be replaced.
 """
 
@@ -16,17 +16,17 @@ from khep_twin.signals import clear_at_end, undisturbed
 
 
 class Link:
-    """A link to a terminal, for as long as this process wants it.
+    """Link to a terminal, until it is closed.
 
     Args:
-        wish: its path as typed; a bare name lies in a private directory of this user's, ./NAME where it says.
-        target: the terminal.
+        wish: Path as typed; a bare name lies in a private directory of this user's, ./NAME where it says.
+        target: Path of the terminal.
 
     Attributes:
-        path: of the link.
+        path: Path of the link.
 
     Raises:
-        PortError: there is something else under this name, or the link cannot be made.
+        PortError: There is something else under this name, or the link cannot be made.
     """
 
     def __init__(self, wish: str | Path, target: str) -> None:
@@ -53,7 +53,7 @@ class Link:
             self._forget = clear_at_end(self.close)
 
     def close(self) -> None:
-        """Takes the link away if it still is ours."""
+        """Remove the link if it is still ours."""
         if self.path.is_symlink() and os.readlink(self.path) == self._target:
             self.path.unlink()
         self._lock_path.unlink(missing_ok=True)
@@ -86,7 +86,7 @@ class Link:
 
 
 def leads_to_ours(path: Path) -> bool:
-    """Whether this is a link that a living server has made, and leads where it wants it to."""
+    """Return whether this is a link of a running server that leads to the server's terminal."""
     lock_path = path.with_name(f".{path.name}.lock")
     try:
         lock = os.open(lock_path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
@@ -102,7 +102,7 @@ def leads_to_ours(path: Path) -> bool:
 
 
 def private_folder() -> Path:
-    """A directory that nobody else can write to, made if need be."""
+    """Return the directory that only this user can write to; make it if need be."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     name = "khep_twin" if runtime else f"khep_twin-{os.getuid()}"
     folder = Path(runtime or tempfile.gettempdir()) / name
@@ -112,5 +112,5 @@ def private_folder() -> Path:
     except OSError as error:
         raise PortError(f"{folder}: cannot make a directory for links: {error.strerror}") from error
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
-        raise PortError(f"{folder}: not a directory of this user's alone; right is a path with --link")
+        raise PortError(f"{folder}: not a directory of this user's alone; expected a path with --link")
     return folder

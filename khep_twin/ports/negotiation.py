@@ -1,4 +1,4 @@
-"""RFC 2217: the settings of a serial line, told between the bytes that go over it.
+"""RFC 2217: the settings of a serial line, sent between the bytes that go over it.
 
 The negotiation is pyserial's own server half, over a port object that only remembers what the host has set.
 That half expects hosts which keep to the standard; here a value out of range is answered with the one in
@@ -18,7 +18,7 @@ from serial.rfc2217 import PortManager
 from khep_twin.board.uart import LineSettings
 
 LOWEST_BAUD, HIGHEST_BAUD = 50, 4_000_000
-"""Speeds that a host may set: as Linux has constants for."""
+"""Speeds that a host may set, those of Linux's constants [baud]."""
 
 LONGEST = 256
 """Bytes between the two ends of one negotiation; only a signature is longer than a few."""
@@ -32,11 +32,11 @@ class Negotiator:
     """The robot's end of an RFC 2217 connection.
 
     Args:
-        baud: speed of the robot's line.
-        answer: takes the answers of the negotiation.
+        baud: Speed of the robot's line [baud].
+        answer: Callback that takes the answers of the negotiation.
 
     Attributes:
-        fault: negotiation that could not be understood and what was expected; empty while there was none.
+        fault: Negotiation that could not be understood and what was expected; empty while there was none.
     """
 
     def __init__(self, baud: int, answer: Callable[[bytes], None]) -> None:
@@ -46,7 +46,7 @@ class Negotiator:
         self._manager = _Manager(self._line, self)
 
     def write(self, data: bytes) -> None:
-        """Sends an answer of the negotiation; called by pyserial."""
+        """Send an answer of the negotiation; called by pyserial."""
         self._answer(bytes(data))
 
     def settings(self) -> LineSettings:
@@ -84,7 +84,7 @@ class Negotiator:
 
 
 class _Manager(PortManager):
-    """pyserial's server half, which has no answer to a parity and to stop bits that there are not."""
+    """pyserial's server half; parities and stop bits that do not exist get no answer from it alone."""
 
     def _telnet_process_subnegotiation(self, suboption: bytes) -> None:
         try:
@@ -132,7 +132,7 @@ class _Line:
         self._data_bits = value
 
     def reset_input_buffer(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: no input waits here."""
 
     def reset_output_buffer(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: no output waits here."""

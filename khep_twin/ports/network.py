@@ -1,6 +1,6 @@
-"""TCP connections as the far end of a serial cable: plain bytes, or RFC 2217 with its settings of the line.
+"""TCP connections as the far end of a serial cable: plain bytes, or RFC 2217 with its line settings.
 
-One host at a time, as on a cable: a second one is refused and told of. A host that has gone, or that has
+One host at a time, as on a cable: a second one is refused and reported. A host that has gone, or that has
 finished sending, makes room for the next one at once.
 """
 
@@ -17,23 +17,23 @@ from khep_twin.ports.ration import Ration
 _BACKLOG = 8
 
 _SILENT_S, _PROBE_S, _PROBES = 10, 5, 3
-"""A host that is silent for so long is asked whether it is there, so often, before it is taken to be gone."""
+"""Silence after which a host is probed [s], interval of probes [s], and probes until it counts as gone."""
 
 
 class TcpPort:
-    """A `Cable`: a TCP server for one host at a time.
+    """A `Cable` that is a TCP server for one host at a time.
 
     Args:
-        host: name or address to listen at.
-        port: its number; 0 for any free one.
-        rfc2217: whether settings of the line are negotiated.
-        baud: speed of the robot's line.
+        host: Name or address to listen at.
+        port: Port number; 0 for any free one.
+        rfc2217: Negotiate line settings.
+        baud: Speed of the robot's line [baud].
 
     Attributes:
         path: URL that pyserial opens.
 
     Raises:
-        PortError: nothing can listen there.
+        PortError: The address cannot be listened at.
     """
 
     def __init__(self, host: str, port: int, *, rfc2217: bool = False, baud: int = 9600) -> None:
@@ -58,21 +58,21 @@ class TcpPort:
 
     @property
     def occupied(self) -> bool:
-        """Whether a host is connected."""
+        """True if a host is connected."""
         return self._host is not None
 
     @property
     def dropped(self) -> int:
-        """Bytes that no host took in time."""
+        """Number of bytes that no host took in time."""
         return self._dropped + (0 if self._host is None else self._host.dropped)
 
     def descriptors(self, room: bool) -> Sequence[int]:
-        """What becomes readable when a host comes, goes or, if there is room for it, writes."""
+        """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
         host = self._host.descriptor if self._host is not None and room else None
         return [self._server.fileno(), *([] if host is None else [host])]
 
     def settings(self) -> LineSettings | None:
-        """How the host has set its end; None without RFC 2217."""
+        """Return the line settings of the host; None without RFC 2217."""
         return None if self._host is None else self._host.settings()
 
     def receive(self, limit: int, answered: bool = False) -> Received:
@@ -110,7 +110,7 @@ class TcpPort:
             self._host.write(data)
 
     def close(self) -> None:
-        """Ends the connection and listens no more."""
+        """End the connection and stop listening."""
         if self._host is not None:
             self._host.close()
             self._host = None
@@ -140,19 +140,19 @@ class TcpPort:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """HOST:PORT in words; the host of `:PORT` is this machine only.
+    """Split HOST:PORT; the host of `:PORT` is this machine only.
 
     Raises:
-        PortError: it is written in another way.
+        PortError: The text has another form.
     """
     host, colon, port = text.rpartition(":")
     if not colon or not port.isdigit() or int(port) > 65535:
-        raise PortError(f"{text}: right is HOST:PORT, such as 127.0.0.1:5000, or port 0 for any free one")
+        raise PortError(f"{text}: expected HOST:PORT, such as 127.0.0.1:5000, or port 0 for any free one")
     return host.strip("[]") or "127.0.0.1", int(port)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach an address."""
+    """Return whether only this machine can reach an address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -160,7 +160,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _ask_silent_hosts(server: socket.socket) -> None:
-    """Let the system find out that a host has vanished without a word, as by a cable pulled out."""
+    """Let the system detect a host that vanished without closing, as by a cable pulled out."""
     server.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in (("IDLE", _SILENT_S), ("INTVL", _PROBE_S), ("CNT", _PROBES)):
         if option := getattr(socket, f"TCP_KEEP{name}", None):

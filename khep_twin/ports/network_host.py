@@ -1,8 +1,8 @@
-"""The host at a network port: what it has sent and what waits for it, until it has left.
+"""The host at a network port: bytes that it has sent and that wait for it, until it has left.
 
 Hosts of the network call `recv` once and take what they get for a whole reply. So bytes are held back until
 their line is complete and leave in one piece, at the time at which its last byte has arrived. Replies of
-several lines, such as the banner, leave line by line. A line whose end never comes leaves after a moment's
+several lines, such as the banner, leave line by line. A line without an end leaves after a moment's
 silence.
 
 TCP says when a host will send no more, not whether it still reads: a closed connection looks as a half-closed
@@ -26,7 +26,7 @@ WAITING_LIMIT = 16384
 """Bytes behind which a host's leaving cannot be seen; one that has so many waiting gives way to the next."""
 
 LAST_LIMIT = 4096
-"""Most bytes that are carried out of a host that has left: what the buffer of a PC's serial port holds."""
+"""Most bytes of a host that has left that are carried out: the size of a PC's serial buffer."""
 
 LONGEST_LINE = 512
 """Bytes that are held back at most; the camera's 64 values are shorter."""
@@ -35,7 +35,7 @@ SILENCE = 0.1
 """Wall time after the last byte at which a line that has not ended leaves all the same [s]."""
 
 _MOST_RETRANSMISSIONS = 7
-"""Packets are sent again so often, for half a minute, before a host is taken to have vanished.
+"""Retransmissions, for half a minute, before a host is taken to have vanished.
 
 The system alone goes on for a quarter of an hour.
 """
@@ -45,15 +45,15 @@ class NetworkHost:
     """One host at a network port.
 
     Args:
-        client: its connection.
-        address: where it is.
-        baud: speed of the robot's line, for a host that negotiates settings by RFC 2217; else None.
+        client: Connection to the host.
+        address: Address of the host.
+        baud: Speed of the robot's line, for a host that negotiates settings by RFC 2217; else None.
 
     Attributes:
-        address: where it is.
-        lost: its connection is gone: reset, broken, or given up for a fault.
-        fault: why it was given up; empty if it was not.
-        dropped: bytes that it did not take in time.
+        address: Address of the host.
+        lost: True if its connection is gone: reset, broken, or given up for a fault.
+        fault: Reason why it was given up; empty if it was not.
+        dropped: Number of bytes that it did not take in time.
     """
 
     def __init__(self, client: socket.socket, address: str, baud: int | None) -> None:
@@ -72,16 +72,16 @@ class NetworkHost:
 
     @property
     def descriptor(self) -> int | None:
-        """What becomes readable when it sends or leaves; None when it has finished sending."""
+        """Descriptor that becomes readable when it sends or leaves; None when it has finished sending."""
         return None if self._finished else self._client.fileno()
 
     @property
     def done(self) -> bool:
-        """Whether it has finished sending, and nothing from it or for it waits here."""
+        """True if it has finished sending, and nothing from it or for it waits here."""
         return self._finished and not (self._ahead or self._line or self._waiting)
 
     def settings(self) -> LineSettings | None:
-        """Return how it has set its end; None without RFC 2217."""
+        """Return its line settings; None without RFC 2217."""
         return None if self._negotiator is None else self._negotiator.settings()
 
     def look(self) -> None:
@@ -99,7 +99,7 @@ class NetworkHost:
 
     @property
     def overfull(self) -> bool:
-        """Whether so much of it waits here that its leaving could not be seen."""
+        """True if so much of it waits here that its leaving could not be seen."""
         return len(self._ahead) >= WAITING_LIMIT
 
     def take(self, limit: int) -> bytes:
@@ -119,7 +119,7 @@ class NetworkHost:
         return data
 
     def rest(self) -> bytes:
-        """Return what a host that has left had sent, as much as is carried out of it."""
+        """Return the bytes of a host that has left, as many as are carried out."""
         return self.take(LAST_LIMIT)
 
     def write(self, data: bytes) -> None:
@@ -167,7 +167,7 @@ class NetworkHost:
 
 
 def _retransmissions(client: socket.socket) -> int:
-    """Return how often the packet under way was sent again; 0 where the system does not tell."""
+    """Return how often the packet under way was sent again; 0 where the system does not report it."""
     option = getattr(socket, "TCP_INFO", None)
     # The third byte of Linux's struct tcp_info.
     return 0 if option is None else client.getsockopt(socket.IPPROTO_TCP, option, 3)[2]

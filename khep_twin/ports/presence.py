@@ -1,4 +1,4 @@
-"""Hosts that hold a pseudo-terminal open, by the kernel's own word.
+"""Hosts that hold a pseudo-terminal open, as the kernel reports them.
 
 A terminal whose host side is closed everywhere is hung up: that is the fact that decides. inotify tells when
 it is worth asking, and in which order hosts opened, wrote and closed; it merges equal events that follow each
@@ -103,7 +103,7 @@ class Presence:
         ask_until, self._ask_until = self._ask_until, None
         # The kernel says that somebody is here after the last closing.
         if Event.CLOSED in seen and n_followed == 0:
-            # It tells of a closing before that is done, so ask again; or events were merged.
+            # It reports a closing before that is done, so ask again; or events were merged.
             self._ask_until = ask_until or time.monotonic() + _CLOSING_S
             if time.monotonic() < self._ask_until:
                 self._later = seen + self._later
@@ -120,7 +120,7 @@ class Presence:
         return after
 
     def is_quiet(self) -> bool:
-        """Tell whether nobody has come, written or gone since the last look."""
+        """Return whether no host has come, written or gone since the last look."""
         if self._events is None:
             return self.hosts == int(self._held())
         return not self._later and not select.select([self._events.descriptor], [], [], 0)[0]

@@ -27,18 +27,18 @@ from khep_twin.errors import KhepTwinError, PortError, choices
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 _POLL_NS = 1_000_000
-"""What a poll costs on a line that takes no time [ns]."""
+"""Cost of a poll on a line that takes no time [ns]."""
 
 
 class TwinPortError(PortError, SerialException):
-    """A khep:// port that cannot be opened, in pyserial's own terms."""
+    """A khep:// port that cannot be opened; also a `SerialException` for pyserial's users."""
 
 
 class Serial(SerialBase):
     """A twin as a port of pyserial.
 
     Attributes:
-        twin: the world behind the port, its robot and its log, for those who want the truth.
+        twin: Twin behind the port, with its world, robot and log, for ground truth.
     """
 
     twin: Twin
@@ -50,17 +50,17 @@ class Serial(SerialBase):
 
     @classmethod
     def of(cls, twin: Twin, timeout: float | None = None) -> Self:
-        """A port to a twin that is there already."""
+        """Return a port to an open twin."""
         port = cls(baudrate=twin.robot.firmware.baud, timeout=timeout)
         port.port = f"khep://{twin.world.playpen.name}"
         port._connect(twin)
         return port
 
     def open(self) -> None:
-        """Opens the twin that the URL describes.
+        """Open the twin that the URL describes.
 
         Raises:
-            TwinPortError: the URL, the playpen or the log cannot be used.
+            TwinPortError: The URL, the playpen or the log cannot be used.
         """
         if self._port is None:
             raise TwinPortError("a port needs a URL before it can be opened, such as khep://default")
@@ -77,13 +77,13 @@ class Serial(SerialBase):
         self.is_open = True
 
     def close(self) -> None:
-        """Ends the twin and completes its log."""
+        """Close the twin and complete its log."""
         if self.is_open:
             self.is_open = False
             self.twin.close()
 
     def sleep(self, duration: float) -> None:
-        """Lets simulated time pass [s]."""
+        """Let simulated time pass [s]."""
         self._check_open()
         self.twin.advance_to(self.time_ns + to_ns(duration))
 
@@ -94,7 +94,7 @@ class Serial(SerialBase):
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes have arrived; a look at an empty line costs one byte time."""
+        """Number of bytes that have arrived; a look at an empty line costs one byte time."""
         self._check_open()
         if not self._uart.tx.arrived(self.time_ns):
             self._poll()
@@ -102,16 +102,16 @@ class Serial(SerialBase):
 
     @property
     def out_waiting(self) -> int:
-        """How many bytes have been written and not yet reached the robot."""
+        """Number of bytes that have been written and not yet reached the robot."""
         self._check_open()
         return len(self._uart.rx) - self._uart.rx.arrived(self.time_ns)
 
     def read(self, size: int = 1) -> bytes:
-        """Reads up to `size` bytes, waiting for them in simulated time up to the timeout."""
+        """Read up to `size` bytes, waiting for them in simulated time up to the timeout."""
         return self._read(lambda: size if len(self._uart.tx) >= size else None, size)
 
     def read_until(self, expected: bytes = b"\n", size: int | None = None) -> bytes:
-        """Reads up to and with `expected`, or `size` bytes, or until the timeout."""
+        """Read up to and with `expected`, or `size` bytes, or until the timeout."""
         tx = self._uart.tx
 
         def wanted() -> int | None:
@@ -123,14 +123,14 @@ class Serial(SerialBase):
         return self._read(wanted, size)
 
     def readline(self, size: int | None = -1, /) -> bytes:
-        """Reads a line with its line feed, or until the timeout."""
+        """Read a line with its line feed, or until the timeout."""
         return self.read_until(size=None if size is None or size < 0 else size)
 
     def write(self, data: Any, /) -> int:
-        """Puts bytes on the line; waits, as a real port does, only while the line's queue is full.
+        """Write bytes to the line; wait, as a real port does, only while the line's queue is full.
 
         Raises:
-            SerialTimeoutException: it was full until the write timeout was over.
+            SerialTimeoutException: The queue was full until the write timeout was over.
         """
         self._check_open()
         self._compare_line()
@@ -151,23 +151,23 @@ class Serial(SerialBase):
         return len(data) - len(rest)
 
     def flush(self) -> None:
-        """Waits until everything written has reached the robot."""
+        """Wait until everything written has reached the robot."""
         self._check_open()
         last_ns = self._uart.rx.arrival(len(self._uart.rx)) or 0
         self.twin.advance_to(max(last_ns, self.time_ns))
 
     def reset_input_buffer(self) -> None:
-        """Forgets what has arrived and was not read."""
+        """Discard bytes that have arrived and were not read."""
         self._check_open()
         self._uart.tx.read(self.time_ns)
 
     def reset_output_buffer(self) -> None:
-        """Takes back what has not reached the robot yet."""
+        """Discard bytes that have not reached the robot yet."""
         self._check_open()
         self.twin.robot.take_back()
 
     def _read(self, wanted: Callable[[], int | None], limit: int | None) -> bytes:
-        """Waits until as many bytes as `wanted` says have arrived, and takes them."""
+        """Wait until as many bytes as `wanted` returns have arrived, and take them."""
         self._check_open()
         if limit is not None and limit <= 0:
             return b""
@@ -195,7 +195,7 @@ class Serial(SerialBase):
         return tx.read(self.time_ns, limit if count is None else count)
 
     def _poll(self) -> None:
-        """Let pass what a look at an empty line costs."""
+        """Let the time pass that a look at an empty line costs."""
         self.twin.advance_to(self.time_ns + (self._uart.tx.byte_ns or _POLL_NS))
 
     def _check_open(self) -> None:
@@ -203,7 +203,7 @@ class Serial(SerialBase):
             raise PortNotOpenError()
 
     def _compare_line(self) -> None:
-        """Lets the host's speed be felt, and warns once where it is not the robot's."""
+        """Apply the host's speed, and warn once where it is not the robot's."""
         robot = self.twin.robot
         notice = robot.compare_line(LineSettings(self._baudrate, 2 if self._stopbits > 1 else 1))
         if notice:
@@ -211,55 +211,55 @@ class Serial(SerialBase):
             warnings.warn(f"{self._port}: {notice}", stacklevel=3)
 
     def _reconfigure_port(self) -> None:
-        """The speed is felt from the next byte on; parity and flow control are as the robot has them."""
+        """Apply the speed from the next byte on; parity and flow control are as the robot has them."""
 
     def _update_rts_state(self) -> None:
-        """The robot's line has no such wire."""
+        """Do nothing: the robot's line has no such wire."""
 
     def _update_dtr_state(self) -> None:
-        """The robot's line has no such wire."""
+        """Do nothing: the robot's line has no such wire."""
 
     def _update_break_state(self) -> None:
-        """The robot takes no notice."""
+        """Do nothing: the robot ignores a break."""
 
     @property
     def cts(self) -> bool:
-        """Always ready: the line has no flow control."""
+        """True: the line has no flow control."""
         return True
 
     @property
     def dsr(self) -> bool:
-        """Always ready."""
+        """True: the robot is always ready."""
         return True
 
     @property
     def ri(self) -> bool:
-        """Never rings."""
+        """False: the line has no ring signal."""
         return False
 
     @property
     def cd(self) -> bool:
-        """Always connected."""
+        """True: the robot is always connected."""
         return True
 
 
 def parse_url(url: str) -> tuple[str, TwinOptions]:
-    """The playpen and the options that a khep:// URL names.
+    """Return the playpen and the options that a khep:// URL names.
 
     Raises:
-        TwinPortError: the URL has another scheme, no playpen, or an option that is unknown or wrong.
+        TwinPortError: The URL has another scheme, no playpen, or an option that is unknown or wrong.
     """
     try:
         parts = urlsplit(url)
     except ValueError as error:
         raise TwinPortError(f"{url}: no URL: {error}") from None
     if parts.fragment:
-        raise TwinPortError(f"{url}: '#' ends a URL; right is %23 in its place")
+        raise TwinPortError(f"{url}: '#' ends a URL; expected %23 in its place")
     if parts.scheme != "khep":
-        raise TwinPortError(f"{url}: the URL of a twin starts with khep://, such as khep://default")
+        raise TwinPortError(f"{url}: another scheme; expected khep://, such as khep://default")
     playpen = unquote(parts.netloc + parts.path)
     if not playpen:
-        raise TwinPortError(f"{url}: no playpen named; right is a name or a path, such as khep://default")
+        raise TwinPortError(f"{url}: no playpen named; expected a name or a path, such as khep://default")
     values: dict[str, Any] = {}
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key not in _OPTIONS:
@@ -270,19 +270,19 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
         try:
             values[_NAMES.get(key, key)] = convert(value)
         except (KeyError, ValueError):
-            raise TwinPortError(f"{url[:200]}: {key} = {value[:40]!r}: right is {wish}") from None
+            raise TwinPortError(f"{url[:200]}: {key} = {value[:40]!r}; expected {wish}") from None
     return playpen, TwinOptions(**values)
 
 
 def _whole(text: str) -> int:
-    """A whole number in plain digits, of sensible length."""
+    """Return the integer in plain digits, of sensible length."""
     if not re.fullmatch("-?[0-9]{1,20}", text):
         raise ValueError(text)
     return int(text)
 
 
 def _minutes(text: str) -> float:
-    """A plain number of minutes."""
+    """Return a plain number of minutes."""
     minutes = float(text) if re.fullmatch(r"[0-9]{1,4}(\.[0-9]{1,9})?", text) else 1001.0
     if minutes > 1000:
         raise ValueError(text)
@@ -290,17 +290,17 @@ def _minutes(text: str) -> float:
 
 
 def _digit(text: str) -> int:
-    """One hexadecimal digit."""
+    """Return the value of one hexadecimal digit."""
     if not re.fullmatch("[0-9A-Fa-f]", text):
         raise ValueError(text)
     return int(text, 16)
 
 
 _NAMES = {"fault": "faults"}
-"""Options that the URL calls otherwise than `TwinOptions`."""
+"""Options whose names in the URL differ from those in `TwinOptions`."""
 
 _OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
-    "seed": (_whole, "a whole number from 0 to 2**63-1"),
+    "seed": (_whole, "an integer from 0 to 2**63-1"),
     "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
     "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
     "spread": ({"on": True, "off": False}.__getitem__, "on or off"),

@@ -1,6 +1,6 @@
 """A pseudo-terminal as the far end of a serial cable.
 
-The terminal is raw before anybody can know its name: a fresh one would echo the robot's replies back to it as
+The terminal is raw before its name is known: a fresh one would echo the robot's replies back to it as
 commands. One descriptor of the host's side stays open here, so that the terminal outlives its hosts; what a
 host leaves behind (settings, a lock, unread replies) is cleared away when the last one closes it, as a cable
 would; `presence` knows when that is.
@@ -47,28 +47,28 @@ _UNFINISHED = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
 """Line that another one follows without an end between: commands begin with a capital letter."""
 
 _CROWDED_S = 0.1
-"""Time that several hosts must be there before it is told, as tools such as stty come and go [s]."""
+"""Time that several hosts must be there before it is reported, as tools such as stty come and go [s]."""
 
 _IN_A_MOMENT = "a host came in the moment another left: it may have got replies meant for that one"
 
 
 class PtyPort:
-    """A `Cable`: a pseudo-terminal, under its own name and, if wanted, a link.
+    """A `Cable` that is a pseudo-terminal, under its own name and, if wanted, a link.
 
     Args:
-        link: path of a symbolic link to the terminal; our own leftovers are replaced, anything else is left
+        link: Path of a symbolic link to the terminal; our own leftovers are replaced, anything else is left
             alone.
-        baud: speed that the terminal has before a host sets its own.
+        baud: Speed that the terminal has before a host sets its own [baud].
 
     Attributes:
-        name: the terminal's own name, such as /dev/pts/7.
-        descriptor: this side of it, for `select`.
-        path: what a host opens: the link, or the terminal's own name.
-        dropped: bytes that no host took in time.
-        occupied: whether a host has it open.
+        name: Name of the terminal, such as /dev/pts/7.
+        descriptor: Descriptor of this side, for `select`.
+        path: Path that a host opens: the link, or the terminal's own name.
+        dropped: Number of bytes that no host took in time.
+        occupied: True if a host has it open.
 
     Raises:
-        PortError: there is no terminal, or the link cannot be made.
+        PortError: There is no terminal, or the link cannot be made.
     """
 
     def __init__(self, link: str | Path | None = None, baud: int = 9600) -> None:
@@ -86,7 +86,7 @@ class PtyPort:
         self._presence = Presence(self.descriptor, host_side, open_events(self.name))
         self._crowded_since: float | None = None
         self._given = 0  # bytes written since the last look
-        self._early = False  # bytes were read before the event that tells of them
+        self._early = False  # bytes were read before the event that reports them
         self._link = None
         if link is not None:
             try:
@@ -106,16 +106,16 @@ class PtyPort:
 
     @property
     def occupied(self) -> bool:
-        """Whether a host has it open."""
+        """True if a host has it open."""
         return self._presence.hosts > 0
 
     def descriptors(self, room: bool) -> Sequence[int]:
-        """What becomes readable when a host comes, goes or, if there is room for it, writes."""
+        """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
         events = self._presence.descriptor
         return [*([self.descriptor] if room else []), *([] if events is None else [events])]
 
     def settings(self) -> LineSettings | None:
-        """How the host has set its end; parity and data bits cannot be seen on a pseudo-terminal."""
+        """Return the line settings of the host; parity and data bits cannot be seen on a pseudo-terminal."""
         flags = termios.tcgetattr(self.descriptor)
         stop_bits = 2 if flags[_CONTROL] & termios.CSTOPB else 1
         speed = int(flags[_OUT_SPEED])
@@ -130,7 +130,7 @@ class PtyPort:
         n_before = change.writes_before - self._early
         self._early = (self._early or bool(data)) and not change.writes_before
         if not change.left:
-            # The writes that were just told of are counted with this call, so their bytes come with it, too.
+            # The writes that were just reported are counted with this call, so their bytes come with it, too.
             if change.writes_before:
                 data += self._read(limit - len(data))
             return Received(data, notices=self._crowd())
@@ -155,7 +155,7 @@ class PtyPort:
         return Received(data, left=True, last=last, notices=notices)
 
     def write(self, data: bytes) -> None:
-        """Sends to the host; what a host that never reads leaves no room for is dropped and counted."""
+        """Send to the host; drop and count what a host that never reads leaves no room for."""
         try:
             sent = os.write(self.descriptor, data)
         except BlockingIOError:
@@ -164,7 +164,7 @@ class PtyPort:
         self._given += sent
 
     def close(self) -> None:
-        """Takes the terminal away, and the link if it still is ours."""
+        """Close the terminal, and remove the link if it is still ours."""
         if self._link is not None:
             self._link.close()
             self._link = None
@@ -190,7 +190,7 @@ class PtyPort:
         return data
 
     def _clear(self) -> None:
-        """Put the terminal back to how the first host found it, with no replies on the way.
+        """Restore the terminal to how the first host found it, with no replies on the way.
 
         A host that comes meanwhile keeps the settings that it has made.
         """
@@ -203,7 +203,7 @@ class PtyPort:
         self._drop_replies()
 
     def _drop_replies(self) -> int:
-        """Take back replies that no host has read; return the number of bytes."""
+        """Flush replies that no host has read; return the number of bytes."""
         host_side = self._presence.host_side
         unread = struct.unpack("i", fcntl.ioctl(host_side, termios.FIONREAD, bytes(4)))[0]
         # They may be on the way to the host side's buffer, or in it.
@@ -212,7 +212,7 @@ class PtyPort:
         return unread
 
     def _crowd(self) -> Sequence[str]:
-        """Tell, once, that several hosts are here for a while."""
+        """Return a notice, once, if several hosts are here for a while."""
         if self._presence.hosts < 2:
             self._crowded_since = None
             return ()
@@ -244,7 +244,7 @@ def _divided(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
 
     The kernel keeps no border between them. Where both have written, a host that has just come is taken to
     have written a line at a time. What is no text has no lines; all of it is taken for that host's, whose
-    write may not have been told of yet.
+    write may not have been reported yet.
 
     Args:
         data: Bytes of both.

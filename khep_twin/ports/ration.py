@@ -1,4 +1,4 @@
-"""A bound on what hosts can make a server say."""
+"""A bound on the notices that hosts can make a server print."""
 
 import time
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ _INTERVAL = 10.0
 
 
 class Ration:
-    """Lets notices through, ten at once and six a minute: no host fills the log or blocks standard error."""
+    """Rate limit of notices, ten at once and six a minute: no host fills the log or blocks standard error."""
 
     def __init__(self) -> None:
         self._room = float(_AT_ONCE)
@@ -19,7 +19,7 @@ class Ration:
         self._untold = 0
 
     def told(self, notices: Iterable[str]) -> list[str]:
-        """Return the notices that are to be told; the next one says how many were not."""
+        """Return the notices to be printed; the next one gives the number of those that were not."""
         now = time.monotonic()
         self._room = min(self._room + (now - self._since) / _INTERVAL, _AT_ONCE)
         self._since = now

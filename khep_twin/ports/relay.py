@@ -1,7 +1,7 @@
-"""A tap on a real robot: a cable with a listener in the middle.
+"""A relay to a real robot: a cable with a recorder in the middle.
 
-Host and robot speak with each other as if the relay were not there, at the speed that the host sets; what
-either says is passed on as it comes, and noted with its time.
+Host and robot communicate as if the relay were not there, at the speed that the host sets; the bytes of
+both are passed on as they come, and recorded with their times.
 """
 
 # pyserial is not typed.
@@ -28,7 +28,7 @@ _CHUNK = 1024
 """Most bytes passed on at once."""
 
 _POLL = 0.001
-"""How often a port that cannot wake the loop is looked at [s]."""
+"""Interval at which a port that cannot wake the loop is polled [s]."""
 
 _PAUSE_S = 0.02
 """Silence after the last reply that was due, before the next host may speak [s]."""
@@ -50,21 +50,21 @@ class Device:
     """A robot's own port, as pyserial opens it.
 
     Args:
-        url: a device such as /dev/ttyUSB0, or a URL of pyserial's.
-        baud: speed of the robot's line.
+        url: Device such as /dev/ttyUSB0, or URL of pyserial's.
+        baud: Speed of the robot's line [baud].
 
     Attributes:
-        url: what was opened.
-        descriptor: for `select`; None where the port has none.
+        url: URL that was opened.
+        descriptor: Descriptor for `select`; None where the port has none.
 
     Raises:
-        PortError: it cannot be opened, or is no robot's.
+        PortError: The port cannot be opened, or is no robot's.
     """
 
     def __init__(self, url: str, baud: int) -> None:
         self.url = url
         if url.startswith("khep:"):
-            raise PortError(f"{url}: a twin needs no relay; right is khep-twin serve PLAYPEN")
+            raise PortError(f"{url}: a twin needs no relay; expected khep-twin serve PLAYPEN")
         try:
             self._port: Any = serial.serial_for_url(
                 url, baud, stopbits=serial.STOPBITS_TWO, timeout=0, exclusive=True
@@ -81,7 +81,7 @@ class Device:
             self.descriptor = None
 
     def follow(self, host: LineSettings) -> str:
-        """Sets the line as the host has set its own; returns what is to be told of it, empty if nothing."""
+        """Apply the host's line settings to the line; return the notice about it, empty if there is none."""
         stop_bits = serial.STOPBITS_TWO if host.stop_bits == 2 else serial.STOPBITS_ONE
         if not host.baud or (host.baud, stop_bits) == (self._port.baudrate, self._port.stopbits):
             return ""
@@ -93,14 +93,14 @@ class Device:
 
     @property
     def baud(self) -> int:
-        """Speed of the robot's line."""
+        """Speed of the robot's line [baud]."""
         return self._port.baudrate
 
     def read(self) -> bytes:
-        """What has come from the robot.
+        """Return the bytes that have come from the robot.
 
         Raises:
-            PortError: the port has gone.
+            PortError: The port has gone.
         """
         try:
             return self._port.read(_CHUNK if self.descriptor is not None else self._port.in_waiting)
@@ -108,10 +108,10 @@ class Device:
             raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
     def write(self, data: bytes) -> int:
-        """Sends to the robot; returns how many bytes the port took.
+        """Send to the robot; return how many bytes the port took.
 
         Raises:
-            PortError: the port has gone.
+            PortError: The port has gone.
         """
         try:
             return self._port.write(data) or 0
@@ -120,14 +120,14 @@ class Device:
 
     @property
     def unsent(self) -> int:
-        """Number of bytes that the port has taken and not sent yet, where it can tell."""
+        """Return the number of bytes that the port has taken and not sent yet, where it reports that."""
         try:
             return self._port.out_waiting if isinstance(self._port, serial.Serial) else 0
         except (serial.SerialException, OSError) as error:
             raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
     def close(self) -> None:
-        """Gives it back."""
+        """Close the port."""
         self._port.close()
 
 
@@ -139,17 +139,17 @@ def relay(
     stop: Callable[[], bool],
     tell: Callable[[str], None],
 ) -> None:
-    """Lets a host talk to a robot until `stop` says so.
+    """Relay bytes between a host and a robot until `stop` returns True.
 
     Args:
-        device: where the robot is.
-        cable: where the host is.
-        recorder: hears what both say.
-        stop: asked once a turn.
-        tell: takes what somebody should see.
+        device: Port of the robot.
+        cable: Cable to the host.
+        recorder: Recorder of the bytes of both.
+        stop: Callback that is asked once a turn.
+        tell: Callback that takes notices for the user.
 
     Raises:
-        PortError: the robot's port failed.
+        PortError: The robot's port failed.
     """
 
     def note(text: str) -> None:
@@ -237,7 +237,7 @@ class _Dialogue:
 
     @property
     def answered(self) -> bool:
-        """Whether what was sent is answered, or will not be: the robot has been silent for long enough."""
+        """Return whether all is answered, or will not be: the robot has been silent for long enough."""
         now = time.monotonic()
         if self._device.unsent:
             self._quiet_since = max(self._quiet_since, now)
@@ -268,7 +268,7 @@ class _Lines:
 
 
 def _wait(device: Device, cable: Cable, room: bool, waiting: bool) -> None:
-    """Waits until there is something to pass on, and room for it."""
+    """Wait until there is something to pass on, and room for it."""
     descriptors = list(cable.descriptors(room))
     if device.descriptor is None:
         select.select(descriptors, [], [], _POLL)
@@ -278,6 +278,6 @@ def _wait(device: Device, cable: Cable, room: bool, waiting: bool) -> None:
 
 
 def since_now() -> Callable[[], int]:
-    """A clock of wall time that starts at 0 [ns]."""
+    """Return a clock of wall time that starts at 0 [ns]."""
     start_ns = time.monotonic_ns()
     return lambda: time.monotonic_ns() - start_ns

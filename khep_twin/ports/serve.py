@@ -1,4 +1,4 @@
-"""Serving a twin: one loop between a clock, the world and what its robots' hosts are connected to."""
+"""Serving a twin: one loop between a clock, the world and the cables of its robots' hosts."""
 
 import math
 import select
@@ -14,13 +14,13 @@ from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
 
 LONGEST_WAIT = 0.02
-"""After so much wall time the loop looks up, however slow the twin is: some hosts cannot wake it [s]."""
+"""Longest wall time between two turns of the loop, as some hosts cannot wake it [s]."""
 
 FLUSH_NS = NS_PER_S // 2
 """Wall time after which the log is on disk at the latest [ns]."""
 
 WIRE = 0.0
-"""As a speed: time is what the bytes on the line cost, and nothing else."""
+"""Speed of the wire clock: only the bytes on the line take time."""
 
 
 def serve(
@@ -31,17 +31,17 @@ def serve(
     stop: Callable[[], bool],
     tell: Callable[[str], None],
 ) -> Pacer:
-    """Lets hosts talk to the twin until `stop` says so.
+    """Connect hosts to the twin until `stop` returns True.
 
     Args:
-        twin: what is served.
-        cables: where the hosts of its robots are, one for each.
-        speed: simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
-        stop: asked once a turn.
-        tell: takes what somebody should see, such as a wrong speed of the line.
+        twin: Twin to serve.
+        cables: Cables to the hosts of its robots, one for each.
+        speed: Simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
+        stop: Callback that is asked once a turn.
+        tell: Callback that takes notices for the user, such as a wrong speed of the line.
 
     Returns:
-        The pacer, which knows how often and how much time had to be given up.
+        The pacer, with the number and sum of the times that had to be given up.
     """
     connections = [
         Connection(twin, robot, cable, tell) for robot, cable in zip(twin.robots, cables, strict=True)
@@ -65,7 +65,7 @@ def _serve_by_clock(
     timer: Timer,
     stop: Callable[[], bool],
 ) -> None:
-    """Time passes with the clock on the wall, or as fast as it can without a pacer."""
+    """Advance with the wall clock, or as fast as possible without a pacer."""
     world = twin.world
     flush = Flush(twin.recorder)
     while not stop():
@@ -85,7 +85,7 @@ def _serve_by_clock(
 
 
 def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
-    """Time stands still but for bytes: those of a command, and those of its reply, which comes at once."""
+    """Advance only for bytes: those of a command, and those of its reply, which comes at once."""
     flush = Flush(twin.recorder)
     while not stop():
         _wait(connections, LONGEST_WAIT)
@@ -105,7 +105,7 @@ def _wait(
     pacer: Pacer | None = None,
     next_ns: int = 0,
 ) -> None:
-    """Waits for bytes, for hosts that come or go, or until a simulated time is due."""
+    """Wait for bytes, for hosts that come or go, or until a simulated time is due."""
     descriptors = [descriptor for each in connections for descriptor in each.descriptors()]
     wait = min(max(duration, 0.0), LONGEST_WAIT)
     if wait and timer is not None and pacer is not None and timer.descriptor is not None:
@@ -118,22 +118,22 @@ def _wait(
 
 
 class Log(Protocol):
-    """What has to be on disk now and then."""
+    """A log that is flushed to disk now and then."""
 
     def flush(self) -> None:
-        """Hands everything so far to the file system."""
+        """Write everything so far to the file system."""
         ...
 
 
 class Flush:
-    """Hands a log, if there is one, to the file system each FLUSH_NS of wall time."""
+    """Flush of a log, if there is one, to the file system each FLUSH_NS of wall time."""
 
     def __init__(self, log: Log | None) -> None:
         self._log = log
         self._flushed_ns = time.monotonic_ns()
 
     def __call__(self) -> None:
-        """Flushes if it is time to."""
+        """Flush if it is time to."""
         if self._log is not None and time.monotonic_ns() - self._flushed_ns > FLUSH_NS:
             self._log.flush()
             self._flushed_ns = time.monotonic_ns()

@@ -1,4 +1,4 @@
-"""Who serves what on this machine: a note of each server in a private directory, locked while it lives."""
+"""Registry of servers on this machine: a note of each in a private directory, locked while it runs."""
 
 import fcntl
 import os
@@ -17,14 +17,14 @@ _ENDING = ".served"
 
 @contextmanager
 def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
-    """Lets `served` find these ports, as long as this goes on.
+    """Register these ports for `served` within the context.
 
     Args:
-        paths: what hosts open, for each robot.
-        what: is served, in a word: a playpen or a device.
+        paths: Paths or URLs that hosts open, one for each robot.
+        what: Name of what is served: a playpen or a device.
 
     Raises:
-        PortError: there is no directory for the note.
+        PortError: There is no directory for the note.
     """
     folder = private_folder()
     for note in folder.glob(f"*{_ENDING}"):
@@ -48,10 +48,10 @@ def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
 
 
 def served() -> list[tuple[str, str]]:
-    """The ports that living servers of this user offer: what hosts open, and what is served there.
+    """Return the ports that running servers of this user offer: path, and name of what is served there.
 
     Raises:
-        PortError: the private directory is none.
+        PortError: The private directory is none.
     """
     found: list[tuple[str, str]] = []
     for note in sorted(private_folder().glob(f"*{_ENDING}")):
@@ -62,7 +62,7 @@ def served() -> list[tuple[str, str]]:
 
 
 def _is_held(note: Path) -> bool:
-    """Whether its server lives."""
+    """Return whether the note's server is running."""
     try:
         with note.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -1,6 +1,6 @@
 """A twin ready to talk to: a world, the robot on the line and the log, put together from options.
 
-Every way in (khep://, serve) and the command line describe a twin by the same options, so that the same
+Every port (khep://, serve) and the command line describe a twin by the same options, so that the same
 words give the same run.
 """
 
@@ -25,21 +25,21 @@ from khep_twin.world import World
 
 @dataclass(frozen=True, slots=True)
 class TwinOptions:
-    """How a playpen is brought to life; what is None stays as the playpen has it.
+    """Options of a simulated playpen; those that are None stay as the playpen has them.
 
     Attributes:
-        seed: of every chance.
-        robot: which of the playpen's robots is on the line; None for all of them.
-        noise: whether sensors are noisy.
-        spread: whether the robots' sensors are drawn anew around their calibration.
-        rom: version of the robot's firmware.
-        mode: its running mode, which sets the line's speed.
-        battery_used_min: minutes that it has run on its cells at start [min].
-        unpaced: lets bytes cross the line in no time.
-        strict_line: garbles the bytes of a host whose line is set to another speed than the robot's.
-        faults: that happen to the robots, in the words of `khep_twin.board.fault_injection`.
-        log: file to record the run in.
-        model: the robot's body, with its sensors and, unless `rom` is given, its firmware.
+        seed: Seed of every random stream.
+        robot: Number of the robot on the line; None for all of them.
+        noise: Add noise to the sensors.
+        spread: Draw the robots' sensors anew around their calibration.
+        rom: Version of the robot's firmware.
+        mode: Running mode, which sets the line's speed.
+        battery_used_min: Time that the robot has run on its cells at start [min].
+        unpaced: Let bytes cross the line in no time.
+        strict_line: Garble the bytes of a host whose line is set to another speed than the robot's.
+        faults: Faults of the robots, in the syntax of `khep_twin.board.fault_injection`.
+        log: File to record the run in.
+        model: Robot's body, with its sensors and, unless `rom` is given, its firmware.
     """
 
     seed: int = 0
@@ -56,12 +56,12 @@ class TwinOptions:
     model: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuses values that no playpen allows."""
+        """Raise a `PortError` for values that no playpen allows."""
         if not 0 <= self.seed < SEED_LIMIT:
-            raise PortError(f"seed = {self.seed}: right is a whole number from 0 to 2**63-1")
+            raise PortError(f"seed = {self.seed}; expected an integer from 0 to 2**63-1")
         used_min = self.battery_used_min
         if used_min is not None and not 0 <= used_min <= 1000:
-            raise PortError(f"battery_used_min = {used_min}: right is 0 to 1000")
+            raise PortError(f"battery_used_min = {used_min}; expected 0 to 1000")
         if self.rom is not None and self.rom not in ROMS:
             raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
         if self.model is not None and self.model not in MODELS:
@@ -72,11 +72,11 @@ class Twin:
     """A world with robots on the line.
 
     Attributes:
-        world: all of it.
-        robots: those on the line.
-        robot: the first of them.
-        options: how it was brought to life.
-        recorder: its log, None without.
+        world: World of the robots.
+        robots: Robots on the line.
+        robot: First of them.
+        options: Options that it was opened with.
+        recorder: Recorder of its log; None without.
     """
 
     def __init__(self, world: World, robots: tuple[Robot, ...], options: TwinOptions) -> None:
@@ -95,7 +95,7 @@ class Twin:
         self.close()
 
     def advance_to(self, time_ns: int) -> None:
-        """Lets time pass until `time_ns`."""
+        """Advance the simulation to `time_ns`."""
         self.world.advance_to(time_ns)
 
     def record(
@@ -106,17 +106,17 @@ class Twin:
         attachments: Mapping[str, str] | None = None,
         carry_on: Callable[[str], None] | None = None,
     ) -> None:
-        """Records the run from here on.
+        """Record the run from here on.
 
         Args:
-            path: of the finished log, by custom NAME.mcap.
-            facts: about the run besides those that the twin knows, such as what drives it.
-            attachments: texts by name besides the twin's own.
-            carry_on: takes the line about a log that cannot be written any more, and the run goes on without
-                it; None ends the run by a `LogError`.
+            path: Path of the finished log, by custom NAME.mcap.
+            facts: Facts about the run besides those that the twin knows, such as what drives it.
+            attachments: Texts by name besides the twin's own.
+            carry_on: Callback that takes the line about a log that cannot be written any more; the run goes
+                on without it; None ends the run by a `LogError`.
 
         Raises:
-            LogError: the log cannot be written.
+            LogError: The log cannot be written.
         """
         # The log's own name is no part of the run: the same run gives the same bytes under any name.
         settings = {key: value for key, value in asdict(self.options).items() if key != "log"}
@@ -126,20 +126,20 @@ class Twin:
         self.world.add_tap(self.recorder)
 
     def close(self) -> None:
-        """Completes the log."""
+        """Complete the log."""
         if self.recorder is not None:
             self.recorder.close()
 
 
 def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
-    """Brings a playpen to life.
+    """Open a world for a playpen.
 
     Raises:
-        PlaypenError: the playpen cannot be used.
-        CalibrationError: a robot's calibration cannot be used.
-        PortError: the playpen has no such robot.
-        FaultError: there is no such fault.
-        LogError: the log cannot be written.
+        PlaypenError: The playpen cannot be used.
+        CalibrationError: A robot's calibration cannot be used.
+        PortError: The playpen has no such robot.
+        FaultError: There is no such fault.
+        LogError: The log cannot be written.
     """
     chosen, on_the_line = equipped(playpen, options)
     faults = tuple(parse(fault) for fault in options.faults)
@@ -159,11 +159,11 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
 
 
 def equipped(playpen: str | Path | Playpen, options: TwinOptions) -> tuple[Playpen, Sequence[int]]:
-    """A playpen whose robots are as the options have them, and which of them are on the line.
+    """Return a playpen whose robots are as the options have them, and the indices of those on the line.
 
     Raises:
-        PlaypenError: the playpen cannot be used.
-        PortError: the playpen has no such robot, or a robot cannot be like that.
+        PlaypenError: The playpen cannot be used.
+        PortError: The playpen has no such robot, or a robot cannot be like that.
     """
     chosen = playpen if isinstance(playpen, Playpen) else playpens.load(playpen)
     count = len(chosen.robots)

@@ -1,4 +1,4 @@
-"""Many lives at once, on all cores.
+"""Batched rollouts: many episodes at once, on all cores.
 
     from khep_twin import playpen
     from khep_twin.rollout.batch import rollout
@@ -9,9 +9,9 @@
     lives = rollout(playpen.load("looping-maze"), network, range(100), 60.0, genes=genes)
     print(lives.numbers["obstacle_avoidance"].max(), lives.failures)
 
-Each life depends on its own seed, genes, start and lamps alone: results are the same, bit for bit, with any
-number of threads, and the same as of a single `Life` on the same ground. Memory does not grow with the number
-of lives but for their results: every thread has room for one life and uses it again.
+Each episode depends on its own seed, genes, start and lamps alone: results are the same, bit for bit, with
+any number of threads, and the same as those of a single `Life` on the same ground. Only the results grow with
+the number of episodes: every thread has memory for one episode and reuses it.
 """
 
 import itertools
@@ -32,18 +32,18 @@ from khep_twin.rollout.life import NUMBERS, Ground, Life, Start, is_compiled
 from khep_twin.rollout.minds import Driver, Floats, Network, Policy
 
 LANES = 64
-"""So many lives a policy is asked about at once: enough for arrays to pay, and no more memory than that."""
+"""Episodes in one call of a policy: enough for arrays to pay, at a bounded use of memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A life that ended early.
+    """An episode that ended early.
 
     Attributes:
-        index: its place in the batch.
-        seed: its seed.
-        step: of the physics, at which it ended.
-        reason: in a line.
+        index: Index in the batch.
+        seed: Seed of the episode.
+        step: Physics step at which it ended.
+        reason: Reason, in one line.
     """
 
     index: int
@@ -54,13 +54,13 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Lives:
-    """What became of a batch of n lives.
+    """Results of a batch of n episodes.
 
     Attributes:
-        numbers: what each is measured by, not a number for those that failed, each (n,); `life.NUMBERS`.
-        registers: of each board at the end (n, N_REGISTERS).
-        poses: x, y [m] and heading [rad] at the end (n, 3).
-        failures: those that ended early, in the batch's order.
+        numbers: Metrics of the episodes by name (`life.NUMBERS`), NaN for those that failed, each (n,).
+        registers: Registers of each board at the end (n, N_REGISTERS).
+        poses: Final x, y [m] and heading [rad] (n, 3).
+        failures: Episodes that ended early, in the batch's order.
     """
 
     numbers: Mapping[str, Floats]
@@ -87,56 +87,55 @@ def rollout(
     threads: int | None = None,
     compiled: bool | None = None,
 ) -> Lives:
-    """Lives through a batch.
+    """Run a batch of episodes.
 
     Args:
-        playpen: with one robot; or ground that is made ready, which has its own step and period and is planar
-            or not.
-        driver: what drives all of them.
-        seeds: of the lives (n,).
-        seconds: how long each lasts [s], whole control periods.
-        genes: of each life's driver (n, n_genes).
-        starts: where each begins: x, y [mm] and heading [deg]; without, as in the playpen.
-        lamps: of each life; without, the playpen's.
-        noise: whether sensors are noisy.
-        spread: whether each life has the sensors of another robot, by its seed.
-        home: x, y, radius [mm] and how long a charge lasts [s], for the number "homing".
-        step_ns: of the physics [ns]: 2.5 ms as on the robot, or 5 or 10 ms; without, 2.5 ms, and 10 ms in a
+        playpen: Playpen with one robot, or a prepared ground, which sets step, period and planar itself.
+        driver: Controller of all episodes.
+        seeds: Seeds of the episodes (n,).
+        seconds: Duration of each episode [s], whole control periods.
+        genes: Genes of each episode's controller (n, n_genes).
+        starts: Start poses x, y [mm] and heading [deg]; by default the playpen's.
+        lamps: Lamps of each episode; by default the playpen's.
+        noise: Whether sensors are noisy.
+        spread: Whether each episode has the sensors of another robot, by its seed.
+        home: Home x, y, radius [mm] and duration of a charge [s], for the number "homing".
+        step_ns: Physics step [ns]: 2.5 ms as on the robot, or 5 or 10 ms; by default 2.5 ms, and 10 ms in a
             plane.
-        period_ns: of the controller [ns].
-        planar: whether robots move in a plane instead of MuJoCo, for screening.
-        threads: how many; without, as many as there are cores. Plain lives use one.
-        compiled: None for compiled where numba is installed.
+        period_ns: Control period [ns].
+        planar: Whether robots move in a plane instead of MuJoCo, for screening.
+        threads: Number of threads; by default one per core. Uncompiled episodes use one.
+        compiled: Whether to run compiled; None if numba is installed.
 
     Raises:
-        ValueError: genes, starts or lamps are not as many as seeds, or a number is out of its range.
-        ControllerError: genes do not fit the driver, or numba cannot compile it.
-        PlaypenError: the playpen has what lives cannot have.
+        ValueError: The number of genes, starts or lamps is not that of the seeds, or a value is out of range.
+        ControllerError: Genes do not fit the controller, or numba cannot compile it.
+        PlaypenError: The playpen has a feature that episodes without a serial line do not support.
     """
     fast = is_compiled(compiled)
     ground = _ground(playpen, step_ns, period_ns, planar)
     count = len(seeds)
     for name, given in (("genes", genes), ("starts", starts), ("lamps", lamps)):
         if given is not None and len(given) != count:
-            raise ValueError(f"{len(given)} {name} for {count} seeds; right are as many")
+            raise ValueError(f"{len(given)} {name} for {count} seeds; expected {count}")
     if isinstance(driver, Network) and genes is None:
-        raise ValueError(f"no genes for {driver}; right are ({count}, {driver.n_genes})")
+        raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
     weights = np.zeros((count, 0)) if genes is None else np.asarray(genes, np.float64)
     if weights.ndim != 2 or not np.isfinite(weights).all():
-        raise ValueError(f"genes are of shape {weights.shape}; right are finite numbers (n, n_genes)")
+        raise ValueError(f"genes of shape {weights.shape}; expected finite numbers (n, n_genes)")
     if threads is not None and threads < 1:
-        raise ValueError(f"{threads} threads; right is 1 or more")
+        raise ValueError(f"{threads} threads; expected 1 or more")
     for index, start in enumerate(() if starts is None else starts):
         _check(f"starts[{index}]", start, "x, y [mm] and heading [deg]", 3)
     for index, each in enumerate(() if lamps is None else lamps):
         if isinstance(each, Lamp):
-            raise ValueError(f"lamps[{index}] is one lamp; right is a list of lamps for each life")
+            raise ValueError(f"lamps[{index}] is one lamp; expected a list of lamps for each episode")
     ground.light.during(0, ground.periods(seconds) * ground.wiring.steps_per_period)
     place = (0.0,) * 4
     if home is not None:
-        _check("home", home, "x, y, radius [mm] and how long a charge lasts [s]", 4)
+        _check("home", home, "x, y, radius [mm] and duration of a charge [s]", 4)
         if home[2] <= 0 or home[3] <= 0:
-            raise ValueError(f"home = {home}: right are a radius and a charge above 0")
+            raise ValueError(f"home = {home}; expected a radius and a charge above 0")
         place = (units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3])
     results = _Results(count)
 
@@ -167,11 +166,11 @@ def rollout(
 
 
 def _ground(playpen: Playpen | Ground, step_ns: int | None, period_ns: int, planar: bool) -> Ground:
-    """The ground of a batch; one that is made ready stays as it is."""
+    """Return the ground of a batch, as it is if it is prepared already."""
     if isinstance(playpen, Playpen):
         return Ground(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar)
     if not isinstance(playpen, Ground):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise TypeError(f"playpen = {playpen!r}: right is a Playpen, such as playpen.load('obstacles')")
+        raise TypeError(f"playpen = {playpen!r}; expected a Playpen, such as playpen.load('obstacles')")
     given = (
         step_ns not in (None, playpen.step_ns)
         or period_ns not in (units.SCAN_NS, playpen.period_ns)
@@ -179,24 +178,24 @@ def _ground(playpen: Playpen | Ground, step_ns: int | None, period_ns: int, plan
     )
     if given:
         raise ValueError(
-            "the ground has its own step and period and is planar or not; right are step_ns, period_ns and "
-            "planar where it is made"
+            "step_ns, period_ns or planar given with a prepared ground, which has its own; expected them as "
+            "arguments of Ground"
         )
     return playpen
 
 
 def _check(name: str, numbers: Sequence[float], what: str, count: int) -> None:
-    """Refuses what are not so many finite numbers."""
+    """Raise a `ValueError` unless these are `count` finite numbers."""
     try:
         fits = np.shape(numbers) == (count,) and bool(np.isfinite(np.asarray(numbers, np.float64)).all())
     except (TypeError, ValueError):
         fits = False
     if not fits:
-        raise ValueError(f"{name} = {numbers!r}: right are {what}, {count} finite numbers")
+        raise ValueError(f"{name} = {numbers!r}; expected {what}, {count} finite numbers")
 
 
 class _Results:
-    """What is kept of each life."""
+    """Results collected from each episode."""
 
     def __init__(self, count: int) -> None:
         self.numbers = {name: np.full(count, np.nan) for name in NUMBERS}
@@ -205,7 +204,7 @@ class _Results:
         self.failures: list[Failure] = []
 
     def keep(self, index: int, seed: int, life: Life, failure: DivergedError | None) -> None:
-        """Keeps a life that has ended."""
+        """Store the results of an episode that has ended."""
         self.registers[index], self.poses[index] = life.registers, life.pose
         if failure is not None:
             self.failures.append(Failure(index, seed, life.steps, str(failure)))
@@ -214,7 +213,7 @@ class _Results:
             self.numbers[name][index] = value
 
     def lives(self) -> Lives:
-        """All of them."""
+        """Return all results."""
         failures = tuple(sorted(self.failures, key=lambda failure: failure.index))
         return Lives(self.numbers, self.registers, self.poses, failures)
 
@@ -227,7 +226,7 @@ def _share_out(
     seconds: float,
     results: _Results,
 ) -> None:
-    """Each room lives through whichever life is next; which one that is makes no difference."""
+    """Run the next episode on each free room; the assignment makes no difference."""
     turns = iter(range(len(seeds)))
 
     def work(life: Life) -> None:
@@ -244,7 +243,7 @@ def _share_out(
         for done in [pool.submit(work, life) for life in rooms]:
             done.result()
     finally:
-        # Whoever is interrupted waits for lives that have begun, not for all of them.
+        # On an interruption, wait for the episodes that have begun, not for all of them.
         for _ in turns:
             pass
 
@@ -260,7 +259,7 @@ def _live_together(
     ground: Ground,
     results: _Results,
 ) -> None:
-    """Lives go on side by side, from one control period to the next."""
+    """Run episodes side by side, one control period at a time."""
     failures: dict[int, DivergedError] = {}
 
     def attempt(index: int, deed: Callable[..., None], *given: Any) -> None:
@@ -291,10 +290,12 @@ def _live_together(
             speeds = np.asarray(decided, np.float64)
         except (TypeError, ValueError) as error:
             raise ValueError(
-                f"the policy gave what are no speeds: {error}; right is an array ({len(living)}, 2)"
+                f"the policy returned no speeds: {error}; expected an array ({len(living)}, 2)"
             ) from error
         if speeds.shape != (len(living), 2):
-            raise ValueError(f"the policy gave speeds of shape {speeds.shape}; right is ({len(living)}, 2)")
+            raise ValueError(
+                f"the policy returned speeds of shape {speeds.shape}; expected ({len(living)}, 2)"
+            )
         for (index, life), (left, right) in zip(living, speeds.tolist(), strict=True):
             attempt(index, life.drive, left, right)
         all_at_once(lambda _, life: life.go_on(steps))

@@ -1,7 +1,7 @@
 """The episode compiled by numba: one loop without the interpreter and its lock.
 
-Only imported where numba is installed. Compiling takes some ten seconds; numba keeps what it has compiled
-beside this file, or in the user's cache, for as long as no source has changed.
+Imported only where numba is installed. Compiling takes some ten seconds; numba caches the compiled code
+beside this file, or in the user's cache, until a source changes.
 """
 
 # numba is not typed.
@@ -31,7 +31,7 @@ from khep_twin.sensing import optics, raycast
 from khep_twin.status_line import announced
 
 SOURCES = (kernel, units, fitness, optics, raycast, networks, episode, compiled_casting, addresses)
-"""What is compiled."""
+"""Modules that are compiled."""
 
 _EPISODE = compiled_copy(
     episode,
@@ -47,7 +47,7 @@ _EPISODE = compiled_copy(
 
 
 def stamp_of(sources: tuple[ModuleType, ...]) -> int:
-    """What tells these sources from any others."""
+    """Return a hash of these sources and of the versions of numba and MuJoCo."""
     digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
     for module in sources:
         digest.update(Path(str(module.__file__)).read_bytes())
@@ -55,10 +55,10 @@ def stamp_of(sources: tuple[ModuleType, ...]) -> int:
 
 
 def stamped(function: Any, sources: tuple[ModuleType, ...]) -> Any:
-    """The function, by a name with the stamp of the sources that it calls.
+    """Return the function, renamed with the stamp of the sources that it calls.
 
-    numba keeps compiled code in a file of the function's name, and looks for changes in that function's own
-    source alone.
+    numba caches compiled code in a file of the function's name, and checks only that function's own source
+    for changes.
     """
     function.__qualname__ = f"{function.__name__}_{stamp_of(sources):x}"
     return function
@@ -100,11 +100,11 @@ advance: Any = announce_compilation(njit(nogil=True, cache=True)(stamped(_advanc
 
 @cache
 def address_of(function: Any) -> int:
-    """Where compiled code finds a controller.
+    """Return the address of a controller, for compiled code.
 
     Args:
-        function: of proximity (8,), ambient (8,), memory and genes, plain or by `numba.njit`; it returns left
-            and right speed [pulses/10 ms].
+        function: Function of proximity (8,), ambient (8,), memory and genes, plain or by `numba.njit`; it
+            returns left and right speed [pulses/10 ms].
 
     Raises:
         ControllerError: numba cannot compile it.
@@ -123,20 +123,20 @@ def address_of(function: Any) -> int:
                 carray(genes, (n_genes,)),
             )
             both[0], both[1] = left, right
-        except Exception:  # nothing can be raised through MuJoCo's loop: no speed is what tells of it
+        except Exception:  # nothing can be raised through MuJoCo's loop: NaN speeds report it
             pass
 
     signature = types.void(whole, real, types.int64, real, types.int64, real)
     try:
         decide = _within_bounds(function)
         made = cfunc(signature)(call)
-    # numba leaves it to Python to tell what is no function, or what a module does not have.
+    # numba leaves it to Python to report what is no function, or missing from a module.
     except (NumbaError, UnsupportedBytecodeError, TypeError, AttributeError) as error:
         name = getattr(function, "__name__", "controller")
         lines = [line for line in str(error).strip().splitlines() if not line.startswith(_GENERAL)]
         reason = lines[0].rstrip(":.") if lines else type(error).__name__
         raise ControllerError(
-            f"{name}: numba cannot compile it: {reason}; right is a function of proximity, ambient, memory "
+            f"{name}: numba cannot compile it: {reason}; expected a function of proximity, ambient, memory "
             "and genes that returns two numbers"
         ) from error
     _KEPT.append(made)
@@ -146,11 +146,11 @@ def address_of(function: Any) -> int:
 _KEPT: list[Any] = []
 
 _GENERAL = "Failed in nopython mode"
-"""How a line of numba's begins that tells nothing yet."""
+"""First words of a line of numba's that gives no reason yet."""
 
 
 def _within_bounds(function: Any) -> Any:
-    """A controller, compiled so that places beyond its arrays are errors, not whatever lies there."""
+    """Return a controller compiled with bounds checks on its arrays."""
     if not hasattr(function, "py_func"):
         return njit(boundscheck=True)(function)
     if function.targetoptions.get("boundscheck") is not None:

@@ -1,6 +1,6 @@
-"""`casting` for compiled code: the same questions to the scene, asked of MuJoCo by address.
+"""`raycast` for compiled code: the same queries of the scene, by the addresses of MuJoCo's functions.
 
-Only imported where numba is installed.
+Imported only where numba is installed.
 """
 
 # numba is not typed.
@@ -27,30 +27,30 @@ _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 
 
 class Scene(NamedTuple):
-    """A compiled scene as one robot's sensors see it; live arrays lie in MuJoCo's own memory.
+    """A compiled scene as one robot's sensors see it; live arrays are views of MuJoCo's own memory.
 
     Attributes:
-        calls: addresses of mj_step, the model, its state and mju_rayGeom.
-        body: of the robot, whose own rays go out of it.
-        frame: of that body, live (9,).
-        cameras: of the sensors (8,).
-        positions: of all cameras, live (n_cameras, 3) [m].
-        frames: of all cameras, live (n_cameras, 9).
-        solid: geoms that rays can hit, in MuJoCo's order (n_solid,).
-        kinds: their types (n_solid,).
-        extents: what each takes of the floor (n_solid, 8): centre x, y, cosine and sine of its angle, half
-            length and width, or radius and -1 [m], bottom and top [m]; the length is below 0 for one that is
-            not upright or may move.
-        bounds: radius of a ball around each (n_solid,) [m].
-        places: of all geoms, live (n_geoms, 3) [m].
-        turns: of all geoms, live (n_geoms, 9).
-        sizes: of all geoms (n_geoms, 3) [m].
-        reflectances: of all geoms (n_geoms,).
-        geoms: room for what rays hit (n_rays,).
-        ways: room for where one goes (3,).
-        normal: room for a surface's (3,).
-        few: points of a bulb (9, 2).
-        many: points of a bulb (64, 2).
+        calls: Addresses of mj_step, the model, its state and mju_rayGeom.
+        body: Body of the robot, which its own rays ignore.
+        frame: Rotation matrix of that body, live (9,).
+        cameras: Cameras of the sensors (8,).
+        positions: Positions of all cameras, live (n_cameras, 3) [m].
+        frames: Rotation matrices of all cameras, live (n_cameras, 9).
+        solid: Geoms that rays can hit, in MuJoCo's order (n_solid,).
+        kinds: Types of these geoms (n_solid,).
+        extents: Extents of these geoms (n_solid, 8): centre x, y, cosine and sine of the angle, half length
+            and width, or radius and -1 [m], bottom and top [m]; the length is below 0 for a geom that is not
+            upright or may move.
+        bounds: Radii of their bounding spheres (n_solid,) [m].
+        places: Positions of all geoms, live (n_geoms, 3) [m].
+        turns: Rotation matrices of all geoms, live (n_geoms, 9).
+        sizes: Sizes of all geoms (n_geoms, 3) [m].
+        reflectances: Reflectances of all geoms (n_geoms,).
+        geoms: Buffer for the geoms that rays hit (n_rays,).
+        ways: Buffer for a ray's direction (3,).
+        normal: Buffer for a surface normal (3,).
+        few: Few points of a bulb (9, 2).
+        many: Many points of a bulb (64, 2).
     """
 
     calls: NDArray[np.int64]
@@ -75,12 +75,12 @@ class Scene(NamedTuple):
 
 
 def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
-    """What the sensors of the robot with this prefix see; model and state must outlive it."""
+    """Return the scene of the robot with this prefix; model and state must outlive it."""
     body = model.body(prefix + "base").id
     cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
     slices = raycast.ray_slices(model, prefix)
     addresses = [function_address("mj_step"), model_address(model), data_address(data)]
-    # What is shown, but for the robot's own body.
+    # Visible geoms, except those of the robot's own body.
     solid = np.flatnonzero((model.geom_rgba[:, 3] > 0) & (model.geom_bodyid != body))
     return Scene(
         np.array([*addresses, function_address("mju_rayGeom")], np.int64),
@@ -106,7 +106,7 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
 
 
 def _extent(model: mujoco.MjModel, geom: int) -> list[float]:
-    """A row of `Scene.extents`."""
+    """Return a row of `Scene.extents`."""
     x, y, z = model.geom_pos[geom].tolist()
     w, qx, qy, qz = model.geom_quat[geom].tolist()
     size, kind = model.geom_size[geom].tolist(), int(model.geom_type[geom])
@@ -122,37 +122,37 @@ def _extent(model: mujoco.MjModel, geom: int) -> list[float]:
 
 @njit
 def step(scene):
-    """One step of the physics."""
+    """Advance the physics by one step."""
     _call_step(scene.calls[0], scene.calls[1], scene.calls[2])
 
 
 @njit
 def body_frame(scene):
-    """As `raycast.body_frame`."""
+    """Return the same as `raycast.body_frame`."""
     return scene.frame
 
 
 @njit
 def position(scene, channel):
-    """As `raycast.position`."""
+    """Return the same as `raycast.position`."""
     return scene.positions[scene.cameras[channel]]
 
 
 @njit
 def sensor_frame(scene, channel):
-    """As `raycast.sensor_frame`."""
+    """Return the same as `raycast.sensor_frame`."""
     return scene.frames[scene.cameras[channel]]
 
 
 @njit
 def direction(scene, frame, channel, ray, aside):
-    """As `raycast.direction`."""
+    """Return the same as `raycast.direction`."""
     return _through(frame, aside)
 
 
 @njit
 def _through(frame, aside):
-    """As `raycast.through`."""
+    """Return the same as `raycast.through`."""
     x, y, z = frame[0] * aside - frame[2], frame[3] * aside - frame[5], frame[6] * aside - frame[8]
     scale = 1 / np.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
@@ -160,10 +160,10 @@ def _through(frame, aside):
 
 @njit
 def rays(scene, near, channel, level, found):
-    """As `raycast.rays`, but none where nothing can be near enough to count."""
+    """Cast the same rays as `raycast.rays`, but none if nothing can be near enough to count."""
     reach = np.inf
     if level < 0:
-        # What is this far off just fails to pass the threshold; a little more, for rounding.
+        # A thing this far away just fails to pass the threshold; a margin is added for rounding.
         reach = np.sqrt(near.gain[channel] * near.brightest / -level) - near.offset[channel]
         reach = reach * (1 + 1e-9) + 1e-9
     camera = scene.cameras[channel]
@@ -180,14 +180,14 @@ def rays(scene, near, channel, level, found):
 
 @njit
 def _anything_within(scene, frame, place, reach):
-    """Whether anything solid may be within reach [m] before a sensor; sure if it says no."""
+    """Return whether anything solid may be within reach [m] in front of a sensor; False is certain."""
     if reach <= 0:
         return False
     if reach == np.inf:
         return True
     x, y, z = place[0], place[1], place[2]
     ahead_x, ahead_y = -frame[2], -frame[5]
-    # Rays lean no more than the sensor's own axes do together.
+    # Rays incline no more than the sensor's own axes do together.
     rise = reach * (abs(frame[6]) + abs(frame[8]))
     for i in range(len(scene.solid)):
         cx, cy = scene.extents[i, 0], scene.extents[i, 1]
@@ -211,7 +211,7 @@ def _anything_within(scene, frame, place, reach):
         along, across = abs(dx * cosine + dy * sine), abs(dy * cosine - dx * sine)
         beside, before = max(along - half, 0.0), max(across - other, 0.0)
         if beside * beside + before * before <= reach * reach:
-            # How far its farthest corner lies ahead.
+            # Distance ahead of its farthest corner.
             most = half * abs(cosine * ahead_x + sine * ahead_y)
             most += other * abs(cosine * ahead_y - sine * ahead_x)
             if dx * ahead_x + dy * ahead_y + most >= 0:
@@ -221,7 +221,7 @@ def _anything_within(scene, frame, place, reach):
 
 @njit
 def _cast_one(scene, place, x, y, z, ray, found):
-    """Finds the first thing that a ray hits: each is asked in MuJoCo's order, and by MuJoCo."""
+    """Find the first geom that a ray hits: each is tested in MuJoCo's order, by MuJoCo."""
     first = LENGTH_AND_NORMAL * ray
     best, geom = -1.0, -1
     for k in range(4):
@@ -248,7 +248,7 @@ def _cast_one(scene, place, x, y, z, ray, found):
 
 @njit
 def surfaces(scene, channel, directions, cutoff, found):
-    """As `raycast.surfaces`: what `rays` has hit with the same rays."""
+    """Fill in the same as `raycast.surfaces`, from what `rays` has hit."""
     for ray in range(len(found)):
         geom = scene.geoms[ray]
         found[ray] = scene.reflectances[geom] if geom >= 0 else 0.0
@@ -256,14 +256,14 @@ def surfaces(scene, channel, directions, cutoff, found):
 
 @njit
 def stopped(scene, channel, x, y, z, glass):
-    """As `raycast.stopped`."""
+    """Return the same as `raycast.stopped`."""
     scene.ways[0], scene.ways[1], scene.ways[2] = x, y, z
     return _stops(scene, scene.positions[scene.cameras[channel]], x, y, glass)
 
 
 @njit
 def blocked(scene, channel, disc, left, up, way, cutoff, glass):
-    """As `raycast.blocked`."""
+    """Return the same as `raycast.blocked`."""
     points = scene.few if disc == FEW else scene.many
     place = scene.positions[scene.cameras[channel]]
     n = len(points)
@@ -281,7 +281,7 @@ def blocked(scene, channel, disc, left, up, way, cutoff, glass):
 
 @njit
 def _stops(scene, place, x, y, glass):
-    """Whether light on a way is stopped before the bulb's glass: by anything, whichever is first."""
+    """Return whether anything stops light on a path before the bulb's glass."""
     flat = x * x + y * y
     length = np.sqrt(flat)
     for i in range(len(scene.solid)):
@@ -303,7 +303,7 @@ heading = njit(raycast.heading)
 
 @njit
 def _length(scene, i, place, normal):
-    """How far a ray along `scene.ways` goes to a solid thing, by MuJoCo; the normal's address may be 0."""
+    """Return MuJoCo's length of a ray along `scene.ways` to a solid geom; the normal's address may be 0."""
     here = scene.solid[i]
     return _call_ray_geom(
         scene.calls[3],
@@ -319,7 +319,7 @@ def _length(scene, i, place, normal):
 
 @njit
 def decide(function, registers, memory, genes, speeds):
-    """Calls a compiled controller by its address (`compiled.address_of`)."""
+    """Call a compiled controller by its address (`compiled.address_of`)."""
     _call_controller(
         function,
         registers.ctypes.data,
@@ -340,7 +340,7 @@ _ADDRESS, _BYTE_POINTER, _INT, _DOUBLE = (
 
 
 def _foreign(builder, arguments, kinds, result):
-    """Calls the function at the address of the first argument; the others' kinds are C's."""
+    """Call the function at the address of the first argument; the others' kinds are C types."""
     given = []
     for value, kind in zip(arguments[1:], kinds, strict=True):
         if isinstance(kind, ir.PointerType):

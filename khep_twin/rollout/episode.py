@@ -1,10 +1,10 @@
-"""A robot's life without a serial line: scan, physics, control loops and controller in one loop.
+"""An episode without a serial line: scan, physics, control loops and controller in one loop.
 
-The order is that of `khep_twin.world.World.advance_to`, and so are the answers, bit for bit. In the place of
-the line's bytes stands the controller: at the start of every control period it reads the registers and sets
-both wheels' speeds in them at once, as the firmware would on a command D.
+The order and the results are those of `khep_twin.world.World.advance_to`, bit for bit. The controller
+replaces the line's bytes: at the start of every control period it reads the registers and sets both wheels'
+speeds in them at once, as the firmware would on a command D.
 
-Like `kernel`, this is plain arithmetic that runs as it stands and compiled; `life` gives it what it works on.
+Like `kernel`, this is plain arithmetic that runs interpreted and compiled; `life` provides its data.
 """
 
 import math
@@ -17,24 +17,24 @@ from khep_twin.rollout import fitness, networks
 from khep_twin.sensing import optics, raycast
 
 HOLD, WANDER, NETWORK, FUNCTION = 0, 1, 2, 3
-"""What drives: nothing (speeds stay as they are), the ROM's Braitenberg vehicle, a network, a function."""
+"""Kinds of controller: none (constant speeds), the ROM's Braitenberg vehicle, a network, a function."""
 
 FINE, WARNED, OUT_OF_BOUNDS, NO_SPEED = 0, 1, 2, 3
-"""How a life goes: MuJoCo has warned, the physics has left its bounds, a controller gave no number."""
+"""Status of an episode: fine, warned by MuJoCo, physics out of bounds, controller's speed is no number."""
 
 STEPS, POWERED, DEMO, TROUBLE = 0, 1, 2, 3
-"""Places in `Body.state`: steps done, whether the processor runs, whether the demo does, how it goes."""
+"""Indices in `Body.state`: steps done, whether the processor runs, whether the demo runs, status."""
 N_STATE = 4
 
 PERIODS, AVOIDANCE, SEEKING, HOMING, FOLLOWING, WAY, CHARGE, LAST_X, LAST_Y = 0, 1, 2, 3, 4, 5, 6, 7, 8
-"""Places in `Mind.sums`: control periods, sums of fitness over them, the way [m], the charge left [s], where
-the robot was last [m]."""
+"""Indices in `Mind.sums`: control periods, sums of fitness over them, distance [m], charge left [s], last
+position of the robot [m]."""
 FORWARD = 9
-"""Likewise the way forwards less that backwards [m]."""
+"""Index in `Mind.sums` of the distance forwards less that backwards [m]."""
 N_SUMS = 10
 
 FASTEST = 1000.0
-"""What no joint exceeds [m/s or rad/s], as in the world."""
+"""Largest speed of a joint [m/s or rad/s], as in the world."""
 
 _SPEED_LIMIT = 127
 _CONVERSION = units.STEP_NS * 1e-9
@@ -52,20 +52,20 @@ _LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(ke
 
 
 class Wiring(NamedTuple):
-    """Where in the scene's numbers the robot is, and how time is divided.
+    """Indices of the robot in the scene's arrays, and divisions of time.
 
     Attributes:
-        left_angle: of the wheel in qpos.
-        right_angle: likewise.
-        left_motor: in ctrl and forces.
-        right_motor: likewise.
-        pose: of the robot in qpos.
-        motor_constant: torque per current [N m/A].
-        limit: what no place exceeds [m].
-        conversions: of sensors in each step.
-        steps_per_tick: of the control loops.
-        steps_per_feed: of the supply's measurement.
-        steps_per_period: of the controller.
+        left_angle: Index of the left wheel's angle in qpos.
+        right_angle: Index of the right wheel's angle in qpos.
+        left_motor: Index of the left motor in ctrl and forces.
+        right_motor: Index of the right motor in ctrl and forces.
+        pose: Index of the robot's pose in qpos.
+        motor_constant: Torque per current [N m/A].
+        limit: Largest coordinate [m].
+        conversions: Sensor conversions in each step.
+        steps_per_tick: Steps per tick of the control loops.
+        steps_per_feed: Steps per measurement of the supply.
+        steps_per_period: Steps per period of the controller.
     """
 
     left_angle: int
@@ -85,20 +85,20 @@ class Body(NamedTuple):
     """A robot in its scene.
 
     Attributes:
-        scene: as its sensors see it.
-        near: how proximity comes about.
-        eyes: how ambient light does.
-        bulbs: that may shine.
-        wiring: where what is.
-        registers: the board's state.
-        qpos: of the scene, live.
-        qvel: live.
-        ctrl: live.
-        force: of the actuators, live.
-        places: of the scene's bodies, live, all numbers in a row [m].
-        warnings: that MuJoCo has counted, live.
-        state: N_STATE whole numbers.
-        voltage: of the supply (1,) [V].
+        scene: Scene as the robot's sensors see it.
+        near: Model of proximity.
+        eyes: Model of ambient light.
+        bulbs: Bulbs that may shine.
+        wiring: Indices in the scene's arrays, and divisions of time.
+        registers: State of the board.
+        qpos: Positions of the scene's joints, live.
+        qvel: Speeds of the scene's joints, live.
+        ctrl: Motor voltages, live.
+        force: Actuator forces, live.
+        places: Positions of the scene's bodies, live, flattened [m].
+        warnings: Counters of MuJoCo's warnings, live.
+        state: State of the episode, integers (N_STATE,).
+        voltage: Supply voltage (1,) [V].
     """
 
     scene: raycast.Scene
@@ -118,20 +118,20 @@ class Body(NamedTuple):
 
 
 class Mind(NamedTuple):
-    """What drives a robot, and how well it does.
+    """Controller of a robot, and its sums of fitness.
 
     Attributes:
         kind: HOLD, WANDER, NETWORK or FUNCTION.
-        function: address of a compiled function, or the function itself where nothing is compiled.
-        sizes: of the network: inputs, layers, outputs.
-        recurrent: whether it hears itself.
-        top_speed: of an output of 1 [pulses/10 ms].
-        genes: weights, or whatever the function takes them for.
-        memory: that lasts from one control period to the next.
-        values: room for the network's values.
-        speeds: room for what a function decides (2,) [pulses/10 ms].
-        home: x, y and radius of the home [m], and how long the charge lasts [s]; radius 0 for none.
-        sums: N_SUMS numbers.
+        function: Address of a compiled function, or the function itself where nothing is compiled.
+        sizes: Sizes of the network: inputs, layers, outputs.
+        recurrent: Whether the network has feedback.
+        top_speed: Speed for an output of 1 [pulses/10 ms].
+        genes: Weights of the network, or parameters of the function.
+        memory: Memory kept from one control period to the next.
+        values: Buffer for the network's values.
+        speeds: Buffer for the speeds of a function (2,) [pulses/10 ms].
+        home: Home x, y and radius [m], and duration of the charge [s]; radius 0 for none.
+        sums: Sums over the episode (N_SUMS,).
     """
 
     kind: int
@@ -148,15 +148,15 @@ class Mind(NamedTuple):
 
 
 class Span(NamedTuple):
-    """Chance and supply of some steps.
+    """Random draws and supply of some steps.
 
     Attributes:
-        powers: of the lamps (n_steps or 1, n_lamps) [W].
-        volts: of the supply, whenever it is measured (n_feeds,) [V].
-        noisy: whether there is chance; without, the next three are not looked at.
-        proximity: standard normal (n_conversions,).
-        ambient: likewise.
-        idle: standard exponential (n_conversions,).
+        powers: Powers of the lamps (n_steps or 1, n_lamps) [W].
+        volts: Supply voltage at each measurement (n_feeds,) [V].
+        noisy: Whether sensors are noisy; if not, the next three are not used.
+        proximity: Standard normal draws (n_conversions,).
+        ambient: Standard normal draws (n_conversions,).
+        idle: Standard exponential draws (n_conversions,).
     """
 
     powers: Sequence[Sequence[float]]
@@ -168,24 +168,24 @@ class Span(NamedTuple):
 
 
 def advance(body: Body, mind: Mind, span: Span, n_steps: int) -> int:
-    """Lets a robot live for some steps; returns how it goes, FINE or why it ended.
+    """Run the episode for some steps; return its status, FINE or the reason why it ended.
 
     Each step runs in this order:
 
         1. at the start of a control period the controller, and its fitness
         2. physics, with the motor voltages of the last control tick
-        3. the sensors whose turn it is are converted, as of the pose at the step's start
+        3. the sensors due are converted, at the pose of the step's start
         4. every 10 ms the control tick: encoders, speed, controllers, duty, voltage
         5. every 20 ms the supply is measured
 
     Args:
-        body: the robot in its scene.
-        mind: what drives it.
-        span: chance and supply of these steps.
-        n_steps: how many, below 0 to switch the robot on: the scan before time 0, so that every register
-            holds a conversion, with encoders and supply.
+        body: Robot in its scene.
+        mind: Controller of the robot.
+        span: Random draws and supply of these steps.
+        n_steps: Number of steps, below 0 to switch the robot on: the scan before time 0, so that every
+            register holds a conversion, with encoders and supply.
     """
-    # What is called is given the parts that it needs: whole bodies make for slow compiling.
+    # Functions are passed only the parts that they need: passing whole bodies makes compiling slow.
     state, wiring, registers, qpos = body.state, body.wiring, body.registers, body.qpos
     conversions = wiring.conversions
     on, feeds = n_steps >= 0, 0
@@ -249,17 +249,17 @@ def note(
     ahead: tuple[float, float],
     period: float,
 ) -> None:
-    """Adds the fitness of a control period's beginning, with the speeds just set.
+    """Add the fitness at the start of a control period, with the speeds just set.
 
     Args:
-        registers: the board's state.
-        sums: of the life, changed in place (N_SUMS,).
-        home: as in `Mind`.
-        dark: ambient reading in the dark [counts].
-        floor: in the brightest light.
-        place: x and y of the robot [m].
-        ahead: cosine and sine of its heading.
-        period: of the controller [s].
+        registers: State of the board.
+        sums: Sums over the episode, changed in place (N_SUMS,).
+        home: Home as in `Mind`.
+        dark: Ambient reading in the dark [counts].
+        floor: Ambient reading in the brightest light [counts].
+        place: Robot x and y [m].
+        ahead: Cosine and sine of the robot's heading.
+        period: Control period [s].
     """
     nearest, darkest = registers[_PROXIMITY], registers[_AMBIENT]
     for sensor in range(1, _N):
@@ -281,14 +281,14 @@ def note(
     if home[2] > 0 and sums[CHARGE] > 0:
         dx, dy = x - home[0], y - home[1]
         if dx * dx + dy * dy <= home[2] * home[2]:
-            sums[CHARGE] = home[3]  # at home nothing counts, and the cells are full at once
+            sums[CHARGE] = home[3]  # at home the fitness is 0 and the cells are full at once
         else:
             sums[HOMING] += fitness.homing(left, right, part)
             sums[CHARGE] -= period
 
 
 def drive(registers: kernel.Registers, left: float, right: float) -> bool:
-    """Sets both speeds [pulses/10 ms] as command D does, rounded and cut; False for what is no number."""
+    """Set both speeds [pulses/10 ms] as command D does, rounded and clipped; return False if not finite."""
     if not (math.isfinite(left) and math.isfinite(right)):
         return False
     limit = float(_SPEED_LIMIT)
@@ -298,7 +298,7 @@ def drive(registers: kernel.Registers, left: float, right: float) -> bool:
 
 
 def _control(registers: kernel.Registers, mind: Mind, dark: float, floor: float) -> bool:
-    """The controller's turn; False if it gave what is no number."""
+    """Run the controller once; return False if a speed is not finite."""
     if mind.kind == WANDER:
         kernel.wander(registers)
     elif mind.kind == NETWORK:
@@ -318,7 +318,7 @@ def _control(registers: kernel.Registers, mind: Mind, dark: float, floor: float)
 def _tick(
     wiring: Wiring, registers: kernel.Registers, state: Any, qpos: Any, ctrl: Any, voltage: float
 ) -> None:
-    """One control period of the board's own loops: from encoders to motor voltages."""
+    """Run the board's own control loops once, from encoders to motor voltages."""
     if state[POWERED]:
         left = units.wheel_pulses(qpos[wiring.left_angle])
         right = units.wheel_pulses(qpos[wiring.right_angle])
@@ -330,7 +330,7 @@ def _tick(
 
 
 def _feed(wiring: Wiring, registers: kernel.Registers, state: Any, force: Any, voltage: float) -> None:
-    """Measures the supply; below what it needs, the processor is reset and stands still."""
+    """Measure the supply; below its minimum voltage reset and stop the processor."""
     left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
     current = units.IDLE_CURRENT
     current += units.supply_current(left, force[wiring.left_motor] / wiring.motor_constant)
@@ -343,14 +343,14 @@ def _feed(wiring: Wiring, registers: kernel.Registers, state: Any, force: Any, v
 
 
 def _fits(places: Any, speeds: Any, joints: Any, limit: float) -> bool:
-    """Whether a state is physics still."""
+    """Return whether a state is within the bounds of the physics."""
     if not _square(places) <= len(places) * limit * limit:
         return False
     return _square(speeds) <= len(speeds) * FASTEST * FASTEST and _square(joints) < math.inf
 
 
 def _warned(warnings: Any) -> bool:
-    """Whether MuJoCo has."""
+    """Return whether MuJoCo has warned."""
     for i in range(len(warnings)):
         if warnings[i]:
             return True

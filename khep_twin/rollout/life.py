@@ -1,4 +1,4 @@
-"""A life: one robot in its playpen without a serial line, from its start to its end.
+"""One episode of one robot in its playpen, without a serial line.
 
     ground = Ground(playpen.load("obstacles"))
     life = Life(ground, Wander())
@@ -6,12 +6,12 @@
     life.live(60.0)
     print(life.pose, life.numbers())
 
-The same seed gives the same counts, registers and places as a `World` whose robot is told the same speeds at
-the same times by a line that costs no time, compiled or not, however often the life's memory was used before.
-Left out, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but are seen nowhere.
+The same seed gives the same counts, registers and positions as a `World` whose robot receives the same speeds
+at the same times over a line without delay, compiled or not, however often the `Life` was used before.
+Not supported, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but have no effect.
 
-On `Ground(..., planar=True)` the robot moves in a plane (`planar`), which is for screening: the same firmware
-and sensors, thirty times faster and more, and about the same ways.
+On `Ground(..., planar=True)` the robot moves in a plane (`planar`), for screening: the same firmware and
+sensors, thirty times faster and more, and similar trajectories.
 """
 
 import copy
@@ -49,32 +49,32 @@ from khep_twin.sensing.optics import Bulbs
 from khep_twin.sensors import proximity_optics
 
 NUMBERS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
-"""What a life is measured by: means over its control periods, the way, and that forwards less that back."""
+"""Metrics of an episode: means over its control periods, distance, and distance forwards less backwards."""
 
 SPAN_NS = 2_000_000_000
-"""Chance is drawn for so long at a time [ns]."""
+"""Simulated time per draw of random numbers [ns]."""
 
 PLANAR_SPAN_NS = 20_000_000_000
-"""Likewise in a plane, where two seconds are over before numbers are drawn; it makes no other difference."""
+"""Simulated time per draw in a plane [ns]: longer, as steps there are cheap; no effect on results."""
 
 PLANAR_STEP_NS = 4 * units.STEP_NS
-"""In a plane nothing is lost by a step of one tick [ns], but that sensors are converted four at a time."""
+"""Step in a plane, one tick [ns]; its only effect is that sensors are converted four at a time."""
 
 _PREFIX = "khepera0/"
 
 
 class SlowerWarning(UserWarning):
-    """numba is not installed, so that lives go the plain way, with the same results."""
+    """Warning that episodes run uncompiled, with the same results, as numba is not installed."""
 
 
 def is_compiled(wish: bool | None) -> bool:
-    """Whether lives run compiled: as wished; with no wish where numba is installed, with a warning if not."""
+    """Return whether episodes run compiled; None means if numba is installed, with a warning if not."""
     if wish is not None:
         return wish
     if importlib.util.find_spec("numba") is not None:
         return True
     warnings.warn(
-        "numba is not installed: lives go the plain way, many times slower, with the same results; "
+        "numba is not installed: episodes run uncompiled, many times slower, with the same results; "
         f"to install it: {pip_install_extra('batch')}",
         SlowerWarning,
         stacklevel=3,
@@ -83,16 +83,16 @@ def is_compiled(wish: bool | None) -> bool:
 
 
 class Light:
-    """The lamps of a life: where they are, what may hide them, and how they shine step by step.
+    """Lamps of an episode: positions, occlusion, and power at each step.
 
     Args:
-        playpen: with these lamps.
-        model: the scene.
-        step_ns: of the scene [ns].
+        playpen: Playpen with these lamps.
+        model: Model of the scene.
+        step_ns: Physics step of the scene [ns].
     """
 
     def __init__(self, playpen: Playpen, model: mujoco.MjModel, step_ns: int) -> None:
-        # Lamps that are all on draw no chance.
+        # Lamps that are all on draw no random numbers.
         self._lamps = Lamps(playpen, stream(0, "lamps"))
         self._step_ns = step_ns
         self.bulbs: Bulbs = bulbs(SightLines(model, _PREFIX, self._lamps.positions), playpen.lighting)
@@ -101,11 +101,11 @@ class Light:
         self._turn = Lock()
 
     def at_start(self) -> list[list[float]]:
-        """Powers before the first step (1, n_lamps) [W]."""
+        """Return the powers before the first step (1, n_lamps) [W]."""
         return [self._first]
 
     def during(self, first: int, count: int) -> list[list[float]]:
-        """Powers after each of some steps, or one row if nothing changes them (n, n_lamps) [W]."""
+        """Return the powers after each of some steps, or one row if they are constant (n, n_lamps) [W]."""
         if self._lamps.steady:
             return [self._first]
         # Environments in threads share the ground, and so its light.
@@ -117,19 +117,19 @@ class Light:
 
 
 class Ground:
-    """A playpen made ready for any number of lives; threads may share it.
+    """A playpen prepared for any number of episodes; threads may share it.
 
     Args:
-        playpen: with one robot.
-        step_ns: of the physics [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; without, 2.5 ms, and
+        playpen: Playpen with one robot.
+        step_ns: Physics step [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; by default 2.5 ms, and
             10 ms in a plane.
-        period_ns: of the controller [ns], whole ticks of 10 ms.
-        planar: whether the robot moves in a plane instead of MuJoCo.
+        period_ns: Control period [ns], whole ticks of 10 ms.
+        planar: Whether the robot moves in a plane instead of MuJoCo.
 
     Raises:
-        PlaypenError: it has what lives cannot have.
-        ValueError: the step or the period divides nothing whole.
-        TypeError: one of them is no whole number.
+        PlaypenError: The playpen has a feature that episodes without a serial line do not support.
+        ValueError: The step or the period does not fit into whole ticks.
+        TypeError: The step or the period is not an integer.
     """
 
     def __init__(
@@ -141,11 +141,11 @@ class Ground:
         planar: bool = False,
     ) -> None:
         _refuse(playpen)
-        # Where whole numbers are wanted, 5e6 is none.
+        # `index` rejects floats such as 5e6.
         period_ns, step_ns = index(period_ns), None if step_ns is None else index(step_ns)
         if period_ns <= 0 or period_ns % units.TICK_NS:
             raise ValueError(
-                f"a control period of {period_ns / 1e6:g} ms; right are whole ticks of "
+                f"control period of {period_ns / 1e6:g} ms; expected whole ticks of "
                 f"{units.TICK_NS / 1e6:g} ms"
             )
         mujoco.set_mju_user_warning(_keep_quiet)
@@ -156,7 +156,7 @@ class Ground:
         if step_ns != units.STEP_NS:
             set_step(spec, step_ns)
         self.model = spec.compile()
-        # Compiled lives cast rays themselves, where something is near enough to be seen.
+        # Compiled episodes cast rays themselves, only where something is near enough to be seen.
         self.without_sensors = copy.copy(self.model)
         self.without_sensors.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.entry = playpen.robots[0]
@@ -175,46 +175,46 @@ class Ground:
         )
 
     def periods(self, seconds: float) -> int:
-        """How many control periods a time [s] has.
+        """Return the number of control periods in a time [s].
 
         Raises:
-            ValueError: it is no whole number of them, or below 0.
+            ValueError: The number is not whole, or is below 0.
         """
         if not 0 <= seconds < math.inf:
-            raise ValueError(f"{seconds} s; right is a time from 0, of whole control periods")
+            raise ValueError(f"{seconds} s; expected a time from 0, of whole control periods")
         duration_ns = to_ns(seconds)
         if duration_ns % self.period_ns:
             raise ValueError(
-                f"{seconds:g} s is no whole number of control periods of {self.period_ns / 1e6:g} ms"
+                f"{seconds:g} s; expected a whole number of control periods of {self.period_ns / 1e6:g} ms"
             )
         return duration_ns // self.period_ns
 
     def lit(self, lamps: Sequence[Lamp]) -> Light:
-        """The light of other lamps on this ground."""
+        """Return the light of other lamps on this ground."""
         return Light(self.playpen.model_copy(update={"lamps": tuple(lamps)}), self.model, self.step_ns)
 
     def start(self, seed: int) -> Start:
-        """Where a robot starts: in its place, or at the spot that the seed draws."""
+        """Return the robot's start: its own pose, or the spot that the seed draws."""
         robot = self.entry
         if robot.spots:
             robot = placed(self.playpen, stream(seed, "spots")).robots[0]
         return robot.x_mm, robot.y_mm, robot.heading_deg
 
     def another(self, seed: int) -> Calibration:
-        """Another robot of the same make, by the seed."""
+        """Return the calibration of another robot of the same make, drawn by the seed."""
         return calibration.spread(self.calibration, stream(seed, "robot", 0, "spread"))
 
 
 class Life:
-    """Room for one life at a time; `begin` starts a new one in it.
+    """One episode at a time; `begin` starts a new one in the same memory.
 
     Args:
-        ground: where it goes on.
-        driver: what drives; a policy is left to whoever calls it.
-        compiled: None for compiled where numba is installed.
+        ground: Ground of the episodes.
+        driver: Controller; a policy is left to the caller.
+        compiled: Whether to run compiled; None if numba is installed.
 
     Attributes:
-        registers: the board's state (N_REGISTERS,).
+        registers: State of the board (N_REGISTERS,).
     """
 
     def __init__(self, ground: Ground, driver: Driver | None = None, *, compiled: bool | None = None) -> None:
@@ -250,20 +250,20 @@ class Life:
         genes: Sequence[float] | Floats = (),
         home: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     ) -> None:
-        """Starts a life.
+        """Start an episode.
 
         Args:
-            seed: of every chance in it.
-            start: x, y [mm] and heading [deg]; None for the playpen's.
-            noise: whether sensors are noisy.
-            spread: draws the sensors anew, as no two robots are alike.
-            light: other lamps than the playpen's (`Ground.lit`).
-            genes: of the driver.
-            home: x, y, radius [m] and how long a charge lasts [s]; radius 0 for none.
+            seed: Seed of every random stream.
+            start: Start x, y [mm] and heading [deg]; None for the playpen's.
+            noise: Whether sensors are noisy.
+            spread: Whether to draw the sensors of another robot.
+            light: Other lamps than the playpen's (`Ground.lit`).
+            genes: Genes of the controller.
+            home: Home x, y, radius [m] and duration of a charge [s]; radius 0 for none.
 
         Raises:
-            ControllerError: the genes do not fit the driver.
-            DivergedError: the physics does not even stand.
+            ControllerError: The genes do not fit the controller.
+            DivergedError: The physics leaves its bounds at once.
         """
         ground, room = self._ground, self._room
         self._seed, self._light = seed, light or ground.light
@@ -304,21 +304,21 @@ class Life:
 
     @property
     def _data(self) -> mujoco.MjData:
-        """The scene's state, where it has one."""
+        """State of MuJoCo's scene, if there is one."""
         if isinstance(self._room, PlanarRoom):
             raise ValueError(
-                "a life in a plane has no scene of MuJoCo's; right is one on ground that is not planar"
+                "an episode in a plane has no MuJoCo scene; expected one on ground that is not planar"
             )
         return self._room.data
 
     @property
     def steps(self) -> int:
-        """How many steps of the physics it has lived."""
+        """Number of physics steps done."""
         return int(self._state[episode.STEPS])
 
     @property
     def time_ns(self) -> int:
-        """How long it has lived [ns]."""
+        """Simulated time [ns]."""
         return self.steps * self._ground.step_ns
 
     @property
@@ -328,19 +328,19 @@ class Life:
 
     @property
     def joints(self) -> Floats:
-        """All places of the scene, MuJoCo's qpos or `plane.N_JOINTS` numbers, as a copy."""
+        """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers."""
         return self._room.joints
 
     def readings(self) -> tuple[list[int], list[int]]:
-        """Proximity and ambient counts in the registers, each (8,)."""
+        """Return proximity and ambient counts of the registers, each (8,)."""
         return self.registers[kernel.PROXIMITY].tolist(), self.registers[kernel.AMBIENT].tolist()
 
     def live(self, seconds: float) -> None:
-        """Lets it go on for a time [s], in whole control periods.
+        """Run the episode for a time [s], in whole control periods.
 
         Raises:
-            ValueError: the time is no whole number of control periods, or no life has begun.
-            DivergedError: the physics left its bounds, or the controller gave what is no number.
+            ValueError: The time is not a whole number of control periods, or no episode has begun.
+            DivergedError: The physics left its bounds, or the controller gave a speed that is no number.
         """
         steps = self._ground.periods(seconds) * self._ground.wiring.steps_per_period
         longest = (SPAN_NS if self._ground.outline is None else PLANAR_SPAN_NS) // self._ground.step_ns
@@ -349,7 +349,7 @@ class Life:
             steps -= longest
 
     def go_on(self, steps: int) -> None:
-        """Lets it go on for some steps; errors as for `live`."""
+        """Run the episode for some steps; errors are those of `live`."""
         self._insist()
         wiring = self._ground.wiring
         feeds = steps // wiring.steps_per_feed + 1
@@ -358,10 +358,10 @@ class Life:
             self._complain()
 
     def drive(self, left: float, right: float) -> None:
-        """Sets both speeds [pulses/10 ms], as a driver does.
+        """Set both speeds [pulses/10 ms], as a controller does.
 
         Raises:
-            DivergedError: a speed is no number.
+            DivergedError: A speed is no number.
         """
         self._insist()
         if self._state[episode.POWERED] and not episode.drive(self.registers.data, left, right):
@@ -369,7 +369,7 @@ class Life:
             self._complain()
 
     def numbers(self) -> dict[str, float]:
-        """What it is measured by up to now (`NUMBERS`); homing is not a number without a home."""
+        """Return the metrics so far (`NUMBERS`); "homing" is NaN without a home."""
         self._insist()
         sums = self._mind.sums
         periods = max(float(sums[episode.PERIODS]), 1.0)
@@ -383,12 +383,12 @@ class Life:
         return dict(zip(NUMBERS, [*means, *ways], strict=True))
 
     def _insist(self) -> None:
-        """Refuses what only a life that has begun can do."""
+        """Raise a `ValueError` unless an episode has begun."""
         if not self._begun:
-            raise ValueError("no life has begun; right is begin() first")
+            raise ValueError("no episode has begun; expected begin() first")
 
     def _span(self, powers: list[list[float]], conversions: int, feeds: int) -> episode.Span:
-        """Chance and supply of the next steps."""
+        """Return the random draws and supply of the next steps."""
         draws: list[Any] = [np.zeros(0)] * 3
         if self._chance:
             near, ambient, idle = self._chance
@@ -410,7 +410,7 @@ class Life:
         return episode.Span(np.array(powers).reshape(len(powers), -1), volts, noisy, *draws)  # type: ignore
 
     def _complain(self) -> None:
-        """Raises what ended the life, if anything has."""
+        """Raise a `DivergedError` if the episode has failed."""
         trouble = int(self._state[episode.TROUBLE])
         if trouble == episode.FINE:
             return
@@ -422,29 +422,29 @@ class Life:
             if isinstance(self._driver, Function):
                 reason += ", or raised an error"
         raise DivergedError(
-            f"the life of seed {self._seed} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: {reason}"
+            f"episode of seed {self._seed} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: {reason}"
         )
 
 
 def _refuse(playpen: Playpen) -> None:
-    """Refuses a playpen that has what lives cannot have."""
+    """Raise a `PlaypenError` if the playpen has a feature that episodes without a serial line lack."""
     name, robots = playpen.name, playpen.robots
     if len(robots) != 1:
-        raise PlaypenError(f"{name}: has {len(robots)} robots; right is one for lives without a serial line")
+        raise PlaypenError(f"{name}: {len(robots)} robots; expected one for an episode without a serial line")
     if robots[0].turrets:
         raise PlaypenError(
-            f"{name}: its robot has turrets = {list(robots[0].turrets)}; right are none for lives without a "
+            f"{name}: robot 1: turrets = {list(robots[0].turrets)}; expected none for an episode without a "
             "serial line"
         )
     if playpen.lighting.mode != "all":
         raise PlaypenError(
-            f"{name}: lighting: mode = {playpen.lighting.mode!r}; right is 'all' for lives without a serial "
-            "line"
+            f"{name}: lighting: mode = {playpen.lighting.mode!r}; expected 'all' for an episode without a "
+            "serial line"
         )
 
 
 def _as_arrays(numbers: Any) -> Any:
-    """A named tuple whose lists are arrays, as compiled code takes it."""
+    """Return a named tuple with its lists as arrays, for compiled code."""
     return type(numbers)(
         *(
             np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
@@ -458,4 +458,4 @@ def _as_it_is(numbers: Any) -> Any:
 
 
 def _keep_quiet(warning: str) -> None:
-    """Leaves a warning to the check of MuJoCo's counters."""
+    """Ignore a warning; MuJoCo's counters are checked instead."""

@@ -1,6 +1,6 @@
-"""What drives robots that live without a serial line: nothing, the ROM's vehicle, networks, functions.
+"""Controllers of episodes without a serial line: none, the ROM's vehicle, networks, functions, policies.
 
-All but a policy drive inside the compiled loop; a policy is plain Python and is asked about many at once.
+All but a policy run inside the compiled loop; a policy is plain Python and is called for many robots at once.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Nothing that drives; both wheels begin with a speed [pulses/10 ms]."""
+    """No controller; both wheels start at a speed [pulses/10 ms] and keep it."""
 
     left: int = 0
     right: int = 0
@@ -33,13 +33,13 @@ class Wander:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """A neural network from sensors to speeds; `networks` has its law and the order of its genes.
+    """A neural network from sensors to speeds; see `networks` for its equation and the order of its genes.
 
     Attributes:
-        hidden: neurons of each hidden layer; none for sensors straight to motors.
-        recurrent: whether the first layer behind the sensors hears its own last values.
-        ambient: whether it sees light too, 0 dark to 1 bright, behind proximity, 0 to 1.
-        top_speed: of an output of 1 [pulses/10 ms].
+        hidden: Neurons of each hidden layer; none to connect sensors directly to motors.
+        recurrent: Whether the first layer behind the sensors has feedback of its own last values.
+        ambient: Whether light is an input too, 0 dark to 1 bright, behind proximity, 0 to 1.
+        top_speed: Speed for an output of 1 [pulses/10 ms].
     """
 
     hidden: tuple[int, ...] = ()
@@ -49,12 +49,12 @@ class Network:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Inputs, neurons of each layer, outputs: left and right."""
+        """Numbers of inputs, neurons of each layer and outputs (left and right)."""
         return (N_SENSORS * (1 + self.ambient), *self.hidden, 2)
 
     @property
     def n_genes(self) -> int:
-        """Length of its genome."""
+        """Length of the genome."""
         return networks.n_genes(self.sizes, self.recurrent)
 
 
@@ -62,12 +62,12 @@ class Network:
 class Function:
     """A function of a robot's proximity (8,), ambient (8,), memory and genes.
 
-    It returns left and right speed [pulses/10 ms], is rounded and cut to 127 as by command D, and changes
-    nothing but its memory. `numba.njit` may stand before it; without, it is compiled all the same.
+    It returns left and right speed [pulses/10 ms], rounded and clipped to 127 as by command D, and changes
+    nothing but its memory. It may be decorated with `numba.njit`; if not, it is compiled all the same.
 
     Attributes:
-        decide: the function.
-        n_memory: how many numbers its memory has, all 0 at first.
+        decide: The function.
+        n_memory: Length of its memory, all 0 at first.
     """
 
     decide: Callable[..., tuple[float, float]]
@@ -79,8 +79,8 @@ class Policy:
     """A function of many robots at once, in plain Python, called once per control period.
 
     Attributes:
-        decide: takes proximity (n, 8), ambient (n, 8) and which lives these are (n,), and returns speeds
-            (n, 2) [pulses/10 ms]; a life's row may depend on no other row.
+        decide: Function of proximity (n, 8), ambient (n, 8) and indices of the episodes (n,) that returns
+            speeds (n, 2) [pulses/10 ms]; an episode's row may depend on no other row.
     """
 
     decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], Any]
@@ -88,21 +88,21 @@ class Policy:
 
 Driver = Hold | Wander | Network | Function | Policy
 
-_DRIVERS = "right is a Hold, Wander, Network, Function or Policy"
+_DRIVERS = "expected a Hold, Wander, Network, Function or Policy"
 
 
 def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> episode.Mind:
-    """A life's mind.
+    """Return an episode's controller as `episode` uses it.
 
     Args:
-        driver: what drives; for a policy it only notes how well that does.
-        genes: a network's weights, or what a function takes (n_genes,).
-        home: x, y, radius [m] and lasting of the charge [s] (4,).
-        compiled: whether a function is given by its address.
+        driver: Controller; for a policy only the sums of fitness are kept.
+        genes: Weights of a network, or parameters of a function (n_genes,).
+        home: Home x, y, radius [m] and duration of the charge [s] (4,).
+        compiled: Whether a function is given by its address.
 
     Raises:
-        ControllerError: there are too few or too many genes, numba cannot compile the function, or it is none
-            of those that drive.
+        ControllerError: The number of genes is wrong, numba cannot compile the function, or the driver is of
+            no known kind.
     """
     kind, function, sizes, recurrent, top_speed, n_memory = episode.HOLD, 0, (), False, 0.0, 0
     match driver:
@@ -110,7 +110,7 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
             kind = episode.WANDER
         case Network():
             if len(genes) != driver.n_genes:
-                raise ControllerError(f"{len(genes)} genes for {driver}; right are {driver.n_genes}")
+                raise ControllerError(f"{len(genes)} genes for {driver}; expected {driver.n_genes}")
             kind, sizes, recurrent = episode.NETWORK, driver.sizes, driver.recurrent
             top_speed, n_memory = float(driver.top_speed), sizes[1]
         case Function():
@@ -122,7 +122,7 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
         case Hold() | Policy():
             pass
         case _:
-            raise ControllerError(f"{driver!r} drives nothing; {_DRIVERS}")
+            raise ControllerError(f"{driver!r} is no controller; {_DRIVERS}")
     sums = np.zeros(episode.N_SUMS)
     sums[episode.CHARGE] = home[3]
     mind = episode.Mind(
@@ -142,7 +142,7 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
 
 
 def _as_lists(mind: episode.Mind) -> episode.Mind:
-    """The same in lists, which Python is quicker with; a function is given arrays."""
+    """Return the same with lists, which are faster in Python; a function keeps arrays."""
     if mind.kind == episode.FUNCTION:
         return mind
     return mind._replace(

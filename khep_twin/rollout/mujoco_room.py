@@ -1,4 +1,4 @@
-"""Room for one life in MuJoCo."""
+"""State of one episode in MuJoCo."""
 
 import math
 from typing import Any
@@ -16,22 +16,22 @@ Start = tuple[float, float, float]
 """x [mm], y [mm], heading [deg]."""
 
 Live = tuple[Any, Any, Any, Any, Any, Any]
-"""Places, speeds, voltages, torques, places of bodies and warnings, live, as `episode.Body` has them."""
+"""Live qpos, qvel, ctrl, force, places and warnings, as in `episode.Body`."""
 
 _PREFIX = "khepera0/"
 
 
 class MujocoRoom:
-    """A scene's state, in which one life after another goes on.
+    """State of a scene, reused by one episode after another.
 
     Args:
-        model: the scene; for compiled lives it needs no rangefinders.
-        compiled: whether it is for compiled code.
+        model: Model of the scene; compiled episodes need no rangefinders in it.
+        compiled: Whether the state is for compiled code.
 
     Attributes:
-        data: the state.
-        scene: as the robot's sensors see it.
-        advance: `episode.advance` on it.
+        data: State of the scene.
+        scene: Scene as the robot's sensors see it.
+        advance: Function `episode.advance` for this state.
     """
 
     def __init__(self, model: mujoco.MjModel, compiled: bool) -> None:
@@ -52,14 +52,14 @@ class MujocoRoom:
         self._pose = int(model.joint(f"{_PREFIX}pose").qposadr[0])
 
     def put(self, start: Start | None) -> None:
-        """Puts everything to its start, and the robot elsewhere if a place is given."""
+        """Reset the state, and place the robot at the start if one is given."""
         mujoco.mj_resetData(self._model, self.data)
         if start is not None:
             self.data.qpos[self._pose : self._pose + 7] = _free_joint(start)
 
     @property
     def live(self) -> Live:
-        """The numbers that the episode knows."""
+        """Arrays that the episode works on."""
         data = self.data
         arrays = (data.qpos, data.qvel, data.ctrl, data.actuator_force, data.xpos.reshape(-1))
         qpos, qvel, ctrl, force, bodies = arrays if self._compiled else (array.data for array in arrays)
@@ -73,24 +73,24 @@ class MujocoRoom:
 
     @property
     def joints(self) -> Floats:
-        """All places of the scene, as a copy."""
+        """Copy of the positions of all joints."""
         return self.data.qpos.copy()
 
     @property
     def warning(self) -> str:
-        """The name of what MuJoCo has warned of."""
+        """Name of MuJoCo's warning."""
         return mujoco.mjtWarning(int(np.flatnonzero(self.data.warning.number)[0])).name
 
 
 def places(model: mujoco.MjModel) -> tuple[int, int, int, int, int]:
-    """The first five numbers of `episode.Wiring`."""
+    """Return the first five numbers of `episode.Wiring`."""
     axles = [int(model.joint(f"{_PREFIX}{side}_axle").qposadr[0]) for side in ("left", "right")]
     motors = [int(model.actuator(f"{_PREFIX}{side}_motor").id) for side in ("left", "right")]
     return axles[0], axles[1], motors[0], motors[1], int(model.joint(f"{_PREFIX}pose").qposadr[0])
 
 
 def _free_joint(start: Start) -> Floats:
-    """The numbers of a robot's free joint at a start (7,): what MuJoCo itself makes of the place."""
+    """Return the qpos of a robot's free joint at a start (7,), as MuJoCo computes it."""
     x_mm, y_mm, heading_deg = start
     heading = units.radians(heading_deg)
     spec = mujoco.MjSpec()

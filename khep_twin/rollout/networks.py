@@ -2,9 +2,9 @@
 
     value_j = tanh(bias_j + sum_i weight_ji input_i + sum_k feedback_jk value_k of the last control period)
 
-The feedback is there in the first layer behind the inputs of a recurrent network, and nowhere in a dense one.
-A genome has, layer by layer and neuron by neuron, the bias, the weights in the order of the inputs, and the
-feedback weights. Plain numbers, compiled as they stand.
+Only the first layer behind the inputs of a recurrent network has feedback. A genome has, layer by layer and
+neuron by neuron, the bias, the weights in the order of the inputs, and the feedback weights. The functions
+use plain numbers and are compiled unchanged.
 """
 
 import math
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 
 def n_genes(sizes: Sequence[int], recurrent: bool) -> int:
-    """Length of the genome of a network with so many inputs, neurons per layer and outputs."""
+    """Return the genome length of a network with these numbers of inputs, neurons per layer and outputs."""
     total = 0
     for layer in range(1, len(sizes)):
         total += sizes[layer] * (sizes[layer - 1] + 1)
@@ -26,17 +26,17 @@ def think(
     memory: list[float],
     values: list[float],
 ) -> int:
-    """Lets a network think once.
+    """Evaluate a network once.
 
     Args:
-        sizes: inputs, neurons of each layer, outputs.
-        recurrent: whether the first layer hears itself.
-        genes: its weights (n_genes,).
-        memory: of that layer's values, changed in place (at least sizes[1],).
-        values: the inputs first, behind them room for all neurons, filled in (sum(sizes),).
+        sizes: Numbers of inputs, neurons of each layer and outputs.
+        recurrent: Whether the first layer has feedback.
+        genes: Weights of the network (n_genes,).
+        memory: Last values of the first layer, changed in place (at least sizes[1],).
+        values: Inputs, then the values of all neurons, filled in (sum(sizes),).
 
     Returns:
-        Where in `values` the outputs begin.
+        Index in `values` of the first output.
     """
     gene, below, here = 0, 0, sizes[0]
     for layer in range(1, len(sizes)):

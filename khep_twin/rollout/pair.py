@@ -1,11 +1,11 @@
-"""The pair of mujoco and dm-control, which are released together and fail on each other's wrong release."""
+"""Check of the versions of mujoco and dm-control, which work only in matching releases."""
 
 from importlib import metadata
 
 from khep_twin.errors import KhepTwinError, pip_install
 
 MUJOCO, DM_CONTROL = "3.17", "1.0.50"
-"""The releases of mujoco, any of that series, and of dm-control that work together."""
+"""Releases of mujoco, any of that series, and of dm-control that work together."""
 
 
 def problem(mujoco: str, dm_control: str | None) -> str:
@@ -14,8 +14,8 @@ def problem(mujoco: str, dm_control: str | None) -> str:
     dm-control 1.0.50 is made for mujoco 3.17; on mujoco 4.0.0 its physics fails by an AttributeError.
 
     Args:
-        mujoco: version of mujoco.
-        dm_control: version of dm-control; None where it is not installed.
+        mujoco: Version of mujoco.
+        dm_control: Version of dm-control; None if it is not installed.
     """
     if f"{mujoco}.".startswith(f"{MUJOCO}.") and dm_control == DM_CONTROL:
         return ""
@@ -35,7 +35,7 @@ def check() -> None:
     """Check the versions that are installed.
 
     Raises:
-        KhepTwinError: they are not the pair known to work.
+        KhepTwinError: The versions are not known to work together.
     """
     try:
         dm_control = metadata.version("dm-control")

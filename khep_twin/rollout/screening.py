@@ -1,10 +1,10 @@
-"""Screening: a whole population judged in a plane, and the best of it again in MuJoCo.
+"""Screening: evaluation of a whole population in a plane, and of its best again in MuJoCo.
 
     screened = screen(playpen.load("looping-maze"), network, genes, range(3), 20.0, elite=20)
     best = genes[screened.elite[0]]
 
-Every genome lives once with each seed, and is judged by the mean of what these lives measured. A genome with
-a life that failed comes last.
+Every genome runs one episode with each seed, and is ranked by their mean metric. A genome with a failed
+episode is ranked last.
 """
 
 from collections.abc import Sequence
@@ -24,13 +24,13 @@ from khep_twin.rollout.mujoco_room import Start
 
 @dataclass(frozen=True, slots=True)
 class Screening:
-    """What became of n genomes.
+    """Results of n genomes.
 
     Attributes:
-        planar: what each measured in the plane (n,); not a number where a life failed.
-        ranked: all genomes, best first in the plane (n,).
-        elite: the first of these, best first in MuJoCo (k,).
-        judged: what they measured in MuJoCo, in the elite's order (k,).
+        planar: Mean metric of each genome in the plane (n,); NaN where an episode failed.
+        ranked: Indices of all genomes, best first in the plane (n,).
+        elite: First k of these, best first in MuJoCo (k,).
+        judged: Mean metrics in MuJoCo, in the elite's order (k,).
     """
 
     planar: Floats
@@ -52,36 +52,36 @@ def screen(
     step_ns: int = units.STEP_NS,
     **options: Any,
 ) -> Screening:
-    """Judges a population.
+    """Evaluate a population.
 
     Args:
-        playpen: with one robot.
-        driver: what drives all of them.
-        genes: of each genome (n, n_genes).
-        seeds: each genome lives once with each of them.
-        seconds: how long each life lasts [s].
-        elite: so many of the best are judged again in MuJoCo; all of them, where they are fewer.
-        number: by which they are judged, the more the better (`life.NUMBERS`).
-        starts: where a life with each seed begins; without, as in the playpen.
-        step_ns: of MuJoCo's physics [ns].
+        playpen: Playpen with one robot.
+        driver: Controller of all genomes.
+        genes: Genes of each genome (n, n_genes).
+        seeds: Seeds of each genome's episodes.
+        seconds: Duration of each episode [s].
+        elite: Number of the best that are evaluated again in MuJoCo; all, if there are fewer.
+        number: Metric to rank by, larger is better (`life.NUMBERS`).
+        starts: Start pose for each seed; by default the playpen's.
+        step_ns: Step of MuJoCo's physics [ns].
         options: `noise`, `spread`, `home`, `period_ns`, `threads` and `compiled`, as for `batch.rollout`.
 
     Raises:
-        ValueError: there is no such number, no home for it, no seed or no elite, or starts or genes do not
-            fit.
+        ValueError: The number is unknown, its home is missing, there is no seed or no elite, or starts or
+            genes do not fit.
     """
     if number not in NUMBERS:
-        raise ValueError(f"number = {number!r}: there is none; right is one of {', '.join(NUMBERS)}")
+        raise ValueError(f"number = {number!r}; expected one of {', '.join(NUMBERS)}")
     if not len(seeds) or not len(genes) or elite < 1:
         raise ValueError(
-            f"{len(genes)} genomes, {len(seeds)} seeds and an elite of {elite}; right are 1 or more of each"
+            f"{len(genes)} genomes, {len(seeds)} seeds and an elite of {elite}; expected 1 or more of each"
         )
     if number == "homing" and options.get("home") is None:
-        raise ValueError("number = 'homing': there is no home; right is home=(x, y, radius [mm], charge [s])")
+        raise ValueError("number = 'homing' without a home; expected home=(x, y, radius [mm], charge [s])")
     if np.ndim(genes) != 2:
-        raise ValueError(f"genes are of shape {np.shape(genes)}; right is a row for each genome")
+        raise ValueError(f"genes of shape {np.shape(genes)}; expected a row for each genome")
     if starts is not None and len(starts) != len(seeds):
-        raise ValueError(f"{len(starts)} starts for {len(seeds)} seeds; right are as many")
+        raise ValueError(f"{len(starts)} starts for {len(seeds)} seeds; expected {len(seeds)}")
 
     def judge(which: NDArray[np.int64], **how: Any) -> Floats:
         found = rollout(
@@ -105,5 +105,5 @@ def screen(
 
 
 def best_first(numbers: Floats) -> NDArray[np.int64]:
-    """Places of numbers, the largest first, equal ones as they come, what is no number last (n,)."""
+    """Return the indices that sort numbers, largest first, equal ones in their order, NaN last (n,)."""
     return np.argsort(-np.where(np.isnan(numbers), -np.inf, numbers), kind="stable")

@@ -1,7 +1,7 @@
-"""Where trials happen: lives without a serial line where they can, else a world.
+"""Simulations behind trials: episodes without a serial line where possible, else a world.
 
-Both let time pass by control periods, and are told speeds as by a command D that takes no time. The first is
-compiled and for one robot; the second takes any number, turrets, and lamps that take turns.
+Both advance by control periods, and take speeds as by a command D without delay. The first is compiled, for
+one robot; the second supports any number, turrets, and lamps that take turns.
 """
 
 from collections.abc import Sequence
@@ -25,46 +25,46 @@ Pose = tuple[float, float, float]
 """x, y [m] and heading [rad]."""
 
 _TRIES = 1000
-"""Places that are drawn for a start before there is said to be no room."""
+"""Start poses drawn before an error reports that there is no room."""
 
 
 class Stage(Protocol):
-    """Where robots are."""
+    """Simulation of the robots of a trial."""
 
     @property
     def data(self) -> mujoco.MjData:
-        """The scene's state, live; after a beginning it may be another object."""
+        """State of the scene, live; `begin` may replace the object."""
         ...
 
     @property
     def registers(self) -> Sequence[NDArray[np.int64]]:
-        """Of each robot's board (N_REGISTERS,), live."""
+        """Registers of each robot's board (N_REGISTERS,), live."""
         ...
 
     @property
     def poses(self) -> Sequence[Pose]:
-        """Where each robot is."""
+        """Pose of each robot."""
         ...
 
     def begin(self, seed: int, playpen: Playpen, noise: bool, spread: bool) -> None:
-        """Starts anew, with the robots where the playpen has them."""
+        """Start a trial, with the robots where the playpen has them."""
         ...
 
     def drive(self, robot: int, left: float, right: float) -> None:
-        """Sets both speeds of a robot [pulses/10 ms]."""
+        """Set both speeds of a robot [pulses/10 ms]."""
         ...
 
     def go_on(self) -> None:
-        """Lets a control period pass."""
+        """Advance by a control period."""
         ...
 
 
 class Alone:
-    """One robot's lives, one after another.
+    """Episodes of one robot, one after another.
 
     Args:
-        ground: that is made ready; others may use it too.
-        compiled: None for compiled where numba is installed.
+        ground: Prepared ground, which others may share.
+        compiled: Whether to run compiled; None if numba is installed.
     """
 
     def __init__(self, ground: Ground, compiled: bool | None) -> None:
@@ -73,39 +73,39 @@ class Alone:
 
     @property
     def data(self) -> mujoco.MjData:
-        """The scene's state."""
+        """State of the scene."""
         return self._life._data  # pyright: ignore[reportPrivateUsage]
 
     @property
     def registers(self) -> Sequence[NDArray[np.int64]]:
-        """Of the board."""
+        """Registers of the board."""
         return (self._life.registers,)
 
     @property
     def poses(self) -> Sequence[Pose]:
-        """Where the robot is."""
+        """Pose of the robot."""
         return (self._life.pose,)
 
     def begin(self, seed: int, playpen: Playpen, noise: bool, spread: bool) -> None:
-        """Starts a life."""
+        """Start an episode."""
         robot = playpen.robots[0]
         start = robot.x_mm, robot.y_mm, robot.heading_deg
         self._life.begin(seed, start=start, noise=noise, spread=spread)
 
     def drive(self, robot: int, left: float, right: float) -> None:
-        """Sets both speeds."""
+        """Set both speeds [pulses/10 ms]."""
         self._life.drive(left, right)
 
     def go_on(self) -> None:
-        """Lets a control period pass."""
+        """Advance by a control period."""
         self._life.go_on(self._ground.wiring.steps_per_period)
 
 
 class Together:
-    """Any number of robots in a world; each beginning makes a new one.
+    """Any number of robots in a world; each trial creates a new one.
 
     Args:
-        period_ns: of the controllers, whole ticks of 10 ms.
+        period_ns: Control period [ns], whole ticks of 10 ms.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -115,39 +115,39 @@ class Together:
 
     @property
     def world(self) -> World:
-        """The world that there is.
+        """Current world.
 
         Raises:
-            ValueError: nothing has begun.
+            ValueError: No trial has begun.
         """
         if self._world is None:
-            raise ValueError("there is no world yet; right is to begin first")
+            raise ValueError("there is no world yet; expected begin() first")
         return self._world
 
     @property
     def data(self) -> mujoco.MjData:
-        """The scene's state."""
+        """State of the scene."""
         return self.world.data
 
     @property
     def registers(self) -> Sequence[NDArray[np.int64]]:
-        """Of the boards."""
+        """Registers of the boards."""
         return [robot.registers for robot in self.world.robots]
 
     @property
     def poses(self) -> Sequence[Pose]:
-        """Where the robots are."""
+        """Poses of the robots."""
         return [robot.pose for robot in self.world.robots]
 
     def begin(self, seed: int, playpen: Playpen, noise: bool, spread: bool) -> None:
-        """Makes a world."""
+        """Create a world."""
         self._world = World(playpen, seed=seed, noise=noise, spread=spread, unpaced=True)
 
     def drive(self, robot: int, left: float, right: float) -> None:
-        """Sets both speeds of a robot.
+        """Set both speeds of a robot [pulses/10 ms].
 
         Raises:
-            DivergedError: a speed is no number.
+            DivergedError: A speed is no number.
         """
         driven = self.world.robots[robot]
         if driven.firmware.powered and not episode.drive(driven.registers.data, left, right):
@@ -157,33 +157,33 @@ class Together:
             )
 
     def go_on(self) -> None:
-        """Lets a control period pass."""
+        """Advance by a control period."""
         self.world.advance_to(self.world.time_ns + self._period_ns)
 
 
 def may_be_alone(playpen: Playpen) -> bool:
-    """Whether a playpen has nothing that lives without a serial line cannot have."""
+    """Return whether a playpen can be simulated without a serial line."""
     robots = playpen.robots
     return len(robots) == 1 and not robots[0].turrets and playpen.lighting.mode == "all"
 
 
 def several(playpen: Playpen, count: int) -> Playpen:
-    """The playpen with so many of its first robot, still to be put somewhere.
+    """Return the playpen with `count` copies of its first robot, not yet placed.
 
     Raises:
-        PlaypenError: there is no robot in it.
+        PlaypenError: The playpen has no robot.
     """
     if not playpen.robots:
-        raise PlaypenError(f"{playpen.name}: has no robot; right is one that others are made after")
+        raise PlaypenError(f"{playpen.name}: no robot; expected one to copy")
     first = playpen.robots[0].model_copy(update={"name": None} if count > 1 else {})
     return playpen.model_copy(update={"robots": (first,) * count})
 
 
 def anywhere(playpen: Playpen, seed: int) -> Playpen:
-    """The playpen with its robots where the seed draws room for them.
+    """Return the playpen with its robots at free poses drawn by the seed.
 
     Raises:
-        PlaypenError: no room was found.
+        PlaypenError: No room was found.
     """
     chance = stream(seed, "starts")
     xs, ys = zip(*playpen.arena.corners, strict=True)
@@ -200,11 +200,11 @@ def anywhere(playpen: Playpen, seed: int) -> Playpen:
         else:
             raise PlaypenError(
                 f"{playpen.name}: no room for robot {len(standing.robots) + 1} was found in {_TRIES} tries; "
-                "right are fewer robots"
+                "expected fewer robots"
             )
     return standing
 
 
 def at_spots(playpen: Playpen, seed: int) -> Playpen:
-    """The playpen with its robots in their places, or at spots that the seed draws."""
+    """Return the playpen with its robots at their own poses, or at spots that the seed draws."""
     return placed(playpen, stream(seed, "spots"))

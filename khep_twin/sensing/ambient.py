@@ -1,10 +1,10 @@
-"""Ambient light: what lamps give to the receivers of a robot's infrared sensors.
+"""Ambient light: light of lamps at the receivers of a robot's infrared sensors.
 
     light = sum over lamps of gain P v [(1 - s) cos(theta)^n + s (1 + cos(theta)) / 2] / (r - offset)^2
 
 in counts below the dark level, with lamp power P, distance r from the receiver to the bulb's centre, theta
-off the receiver's axis in space, and v the part of the bulb that is in sight. The part s comes in by other
-ways than straight ahead, as from a lamp overhead. What is on the other side of a wall gives nothing.
+off the receiver's axis in space, and v the part of the bulb that is in sight. The diffuse part s comes in
+from other directions, as from a lamp overhead. A lamp behind a wall gives nothing.
 
 The toolbox's law, for comparison, has no shadows and no height:
 
@@ -28,16 +28,16 @@ class Receivers:
     """The eight receivers of one robot in a compiled scene.
 
     Args:
-        model: the scene.
-        prefix: of the robot's names in the scene, e.g. "khepera0/".
-        calibration: of this robot's receivers.
-        lamps: that may shine on them.
-        lighting: by which law.
+        model: Model of the scene.
+        prefix: Prefix of the robot's names in the scene, e.g. "khepera0/".
+        calibration: Calibration of this robot's receivers.
+        lamps: Lamps of the world.
+        lighting: Law of the lamps' light.
 
     Attributes:
-        lamps: that may shine on them.
-        optics: the receivers as numbers.
-        bulbs: the lamps' places as numbers.
+        lamps: Lamps of the world.
+        optics: Numbers of the receivers.
+        bulbs: Numbers of the lamps' positions.
     """
 
     def __init__(
@@ -53,13 +53,13 @@ class Receivers:
         self.relight(lamps, lighting)
 
     def relight(self, lamps: Lamps, lighting: Lighting) -> None:
-        """Take other lamps, or another law, in place of those before."""
+        """Replace the lamps and the law."""
         self.lamps = lamps
         self.bulbs = bulbs(SightLines(self._model, self._prefix, lamps.positions), lighting)
 
 
 def ambient_optics(calibration: AmbientCalibration) -> Ambient:
-    """A robot's receivers as numbers."""
+    """Return a robot's receivers as numbers."""
     headings = [radians(heading_deg) for heading_deg in calibration.heading_deg]
     return Ambient(
         ahead=[math.cos(heading) for heading in headings],
@@ -76,7 +76,7 @@ def ambient_optics(calibration: AmbientCalibration) -> Ambient:
 
 
 def bulbs(lines: SightLines, lighting: Lighting) -> Bulbs:
-    """Lamps as numbers, with what is known about the ways to them."""
+    """Return lamps as numbers, with the known sight lines to them."""
     first, rows = [0], list[tuple[float, float, float]]()
     for hidden in lines.hidden:
         rows += hidden

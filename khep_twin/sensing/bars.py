@@ -1,4 +1,4 @@
-"""Bars for what a robot senses and does, as the toolbox's khepbase draws them.
+"""Bars for a robot's sensors and speeds, as the toolbox's khepbase draws them.
 
 A bar of ambient light shows the robot's count, which falls where it is brighter: full in the dark, empty in
 bright light.
@@ -14,9 +14,9 @@ class Bar:
     """A kind of bar.
 
     Attributes:
-        full: the value that fills it.
-        legend: its entry in a legend.
-        lowest: the part that it has at least; below 0 where negative values fill it downwards.
+        full: Value that fills it.
+        legend: Entry in the legend.
+        lowest: Smallest part; below 0 where negative values fill it downwards.
     """
 
     full: int
@@ -33,4 +33,4 @@ BARS = {
     "light": Bar(500, "light, 500 dark to 0 bright"),
     "speed": Bar(20, "speed, -20 to 20", lowest=-1.0),
 }
-"""The kinds of bars by name [counts, counts, pulses/10 ms]; the limits are the toolbox's."""
+"""Kinds of bars by name [counts, counts, pulses/10 ms]; the limits are the toolbox's."""

@@ -1,7 +1,7 @@
 """Calibrations: sensors, wheels and motors of one named robot, as numbers in a TOML file.
 
-Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and says where it comes from. The
-files in assets/calibration are used by bare name, others by path. What the numbers do stands in `sensors`.
+Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and names its source. The files in
+assets/calibration are used by bare name, others by path. `sensors` explains the numbers.
 """
 
 from typing import Annotated, Self
@@ -38,16 +38,16 @@ class ProximityCalibration(Table):
     """Reflected light; per-sensor values in the order of N.
 
     Attributes:
-        gain_counts_mm2: per light reflected by the reference wall.
-        threshold_counts: taken off; below 0 what a sensor reads with nothing in reach.
-        offset_mm: of the chip behind the sensor's face.
-        lobe_exponent: of the cosine off the sensor's axis.
-        incidence_exponent: of the cosine between ray and surface normal.
-        limit_counts: highest reading.
-        floor_counts: lowest reading, also in light that leaves proximity nothing.
-        quantum_counts: step between readings.
-        noise_counts: standard deviation of one reading.
-        idle_counts: mean of the rest that is left with nothing in reach.
+        gain_counts_mm2: Counts per light reflected by the reference wall.
+        threshold_counts: Counts that are subtracted; below 0 the reading with nothing in reach.
+        offset_mm: Offset of the chip behind the sensor's face.
+        lobe_exponent: Exponent of the cosine off the sensor's axis.
+        incidence_exponent: Exponent of the cosine between ray and surface normal.
+        limit_counts: Highest reading.
+        floor_counts: Lowest reading, also where ambient light saturates the sensor.
+        quantum_counts: Step between readings.
+        noise_counts: Standard deviation of one reading.
+        idle_counts: Mean of the noise with nothing in reach.
     """
 
     gain_counts_mm2: Annotated[tuple[_Gain, ...], _Eight]
@@ -66,15 +66,15 @@ class AmbientCalibration(Table):
     """Light of lamps; per-sensor values in the order of O.
 
     Attributes:
-        heading_deg: where each receiver looks, counter-clockwise from ahead.
-        gain_counts_mm2_per_w: per light of a lamp.
-        lobe_exponent: of the cosine off the receiver's axis.
-        diffuse: part of its sensitivity that is not straight ahead.
-        offset_mm: of the light's inverse square.
-        dark_counts: reading in the dark.
-        floor_counts: reading in the brightest light.
-        ceiling_counts: highest reading, noise included.
-        noise_counts: standard deviation of one reading.
+        heading_deg: Heading of each receiver, counter-clockwise from ahead.
+        gain_counts_mm2_per_w: Counts per light of a lamp.
+        lobe_exponent: Exponent of the cosine off the receiver's axis.
+        diffuse: Diffuse part of the sensitivity.
+        offset_mm: Offset in the light's inverse square law.
+        dark_counts: Reading in the dark.
+        floor_counts: Reading in the brightest light.
+        ceiling_counts: Highest reading, noise included.
+        noise_counts: Standard deviation of one reading.
     """
 
     heading_deg: Annotated[tuple[_Heading, ...], _Eight]
@@ -89,11 +89,11 @@ class AmbientCalibration(Table):
 
 
 class WheelCalibration(Table):
-    """Both wheels; the robot's own firmware knows nothing of them but pulses.
+    """Both wheels; the robot's own firmware knows only their pulses.
 
     Attributes:
-        radius_mm: of a wheel.
-        base_mm: from one wheel's contact with the floor to the other's.
+        radius_mm: Radius of a wheel.
+        base_mm: Distance between the wheels' contacts with the floor.
     """
 
     radius_mm: Annotated[float, Field(ge=6, le=9)] = WHEEL_RADIUS * 1000
@@ -104,8 +104,8 @@ class MotorCalibration(Table):
     """Both motors, as seen at the wheels, at a supply of 5 V.
 
     Attributes:
-        no_load_speed_rad_s: of a wheel at full duty.
-        stall_torque_n_m: at a blocked wheel at full duty.
+        no_load_speed_rad_s: Speed of an unloaded wheel at full duty.
+        stall_torque_n_m: Torque at a blocked wheel at full duty.
     """
 
     no_load_speed_rad_s: Annotated[float, Field(ge=20, le=1000)] = MOTOR_NO_LOAD_SPEED
@@ -118,7 +118,7 @@ class MotorCalibration(Table):
 
     @property
     def resistance(self) -> float:
-        """Of the winding [ohm]."""
+        """Resistance of the winding [ohm]."""
         return SUPPLY_VOLTAGE * self.constant / self.stall_torque_n_m
 
 
@@ -145,7 +145,7 @@ class Calibration(Table):
             ("proximity", "quantum_counts", near.quantum_counts, "limit_counts", near.limit_counts),
         )
         problems = [
-            Problem((table, key), f"{table}: {key} = {value:g}: right is below {other} = {limit:g}")
+            Problem((table, key), f"{table}: {key} = {value:g}; expected below {other} = {limit:g}")
             for table, key, value, other, limit in levels
             if value > limit - (key == "floor_counts")
         ]
@@ -160,7 +160,7 @@ their gain for lamps (4 to 7 % measured)."""
 
 
 def spread(calibration: Calibration, chance: np.random.Generator) -> Calibration:
-    """Another robot of the same make: each sensor's gain, threshold and gain for lamps by chance."""
+    """Return a robot of the same make with random gain, threshold and gain for lamps of each sensor."""
     gains, thresholds = 1 + np.array([[GAIN_SPREAD], [THRESHOLD_SPREAD]]) * chance.standard_normal(
         (2, N_SENSORS)
     )
@@ -186,15 +186,15 @@ def spread(calibration: Calibration, chance: np.random.Generator) -> Calibration
 
 
 def names() -> list[str]:
-    """The calibrations that ship with the package."""
+    """Return the names of the calibrations that ship with the package."""
     return toml_files.names("calibration")
 
 
 def read(name: str) -> tuple[Calibration, str]:
-    """A calibration by bare name or path, and the text of its file.
+    """Return a calibration by bare name or path, and the text of its file.
 
     Raises:
-        CalibrationError: there is none, or the file cannot be used; one line per problem.
+        CalibrationError: The file is missing or unusable; one line per problem.
     """
     text, source = toml_files.read("calibration", name, CalibrationError)
     return toml_files.validate(Calibration, text, source, CalibrationError), text

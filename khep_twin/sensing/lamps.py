@@ -1,9 +1,9 @@
-"""Lamps: where they are and how brightly each shines, as time passes.
+"""Lamps: their positions, and their brightness over time.
 
-A lamp burns with its power times its dim. It can blink, `on_s` says from when to when it is on, and with
-`fade_s` it goes on and off slowly, as a filament does. The playpen's lighting says which of them are on: all,
-or one at a time. Then the next one, by chance or in the file's order, is on when a robot comes near the one
-that is on, or near a wall of the arena. Robots have to go away before they can come near again. A hand can
+A lamp shines with its power times its dim. It can blink, `on_s` gives the times when it is on, and with
+`fade_s` it goes on and off slowly, as a filament does. The playpen's lighting selects which of them are on:
+all, or one at a time. Then the next one, at random or in the file's order, goes on when a robot comes near
+the lit one or near a wall of the arena. Robots have to leave before they can come near again. The user can
 switch a lamp off and on again, whatever else switches it.
 """
 
@@ -21,15 +21,15 @@ class Lamps:
     """The lamps of one world.
 
     Args:
-        playpen: says where they are and what switches them.
-        chance: draws the next one in mode "random".
-        time_ns: now [ns].
+        playpen: Playpen with the lamps and the lighting.
+        chance: Random stream for the next lamp in mode "random".
+        time_ns: Current time [ns].
 
     Attributes:
-        names: as in the scene, or as the playpen calls them.
-        positions: of the bulbs' centres (n, 3) [m].
-        powers: with which they shine now (n,) [W].
-        steady: whether nothing ever changes them.
+        names: Names in the playpen, else in the scene.
+        positions: Positions of the bulbs' centres (n, 3) [m].
+        powers: Current powers (n,) [W].
+        steady: True if the powers never change.
     """
 
     def __init__(self, playpen: Playpen, chance: np.random.Generator, time_ns: int = 0) -> None:
@@ -52,29 +52,29 @@ class Lamps:
 
     @property
     def lit(self) -> int | None:
-        """Which one is on, where they are on one at a time; else None."""
+        """Index of the lamp that is on, if they are on one at a time; else None."""
         return self._lit
 
     def turn(self, index: int, on: bool, time_ns: int) -> None:
-        """Switch a lamp by hand at a time [ns]: off, or back to what it does by itself."""
+        """Switch a lamp by hand at a time [ns]: off, or back to its own schedule."""
         (self._off.discard if on else self._off.add)(index)
-        if self.steady:  # nobody has called `update` so far
+        if self.steady:  # `update` has not been called so far
             self._time_ns = time_ns
         self.steady = False
 
     def turned_off(self, index: int) -> bool:
-        """Whether a hand has switched it off."""
+        """Return whether the user has switched a lamp off."""
         return index in self._off
 
     def update(self, time_ns: int, robots: Sequence[tuple[float, float, float]]) -> bool:
-        """Lets time pass.
+        """Advance the lamps to a time.
 
         Args:
-            time_ns: now [ns].
-            robots: places of their centres and their radii: x, y, radius [m].
+            time_ns: Current time [ns].
+            robots: Centres and radii of the robots: x, y, radius [m].
 
         Returns:
-            Whether another lamp is on now.
+            True if another lamp is on now.
         """
         elapsed_s, self._time_ns = (time_ns - self._time_ns) * 1e-9, time_ns
         switched = self._lit is not None and self._switch(self._lit, robots)
@@ -85,13 +85,13 @@ class Lamps:
         return switched
 
     def _wanted(self, index: int) -> bool:
-        """Whether a lamp is on."""
+        """Return whether a lamp is on."""
         if self._lit not in (None, index) or index in self._off:
             return False
         return _in_its_turn(self._lamps[index], self._time_ns)
 
     def _switch(self, lit: int, robots: Sequence[tuple[float, float, float]]) -> bool:
-        """Goes on to the next lamp if a robot has just come near this one, or near a wall."""
+        """Advance to the next lamp if a robot has just come near this one or a wall; return True then."""
         reach = metres(self._lighting.switch_distance_mm)
         near_wall = any(distance(self._corners, x, y) < reach + radius for x, y, radius in robots)
         near_lamp = self._near(lit, reach, robots)
@@ -113,7 +113,7 @@ class Lamps:
 
 
 def _in_its_turn(lamp: Lamp, time_ns: int) -> bool:
-    """Whether a lamp is on by its times, and by its blinking; each period begins with it on."""
+    """Return whether a lamp is on by its times and its blinking; each period begins with it on."""
     if lamp.on_s and not any(round(on * 1e9) <= time_ns < round(off * 1e9) for on, off in lamp.on_s):
         return False
     if not lamp.blink_period_s:

@@ -1,8 +1,8 @@
-"""Sight lines to lamps that nothing stands in: where no ray is needed to know a bulb to be in full sight.
+"""Free sight lines to lamps: positions from which a bulb is in full sight without casting a ray.
 
-Seen from a lamp, each fixed thing lies between two directions. A place in another direction, or nearer to the
-lamp than the thing, sees all of the bulb past it; the bulb's radius is allowed for on both sides. Where
-something may move into the way, such as another robot, nothing is known beforehand.
+Seen from a lamp, each fixed object lies between two directions. A position in another direction, or nearer to
+the lamp than the object, sees all of the bulb past it; the bulb's radius is allowed for on both sides. Where
+other objects can move, such as another robot, nothing is known beforehand.
 """
 
 import math
@@ -14,24 +14,23 @@ import numpy as np
 from khep_twin.units import BULB_RADIUS, SENSOR_HEIGHT
 
 _AROUND = frozenset(("wall_left", "wall_right", "wall_bottom", "wall_top", "floor"))
-"""Of a rectangular arena: nothing inside it is behind them."""
+"""Walls and floor of a rectangular arena: nothing inside it is behind them."""
 
 _OWN = ("base", "left_wheel", "right_wheel")
 
 
 class SightLines:
-    """Of one robot's receivers to the lamps of a scene; `optics.clear` goes by them.
+    """Sight lines of one robot's receivers to the lamps of a scene, for `optics.clear`.
 
     Args:
-        model: the scene.
-        prefix: of the robot's names in it.
-        lamps: places of the bulbs' centres [m].
+        model: Model of the scene.
+        prefix: Prefix of the robot's names in the scene.
+        lamps: Positions of the bulbs' centres [m].
 
     Attributes:
-        lamps: places of the bulbs' centres [m].
-        known: whether all that stops light stands still, the robot itself left aside.
-        hidden: what may hide each lamp: the middle and half of the angle that it takes [rad], and how near it
-            is [m].
+        lamps: Positions of the bulbs' centres [m].
+        known: True if all that stops light stands still, apart from the robot itself.
+        hidden: Objects that may hide each lamp: middle and half of their angle [rad], and distance [m].
     """
 
     def __init__(self, model: mujoco.MjModel, prefix: str, lamps: list[tuple[float, float, float]]) -> None:
@@ -41,7 +40,7 @@ class SightLines:
 
 
 def _nothing_else_moves(model: mujoco.MjModel, prefix: str) -> bool:
-    """Whether all that stops light stands still, the robot itself left aside."""
+    """Return whether all that stops light stands still, apart from the robot itself."""
     own = {0, *(model.body(prefix + name).id for name in _OWN)}
     return not {int(body) for body in model.geom_bodyid} - own
 
@@ -49,7 +48,7 @@ def _nothing_else_moves(model: mujoco.MjModel, prefix: str) -> bool:
 def _directions(
     model: mujoco.MjModel, lamp: tuple[float, float, float]
 ) -> Iterator[tuple[float, float, float]]:
-    """What may hide a lamp: the middle and half of the angle that it takes [rad], and how near it is [m]."""
+    """Yield the objects that may hide a lamp: middle and half of their angle [rad], and distance [m]."""
     lowest = min(SENSOR_HEIGHT, lamp[2] - BULB_RADIUS)
     for geom in np.flatnonzero(model.geom_bodyid == 0).tolist():
         size, centre = model.geom_size[geom].tolist(), model.geom_pos[geom].tolist()
@@ -62,7 +61,7 @@ def _directions(
         angle = 2 * math.atan2(z, w)
         half_length, half_width = (size[0], size[1]) if box else (size[0], size[0])
         if not box:
-            angle = math.atan2(y, x)  # the square around a circle, turned to the lamp
+            angle = math.atan2(y, x)  # the square around a circle, facing the lamp
         along = x * math.cos(angle) + y * math.sin(angle)
         across = -x * math.sin(angle) + y * math.cos(angle)
         nearest = math.hypot(max(abs(along) - half_length, 0), max(abs(across) - half_width, 0))

@@ -1,8 +1,8 @@
 """The infrared sensors' arithmetic: from rays and lamps to counts, in plain numbers.
 
-`sensors` and `ambient` say what it models. Like `kernel` it keeps to what a compiler for numerical Python
-takes, so that one source serves both: its functions index whatever holds numbers, lists here, arrays there,
-and ask the scene only by the functions of `raycast`.
+`sensors` and `ambient` describe the model. Like `kernel` it uses only what a compiler for numerical Python
+accepts, so that one source serves both: its functions index lists here, arrays there, and query the scene
+only by the functions of `raycast`.
 """
 
 import math
@@ -13,39 +13,39 @@ from khep_twin.sensing import raycast
 from khep_twin.units import BULB_RADIUS
 
 _SLACK = 1e-6
-"""So much longer a ray may be when it is cast again [m]."""
+"""Tolerance of the length of a ray that is cast again [m]."""
 
 _NOTHING = 0.5
-"""Less than half a count is not worth a ray."""
+"""Light for which no ray is cast [counts]."""
 
 _FAINT = 30.0
-"""Light of so few counts has shadows with hard edges: their softness would be lost in the noise."""
+"""Light below which shadows have hard edges [counts]: their softness would be lost in the noise."""
 
 _CLOSEST_MM = 1.0
-"""A lamp that would be nearer than this counts as so near."""
+"""Smallest distance of a lamp; nearer ones count as this near."""
 
 
 class Proximity(NamedTuple):
     """Reflected light; per-sensor numbers in the order of N.
 
     Attributes:
-        gain: per light reflected by the reference wall (8,) [counts m^2].
-        threshold: taken off (8,) [counts].
-        offset: of the chip behind the sensor's face (8,) [m].
-        incidence_exponent: of the cosine between ray and normal (8,).
-        limit: highest reading [counts].
-        floor: lowest reading [counts].
-        quantum: step between readings [counts].
-        noise: standard deviation of one reading [counts].
-        idle: mean of the rest that is left with nothing in reach [counts].
-        weights: of each sensor's rays (8, n_rays).
-        aside: tangents of their angles off the sensor's axis, to its right (8, n_rays).
-        brightest: largest reflectance in the scene.
-        uniform: whether all that can be hit has that reflectance.
-        found: room for what rays find (4 n_rays,).
-        directions: room for them in the world (3 n_rays,).
-        incidences: room for their cosines to the normals (n_rays,).
-        reflectances: room for the reflectances of what they hit (n_rays,).
+        gain: Counts per light reflected by the reference wall (8,) [counts m^2].
+        threshold: Counts that are subtracted (8,) [counts].
+        offset: Offset of the chip behind the sensor's face (8,) [m].
+        incidence_exponent: Exponent of the cosine between ray and normal (8,).
+        limit: Highest reading [counts].
+        floor: Lowest reading [counts].
+        quantum: Step between readings [counts].
+        noise: Standard deviation of one reading [counts].
+        idle: Mean of the noise with nothing in reach [counts].
+        weights: Weights of each sensor's rays (8, n_rays).
+        aside: Tangents of the rays' angles off the sensor's axis, to its right (8, n_rays).
+        brightest: Largest reflectance in the scene.
+        uniform: True if all that can be hit has that reflectance.
+        found: Buffer for the lengths and normals of rays (4 n_rays,).
+        directions: Buffer for the rays' directions in the world (3 n_rays,).
+        incidences: Buffer for the rays' cosines to the normals (n_rays,).
+        reflectances: Buffer for the reflectances of what the rays hit (n_rays,).
     """
 
     gain: Sequence[float]
@@ -71,16 +71,16 @@ class Ambient(NamedTuple):
     """Light of lamps; per-sensor numbers in the order of O.
 
     Attributes:
-        ahead: cosine of where each receiver looks (8,).
-        left: sine of it (8,).
-        gain_mm2: per light of a lamp (8,) [counts mm^2/W].
-        lobe_exponent: of the cosine off its axis (8,).
-        diffuse: part of the sensitivity that is not straight ahead.
-        offset_mm: of the light's inverse square [mm].
-        dark: reading in the dark [counts].
-        floor: reading in the brightest light [counts].
-        ceiling: highest reading [counts].
-        noise: standard deviation of one reading [counts].
+        ahead: Cosine of each receiver's heading (8,).
+        left: Sine of each receiver's heading (8,).
+        gain_mm2: Counts per light of a lamp (8,) [counts mm^2/W].
+        lobe_exponent: Exponent of the cosine off the receiver's axis (8,).
+        diffuse: Diffuse part of the sensitivity.
+        offset_mm: Offset in the light's inverse square law [mm].
+        dark: Reading in the dark [counts].
+        floor: Reading in the brightest light [counts].
+        ceiling: Highest reading [counts].
+        noise: Standard deviation of one reading [counts].
     """
 
     ahead: Sequence[float]
@@ -96,18 +96,18 @@ class Ambient(NamedTuple):
 
 
 class Bulbs(NamedTuple):
-    """Lamps, and from where nothing can stand before them (`sightlines`).
+    """Lamps, and directions in which they may be hidden (`occlusion`).
 
     Attributes:
-        places: of the centres (3 n,) [m].
-        by_toolbox: whether the toolbox's law holds.
-        min_angle_deg: that law's.
-        max_angle_deg: that law's.
-        known: whether all that stops light stands still.
-        first: where each lamp's hidden directions begin, and where the last ones end (n + 1,).
-        middles: unit vectors to the middle of hidden directions, one after the other (2 n_hidden,).
-        edges: cosines of half the angles that they take, below -1 for all around (n_hidden,).
-        nearest: how near what hides there is [m].
+        places: Positions of the centres (3 n,) [m].
+        by_toolbox: True if the toolbox's law holds.
+        min_angle_deg: Minimum angle of that law [deg].
+        max_angle_deg: Maximum angle of that law [deg].
+        known: True if all that stops light stands still.
+        first: Index of each lamp's first hidden direction, and the end of the last lamp's (n + 1,).
+        middles: Unit vectors to the middle of hidden directions, one after the other (2 n_hidden,).
+        edges: Cosines of half their angles, below -1 for all around (n_hidden,).
+        nearest: Distances of the hiding objects (n_hidden,) [m].
     """
 
     places: Sequence[float]
@@ -130,19 +130,20 @@ def convert(
     channel: int,
     chance: tuple[float, float, float],
 ) -> tuple[int, int]:
-    """Proximity and ambient counts of one sensor, as of the pose at the start of the last step.
+    """Return proximity and ambient counts of one sensor, for the pose at the start of the last step.
 
     Args:
-        scene: what there is.
-        near: how proximity comes about.
-        eyes: how ambient light does.
-        bulbs: that may shine.
-        powers: with which each does (n,) [W].
-        channel: of the sensor.
-        chance: of proximity and ambient, with standard deviation 1, and of idle counts, with mean 1.
+        scene: Scene around the robot.
+        near: Numbers of proximity.
+        eyes: Numbers of ambient light.
+        bulbs: Lamps of the world.
+        powers: Powers of the lamps (n,) [W].
+        channel: Number of the sensor.
+        chance: Random draws for proximity and ambient counts, with standard deviation 1, and for idle counts,
+            with mean 1.
     """
     noise = eyes.noise * chance[1]
-    # The floor comes first, so that what is no number any more, until it is noticed, counts as the floor.
+    # The floor is the first argument, so that NaN counts as the floor until it is noticed.
     level = max(eyes.floor, eyes.dark - light(scene, eyes, bulbs, powers, channel))
     range_left = (level - eyes.floor) / (eyes.dark - eyes.floor)
     ambient = max(min(round(level + noise), eyes.ceiling), 0)
@@ -152,15 +153,15 @@ def convert(
 def proximity(
     scene: raycast.Scene, near: Proximity, channel: int, noise: float, idle: float, range_left: float
 ) -> int:
-    """Counts of reflected light.
+    """Return the counts of reflected light.
 
     Args:
-        scene: what there is.
-        near: how they come about.
-        channel: of the sensor.
-        noise: chance, with standard deviation 1.
-        idle: chance, with mean 1.
-        range_left: part of the range that ambient light has left, 0 to 1.
+        scene: Scene around the robot.
+        near: Numbers of proximity.
+        channel: Number of the sensor.
+        noise: Random draw with standard deviation 1.
+        idle: Random draw with mean 1.
+        range_left: Part of the range that ambient light leaves, 0 to 1.
     """
     level = near.noise * noise - near.threshold[channel]
     found, nearest = near.found, -1.0
@@ -169,7 +170,7 @@ def proximity(
         if length >= 0 and (length < nearest or nearest < 0):
             nearest = length
     if nearest >= 0:
-        # Most of the time nothing near enough is in view; what cannot pass the threshold is not summed up.
+        # Mostly nothing is near enough; light that cannot pass the threshold is not summed up.
         gain, reach = near.gain[channel], nearest + near.offset[channel]
         if gain * near.brightest / (reach * reach) > -level:
             _look(scene, near, channel, found)
@@ -180,7 +181,7 @@ def proximity(
 
 
 def light(scene: raycast.Scene, eyes: Ambient, bulbs: Bulbs, powers: Sequence[float], channel: int) -> float:
-    """What all lamps together take off the dark level of one receiver [counts]."""
+    """Return the light of all lamps at one receiver, below its dark level [counts]."""
     total = 0.0
     if not len(bulbs.places):
         return total
@@ -216,13 +217,13 @@ def light(scene: raycast.Scene, eyes: Ambient, bulbs: Bulbs, powers: Sequence[fl
 
 
 def received(eyes: Ambient, channel: int, distance: float, cosine: float) -> float:
-    """What a lamp of 1 W in full sight takes off the dark level [counts/W].
+    """Return the light of a lamp of 1 W in full sight, below the dark level [counts/W].
 
     Args:
-        eyes: the receivers.
-        channel: of the sensor.
-        distance: from the receiver to the bulb's centre [m].
-        cosine: of the lamp's direction off the receiver's axis.
+        eyes: Numbers of the receivers.
+        channel: Number of the sensor.
+        distance: Distance from the receiver to the bulb's centre [m].
+        cosine: Cosine of the lamp's direction off the receiver's axis.
     """
     straight = cosine ** eyes.lobe_exponent[channel] if cosine > 0 else 0.0
     lobe = (1 - eyes.diffuse) * straight + eyes.diffuse * (1 + cosine) / 2
@@ -230,7 +231,7 @@ def received(eyes: Ambient, channel: int, distance: float, cosine: float) -> flo
 
 
 def received_by_toolbox(eyes: Ambient, bulbs: Bulbs, channel: int, distance: float, cosine: float) -> float:
-    """The same by the toolbox's law, with distance and angle as on a map."""
+    """Return the light by the toolbox's law, with distance and angle as on a map [counts/W]."""
     angle_deg = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
     lobe = 1.0
     if angle_deg > bulbs.max_angle_deg:
@@ -241,7 +242,7 @@ def received_by_toolbox(eyes: Ambient, bulbs: Bulbs, channel: int, distance: flo
 
 
 def clear(bulbs: Bulbs, lamp: int, x: float, y: float) -> bool:
-    """Whether a lamp is surely in full sight of a place at the height of the sensors [m]."""
+    """Return whether a lamp is surely in full sight of a position at the height of the sensors [m]."""
     if not bulbs.known:
         return False
     dx, dy = x - bulbs.places[3 * lamp], y - bulbs.places[3 * lamp + 1]
@@ -254,7 +255,7 @@ def clear(bulbs: Bulbs, lamp: int, x: float, y: float) -> bool:
 
 
 def in_sight(scene: raycast.Scene, channel: int, x: float, y: float, z: float, distance: float) -> float:
-    """Which part of a bulb a receiver sees, 0 to 1, along a way [m] that is `distance` long."""
+    """Return the part of a bulb that a receiver sees, 0 to 1, along a vector [m] that is `distance` long."""
     # Mostly all or nothing is in sight; the edge of a shadow is looked at more closely.
     seen = part_of_bulb(scene, channel, x, y, z, distance, raycast.FEW)
     if seen == 0.0 or seen == 1.0:
@@ -265,14 +266,14 @@ def in_sight(scene: raycast.Scene, channel: int, x: float, y: float, z: float, d
 def part_of_bulb(
     scene: raycast.Scene, channel: int, x: float, y: float, z: float, distance: float, disc: int
 ) -> float:
-    """Which part of some points of a bulb rays from a receiver reach."""
+    """Return the part of a bulb's points that rays from a receiver reach."""
     flat, scale = math.sqrt(x * x + y * y), BULB_RADIUS / distance
-    # To the left and up, as seen from the receiver; right below a lamp any left will do.
+    # To the left and up, as seen from the receiver; directly below a lamp any left is as good.
     left, up = (BULB_RADIUS, 0.0, 0.0), (0.0, BULB_RADIUS, 0.0)
     if flat > 0:
         side, tilt = BULB_RADIUS / flat, -z * scale / flat
         left, up = (-y * side, x * side, 0.0), (x * tilt, y * tilt, flat * scale)
-    # Hits are told in lengths of the rays. One as near as the bulb's glass has reached it.
+    # Hits are in lengths of the rays. One as near as the bulb's glass has reached it.
     return 1 - raycast.blocked(scene, channel, disc, left, up, (x, y, z), 1.0 + scale, 1.0 - scale)
 
 
@@ -284,15 +285,15 @@ def reflected(
     offset: float,
     incidence_exponent: float,
 ) -> float:
-    """Reflected light over a sensor's rays: sum_i w_i rho_i cos(phi_i)^m / (d_i + offset)^2 [1/m^2].
+    """Return the reflected light: sum over rays of w_i rho_i cos(phi_i)^m / (d_i + offset)^2 [1/m^2].
 
     Args:
-        lengths: d_i, of each ray [m]; below 0 where it hits nothing.
-        incidences: cos(phi_i), between ray and surface normal.
-        reflectances: rho_i, of what it hits.
-        weights: w_i, of the rays in the cone.
-        offset: of the sensor's chip behind its face [m].
-        incidence_exponent: m.
+        lengths: Length d_i of each ray [m]; below 0 where it hits nothing.
+        incidences: Cosines cos(phi_i) between ray and surface normal.
+        reflectances: Reflectances rho_i of what they hit.
+        weights: Weights w_i of the rays in the cone.
+        offset: Offset of the sensor's chip behind its face [m].
+        incidence_exponent: Exponent m.
     """
     total = 0.0
     for i in range(len(weights)):
@@ -304,7 +305,7 @@ def reflected(
 
 
 def _reflected(found: Sequence[float], near: Proximity, channel: int) -> float:
-    """`reflected`, over what rays have found."""
+    """Return `reflected` for the rays cast."""
     return reflected(
         found[:: raycast.LENGTH_AND_NORMAL],
         near.incidences,
@@ -316,7 +317,7 @@ def _reflected(found: Sequence[float], near: Proximity, channel: int) -> float:
 
 
 def _look(scene: raycast.Scene, near: Proximity, channel: int, found: Sequence[float]) -> None:
-    """Fills in how the rays meet what they hit, and how bright that is."""
+    """Fill in the rays' incidences and reflectances."""
     frame = raycast.sensor_frame(scene, channel)
     aside = near.aside[channel]
     farthest = -1.0
@@ -325,7 +326,7 @@ def _look(scene: raycast.Scene, near: Proximity, channel: int, found: Sequence[f
         if found[first] > farthest:
             farthest = found[first]
         if near.uniform and found[first] < 0:
-            continue  # it is neither cast again nor counts
+            continue  # it is not cast again and adds no light
         dx, dy, dz = raycast.direction(scene, frame, channel, i, aside[i])
         near.directions[3 * i], near.directions[3 * i + 1], near.directions[3 * i + 2] = dx, dy, dz
         near.incidences[i] = -(found[first + 1] * dx + found[first + 2] * dy + found[first + 3] * dz)

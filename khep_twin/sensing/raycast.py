@@ -1,8 +1,8 @@
-"""Casting: what the sensors' arithmetic asks of a scene, a few rays and where the sensors are.
+"""Ray casting: the scene as the sensors' arithmetic queries it, rays and poses of the sensors.
 
-This is the only part of the sensors that differs between the arithmetic as it stands, `optics`, and its
-compiled form: here MuJoCo is called by its Python module and places are read as lists, which is what Python
-is quickest with. `khep_twin.rollout.compiled_casting` has the same functions for compiled code.
+This is the only part of the sensors that differs between plain and compiled `optics`: here MuJoCo is called
+by its Python module and positions are read as lists, which are fastest in Python.
+`khep_twin.rollout.compiled_casting` has the same functions for compiled code.
 """
 
 import math
@@ -19,7 +19,7 @@ from khep_twin.units import Sensor
 Floats = NDArray[np.float64]
 
 FEW, MANY = 0, 1
-"""How many points of a bulb are looked at: 9 or 64."""
+"""Numbers of points on a bulb: 9 or 64."""
 
 LENGTH_AND_NORMAL = 4
 """Numbers per ray that the rangefinders of assets/khepera.xml give."""
@@ -29,17 +29,17 @@ class Scene(NamedTuple):
     """A compiled scene as one robot's sensors see it.
 
     Attributes:
-        model: the scene.
-        data: its state.
-        body: of the robot, whose own rays go out of it.
-        frame: of that body, live (9,).
-        positions: of the sensors, live, each (3,) [m].
-        frames: of the sensors, live, each (9,).
-        rays: what the rangefinders have found, live, each (4 n_rays,): length [m] and normal of each ray.
-        reflectances: of all geoms (n_geoms,).
-        geoms: room for what rays hit (n_rays,).
-        lengths: room for how long they are (n_rays,).
-        discs: points of a bulb, few and many.
+        model: Model of the scene.
+        data: State of the scene.
+        body: Body of the robot, which its own rays ignore.
+        frame: Orientation of that body, live (9,).
+        positions: Positions of the sensors, live, each (3,) [m].
+        frames: Orientations of the sensors, live, each (9,).
+        rays: Readings of the rangefinders, live, each (4 n_rays,): length [m] and normal of each ray.
+        reflectances: Reflectances of all geoms (n_geoms,).
+        geoms: Buffer for the geoms that rays hit (n_rays,).
+        lengths: Buffer for the rays' lengths (n_rays,).
+        discs: Points of a bulb, few and many.
     """
 
     model: mujoco.MjModel
@@ -56,13 +56,13 @@ class Scene(NamedTuple):
 
 
 class Disc(NamedTuple):
-    """Points of a disc of radius 1, and room for rays to them.
+    """Points of a disc of radius 1, and buffers for rays to them.
 
     Attributes:
-        across: of each point, to the left (n, 1).
-        up: of each point (n, 1).
-        geoms: what the rays have hit (n,).
-        hits: how long they are (n,).
+        across: Coordinate of each point to the left (n, 1).
+        up: Coordinate of each point upwards (n, 1).
+        geoms: Geoms that the rays have hit (n,).
+        hits: Lengths of the rays (n,).
     """
 
     across: Floats
@@ -72,7 +72,7 @@ class Disc(NamedTuple):
 
 
 def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
-    """What the sensors of the robot with this prefix, e.g. "khepera0/", see."""
+    """Return the scene of the sensors of the robot with this prefix, e.g. "khepera0/"."""
     body = model.body(prefix + "base").id
     cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
     rays = [data.sensordata[part] for part in ray_slices(model, prefix)]
@@ -98,17 +98,17 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
 
 
 def ray_slices(model: mujoco.MjModel, prefix: str) -> list[slice]:
-    """Where in the scene's sensor data each sensor's rays are."""
+    """Return the slices of the scene's sensor data that hold each sensor's rays."""
     sensors = [model.sensor(f"{prefix}{sensor.name.lower()}_rays") for sensor in Sensor]
     return [slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0])) for sensor in sensors]
 
 
 def points_of_a_bulb(number: int) -> Floats:
-    """Points of a disc of radius 1 (n, 2); FEW tell whether all is in sight or nothing, MANY how much."""
-    if number == FEW:  # its middle, and near its edge
+    """Return points of a disc of radius 1 (n, 2): FEW decide between all and nothing, MANY give the part."""
+    if number == FEW:  # its centre, and points near its edge
         turns = np.arange(8) * math.pi / 4
         return np.concatenate([[[0.0, 0.0]], 0.97 * np.column_stack([np.cos(turns), np.sin(turns)])])
-    # Spread evenly, as a sunflower has its seeds, left as right.
+    # A sunflower pattern, evenly spread and symmetric.
     seeds = np.arange(32)
     turns, radii = seeds * math.pi * (3 - math.sqrt(5)), np.sqrt((seeds + 0.5) / len(seeds))
     half = np.column_stack([radii * np.cos(turns), radii * np.sin(turns)])
@@ -116,35 +116,35 @@ def points_of_a_bulb(number: int) -> Floats:
 
 
 def body_frame(scene: Scene) -> list[float]:
-    """How the robot is turned: rows of a matrix (9,)."""
+    """Return the orientation of the robot: rows of a matrix (9,)."""
     return scene.frame.tolist()
 
 
 def position(scene: Scene, channel: int) -> list[float]:
-    """Where a sensor is (3,) [m]."""
+    """Return the position of a sensor (3,) [m]."""
     return scene.positions[channel].tolist()
 
 
 def sensor_frame(scene: Scene, channel: int) -> list[float]:
-    """How a sensor is turned (9,); it looks against its third axis."""
+    """Return the orientation of a sensor (9,), which looks against its third axis."""
     return scene.frames[channel].tolist()
 
 
 def rays(scene: Scene, near: Any, channel: int, level: float, found: list[float]) -> int:
-    """Fills in length [m], below 0 for one that hits nothing, and normal of each ray of a sensor.
+    """Fill in length [m], below 0 for a miss, and normal of each ray of a sensor.
 
-    They are all there already, as the rangefinders have found them; compiled code casts them where something
-    may be near enough to count.
+    The rangefinders have cast them already; compiled code casts them where something may be near enough to
+    count.
 
     Args:
-        scene: in which.
-        near: how proximity comes about.
-        channel: of the sensor.
-        level: what it reads with nothing in view, before it is cut off [counts].
-        found: is filled (4 n_rays,).
+        scene: Scene of the robot.
+        near: Numbers of proximity.
+        channel: Number of the sensor.
+        level: Reading with nothing in view, before clipping [counts].
+        found: Buffer to fill (4 n_rays,).
 
     Returns:
-        How many numbers were filled in; 0 where no ray matters.
+        Number of values filled in; 0 where no ray matters.
     """
     found[:] = scene.rays[channel].tolist()
     return len(found)
@@ -153,34 +153,34 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: list[float]
 def direction(
     scene: Scene, frame: Sequence[float], channel: int, ray: int, aside: float
 ) -> tuple[float, float, float]:
-    """Where a ray goes in the world, reckoned as MuJoCo does, to the last bit.
+    """Return the direction of a ray in the world, computed as MuJoCo does, to the last bit.
 
     Args:
-        scene: in which; like the next but one it is for those who have directions ready.
-        frame: of the sensor (9,).
-        channel: of the sensor.
-        ray: which of its rays.
-        aside: tangent of its angle off the sensor's axis.
+        scene: Scene of the robot; unused here, like `channel` and `ray`.
+        frame: Orientation of the sensor (9,).
+        channel: Number of the sensor.
+        ray: Number of the ray.
+        aside: Tangent of its angle off the sensor's axis.
     """
     return through(frame, aside)
 
 
 def through(frame: Sequence[float], aside: float) -> tuple[float, float, float]:
-    """Unit vector of a ray at a tangent off the axis of a frame."""
+    """Return the unit vector of a ray at a tangent off the axis of a frame."""
     x, y, z = frame[0] * aside - frame[2], frame[3] * aside - frame[5], frame[6] * aside - frame[8]
     scale = 1 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
 
 def surfaces(scene: Scene, channel: int, directions: list[float], cutoff: float, found: list[float]) -> None:
-    """Casts a sensor's rays again, as rangefinders do not tell what they hit.
+    """Cast a sensor's rays again, as rangefinders do not report what they hit.
 
     Args:
-        scene: in which.
-        channel: of the sensor.
-        directions: of the rays in the world (3 n_rays,).
-        cutoff: how far [m].
-        found: is filled with the reflectances (n_rays,), anything where nothing is hit.
+        scene: Scene of the robot.
+        channel: Number of the sensor.
+        directions: Directions of the rays in the world (3 n_rays,).
+        cutoff: Range of the rays [m].
+        found: Buffer for the reflectances (n_rays,), undefined where nothing is hit.
     """
     mujoco.mj_multiRay(
         scene.model,
@@ -200,7 +200,7 @@ def surfaces(scene: Scene, channel: int, directions: list[float], cutoff: float,
 
 
 def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: float) -> bool:
-    """Whether light along a vector from a sensor [m] is stopped before a part of it, 0 to 1."""
+    """Return whether light along a vector from a sensor [m] is stopped before a part of it, 0 to 1."""
     way = np.array((x, y, z))
     position = scene.positions[channel]
     hit = mujoco.mj_ray(scene.model, scene.data, position, way, None, True, scene.body, None)
@@ -217,20 +217,20 @@ def blocked(
     cutoff: float,
     glass: float,
 ) -> float:
-    """Which part of the rays from a sensor to points of a bulb is stopped before the bulb's glass.
+    """Return the part of the rays from a sensor to points of a bulb that is stopped before its glass.
 
     Args:
-        scene: in which.
-        channel: of the sensor.
+        scene: Scene of the robot.
+        channel: Number of the sensor.
         disc: FEW or MANY points.
-        left: to the bulb's edge, as seen from the sensor [m].
-        up: likewise [m].
-        way: from the sensor to the bulb's centre [m].
-        cutoff: how far rays go, in lengths of the way.
-        glass: where the bulb begins, likewise.
+        left: Vector to the bulb's left edge, as seen from the sensor [m].
+        up: Vector to the bulb's upper edge [m].
+        way: Vector from the sensor to the bulb's centre [m].
+        cutoff: Range of the rays, in lengths of `way`.
+        glass: Start of the bulb, in lengths of `way`.
     """
     points = scene.discs[disc]
-    # Element by element, so that it is the same to the last bit on any machine.
+    # Element by element, so that the result is the same to the last bit on any machine.
     frame = np.array((left, up, way))
     ways = points.across * frame[0] + points.up * frame[1] + frame[2]
     mujoco.mj_multiRay(
@@ -254,33 +254,33 @@ def blocked(
 
 
 def heading(qpos: Sequence[float], pose: int) -> tuple[float, float]:
-    """Cosine and sine of a robot's heading, as far as it stands upright.
+    """Return cosine and sine of the heading of an upright robot.
 
     Args:
-        qpos: of the scene.
-        pose: where in it the robot's free joint is.
+        qpos: Positions of the scene's joints.
+        pose: Index of the robot's free joint in `qpos`.
     """
     w, x, y, z = qpos[pose + 3], qpos[pose + 4], qpos[pose + 5], qpos[pose + 6]
     return 1 - 2 * (y * y + z * z), 2 * (w * z + x * y)
 
 
 def step(scene: Scene) -> None:
-    """One step of the physics."""
+    """Run one step of the physics."""
     mujoco.mj_step(scene.model, scene.data)
 
 
 def decide(
     function: Callable[..., tuple[float, float]], registers: Any, memory: Any, genes: Any, speeds: Any
 ) -> None:
-    """Calls a controller.
+    """Call a controller.
 
     Args:
-        function: of proximity (8,), ambient (8,), memory and genes.
-        registers: the board's (N_REGISTERS,).
-        memory: the controller's own, that lasts.
-        genes: the controller's own, that it does not change.
-        speeds: are filled with what it returns, left and right (2,); with no numbers where its arithmetic
-            fails, as in a division by 0.
+        function: Function of proximity (8,), ambient (8,), memory and genes.
+        registers: Registers of the board (N_REGISTERS,).
+        memory: State of the controller.
+        genes: Parameters of the controller, which it does not change.
+        speeds: Buffer for the returned speeds, left and right (2,); NaN where its arithmetic fails, as in a
+            division by 0.
     """
     board = np.asarray(registers)
     proximity, ambient = board[PROXIMITY[0] : PROXIMITY[-1] + 1], board[AMBIENT[0] : AMBIENT[-1] + 1]

@@ -1,4 +1,4 @@
-"""Genomes of a study's controllers: from files beside it, or drawn by chance."""
+"""Genomes of a study's controllers: from files beside it, or drawn at random."""
 
 import io
 from pathlib import Path
@@ -14,10 +14,10 @@ from khep_twin.sweep.study import NetworkTable, StudyFile
 
 
 def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int) -> Floats:
-    """Genomes of one of a study's controllers (n, n_genes); none for a program without.
+    """Return the genomes of one of a study's controllers (n, n_genes); n_genes is 0 for a program without.
 
     Raises:
-        StudyError: their file cannot be read, or they do not fit.
+        StudyError: The file cannot be read, or the genomes do not fit.
     """
     table = file.study.networks[index] if kind == "network" else file.study.programs[index]
     wanted = table.network().n_genes if isinstance(table, NetworkTable) else None
@@ -35,14 +35,14 @@ def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int)
         raise file.error(place, f"{key}: cannot be read: {reason.splitlines()[0]}") from None
     if found.ndim != 2 or 0 in found.shape or (wanted is not None and found.shape[1] != wanted):
         right = "finite numbers" if wanted is None else f"rows of {wanted} numbers"
-        raise file.error(place, f"{key}: is of shape {found.shape}; right are {right}")
+        raise file.error(place, f"{key}: shape {found.shape}; expected {right}")
     if not np.isfinite(found).all():
-        raise file.error(place, f"{key}: has what is no number; right are finite numbers")
+        raise file.error(place, f"{key}: NaN or infinity; expected finite numbers")
     return found
 
 
 def _read(path: Path) -> Floats:
-    """A table of numbers; one row may stand alone."""
+    """Return a table of numbers; a single row is accepted."""
     data = read_regular(path)
     if path.suffix == ".npy":
         return np.atleast_2d(np.asarray(np.lib.format.read_array(io.BytesIO(data)), np.float64))
@@ -50,4 +50,4 @@ def _read(path: Path) -> Floats:
         if not data.strip():
             raise ValueError("it is empty")
         return np.loadtxt(io.StringIO(data.decode("utf-8-sig")), delimiter=",", ndmin=2)
-    raise ValueError("right is a .npy or .csv file")
+    raise ValueError("expected a .npy or .csv file")

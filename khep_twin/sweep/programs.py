@@ -1,4 +1,4 @@
-"""Programs and measures of a study: functions that travel as text, so that no worker needs a file of them."""
+"""Programs and measures of a study: functions sent as text, so that workers need none of their files."""
 
 import hashlib
 import sys
@@ -15,13 +15,13 @@ from khep_twin.signals import is_interruption
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A function in the text of a file, to be made where it is needed.
+    """A function in the text of a file, defined by the worker.
 
     Attributes:
-        text: of the file.
-        file: what to call it.
-        function: its name.
-        memory: how many numbers it keeps, if it drives.
+        text: Text of the file.
+        file: Name of the file in messages.
+        function: Name of the function.
+        memory: Length of its memory, for a controller.
     """
 
     text: str
@@ -31,10 +31,10 @@ class Program:
 
 
 def driver_of(driver: Driver | Program) -> Driver:
-    """What drives, compiled where it is a program; the same one each time.
+    """Return a controller, defined and cached if it is a program.
 
     Raises:
-        ControllerError: the program fails, or has no such function.
+        ControllerError: The program fails, or has no such function.
     """
     return _compiled(driver) if isinstance(driver, Program) else driver
 
@@ -46,15 +46,15 @@ def _compiled(program: Program) -> Driver:
 
 @lru_cache(maxsize=32)
 def function_of(program: Program) -> Callable[..., Any]:
-    """The function, as Python has it.
+    """Return the Python function.
 
     Raises:
-        ControllerError: the text fails, or has no such function.
+        ControllerError: The text fails, or has no such function.
     """
     name = f"khep_twin_study_{hashlib.sha256(program.text.encode()).hexdigest()[:16]}"
     module = ModuleType(name)
     module.__file__ = program.file
-    # What numba compiles is looked up by its module.
+    # numba looks up the functions that it compiles by their module.
     sys.modules[name] = module
     try:
         exec(compile(program.text, program.file, "exec"), vars(module))  # the user's own program

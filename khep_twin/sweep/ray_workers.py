@@ -1,8 +1,8 @@
-"""Ray does a sweep's tasks: on this machine, or on a cluster that is there.
+"""Execution of a sweep's tasks by Ray, on this machine or on an existing cluster.
 
-On this machine it listens on loopback alone, asks for a token that this process draws anew, and has no
-dashboard. A cluster is joined with the token that it was started with. A task whose worker dies is begun
-again; whoever lost it has written nothing down.
+On this machine Ray listens on loopback alone, requires a token that this process draws at random, and has no
+dashboard. A cluster is joined with the token that it was started with. A task whose worker dies is run again;
+workers write no files.
 """
 
 # ray is not installed everywhere.
@@ -24,33 +24,33 @@ from khep_twin.sweep.task_lives import results
 from khep_twin.sweep.tasks import Task, Work, versions
 
 MOST_RETRIES = 30
-"""So often a task may lose its worker before it counts as what kills workers (assumed)."""
+"""Most workers that a task may lose before it counts as their killer (assumed)."""
 
 AHEAD = 2
-"""Tasks that are handed out for each core: one to work at, one to go on with."""
+"""Tasks submitted for each core: one to run, one to wait."""
 
 LOOPBACK = "127.0.0.1"
 
 _HERE = {"RAY_AUTH_MODE": "token", "RAY_USAGE_STATS_ENABLED": "0"}
-"""What Ray is told where the user has not said otherwise."""
+"""Environment variables of Ray that are set unless the user has set them."""
 
 PATIENCE = 5.0
-"""How long a cluster may take to answer [s] (assumed); Ray itself would try for minutes."""
+"""Timeout for a cluster's answer [s] (assumed); Ray itself would try for minutes."""
 
 _ALONE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
-"""Ray binds to loopback where it is not to make clusters; on Linux it has no other switch for that."""
+"""Variable that makes Ray bind to loopback when it forbids clusters; Linux has no other switch for that."""
 
 _NICENESS = "RAY_worker_niceness"
-"""Ray lets its workers stand back (15): beside anything else that works they would hardly get on."""
+"""Variable of the workers' niceness; at Ray's default of 15 they hardly run beside other processes."""
 
 
 def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
-    """Ray's workers, one for each core.
+    """Return Ray's workers, one for each core.
 
     Args:
-        address: of a cluster that is there, HOST:PORT, or "auto" for the one that this machine belongs to;
-            without, Ray is started here for as long as it is needed.
-        workers: how many, if it is started here; without, as many as there are cores.
+        address: Address of an existing cluster, HOST:PORT, or "auto" for the one that this machine belongs
+            to; by default Ray is started here for as long as it is needed.
+        workers: Number of workers, if Ray is started here; by default one per core.
 
     Raises:
         MissingExtraError: ray is not installed.
@@ -61,8 +61,8 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
             given["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
         given |= {_ALONE: "0"} | ({_NICENESS: "0"} if _NICENESS not in os.environ else {})
         if "ray" in sys.modules:
-            raise KhepTwinError("ray is imported already and may listen to others; right is a new process")
-    # Ray reads some of it when it is imported, and its processes when they start.
+            raise KhepTwinError("ray is imported already and may listen to others; expected a new process")
+    # Ray reads some of these when it is imported, and its processes when they start.
     os.environ.update(given)
     try:
         import ray
@@ -78,7 +78,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
             _join(ray, address, workers)
             yield _coming(ray, work, tasks)
         except (ray.exceptions.RayError, ConnectionError) as error:
-            raise KhepTwinError(f"ray: {_sentence(error)}; what was done is kept for --resume") from error
+            raise KhepTwinError(f"ray: {_sentence(error)}; finished tasks are kept for --resume") from error
         finally:
             ray.shutdown()
 
@@ -86,19 +86,19 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Both parts of HOST:PORT.
+    """Return both parts of HOST:PORT.
 
     Raises:
-        ValueError: it is something else.
+        ValueError: The address has another form.
     """
     host, _, port = address.rpartition(":")
     if not host or "/" in host or not port.isdecimal() or not 0 < int(port) < 2**16:
-        raise ValueError(f"{address}: right is HOST:PORT, such as 10.0.0.1:6379, or auto")
+        raise ValueError(f"{address}: expected HOST:PORT, such as 10.0.0.1:6379, or auto")
     return host.strip("[]"), int(port)
 
 
 def _join(ray: Any, address: str | None, workers: int | None) -> None:
-    """Starts Ray here, or joins a cluster."""
+    """Start Ray here, or join a cluster."""
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
         if address is not None:
@@ -108,23 +108,23 @@ def _join(ray: Any, address: str | None, workers: int | None) -> None:
             ray.init(address=address, **quiet)
             return
         count = workers or len(os.sched_getaffinity(0))
-        # "local" takes no cluster that the environment may name.
+        # "local" ignores a cluster that the environment may name.
         found = ray.init(address="local", num_cpus=count, include_dashboard=False, **quiet)
     except (ValueError, RuntimeError, OSError) as error:
         if address is None:
             raise KhepTwinError(f"ray: cannot be started here: {_sentence(error)}") from error
         raise KhepTwinError(
-            f"ray: no cluster can be joined at {address}: {_sentence(error)}; right is one that is there, "
+            f"ray: no cluster can be joined at {address}: {_sentence(error)}; expected a running one, "
             "and its token"
         ) from error
     if found.address_info["node_ip_address"] != LOOPBACK:
         raise KhepTwinError(
-            f"ray: it listens at {found.address_info['node_ip_address']}; right is {LOOPBACK} alone"
+            f"ray: listens at {found.address_info['node_ip_address']}; expected {LOOPBACK} alone"
         )
 
 
 def _coming(ray: Any, work: Work, tasks: Sequence[Task]) -> Iterator[tuple[Task, bytes]]:
-    """The tasks' results as they come."""
+    """Yield the tasks' results as they arrive."""
     remote = ray.remote(num_cpus=1, max_retries=MOST_RETRIES)(_do)
     shared = ray.put(work)
     following = iter(tasks)
@@ -144,7 +144,7 @@ def _coming(ray: Any, work: Work, tasks: Sequence[Task]) -> Iterator[tuple[Task,
             except ray.exceptions.WorkerCrashedError as error:
                 raise KhepTwinError(
                     f"ray: task {task.index} has lost its worker {MOST_RETRIES + 1} times, as if it killed "
-                    "it; what was done is kept for --resume"
+                    "it; finished tasks are kept for --resume"
                 ) from error
             if trouble:
                 raise KhepTwinError(trouble)
@@ -152,9 +152,9 @@ def _coming(ray: Any, work: Work, tasks: Sequence[Task]) -> Iterator[tuple[Task,
 
 
 def _do(work: Work, task: Task) -> tuple[bytes, str]:
-    """A task's results, or what was wrong; runs in a worker."""
+    """Run a task in a worker; return its results and an error message."""
     if work.versions != versions():
-        return b"", f"ray: a worker has {versions()}; right is {work.versions}, as here"
+        return b"", f"ray: a worker has {versions()}; expected {work.versions}, as here"
     try:
         return encoded(work, task, results(work, task)), ""
     except KhepTwinError as error:
@@ -162,7 +162,7 @@ def _do(work: Work, task: Task) -> tuple[bytes, str]:
 
 
 def _sentence(error: BaseException) -> str:
-    """What happened, in a sentence and without Ray's traces."""
+    """Return an error's message as one sentence, without Ray's traces."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     line = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

@@ -1,11 +1,11 @@
-"""A sweep's folder: a part for each task that was done, then one table of all.
+"""A sweep's folder: a part for each finished task, then one table of all.
 
-    study.json                    which study, and how many tasks
-    parts/task-000012.parquet     the results of a task, there as a whole or not at all
-    results.parquet               all lives in their order; the parts go when it is whole
+    study.json                    the study, and the number of its tasks
+    parts/task-000012.parquet     results of a task, written atomically
+    results.parquet               all episodes in order; the parts are deleted when it is complete
 
-A part's name is its task's number, and what it holds follows from the study alone: a task that was done twice
-is there once. The same study gives the same bytes of results.parquet, whatever has happened on the way.
+A part's name is its task's number, and its content depends on the study alone: a task that was run twice has
+one part. The same study gives the same bytes of results.parquet, after any interruptions.
 """
 
 # pyarrow is not typed.
@@ -35,15 +35,15 @@ from khep_twin.sweep.tasks import Task, Work
 _STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
 
 _TYPES = {"failed_step": pa.int64(), "failure": pa.string()}
-"""Of columns that may have no value at all."""
+"""Types of columns that may have no value at all."""
 
 _MOST_ROWS = 12
-"""Longest list of means in a summary."""
+"""Most rows of means in a summary."""
 
 
 def encoded(work: Work, task: Task, columns: Columns) -> bytes:
-    """A task's results as the bytes of its part."""
-    # What is no number has no value.
+    """Return a task's results as the bytes of its part."""
+    # NaN is stored as a missing value.
     arrays = {name: pa.array(values, _TYPES.get(name), from_pandas=True) for name, values in columns.items()}
     marked = pa.table(arrays).replace_schema_metadata({_STUDY: work.digest, _TASK: str(task.index)})
     file = io.BytesIO()
@@ -52,11 +52,11 @@ def encoded(work: Work, task: Task, columns: Columns) -> bytes:
 
 
 class SweepFolder:
-    """Where a sweep's results are kept.
+    """Folder of a sweep's results.
 
     Args:
-        path: of the folder.
-        work: whose results they are.
+        path: Path of the folder.
+        work: Work whose results it holds.
     """
 
     def __init__(self, path: Path, work: Work) -> None:
@@ -66,16 +66,16 @@ class SweepFolder:
 
     @contextmanager
     def opened(self, resume: bool) -> Generator[None]:
-        """Makes the folder, or goes on with it, for this process alone.
+        """Create or resume the folder, locked for this process.
 
         Raises:
-            StudyError: it belongs to something else, or to this study and is not to be resumed.
+            StudyError: The folder has other content, or results of this study without `resume`.
         """
         try:
             self._path.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(self._path, os.O_RDONLY)
         except OSError as error:
-            raise StudyError(f"{self._path}: cannot be made: {error.strerror}") from error
+            raise StudyError(f"{self._path}: cannot be created: {error.strerror}") from error
         try:
             self._lock(descriptor)
             self._begin(resume)
@@ -84,10 +84,10 @@ class SweepFolder:
             os.close(descriptor)
 
     def missing(self) -> list[Task]:
-        """Tasks whose results are not there as a whole."""
+        """Return the tasks without complete results."""
         if self.table.exists():
             if not self._holds(self.table, self._work.lives):
-                raise StudyError(f"{self.table}: is damaged; right is to delete it, and --resume")
+                raise StudyError(f"{self.table}: damaged; delete it, and use --resume")
             return []
         return [
             task
@@ -96,17 +96,17 @@ class SweepFolder:
         ]
 
     def keep(self, task: Task, data: bytes) -> None:
-        """Keeps a task's results."""
+        """Store a task's results."""
         write_whole(self._part(task), data)
 
     def finish(self) -> Path:
-        """Makes one table of all parts.
+        """Join all parts to one table.
 
         Returns:
-            Its path.
+            Path of the table.
 
         Raises:
-            StudyError: it cannot be written, or a life is missing or there twice; the parts stay.
+            StudyError: The table cannot be written, or an episode is missing or duplicate; the parts stay.
         """
         if not self.table.exists():
             self._join()
@@ -114,24 +114,22 @@ class SweepFolder:
         return self.table
 
     def _lock(self, descriptor: int) -> None:
-        """Keeps other sweeps away; the lock goes with the process, even if that is killed."""
+        """Lock the folder; the lock ends with the process, even if that is killed."""
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise StudyError(
-                f"{self._path}: another sweep is at work there; right is to wait for its end"
-            ) from None
+            raise StudyError(f"{self._path}: in use by another sweep; wait for its end") from None
         except OSError as error:
             raise StudyError(f"{self._path}: cannot be locked: {error.strerror}") from error
 
     def _begin(self, resume: bool) -> None:
         file, work = self._path / "study.json", self._work
         known = _json(file)
-        # A sweep that was killed at once may have left the beginning of its file.
+        # A sweep that was killed at once may have left a part of its file.
         found = sorted(path for path in self._path.iterdir() if not is_part(path, file))
         if known is None and found:
-            raise StudyError(f"{self._path}: holds {found[0].name} and no study.json; right is a new folder")
-        # One that came to nothing, as with a program that does not compile, may be mended and begun anew.
+            raise StudyError(f"{self._path}: holds {found[0].name} and no study.json; expected a new folder")
+        # A study without results, as with a program that does not compile, may be corrected and restarted.
         if known is None or not self._has_results():
             told = {
                 "name": work.study.name,
@@ -143,27 +141,27 @@ class SweepFolder:
             write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
         elif known.get("digest") != work.digest:
             raise StudyError(
-                f"{self._path}: holds results of another study, or of this one before it changed; right is a "
+                f"{self._path}: holds results of another study, or of this one before it changed; expected a "
                 "new folder"
             )
         elif not resume:
             raise StudyError(
-                f"{self._path}: holds results of this study already; right is --resume, or a new folder"
+                f"{self._path}: holds results of this study already; expected --resume, or a new folder"
             )
         try:
             self._parts.mkdir(exist_ok=True)
         except OSError as error:
-            raise StudyError(f"{self._parts}: cannot be made: {error.strerror}") from error
+            raise StudyError(f"{self._parts}: cannot be created: {error.strerror}") from error
 
     def _has_results(self) -> bool:
-        """Whether a task was done, of whichever study."""
+        """Return whether there are results, of any study."""
         return self.table.exists() or (self._parts.is_dir() and any(self._parts.iterdir()))
 
     def _part(self, task: Task) -> Path:
         return self._parts / f"task-{task.index:06}.parquet"
 
     def _holds(self, file: Path, lives: int, task: bytes | None = None) -> bool:
-        """Whether a file ends as one does that was written as a whole, with lives of this study."""
+        """Return whether a file is complete, with the episodes of this study."""
         try:
             with open_regular(file) as content:
                 known = pq.read_metadata(content)
@@ -180,7 +178,7 @@ class SweepFolder:
             with pq.ParquetWriter(scratch, schema) as writer:
                 for task in self._work.tasks:
                     writer.write_table(self._read(task))
-            # The parts go when it is there, even if the power does.
+            # The table must be on disk before the parts are deleted, in case of a power failure.
             with scratch.open("rb") as file:
                 os.fsync(file.fileno())
             os.replace(scratch, self.table)
@@ -190,10 +188,10 @@ class SweepFolder:
             scratch.unlink(missing_ok=True)
 
     def _read(self, task: Task) -> pa.Table:
-        """A part, with each of its lives there once."""
+        """Return a part; check that it has each of its episodes once."""
         file = self._part(task)
         try:
-            # read_table would make columns of folders such as a=1.
+            # read_table would turn folders such as a=1 into columns.
             with pq.ParquetFile(file) as part:
                 table = part.read()
             whole = table["life"].to_pylist() == list(range(task.first, task.first + task.count))
@@ -201,17 +199,17 @@ class SweepFolder:
             table, whole = pa.table({}), False
         if not whole:
             raise StudyError(
-                f"{file}: does not hold lives {task.first} to {task.first + task.count - 1}, each once; "
-                "right is to delete it, and --resume"
+                f"{file}: does not hold episodes {task.first} to {task.first + task.count - 1}, each once; "
+                "delete it, and use --resume"
             )
         return table.replace_schema_metadata({_STUDY: self._work.digest})
 
 
 def summary(table: Path) -> Iterator[str]:
-    """Yield how many lives a table holds, and the means of each controller in each playpen."""
+    """Yield the number of episodes in a table, and the means of each controller in each playpen."""
     measures = [name for name in pq.read_schema(table).names if name not in COLUMNS]
     results = pq.ParquetFile(table).read(["playpen", "controller", "failure", *measures])
-    yield f"{results.num_rows} lives, {results.num_rows - results['failure'].null_count} failed; means:"
+    yield f"{results.num_rows} episodes, {results.num_rows - results['failure'].null_count} failed; means:"
     groups = results.group_by(["playpen", "controller"], use_threads=False)
     rows = groups.aggregate([(name, "mean") for name in measures]).to_pylist()
     for row in rows[:_MOST_ROWS]:
@@ -223,7 +221,7 @@ def summary(table: Path) -> Iterator[str]:
 
 
 def _json(file: Path) -> dict[str, Any] | None:
-    """What a file says; None where there is none."""
+    """Return the content of a file; None if there is no file."""
     try:
         found = json.loads(read_regular(file))
     except FileNotFoundError:
@@ -232,6 +230,6 @@ def _json(file: Path) -> dict[str, Any] | None:
         found = None
     if not isinstance(found, dict):
         raise StudyError(
-            f"{file}: cannot be read, so nobody knows whose results these are; right is a new folder"
+            f"{file}: cannot be read, so the study of these results is unknown; expected a new folder"
         )
     return found  # pyright: ignore[reportUnknownVariableType]

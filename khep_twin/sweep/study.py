@@ -1,4 +1,4 @@
-"""Studies: which lives a sweep goes through, as a TOML file.
+"""Studies: the episodes of a sweep, as a TOML file.
 
     version = 1
     name = "noise"
@@ -11,10 +11,9 @@
     [grid]
     noise = [true, false]
 
-Every playpen is lived in with every controller, genome and seed, at every point of the grid. The models are
-the format: their attributes are the file's keys, but for the tuples of `[[network]]`, `[[program]]` and
-`[[measure]]`.
-Paths in a study are seen from the folder that it is in.
+A study runs every playpen with every controller, genome and seed, at every point of the grid. The models
+define the format: their attributes are the file's keys, except the tuples of `[[network]]`, `[[program]]` and
+`[[measure]]`. Paths in a study are relative to its folder.
 """
 
 from collections.abc import Iterator
@@ -37,13 +36,13 @@ from khep_twin.rollout.minds import Network
 Fitness = Literal[
     "obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m"
 ]
-"""What a life can be measured by; `life.NUMBERS`."""
+"""Metrics of an episode; `life.NUMBERS`."""
 
 COLUMNS = frozenset(
     "life playpen controller genome seed noise spread lighting start start_x_mm start_y_mm start_heading_deg "
     "end_x_m end_y_m end_heading_rad failed_step failure".split()
 )
-"""Of the results, beside what lives are measured by."""
+"""Columns of the results besides the metrics."""
 
 Switches = Annotated[tuple[bool, ...], Field(min_length=1, description="a list of true and false")]
 Lightings = Annotated[
@@ -53,7 +52,7 @@ Texts = Annotated[tuple[str, ...], Field(min_length=1, description="a list of te
 
 
 class NetworkTable(Table):
-    """A `[[network]]`: its shape, as of `minds.Network`, and where its genomes come from."""
+    """A `[[network]]`: its shape, as in `minds.Network`, and the source of its genomes."""
 
     name: Name
     hidden: Annotated[
@@ -69,12 +68,12 @@ class NetworkTable(Table):
     drawn_sd: Annotated[float, Field(gt=0, le=1000)] = 1.0
 
     def network(self) -> Network:
-        """What drives."""
+        """Return the controller."""
         return Network(self.hidden, self.recurrent, self.ambient, self.top_speed_pulses)
 
 
 class ProgramTable(Table):
-    """A `[[program]]`: a function of one's own, as of `minds.Function`."""
+    """A `[[program]]`: a user's function, as in `minds.Function`."""
 
     name: Name
     file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
@@ -83,14 +82,14 @@ class ProgramTable(Table):
 
 
 class MeasureTable(Table):
-    """A `[[measure]]`: a fitness of one's own, a function of a life's end (`task_lives.measured`)."""
+    """A `[[measure]]`: a user's fitness, a function of an episode's end (`task_lives.measured`)."""
 
     name: Name
     file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
 
 
 class Grid(Table):
-    """Parameters, each with all the values it takes."""
+    """Parameters, each with the list of its values."""
 
     noise: Switches = (True,)
     spread: Switches = (False,)
@@ -99,7 +98,7 @@ class Grid(Table):
 
 
 class Home(Table):
-    """Where the fitness `homing` has its home."""
+    """Home of the fitness `homing`."""
 
     x_mm: float
     y_mm: float
@@ -141,36 +140,36 @@ class Study(Table):
 
     def _problems(self) -> Iterator[Problem]:
         if self.step_ms not in (None, 2.5, 5.0, 10.0):
-            yield Problem(("step_ms",), f"step_ms = {self.step_ms:g}: right is 2.5, 5 or 10")
+            yield Problem(("step_ms",), f"step_ms = {self.step_ms:g}; expected 2.5, 5 or 10")
         try:
             n_steps(to_ns(self.seconds), self.period_ms * 1_000_000)
         except ValueError:
-            wish = f"right are whole control periods of {self.period_ms} ms"
-            yield Problem(("seconds",), f"seconds = {self.seconds:g}: {wish}")
+            wish = f"expected whole control periods of {self.period_ms} ms"
+            yield Problem(("seconds",), f"seconds = {self.seconds:g}; {wish}")
         if not (self.controllers or self.networks or self.programs):
-            yield Problem((), "no controller; right are controllers, a [[network]] or a [[program]]")
+            yield Problem((), "no controller; expected controllers, a [[network]] or a [[program]]")
         if "homing" in self.fitness and self.home is None:
             yield Problem(("fitness",), 'fitness = "homing": there is no [home]')
         for key, values in self._lists():
             for value in sorted({str(each) for each in values if values.count(each) > 1}):
-                yield Problem(key, f"{key[-1]} has {show(value)} twice; right is once")
+                yield Problem(key, f"{key[-1]} has {show(value)} twice; expected once")
         taken: set[str] = {*self.controllers}
         for kind, tables in (("network", self.networks), ("program", self.programs)):
             for index, table in enumerate(tables):
                 if table.name in taken:
-                    text = f'{kind} {index + 1}: name = "{table.name}": taken; right is a name of its own'
+                    text = f'{kind} {index + 1}: name = "{table.name}": taken; expected a unique name'
                     yield Problem((kind, index, "name"), text)
                 taken.add(table.name)
         columns = {*COLUMNS, *NUMBERS}
         for index, table in enumerate(self.measures):
             if table.name in columns:
-                text = f'measure {index + 1}: name = "{table.name}": taken; right is a name of its own'
+                text = f'measure {index + 1}: name = "{table.name}": taken; expected a unique name'
                 yield Problem(("measure", index, "name"), text)
             columns.add(table.name)
         for index, table in enumerate(self.networks):
             if (table.genomes is None) == (table.drawn is None):
                 given = "both" if table.drawn else "neither"
-                text = f"network {index + 1}: has {given} of genomes and drawn; right is one of them"
+                text = f"network {index + 1}: has {given} of genomes and drawn; expected one of them"
                 yield Problem(("network", index), text)
 
     def _lists(self) -> Iterator[tuple[Location, tuple[Any, ...]]]:
@@ -185,10 +184,10 @@ class StudyFile:
     """A study as it was read.
 
     Attributes:
-        study: what it says.
-        source: what to call the file in messages.
-        folder: in which it is.
-        lines: where its keys stand.
+        study: Content of the study.
+        source: Name of the file in messages.
+        folder: Folder of the file.
+        lines: Lines of its keys.
     """
 
     study: Study
@@ -198,23 +197,23 @@ class StudyFile:
 
     @property
     def output(self) -> Path:
-        """Where results go."""
+        """Folder of the results."""
         return self.folder / self.study.output
 
     def error(self, location: Location, text: str) -> StudyError:
-        """What is wrong at a place of the file."""
+        """Return an error at a location in the file."""
         line = self.lines.of(location)
         return StudyError(f"{self.source}{'' if line is None else f':{line}'}: {text}")
 
 
 def load(path: Path) -> StudyFile:
-    """A study by its path.
+    """Load a study by its path.
 
     Raises:
-        StudyError: there is none, or it cannot be used; one line per problem.
+        StudyError: There is no file, or it cannot be used; one line per problem.
     """
     if not path.exists():
-        raise StudyError(f"{path}: no such file; right is the path of a study")
+        raise StudyError(f"{path}: no such file; expected the path of a study")
     text, source = toml_files.read("studies", path, StudyError)
     return StudyFile(
         toml_files.validate(Study, text, source, StudyError), source, path.parent.absolute(), Lines(text)
@@ -222,5 +221,5 @@ def load(path: Path) -> StudyFile:
 
 
 def checked(file: StudyFile, location: Location, key: str, error: KhepTwinError) -> StudyError:
-    """What was found wrong with what a study names, as trouble of the study."""
+    """Return an error of a file that a study names, as an error of the study."""
     return file.error(location, f"{key}: {str(error).splitlines()[0]}")

@@ -1,11 +1,11 @@
-"""Sweeps: all the lives of a study, here or on Ray, each result once.
+"""Sweeps: all episodes of a study, run here or on Ray, each stored once.
 
     from khep_twin.sweep import study, sweep
 
     table = sweep.run_sweep(study.load(Path("noise.toml")))
 
-Whoever does the tasks only gives bytes back; this process alone writes them down. So a task may be begun as
-often as workers die, and what is missing is seen in the folder.
+Workers only return bytes; this process alone writes them. So a task may be repeated as often as workers die,
+and the folder shows the missing tasks.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,14 +18,14 @@ from khep_twin.sweep.task_lives import results
 from khep_twin.sweep.tasks import Task, Work, work_of
 
 Doers = Callable[[Work, Sequence[Task]], AbstractContextManager[Iterable[tuple[Task, bytes]]]]
-"""Does tasks, in whichever order, and gives each one's results as soon as they are there."""
+"""Function that runs tasks, in any order, and yields the results of each as soon as they arrive."""
 
 
 def here(threads: int | None = None) -> Doers:
-    """One task after the other on this machine's cores.
+    """Return a function that runs one task after another on this machine's cores.
 
     Args:
-        threads: how many; None for as many as there are cores.
+        threads: Number of threads; None for one per core.
     """
 
     def done(work: Work, tasks: Sequence[Task]) -> Iterator[tuple[Task, bytes]]:
@@ -44,24 +44,24 @@ def run_sweep(
     begin: Callable[[Work, Sequence[Task]], None] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Goes through a study.
+    """Run a study.
 
     Args:
-        file: the study.
-        output: where results go; without, as the study says.
-        resume: goes on with what is there.
-        doers: who does the tasks; without, this process's threads.
-        begin: is told all the work, and which tasks are to be done.
-        progress: is told how many lives of how many that were missing are there now.
+        file: Study.
+        output: Folder of the results; by default the study's.
+        resume: Whether to resume with the results in the folder.
+        doers: Workers; by default this process's threads.
+        begin: Called with all the work and the tasks to be run.
+        progress: Called with the number of finished episodes and the number that were missing at the start.
 
     Returns:
-        The path of the table of all results.
+        Path of the table of all results.
 
     Raises:
-        StudyError: the study or the folder cannot be used.
-        KhepTwinError: the lives cannot be led; what was done is kept.
+        StudyError: The study or the folder cannot be used.
+        KhepTwinError: The episodes cannot be run; finished tasks are kept.
     """
-    place = (output or file.output).absolute()  # a program of the study may go to another folder
+    place = (output or file.output).absolute()  # a program of the study may change the working directory
     work = work_of(file)
     folder = SweepFolder(place, work)
     with folder.opened(resume):

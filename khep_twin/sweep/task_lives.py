@@ -1,4 +1,4 @@
-"""The lives of a task: led, and told as columns."""
+"""Episodes of a task, run and returned as columns."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -17,25 +17,25 @@ from khep_twin.sweep.programs import Program, driver_of, function_of
 from khep_twin.sweep.tasks import Task, Work
 
 Columns = Mapping[str, Any]
-"""Values of each life, by what they are called; None, or what is no number, for none."""
+"""Values of each episode by column name; None or NaN for no value."""
 
 NS_PER_MS = 1_000_000
 
 
 def results(work: Work, task: Task, threads: int | None = 1, compiled: bool | None = None) -> Columns:
-    """Lives through a task.
+    """Run a task.
 
     Args:
-        work: of which it is.
-        task: to do.
-        threads: how many; None for as many as there are cores. The results are the same.
-        compiled: None for compiled where numba is installed. The results are the same.
+        work: Work that the task is part of.
+        task: Task to run.
+        threads: Number of threads; None for one per core. The results are the same.
+        compiled: Whether to run compiled; None if numba is installed. The results are the same.
 
     Returns:
-        Columns, with a row for each life in their order.
+        Columns, with a row for each episode in order.
 
     Raises:
-        KhepTwinError: the lives cannot be led.
+        KhepTwinError: The episodes cannot be run.
     """
     study, group = work.study, work.groups[task.group]
     controller = work.controllers[group.controller]
@@ -46,7 +46,7 @@ def results(work: Work, task: Task, threads: int | None = 1, compiled: bool | No
     others, seeds = np.divmod(numbers, study.seeds)
     genomes, which = np.divmod(others, len(group.starts))
     seeds += study.first_seed
-    # np.divmod is typed for single numbers alone.
+    # np.divmod is typed for single numbers only.
     words: list[str] = [group.starts[each] for each in which.tolist()]  # pyright: ignore
     begins = [_begin(ground, word, seed) for word, seed in zip(words, seeds.tolist(), strict=True)]
     home = study.home
@@ -89,13 +89,13 @@ def results(work: Work, task: Task, threads: int | None = 1, compiled: bool | No
 
 
 def measured(measure: Program, lives: Lives) -> Floats:
-    """What a function of a user's own makes of lives (n,); not a number for those that failed.
+    """Return the values of a user's function for each episode (n,); NaN for those that failed.
 
-    It is given a life's numbers by name, its board's registers (N_REGISTERS,) and its pose at the end, x, y
-    [m] and heading [rad], in plain Python.
+    The arguments are an episode's numbers by name, its board's registers (N_REGISTERS,) and its final pose
+    x, y [m] and heading [rad], in plain Python.
 
     Raises:
-        ControllerError: it fails, or returns no number.
+        ControllerError: The function fails, or returns no number.
     """
     function = function_of(measure)
     found = np.full(len(lives.poses), np.nan)

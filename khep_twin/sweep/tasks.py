@@ -1,8 +1,8 @@
-"""A study as work: all its lives in one order, cut into tasks that any process can do by itself.
+"""A study as work: all its episodes in one order, divided into independent tasks.
 
-Lives are numbered from 0: playpen by playpen, and within one by controller, noise, spread, lighting, genome,
-start and seed, the last one first to change. A task is a stretch of these numbers with one playpen,
-controller, noise, spread and lighting. What it gives depends on nothing but the study.
+Episodes are numbered from 0 by playpen, controller, noise, spread, lighting, genome, start and seed; the last
+varies fastest. A task is a range of these numbers with one playpen, controller, noise, spread and lighting.
+Its results depend on the study alone.
 """
 
 import hashlib
@@ -33,9 +33,9 @@ class Controller:
     """One of a study's controllers.
 
     Attributes:
-        name: in the results.
-        driver: what drives, or the program that defines it.
-        genomes: (n, n_genes).
+        name: Name in the results.
+        driver: Controller, or the program that defines it.
+        genomes: Genomes (n, n_genes).
     """
 
     name: str
@@ -45,17 +45,17 @@ class Controller:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Lives that differ by genome, start and seed alone.
+    """Episodes that differ by genome, start and seed alone.
 
     Attributes:
-        playpen: which of the study's.
-        controller: which of the study's.
-        noise: whether sensors are noisy.
-        spread: whether each life has other sensors.
+        playpen: Index of the study's playpen.
+        controller: Index of the study's controller.
+        noise: Whether sensors are noisy.
+        spread: Whether each episode has other sensors.
         lighting: "all" or "off".
-        starts: words for them; "playpen" and "random" go by the seed.
-        first: number of its first life.
-        count: of its lives.
+        starts: Words for the starts; "playpen" and "random" depend on the seed.
+        first: Number of its first episode.
+        count: Number of episodes.
     """
 
     playpen: int
@@ -70,13 +70,13 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A stretch of lives of one group.
+    """A range of episodes of one group.
 
     Attributes:
-        index: of the task, from 0.
-        group: which.
-        first: number of its first life, among all.
-        count: of its lives.
+        index: Index of the task, from 0.
+        group: Index of the group.
+        first: Number of its first episode, among all.
+        count: Number of episodes.
     """
 
     index: int
@@ -87,17 +87,17 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """All that a process needs to do any of a study's tasks.
+    """Data for a process to run any of a study's tasks.
 
     Attributes:
-        study: what it says.
-        playpens: as texts, which are equal where playpens are.
-        controllers: all of them.
-        measures: functions that lives are measured by, by their names.
-        groups: all of them.
-        tasks: all of them.
-        digest: tells this work from any other.
-        versions: of what leads the lives, where the work was made.
+        study: Content of the study.
+        playpens: Playpens as texts, equal if the playpens are.
+        controllers: All controllers.
+        measures: Names and functions of the user's metrics.
+        groups: All groups.
+        tasks: All tasks.
+        digest: Hash that identifies this work.
+        versions: Versions of khep_twin and MuJoCo where the work was created.
     """
 
     study: Study
@@ -111,20 +111,20 @@ class Work:
 
     @property
     def lives(self) -> int:
-        """How many there are."""
+        """Number of episodes."""
         return sum(group.count for group in self.groups)
 
 
 def versions() -> str:
-    """Of what leads lives here."""
+    """Return the versions of khep_twin and MuJoCo here."""
     return f"khep_twin {__version__} with mujoco {mujoco.__version__}"
 
 
 def work_of(file: StudyFile) -> Work:
-    """A study made ready.
+    """Return the work of a study.
 
     Raises:
-        StudyError: a playpen, a program or genomes cannot be used.
+        StudyError: A playpen, a program or genomes cannot be used.
     """
     study = file.study
     playpens = [_playpen(file, name) for name in study.playpens]
@@ -156,10 +156,10 @@ def work_of(file: StudyFile) -> Work:
 
 
 def _playpen(file: StudyFile, name: str) -> Playpen:
-    """One of a study's playpens, by the name of a shipped one or by path."""
+    """Return one of a study's playpens, by the name of a shipped one or by path."""
     try:
         found = playpen.load(name if name in playpen.names() else file.folder / name)
-        Ground(found, planar=file.study.planar)  # refuses here what lives cannot have
+        Ground(found, planar=file.study.planar)  # raises early for unsupported features
     except KhepTwinError as error:
         raise checked(file, ("playpens",), f'playpens: "{name}"', error) from None
     return found
@@ -176,7 +176,7 @@ def _controllers(file: StudyFile) -> Iterator[Controller]:
 
 
 def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0) -> Program:
-    """What FILE.py:NAME of a study says."""
+    """Return the program of a study's FILE.py:NAME."""
     path, _, function = name.rpartition(":")
     place, key = (kind, index, "file"), f'{kind} {index + 1}: file = "{name}"'
     try:
@@ -191,7 +191,7 @@ def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0)
 
 
 def _starts(file: StudyFile, place: Playpen) -> Iterator[str]:
-    """Words for each start in a playpen; a grid has one for each of its places."""
+    """Yield a word for each start in a playpen; a grid has one for each of its positions."""
     for wish in file.study.grid.starts:
         if wish in ("playpen", "random"):
             yield wish
@@ -203,7 +203,7 @@ def _starts(file: StudyFile, place: Playpen) -> Iterator[str]:
 
 
 def _digest(work: Work, measured: list[str]) -> str:
-    """Tells all that results depend on: the study, what it names, and the versions of the physics."""
+    """Return a hash of all that results depend on: the study, its files, and the versions of the physics."""
     told: list[Any] = [
         __version__,
         mujoco.__version__,

@@ -30,7 +30,7 @@ from khep_twin.toolbox import simulator
 from khep_twin.toolbox.simulator import OpenPlaypen
 
 ARGUMENTS = ("port_id", "cycles_per_run", "runs", "pause_stat")
-"""Of such a function, in this order, by any name."""
+"""Arguments of such a function, in this order, by any name."""
 
 
 class ToolboxController(LoopingController):
@@ -40,10 +40,10 @@ class ToolboxController(LoopingController):
     returns.
 
     Args:
-        function: of `ARGUMENTS`.
+        function: Function of `ARGUMENTS`.
 
     Attributes:
-        unpaced: whether it drives by `sim_` commands and `kheprom`, and not through a port.
+        unpaced: True if it drives by `sim_` commands and `kheprom`, and not through a port.
     """
 
     passes_time = "kheprom(btmap1) in each cycle of a simulated robot, or a command to a real one"
@@ -75,13 +75,13 @@ class ToolboxController(LoopingController):
         finally:
             robot.listen(run.heard_by)
         if not run.counts and run.ended == robot.time:
-            end_cycle()  # which tells that no time has passed
+            end_cycle()  # which reports that no time has passed
         self._told = {**_globals(function), **run.variables(), **_returned(returned)}
         return run.count if run.counts else cycles
 
 
 class _Stopped(BaseException):
-    """The series is to end, though the function is in the middle of its run."""
+    """Request to end the series, raised though the function is in the middle of its run."""
 
 
 class _Run:
@@ -98,7 +98,7 @@ class _Run:
         self.ended = robot.time
 
     def compare(self, count: int, cycles: int) -> None:
-        """Take note that the function compares its count of cycles with their number."""
+        """Note that the function compares its count of cycles with their number."""
         self._find_frame()
         if self.counts and count > self.count:
             self._end_cycle()
@@ -132,7 +132,7 @@ class _Run:
 
 
 class _Cycles(int):
-    """The number of cycles in a run, which hears of each `cycle_count < cycles_per_run`."""
+    """The number of cycles in a run; it notices each `cycle_count < cycles_per_run`."""
 
     def __new__(cls, number: int, run: _Run) -> "_Cycles":
         return super().__new__(cls, number)
@@ -140,7 +140,7 @@ class _Cycles(int):
     def __init__(self, number: int, run: _Run) -> None:
         self._run = run
 
-    # What is asked of the other side of a comparison is asked of a subclass first.
+    # Python asks the other side of a comparison first if that is a subclass.
     def __gt__(self, count: int) -> bool:
         self._run.compare(count, int(self))
         return int(self) > count
@@ -152,7 +152,7 @@ class _Cycles(int):
 
 @contextmanager
 def _open_for(function: Callable[..., Any], btmap1: OpenPlaypen | None) -> Generator[None]:
-    """Let `btmap1`, and other playpens among a function's globals, be the one that is open, for a while."""
+    """Open `btmap1`, and other playpens among a function's globals, within the context."""
     names = function.__globals__
     before = {name: value for name, value in names.items() if isinstance(value, OpenPlaypen)}
     names.update(dict.fromkeys({*before, "btmap1"}, btmap1))
@@ -164,7 +164,7 @@ def _open_for(function: Callable[..., Any], btmap1: OpenPlaypen | None) -> Gener
 
 
 def _names_the_simulator(function: Callable[..., Any], seen: set[CodeType]) -> bool:
-    """Tell whether a function, or one that it calls in its own file, names a simulated command."""
+    """Return whether a function, or one that it calls in its own file, names a simulated command."""
     code = function.__code__
     if code in seen:
         return False

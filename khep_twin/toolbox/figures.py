@@ -4,10 +4,10 @@
     ddlg(dv, khep_pos)
     dataprnt("wall.pdf")
 
-`dv` has a row for each look: two position counters and eight sensors. `khep_pos` is how far a wheel went in
+`dv` has a row per reading: two position counters and eight sensors. `khep_pos` is how far a wheel went in
 the test [pulses]. A graph opens a window where there is a screen, and is returned in any case. Neither of the
-two tells the sensors' kind and the speed: the graph has those of the test that has given `dv`, or what is
-said.
+two has the sensors' kind and the speed: the graph takes those of the test that returned `dv`, or the
+arguments.
 """
 
 from collections.abc import Sequence
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Matrix = NDArray[Any] | Sequence[Sequence[SupportsFloat]]
-"""`dv` (n, 10)."""
+"""Readings `dv` (n, 10)."""
 
 
 def ddl(
     dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
 ) -> "Figure":
-    """All sensors over a straight way, which counts down to 0 cm at its end.
+    """Draw all sensors over a straight path, which counts down to 0 cm at its end.
 
     Args:
-        dv: what the test has gathered (n, 10).
-        khep_pos: how far it went [pulses], 5 to 60 cm.
-        what: the sensors told, "proximity" or "light"; without, as the test that has given `dv`.
-        speed: that was driven [pulses/10 ms]; likewise, and none is named where it is unknown.
+        dv: Readings of the test (n, 10).
+        khep_pos: Distance that it went [pulses], 5 to 60 cm.
+        what: Kind of sensors, "proximity" or "light"; without, that of the test that returned `dv`.
+        speed: Speed that was driven [pulses/10 ms]; likewise, and none is named where it is unknown.
 
     Raises:
         SensorTestError: `dv` is no such matrix, or no test goes so far.
@@ -56,21 +56,21 @@ def ddl(
 def ddlg(
     dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
 ) -> "Figure":
-    """As `ddl`, with a grid."""
+    """Draw the graph of `ddl` with a grid."""
     return _drawn(dv, khep_pos, "linear", what, speed, grid=True)
 
 
 def ddr(
     dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
 ) -> "Figure":
-    """All sensors over a turn, in degrees; arguments as for `ddl`, 15 to 360 degrees."""
+    """Draw all sensors over a turn, in degrees; arguments as for `ddl`, 15 to 360 degrees."""
     return _drawn(dv, khep_pos, "rotational", what, speed)
 
 
 def ddrg(
     dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
 ) -> "Figure":
-    """As `ddr`, with a grid."""
+    """Draw the graph of `ddr` with a grid."""
     return _drawn(dv, khep_pos, "rotational", what, speed, grid=True)
 
 
@@ -84,19 +84,19 @@ def disonel(
     grid: bool = False,
     speed: int | None = None,
 ) -> "Figure":
-    """One sensor over the way or the turn; the counters tell which it was.
+    """Draw one sensor over the straight path or the turn; the counters show which it was.
 
     Args:
-        dv: what the test has gathered (n, 10).
-        khep_pos: how far it went [pulses].
-        which_one: the sensor, 1 to 8 in the order of `rps`, or its name, such as "left 10".
-        what: the sensors told, as for `ddl`.
-        y_min: where the axis of counts begins.
-        grid: whether there are lines behind.
-        speed: that was driven, as for `ddl`.
+        dv: Readings of the test (n, 10).
+        khep_pos: Distance that it went [pulses].
+        which_one: Sensor, 1 to 8 in the order of `rps`, or its name, such as "left 10".
+        what: Kind of sensors, as for `ddl`.
+        y_min: Lower end of the axis of counts.
+        grid: Draw a grid.
+        speed: Speed that was driven, as for `ddl`.
 
     Raises:
-        SensorTestError: there is no such sensor, or as for `ddl`.
+        SensorTestError: There is no such sensor, or as for `ddl`.
     """
     numbers = range(1, len(SENSORS) + 1)
     if which_one not in numbers and which_one not in SENSORS:
@@ -108,32 +108,32 @@ def disonel(
 
 
 def dataprnt(file: str | Path = "graph_data.pdf") -> Path:
-    """Writes the latest graph on a page to print: as PDF, or as PNG or SVG by the name's suffix.
+    """Write the latest graph on a page to print: as PDF, or as PNG or SVG by the name's suffix.
 
     Raises:
-        SensorTestError: there is no graph yet.
-        KhepTwinError: the file cannot be written, or has another suffix.
+        SensorTestError: There is no graph yet.
+        KhepTwinError: The file cannot be written, or has another suffix.
     """
     from khep_twin.drawing import map as drawing
 
     if not _graphs:
-        raise SensorTestError("there is no graph yet; right is ddl, ddlg, ddr, ddrg or disonel before")
+        raise SensorTestError("there is no graph yet; expected ddl, ddlg, ddr, ddrg or disonel before")
     drawing.save(_graphs[-1], Path(file))
     return Path(file)
 
 
 def datameta(file: str | Path = "graph_data.svg") -> Path:
-    """Writes the latest graph for a text: as SVG, which scales as the toolbox's metafile does.
+    """Write the latest graph for a text: as SVG, which scales as the toolbox's metafile does.
 
     Raises:
-        SensorTestError: there is no graph yet.
-        KhepTwinError: the file cannot be written, or has another suffix.
+        SensorTestError: There is no graph yet.
+        KhepTwinError: The file cannot be written, or has another suffix.
     """
     return dataprnt(file)
 
 
 _graphs: list["Figure"] = []
-"""The latest one."""
+"""Latest graph."""
 
 
 def _drawn(
@@ -169,15 +169,15 @@ def _matrix(dv: Matrix) -> NDArray[np.int64]:
     rows = np.asarray(dv, np.float64)
     if rows.ndim != 2 or rows.shape[1] != 10 or not len(rows):
         shape = " x ".join(map(str, rows.shape))
-        raise SensorTestError(f"dv: is {shape}; right are rows of 10, two counters and eight sensors")
-    # Not the other way round: comparing what is not a number is false.
+        raise SensorTestError(f"dv: is {shape}; expected rows of 10, two counters and eight sensors")
+    # In this order, as a comparison with NaN is false.
     if not ((np.abs(rows) < 2**31) & (rows == np.round(rows))).all():
-        raise SensorTestError("dv: not all are whole numbers; right are counters and counts")
+        raise SensorTestError("dv: not all are integers; expected counters and counts")
     return rows.astype(np.int64)
 
 
 def _amount(khep_pos: SupportsFloat, direction: int, scale: float) -> float:
-    """How far a test went [cm or degrees], below 0 if the counters fell."""
+    """Return the distance or angle of a test [cm or degrees], below 0 if the counters fell."""
     amount = abs(float(khep_pos)) / scale
     # Pulses are whole: 15 degrees are 85 pulses, which are 14.98 degrees.
     if amount < 1e6 and abs(amount - round(amount)) * scale <= 0.5:

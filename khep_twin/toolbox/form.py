@@ -1,4 +1,4 @@
-"""The toolbox's form of a controller, told from others without loading the toolbox."""
+"""The toolbox's form of a controller, recognized without loading the toolbox."""
 
 import inspect
 

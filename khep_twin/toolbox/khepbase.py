@@ -1,4 +1,4 @@
-"""The Khepera Toolbox's khepbase: the robot from above with bars for what it senses and does, cycle by cycle.
+"""The Khepera Toolbox's khepbase: the robot from above with bars for sensors and speeds, cycle by cycle.
 
     khepbase()                                       # once
     khepbase(rps(2), rls(2), rms(2))                 # in each cycle
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.patches import Rectangle
 
 _BAR, _WIDTH = 0.012, 0.0028
-"""Of a full bar, and of any [m]."""
+"""Height of a full bar, and width of any [m]."""
 
 _PROXIMITY, _LIGHT, _SPEED, _EMPTY = "#e4572e", "#f4c846", "#4dabf7", "#f1f1ef"
 _DPI = 90
@@ -43,21 +43,21 @@ def khepbase(
     *,
     picture: str | Path | None = None,
 ) -> Path | None:
-    """Opens the view of the robot, or shows in it what the robot senses and does.
+    """Open the view of the robot, or update the readings and speeds in it.
 
     Args:
-        prox_data: proximity (8,), 0 to 1023; nothing opens the view.
-        light_data: ambient light (8,), 0 to 500.
-        motor_speed: of the left and the right wheel (2,) [pulses/10 ms], -20 to 20.
-        picture: when it is opened, a PNG to write in place of a window; without, "khepbase.png" where there
+        prox_data: Proximity (8,), 0 to 1023; without any data the view is opened.
+        light_data: Ambient light (8,), 0 to 500.
+        motor_speed: Speeds of the left and the right wheel (2,) [pulses/10 ms], -20 to 20.
+        picture: PNG to write in place of a window, when it is opened; without, "khepbase.png" where there
             is no screen.
 
     Returns:
         The picture that was written; None for a window.
 
     Raises:
-        ValueError: not all values are given, or there are too few of them.
-        KhepTwinError: the view was not opened before, or the picture cannot be written.
+        ValueError: Not all values are given, or there are too few of them.
+        KhepTwinError: The view was not opened before, or the picture cannot be written.
     """
     given = [value is not None for value in (prox_data, light_data, motor_speed)]
     if not any(given):
@@ -65,9 +65,9 @@ def khepbase(
     elif picture is not None:
         raise ValueError("khepbase: picture is for the call that opens it")
     elif not all(given):
-        raise ValueError("khepbase: right are prox_data, light_data and motor_speed, or nothing to open it")
+        raise ValueError("khepbase: expected prox_data, light_data and motor_speed, or nothing to open it")
     elif not _views:
-        raise KhepTwinError("khepbase: it is not open; right is khepbase() before")
+        raise KhepTwinError("khepbase: it is not open; expected khepbase() before")
     else:
         _views[-1].set(
             _values("prox_data", prox_data, 8),
@@ -92,7 +92,7 @@ class _View:
         self._window = picture is None and show(self.figure, "khepbase")
 
     def set(self, proximity: NDArray[Any], light: NDArray[Any], speed: NDArray[Any]) -> None:
-        """Gives the bars their lengths."""
+        """Set the lengths of the bars."""
         for name, bars, values in (
             ("proximity", self._proximity, proximity),
             ("light", self._light, light),
@@ -102,7 +102,7 @@ class _View:
                 bar.set_height(BARS[name].filled(value) * _BAR)
 
     def show(self) -> Path | None:
-        """Brings it to the screen, or into its file."""
+        """Draw it on the screen, or into its file."""
         if self._window:
             refresh(self.figure)
             return None
@@ -113,18 +113,18 @@ class _View:
 
 
 _views: list[_View] = []
-"""The one that is open."""
+"""View that is open."""
 
 
 def _values(name: str, values: Any, count: int) -> NDArray[np.float64]:
     row = np.asarray(values, np.float64).reshape(-1)
     if len(row) != count or not np.isfinite(row).all():
-        raise ValueError(f"khepbase: {name} has {len(row)} values; right are {count} numbers")
+        raise ValueError(f"khepbase: {name} has {len(row)} values; expected {count} numbers")
     return row
 
 
 def _sheet() -> "tuple[Figure, Axes]":
-    """The robot from above, ahead being up."""
+    """Return a drawing of the robot from above, ahead being up."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -160,7 +160,7 @@ def _sheet() -> "tuple[Figure, Axes]":
 
 
 def _bar(axes: "Axes", foot: NDArray[Any], colour: str, *, below: bool = False) -> "Rectangle":
-    """An empty bar in its frame, which goes down from its foot, too, if it can be negative."""
+    """Return an empty bar in its frame, which goes down from its foot, too, if it can be negative."""
     from matplotlib.patches import Rectangle
 
     left = float(foot[0]) - _WIDTH / 2

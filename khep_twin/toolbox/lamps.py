@@ -2,7 +2,7 @@
 
     open_default()
     place_lamp(450, 250)                # 7 W, as the toolbox's light model was measured
-    move_lamp(450, 250, 450, 400)       # the one nearest to a place
+    move_lamp(450, 250, 450, 400)       # the one nearest to a position
     remove_lamp(450, 400)
     lamp_control("sequenced")
 
@@ -20,7 +20,7 @@ from khep_twin.switching import relight
 from khep_twin.toolbox.simulator import opened
 
 POWER_W = 7.0
-"""Of the lamp that the toolbox's light model was measured with [W]."""
+"""Power of the lamp that the toolbox's light model was measured with [W]."""
 
 
 def place_lamp(
@@ -29,13 +29,13 @@ def place_lamp(
     """Place a lamp in the playpen, RoboRunner's Place Lamp.
 
     Args:
-        xabs: of the bulb's centre, from the arena's lower left inner corner [mm].
-        yabs: likewise.
-        power_w: of the bulb.
-        z: of the bulb's centre above the floor [mm].
+        xabs: Position of the bulb's centre in x, from the arena's lower left inner corner [mm].
+        yabs: Position in y, likewise [mm].
+        power_w: Power of the bulb [W].
+        z: Height of the bulb's centre above the floor [mm].
 
     Raises:
-        PlaypenError: it lies outside the arena, or cannot be like that.
+        PlaypenError: It lies outside the arena, or cannot be like that.
     """
     lamp = Lamp.model_construct(x_mm=float(xabs), y_mm=float(yabs), z_mm=float(z), power_w=float(power_w))
     playpen = _playpen()
@@ -43,16 +43,16 @@ def place_lamp(
 
 
 def move_lamp(xabs: SupportsFloat, yabs: SupportsFloat, to_x: SupportsFloat, to_y: SupportsFloat) -> None:
-    """Move the lamp that is nearest to a place.
+    """Move the lamp that is nearest to a position.
 
     Args:
-        xabs: near the lamp, from the arena's lower left inner corner [mm].
-        yabs: likewise.
-        to_x: its new place [mm].
-        to_y: likewise.
+        xabs: Position near the lamp in x, from the arena's lower left inner corner [mm].
+        yabs: Position in y, likewise [mm].
+        to_x: New position in x [mm].
+        to_y: New position in y [mm].
 
     Raises:
-        PlaypenError: there is no lamp, or its new place lies outside the arena.
+        PlaypenError: There is no lamp, or its new position lies outside the arena.
     """
     playpen = _playpen()
     nearest = nearest_lamp(playpen, float(xabs), float(yabs))
@@ -62,22 +62,22 @@ def move_lamp(xabs: SupportsFloat, yabs: SupportsFloat, to_x: SupportsFloat, to_
 
 
 def remove_lamp(xabs: SupportsFloat, yabs: SupportsFloat) -> None:
-    """Take away the lamp that is nearest to a place [mm], RoboRunner's Remove Lamp.
+    """Remove the lamp that is nearest to a position [mm], RoboRunner's Remove Lamp.
 
     Raises:
-        PlaypenError: there is no lamp.
+        PlaypenError: There is no lamp.
     """
     _set_up("remove_lamp", without_nearest_lamp(_playpen(), float(xabs), float(yabs)))
 
 
 def lamp_control(mode: str) -> None:
-    """Let the lamps shine "all", or one by one, "random" or "sequenced", RoboRunner's Lamp Control.
+    """Switch the lamps: "all", or one by one, "random" or "sequenced", RoboRunner's Lamp Control.
 
     Args:
-        mode: one of these, which begins now; "off" takes all lamps away.
+        mode: One of these, which begins now; "off" removes all lamps.
 
     Raises:
-        PlaypenError: it is none of them.
+        PlaypenError: It is none of them.
     """
     _set_up("lamp_control", lit(_playpen(), mode))
 

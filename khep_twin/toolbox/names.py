@@ -1,4 +1,4 @@
-"""All names of the Khepera Toolbox for Matlab, for programs typed over from it.
+"""Names of the Khepera Toolbox for Matlab, all of them, for programs ported from it.
 
     from khep_twin.toolbox.names import *
 
@@ -11,7 +11,7 @@
         kheprom(btmap1)
 
 Without `sim_` and without the lines that name `btmap1` it is a program for a robot. Beside a robot, where
-there is no simulator, `khep_twin.toolbox.serial_commands` has the commands. docs/toolbox.md tells what became
+there is no simulator, `khep_twin.toolbox.serial_commands` has the commands. docs/toolbox.md has the state
 of each of the toolbox's functions and windows.
 """
 

@@ -1,4 +1,4 @@
-"""The Khepera Toolbox's functions of the simulated robot's place: to put, move and turn it, to look around.
+"""The Khepera Toolbox's functions of the simulated robot's position: put, move and turn it, look around.
 
 A robot is put down only where there is room. To move and to turn are the robot's own doing here, by command
 C and through the physics: time passes, counters count, and wheels that push against a wall slip.
@@ -17,23 +17,23 @@ from khep_twin.toolbox.simulator import OpenPlaypen, opened
 from khep_twin.units import BODY_HEIGHT, PULSE_LENGTH
 
 STEP_MM = 5.0
-"""Of `movekhep` [mm], the toolbox's `gran`."""
+"""Distance of `movekhep` [mm], the toolbox's `gran`."""
 
 SWEEP_DEG, SWEEP_STEP_DEG = 50, 5
-"""`checkobj` looks so far to either side, in such steps [degrees] (toolbox)."""
+"""Angle to either side that `checkobj` searches, and its steps [degrees] (toolbox)."""
 
 CLEARANCE_MM = 1.5
-"""How far from the robot's edge `checkobj` looks [mm]: 29 mm from the centre of a Khepera (toolbox)."""
+"""Range of `checkobj` from the robot's edge [mm]: 29 mm from the centre of a Khepera (toolbox)."""
 
 _PATIENCE = 5.0
-"""After which a move has failed [s]."""
+"""Time after which a move has failed [s]."""
 
 _LOOK = 0.01
-"""Between two looks at a move [s]."""
+"""Time between two looks at a move [s]."""
 
 
 def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
-    """Whether something stands close before and close behind the robot: 1 or 0 each.
+    """Return 1 or 0 each for something close before and close behind the robot.
 
     That is wherever its edge is met within 1.5 mm, 50 degrees to either side of ahead and of behind; walls,
     objects where they are by now, and other robots.
@@ -60,16 +60,16 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
 def putkhep(
     xabs: SupportsFloat, yabs: SupportsFloat, heading_deg: SupportsFloat | None = None, port_id: int = 1
 ) -> None:
-    """Put the robot down at a place, at rest, its board as after a reset, its sensors converted there.
+    """Put the robot down at a position, at rest, its board as after a reset, its sensors converted there.
 
     Args:
-        xabs: of its centre, from the arena's lower left inner corner [mm].
-        yabs: likewise.
-        heading_deg: where it looks, counter-clockwise from x [degrees]; without, as before.
-        port_id: which one, where there are several.
+        xabs: Position of its centre in x, from the arena's lower left inner corner [mm].
+        yabs: Position in y, likewise [mm].
+        heading_deg: Heading, counter-clockwise from x [degrees]; without, as before.
+        port_id: Number of the robot, where there are several.
 
     Raises:
-        PlaypenError: there is no room for it; it stays where it was.
+        PlaypenError: There is no room for it; it stays where it was.
     """
     scene = opened()
     world, robot = scene.twin.world, scene.twin.robots[scene.index(port_id)]
@@ -82,23 +82,23 @@ def putkhep(
 
 
 def movekhep(dirn: int, btmap1: OpenPlaypen, port_id: int = 1) -> None:
-    """Drives the robot 5 mm straight on (1) or backwards (-1), as long as that takes.
+    """Drive the robot 5 mm straight on (1) or backwards (-1), as long as that takes.
 
     Raises:
         ValueError: `dirn` is neither.
-        PlaypenError: it does not get there.
+        PlaypenError: It does not get there.
     """
     if dirn not in (1, -1):
-        raise ValueError(f"movekhep: dirn = {dirn!r}: right is 1 for forward or -1 for reverse")
+        raise ValueError(f"movekhep: dirn = {dirn!r}; expected 1 for forward or -1 for reverse")
     pulses = dirn * STEP_MM * 1e-3 / PULSE_LENGTH
     _go(opened(btmap1), port_id, pulses, pulses)
 
 
 def rotkhep(alpha: SupportsFloat, port_id: int = 1) -> None:
-    """Turns the robot on the spot [degrees], to the left above 0, as long as that takes.
+    """Turn the robot on the spot [degrees], to the left above 0, as long as that takes.
 
     Raises:
-        PlaypenError: it does not get there.
+        PlaypenError: It does not get there.
     """
     pulses = float(alpha) * PULSES_PER_DEGREE
     _go(opened(), port_id, -pulses, pulses)
@@ -110,7 +110,7 @@ def cvrtang(angle: SupportsFloat) -> float:
 
 
 def _go(scene: OpenPlaypen, port_id: int, left: float, right: float) -> None:
-    """Moves the wheels by so many pulses."""
+    """Move the wheels by so many pulses."""
     robot = scene.robots[scene.index(port_id)]
     start, (left_before, right_before) = scene.time, robot.position()
     serial_commands.skp(robot, left_before + left, right_before + right)
@@ -121,5 +121,5 @@ def _go(scene: OpenPlaypen, port_id: int, left: float, right: float) -> None:
         if scene.time > start + _PATIENCE + (abs(left) + abs(right)) / 1000:
             raise PlaypenError(
                 f"the robot is still on its way after {scene.time - start:.1f} s, at {robot.position()} "
-                f"pulses; right is a free way"
+                f"pulses; expected a free path"
             )

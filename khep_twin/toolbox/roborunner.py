@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 UserFunction = str | Callable[..., Any]
-"""A function that is called after each run, or where it stands, FILE.py:NAME."""
+"""Function that is called after each run, or its place, FILE.py:NAME."""
 
 
 def roborun2(
@@ -49,21 +49,21 @@ def roborun2(
     """Run a control algorithm again and again; without one, open the page that has RoboRunner's controls.
 
     Args:
-        ctrl_name: a function of `port_id, cycles_per_run, runs, pause_stat`, a controller, or where either
-            stands, FILE.py:NAME.
-        port_id: of the robot; without it, the robot of the playpen that is open.
-        cycles_per_run: the toolbox has 500 to 10000.
-        runs: the toolbox has 1 to 20.
-        pause: between two runs, in the port's own time [s].
-        save: folder that keeps each run's numbers and variables as soon as it has ended, Save@Run End.
-        user: called after each run, with it or with those of its variables that the function names.
+        ctrl_name: Function of `port_id, cycles_per_run, runs, pause_stat`, a controller, or the place of
+            either, FILE.py:NAME.
+        port_id: Port of the robot; without it, the robot of the playpen that is open.
+        cycles_per_run: Cycles of each run; the toolbox has 500 to 10000.
+        runs: Number of runs; the toolbox has 1 to 20.
+        pause: Time between two runs, in the port's own time [s].
+        save: Folder for each run's metrics and variables, written as soon as it has ended, Save@Run End.
+        user: Function called after each run, with it or with those of its variables that the function names.
 
     Returns:
-        The runs, with what each is measured by and the variables of the algorithm as of its end.
+        The runs, with their metrics and the variables of the algorithm as of its end.
 
     Raises:
-        ControllerError: there is no such algorithm, or it failed.
-        KhepTwinError: the port failed, no playpen is open, or the folder cannot be used.
+        ControllerError: There is no such algorithm, or it failed.
+        KhepTwinError: The port failed, no playpen is open, or the folder cannot be used.
     """
     if ctrl_name is None:
         play_pen()
@@ -93,13 +93,13 @@ def roborun2(
 
 
 def getstat(*, runs: Sequence[Run] | str | Path | None = None) -> dict[str, Summary]:
-    """Return the statistics of runs: mean, spread and confidence of each number, by its name.
+    """Return the statistics of runs: mean, spread and confidence of each metric, by its name.
 
     Args:
-        runs: those of `roborun2`, or the folder that keeps them; without, those of the latest `roborun2`.
+        runs: Runs of `roborun2`, or the folder that keeps them; without, those of the latest `roborun2`.
 
     Raises:
-        ControllerError: there are no runs.
+        ControllerError: There are no runs.
     """
     rows = _rows(runs)
     return {name: summary(values(rows, name)) for name in measured([rows])}
@@ -108,16 +108,16 @@ def getstat(*, runs: Sequence[Run] | str | Path | None = None) -> dict[str, Summ
 def plotrun(
     *names: str, runs: Sequence[Run] | str | Path | None = None, picture: str | Path | None = None
 ) -> "Figure":
-    """Draw what runs are measured by, run after run, in a window where there is a screen.
+    """Draw the metrics of runs, run after run, in a window where there is a screen.
 
     Args:
-        names: of the numbers, such as "fitness"; without, the usual ones.
-        runs: as for `getstat`.
-        picture: a PNG, SVG or PDF file to write.
+        names: Names of the metrics, such as "fitness"; without, the usual ones.
+        runs: Runs as for `getstat`.
+        picture: PNG, SVG or PDF file to write.
 
     Raises:
-        ControllerError: there are no runs, or no such number.
-        KhepTwinError: the picture cannot be written.
+        ControllerError: There are no runs, or no such metric.
+        KhepTwinError: The picture cannot be written.
     """
     from khep_twin.drawing import map as drawing
     from khep_twin.lab.experiment.series_figure import draw, shown
@@ -134,12 +134,12 @@ def user1(*, runs: Sequence[Run] | str | Path | None = None, save: str | Path | 
     """Print the statistics of runs, and save their table.
 
     Args:
-        runs: as for `getstat`.
-        save: a CSV, Parquet or MAT file with a row for each run.
+        runs: Runs as for `getstat`.
+        save: CSV, Parquet or MAT file with a row for each run.
 
     Raises:
-        ControllerError: there are no runs.
-        KhepTwinError: the file cannot be written, or has another suffix.
+        ControllerError: There are no runs.
+        KhepTwinError: The file cannot be written, or has another suffix.
     """
     rows = _rows(runs)
     tables = series_files.tables(rows)
@@ -151,11 +151,11 @@ def user1(*, runs: Sequence[Run] | str | Path | None = None, save: str | Path | 
 
 
 def template(file: str | Path) -> Path:
-    """Write the toolbox's template, a function to fill in and to hand to `roborun2` or `khep-twin run`.
+    """Write the toolbox's template, a function to fill in and to pass to `roborun2` or `khep-twin run`.
 
     Raises:
-        ControllerError: the file is there already, or is no FILE.py.
-        KhepTwinError: it cannot be written.
+        ControllerError: The file is there already, or is no FILE.py.
+        KhepTwinError: It cannot be written.
     """
     if Path(file).suffix != ".py":
         raise ControllerError(f"template: {file}: expected a name that ends in .py")
@@ -169,10 +169,10 @@ def play_pen(file: str | Path | None = None) -> None:
     """Open the page in which playpens are built and robots are run, until Ctrl-C, as `khep-twin design` does.
 
     Args:
-        file: a playpen file below the current folder; it may still have to be made.
+        file: Playpen file below the current folder; it may still have to be made.
 
     Raises:
-        KhepTwinError: the page could not be opened; why is told by the page's own process.
+        KhepTwinError: The page could not be opened; the page's own process prints the reason.
     """
     command = [sys.executable, "-m", "khep_twin", "design", *([] if file is None else [str(file)])]
     with subprocess.Popen(command) as page:
@@ -187,7 +187,7 @@ def play_pen(file: str | Path | None = None) -> None:
 
 
 _runs: list[Run] = []
-"""The latest ones."""
+"""Latest runs."""
 
 
 def _robot(controller: AnyController, port_id: Port | None) -> Khepera:

@@ -30,7 +30,7 @@ from khep_twin.toolbox.serial_commands import Port, robot_at
 from khep_twin.toolbox.simulator import opened
 
 EXCHANGE = 0.03
-"""What a question costs in `simsense` [s] (assumed: about the mean of H and N at 9600 baud)."""
+"""Cost of a reading in `simsense` [s] (assumed: about the mean of H and N at 9600 baud)."""
 
 
 def tstsense(
@@ -45,29 +45,29 @@ def tstsense(
     save: str | Path | None = None,
     dlgstr: str = "",
 ) -> tuple[NDArray[np.int64], int]:
-    """Drives a robot straight or turns it, and reads its sensors on the way.
+    """Drive a robot straight or turn it, and read its sensors on the way.
 
     Ctrl-C, a blocked wheel or a lost line end it early: the motors stop, and the rows so far are in `save`
     and in `lasttest()`.
 
     Args:
-        port_id: where the robot is.
-        what: "proximity" or "light".
-        linear_cm: how far straight on, 5 to 60, or backwards below 0 [cm].
-        rotate_deg: in its place, how far to turn on the spot, 15 to 360, clockwise below 0 [degrees].
-        max_speed: of both wheels [pulses/10 ms].
-        max_acc: of both wheels [3.125 mm/s^2].
-        return_to_zero: whether it waits 5 s at the end and drives back.
-        save: a MAT file with `dv` and `dlgstr`, or a CSV or MCAP file, to write.
-        dlgstr: a description to keep with the data.
+        port_id: Port of the robot.
+        what: Kind of sensors, "proximity" or "light".
+        linear_cm: Distance straight on, 5 to 60, or backwards below 0 [cm].
+        rotate_deg: Angle to turn on the spot in its place, 15 to 360, clockwise below 0 [degrees].
+        max_speed: Speed of both wheels [pulses/10 ms].
+        max_acc: Acceleration of both wheels [3.125 mm/s^2].
+        return_to_zero: Wait 5 s at the end and drive back.
+        save: MAT file with `dv` and `dlgstr`, or a CSV or MCAP file, to write.
+        dlgstr: Description to keep with the data.
 
     Returns:
-        `dv` (n, 10), two position counters and eight sensors for each look, and `khep_pos`, how far a wheel
+        `dv` (n, 10), two position counters and eight sensors per reading, and `khep_pos`, how far a wheel
         was to go [pulses].
 
     Raises:
-        SensorTestError: that is no test, or a wheel is blocked.
-        KhepTwinError: the file cannot be written.
+        SensorTestError: That is no test, or a wheel is blocked.
+        KhepTwinError: The file cannot be written.
     """
     test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
     return _driven(robot_at(port_id), test, save, dlgstr)
@@ -85,17 +85,17 @@ def simsense(
     dlgstr: str = "",
     port_id: int = 1,
 ) -> tuple[NDArray[np.int64], int]:
-    """As `tstsense`, with a robot of the playpen that is open; time passes meanwhile.
+    """Run the test of `tstsense` with a robot of the playpen that is open; time passes meanwhile.
 
     Raises:
-        PlaypenError: none is open.
-        SensorTestError: that is no test, or a wheel is blocked.
-        KhepTwinError: the file cannot be written.
+        PlaypenError: No playpen is open.
+        SensorTestError: That is no test, or a wheel is blocked.
+        KhepTwinError: The file cannot be written.
     """
     test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
     scene = opened()
     robot = Khepera(scene.robots[scene.index(port_id)].port)
-    # Talking takes time here: else it would be asked for ever at one place.
+    # An exchange takes time here: else all readings would be taken at one position.
     robot.listen(lambda request, reply: robot.sleep(EXCHANGE))
     return _driven(robot, test, save, dlgstr)
 
@@ -104,7 +104,7 @@ def lasttest() -> tuple[NDArray[np.int64], int]:
     """Return `dv` and `khep_pos` of the latest test, as far as it came, also of one that was interrupted.
 
     Raises:
-        SensorTestError: there was none yet.
+        SensorTestError: There was none yet.
     """
     if not _latest:
         raise SensorTestError("there was no test yet; expected tstsense or simsense before")
@@ -112,12 +112,12 @@ def lasttest() -> tuple[NDArray[np.int64], int]:
 
 
 def test_of(dv: object) -> SensorTest | None:
-    """Return the latest test if it has given `dv`."""
+    """Return the latest test if it returned `dv`."""
     return _latest[-1].test if _latest and _latest[-1].dv is dv else None
 
 
 _latest: list[SensorRun] = []
-"""What the latest test has gathered."""
+"""Readings of the latest test."""
 
 
 def _driven(
@@ -134,7 +134,7 @@ def _driven(
 
 
 def _keep(run: SensorRun, save: str | Path | None) -> None:
-    """Keep what a test has gathered, in a file where one is wanted."""
+    """Keep the readings of a test, in a file where one is wanted."""
     _latest[:] = [run]
     if save is not None and len(run.dv):
         sensor_files.save(Path(save), run)

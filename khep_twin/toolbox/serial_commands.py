@@ -6,9 +6,9 @@
     motors = rps(2) @ Intercon / 400 + speed
     sms(2, motors[0], motors[1])
 
-`port_id` is 1 to 4, as in the toolbox; `ports` or the environment says which port that is. The port's own URL
+`port_id` is 1 to 4, as in the toolbox; `ports` or the environment sets which port that is. The port's own URL
 or a `Khepera` will do in its place. A row of Matlab's, 1x2, 1x6 or 1x8, is an array of one dimension here, so
-that `motors(1)` is `motors[0]`; scipy's `savemat` makes a row of it again. A number that is not whole is
+that `motors(1)` is `motors[0]`; scipy's `savemat` makes a row of it again. A number that is no integer is
 rounded, halves away from zero, as Matlab does.
 
 `khep_twin.toolbox.names` has these and all other names of the toolbox, the simulator's among them.
@@ -47,27 +47,27 @@ __all__ = [
 ]
 
 Port = int | str | Khepera
-"""1 to 4, the URL of a port, or a robot."""
+"""Number 1 to 4, the URL of a port, or a robot."""
 
 Row = NDArray[np.int64]
-"""Whole numbers, one for each column of a row in Matlab."""
+"""Integers, one for each column of a row in Matlab."""
 
 # Ports ---------------------------------------------------------------------------------------------------
 
 
 def ports(choice: Mapping[int, str | Khepera]) -> None:
-    """Says which ports 1 to 4 are, in place of what was said before, and closes the ports of then.
+    """Set the ports 1 to 4, in place of those set before, and close the previous ports.
 
     Args:
         choice: URLs such as "/dev/ttyUSB0" or "khep://default?seed=1", by number; a robot that is open
             already will do.
 
     Raises:
-        PortError: a number is none of 1 to 4.
+        PortError: A number is none of 1 to 4.
     """
     for number in choice:
         if number not in PORT_IDS:
-            raise PortError(f"ports: {number!r}: right is a number from 1 to 4")
+            raise PortError(f"ports: {number!r}; expected a number from 1 to 4")
     for robot in _open.values():
         robot.close()
     _open.clear()
@@ -76,10 +76,10 @@ def ports(choice: Mapping[int, str | Khepera]) -> None:
 
 
 def robot_at(port_id: Port) -> Khepera:
-    """The robot at a port, which is opened when it is first asked for.
+    """Return the robot at a port, which is opened when it is first asked for.
 
     Raises:
-        PortError: the number is none of 1 to 4, or says nothing, or the port cannot be opened.
+        PortError: The number is none of 1 to 4, or has no port, or the port cannot be opened.
     """
     if isinstance(port_id, Khepera):
         return port_id
@@ -93,14 +93,14 @@ def robot_at(port_id: Port) -> Khepera:
 
 @contextmanager
 def lent(robot: Khepera, port_id: int | None = None) -> Generator[int]:
-    """Let the numbers of ports that mean nothing yet mean a robot that is open already, for a while.
+    """Let the port numbers that have no port yet stand for an open robot within the context.
 
     Args:
-        robot: to be meant.
-        port_id: the number that means it in any case.
+        robot: Robot that they stand for.
+        port_id: Number that stands for it in any case.
 
     Returns:
-        A number that means it: `port_id`, or without it the first one that is free.
+        A number that stands for it: `port_id`, or without it the first one that is free.
     """
     before = dict(_chosen)
     free = [number for number in PORT_IDS if _meaning(number) is None]
@@ -117,37 +117,37 @@ def lent(robot: Khepera, port_id: int | None = None) -> Generator[int]:
 
 
 def con(port_id: Port, Kp: SupportsFloat, Ki: SupportsFloat, Kd: SupportsFloat) -> None:
-    """A: sets the gains of the speed controller; 3800, 800, 100 after a reset."""
+    """Set the gains of the speed controller; 3800, 800, 100 after a reset (command A)."""
     robot_at(port_id).configure_speed_controller(*_whole("con", Kp=Kp, Ki=Ki, Kd=Kd))
 
 
 def skp(port_id: Port, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
-    """C: sends the wheels to these places [pulses of 0.08 mm], at most 2^23 - 2 away from 0."""
+    """Send the wheels to these positions [pulses of 0.08 mm], at most 2^23 - 2 from 0 (command C)."""
     robot_at(port_id).set_target(*_whole("skp", pos_left=pos_left, pos_right=pos_right))
 
 
 def sms(port_id: Port, speed_left: SupportsFloat, speed_right: SupportsFloat) -> None:
-    """D: drives the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127."""
+    """Drive the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127 (command D)."""
     robot_at(port_id).set_speed(*_whole("sms", speed_left=speed_left, speed_right=speed_right))
 
 
 def rms(port_id: Port) -> Row:
-    """E: measured speed of the left and the right wheel (2,) [pulses/10 ms]."""
+    """Return the measured speed of the left and the right wheel (2,) [pulses/10 ms] (command E)."""
     return _row(robot_at(port_id).speed())
 
 
 def cpid(port_id: Port, Kp: SupportsFloat, Ki: SupportsFloat, Kd: SupportsFloat) -> None:
-    """F: sets the gains of the position controller; 3000, 20, 4000 after a reset."""
+    """Set the gains of the position controller; 3000, 20, 4000 after a reset (command F)."""
     robot_at(port_id).configure_position_controller(*_whole("cpid", Kp=Kp, Ki=Ki, Kd=Kd))
 
 
 def spc(port_id: Port, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
-    """G: sets the position counters [pulses]."""
+    """Set the position counters [pulses] (command G)."""
     robot_at(port_id).set_position(*_whole("spc", pos_left=pos_left, pos_right=pos_right))
 
 
 def rpc(port_id: Port) -> Row:
-    """H: position counters of the left and the right wheel (2,) [pulses], 12.5 to a millimetre."""
+    """Return the position counters, left and right (2,) [pulses], 12.5 to a millimetre (command H)."""
     return _row(robot_at(port_id).position())
 
 
@@ -158,7 +158,10 @@ def cspc(
     max_speed_right: SupportsFloat,
     acc_right: SupportsFloat,
 ) -> None:
-    """J: trapezoid of `skp`: speeds [pulses/10 ms], accelerations [3.125 mm/s^2]; 20, 64 after a reset."""
+    """Set the profile of `skp` (command J).
+
+    Speeds [pulses/10 ms], accelerations [3.125 mm/s^2]; 20, 64 after a reset.
+    """
     values = _whole(
         "cspc",
         max_speed_left=max_speed_left,
@@ -170,12 +173,12 @@ def cspc(
 
 
 def rmc(port_id: Port) -> Row:
-    """K: motion control of the left and the right wheel, [T, M, E, T, M, E] (6,).
+    """Return motion control of the left and the right wheel, [T, M, E, T, M, E] (6,) (command K).
 
     T is 1 on the target. M is 0 for speed, 1 for position and 2 for a fixed duty with ROM 5.02, and with the
     toolbox's ROM 4.06 it is 0 for position and 1 for speed. E is the controller's error.
     """
-    # As the robot tells them: the host's own status translates the modes of all ROMs into one.
+    # As the robot reports them: the host's own status translates the modes of all ROMs into one.
     robot = robot_at(port_id)
     answer = robot.ask("K")
     try:
@@ -184,7 +187,7 @@ def rmc(port_id: Port) -> Row:
     except ValueError:
         head, values = "", []
     if head != "k" or len(values) != 6:
-        raise ProtocolError(f"{robot.name}: 'K' was answered {answer!r}; right is 'k' and 6 whole numbers")
+        raise ProtocolError(f"{robot.name}: 'K' was answered {answer!r}; expected 'k' and 6 integers")
     return _row(tuple(values))
 
 
@@ -192,22 +195,25 @@ def rmc(port_id: Port) -> Row:
 
 
 def rad(port_id: Port, channel_number: SupportsFloat) -> int:
-    """I: one channel of the converter, 0 to 1023; 1024 would be 4.09 V."""
+    """Return one channel of the converter, 0 to 1023; 1024 would be 4.09 V (command I)."""
     return robot_at(port_id).converter(*_whole("rad", channel_number=channel_number))
 
 
 def cls(port_id: Port, led_number: SupportsFloat, action_number: SupportsFloat) -> None:
-    """L: LED 0 or 1; action 0 off, 1 on, 2 over to the other."""
+    """Switch LED 0 or 1; action 0 off, 1 on, 2 toggle (command L)."""
     robot_at(port_id).set_led(*_whole("cls", led_number=led_number, action_number=action_number))
 
 
 def rps(port_id: Port) -> Row:
-    """N: proximity (8,), 0 to 1023; left 90, 45, 10, right 10, 45, 90, back right, back left."""
+    """Return proximity (8,), 0 to 1023 (command N).
+
+    Left 90, 45, 10, right 10, 45, 90, back right, back left.
+    """
     return _row(robot_at(port_id).proximity())
 
 
 def rls(port_id: Port) -> Row:
-    """O: ambient light (8,) in the order of `rps`; about 500 in the dark, less where it is bright."""
+    """Return ambient light (8,) in the order of `rps`; about 500 dark, less where bright (command O)."""
     return _row(robot_at(port_id).ambient())
 
 
@@ -220,13 +226,13 @@ atexit.register(ports, {})
 
 
 def _port(port_id: int) -> str | Khepera:
-    """What a number stands for."""
+    """Return the port that a number stands for."""
     if port_id not in PORT_IDS:
-        raise PortError(f"port_id = {port_id!r}: right is 1 to 4, or a port such as '/dev/ttyUSB0'")
+        raise PortError(f"port_id = {port_id!r}; expected 1 to 4, or a port such as '/dev/ttyUSB0'")
     port = _meaning(port_id)
     if port is None:
         raise PortError(
-            f"port_id = {port_id}: no port is chosen; right is ports({{{port_id}: '/dev/ttyUSB0'}}), or "
+            f"port_id = {port_id}: no port is chosen; expected ports({{{port_id}: '/dev/ttyUSB0'}}), or "
             f"{VARIABLE}{port_id}=/dev/ttyUSB0 in the environment"
         )
     return port
@@ -237,7 +243,7 @@ def _meaning(port_id: int) -> str | Khepera | None:
 
 
 def _whole(command: str, **values: SupportsFloat) -> list[int]:
-    """Whole numbers, rounded with halves away from zero."""
+    """Return integers, rounded with halves away from zero."""
     numbers: list[int] = []
     for name, value in values.items():
         try:
@@ -245,7 +251,7 @@ def _whole(command: str, **values: SupportsFloat) -> list[int]:
         except OverflowError:
             number = math.inf
         if not abs(number) < 2**31:
-            raise ValueError(f"{command}: {name} = {number}: right is a number of less than 2^31")
+            raise ValueError(f"{command}: {name} = {number}; expected a number of less than 2^31")
         # Not trunc(x + 0.5), which makes a 1 of the largest number below a half.
         whole = math.trunc(number)
         numbers.append(whole + int(math.copysign(abs(number - whole) >= 0.5, number)))

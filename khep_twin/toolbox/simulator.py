@@ -6,10 +6,10 @@
     kheprom(btmap1)                     # 50 ms pass
 
 A command takes no time at all: it reaches the board's registers at once and is answered from them, and what
-it started happens while `kheprom` lets time pass. Between two of them the robot stands still in time. It is
+it started happens while `kheprom` lets time pass. Between two of them time stands still for the robot. It is
 the board and the physics of every other twin: speeds have sizes, wheels differ, counters count pulses.
 
-One playpen is open at a time, as in the toolbox. In one with a single robot `port_id` says nothing; where
+One playpen is open at a time, as in the toolbox. In one with a single robot `port_id` is ignored; where
 there are several it is the robot's number, from 1.
 """
 
@@ -36,15 +36,15 @@ from khep_twin.toolbox import serial_commands
 from khep_twin.toolbox.serial_commands import Row
 
 CYCLE = 0.05
-"""What `kheprom` lets pass by default [s] (assumed: about what `rps` and `sms` take on a robot)."""
+"""Cycle of `kheprom` by default [s] (assumed: about what `rps` and `sms` take on a robot)."""
 
 
 class OpenPlaypen:
-    """A playpen that is open in the simulator: what a program hands on as `btmap1`.
+    """Playpen that is open in the simulator: the `btmap1` that a program passes on.
 
     Attributes:
-        twin: the world in it, for those who want the truth.
-        robots: one to talk to for each that stands in it; their lines take no time.
+        twin: Twin of the world in it, for ground truth.
+        robots: Host's end of each robot in it; their lines take no time.
     """
 
     def __init__(self, twin: Twin, robots: tuple[Khepera, ...] = ()) -> None:
@@ -58,10 +58,10 @@ class OpenPlaypen:
         return self.twin.world.time_ns / NS_PER_S
 
     def index(self, port_id: int) -> int:
-        """Which robot a port's number means, from 0.
+        """Return the index of the robot that a port's number stands for, from 0.
 
         Raises:
-            PortError: there are several, and none of this number.
+            PortError: There are several robots, and none of this number.
         """
         numbers = range(1, len(self.robots) + 1)
         if len(self.robots) > 1 and port_id not in numbers:
@@ -69,7 +69,7 @@ class OpenPlaypen:
         return int(port_id) - 1 if len(self.robots) > 1 else 0
 
     def pass_time(self, duration: float) -> None:
-        """Lets time pass [s]."""
+        """Let time pass [s]."""
         self.twin.advance_to(self.twin.world.time_ns + to_ns(duration))
 
 
@@ -81,14 +81,14 @@ def open_default(
     lighting: str | None = None,
     log: str | Path | None = None,
 ) -> OpenPlaypen:
-    """Opens four walls with a robot in their middle, RoboRunner's Open Default; closes what was open.
+    """Open four walls with a robot in their middle, RoboRunner's Open Default; close what was open.
 
     Args:
-        seed: of every chance.
-        noise: whether sensors are noisy.
-        rom: of the robot, as for `open_custom`.
+        seed: Seed of every random stream.
+        noise: Add noise to the sensors.
+        rom: Version of the robot's ROM, as for `open_custom`.
         lighting: Lamp Control, as for `open_custom`; lamps come by `place_lamp`.
-        log: file to record the run in.
+        log: File to record the run in.
     """
     return open_custom("default", seed=seed, noise=noise, rom=rom, lighting=lighting, log=log)
 
@@ -102,36 +102,36 @@ def open_custom(
     lighting: str | None = None,
     log: str | Path | None = None,
 ) -> OpenPlaypen:
-    """Opens a playpen, RoboRunner's Open Custom; closes what was open.
+    """Open a playpen, RoboRunner's Open Custom; close what was open.
 
     Args:
-        playpen: the name of a shipped one, a playpen file, a scanned MAT file of the toolbox or a PNG, or the
+        playpen: Name of a shipped one, a playpen file, a scanned MAT file of the toolbox or a PNG, or the
             matrix `btmap1` of one (rows, columns), 44 where something stands, its first row at the bottom.
-        seed: of every chance.
-        noise: whether sensors are noisy.
-        rom: of the robots, if not what the playpen says; with "4.06" `sim_rmc` counts modes as the toolbox.
+        seed: Seed of every random stream.
+        noise: Add noise to the sensors.
+        rom: Version of the robots' ROM, if not the playpen's; with "4.06" `sim_rmc` has the toolbox's modes.
         lighting: Lamp Control, "all", "random" or "sequenced", or "off" for no lamps at all; without, as the
-            playpen says.
-        log: file to record the run in.
+            playpen has it.
+        log: File to record the run in.
 
     Raises:
-        PlaypenError: it cannot be used.
-        BitmapError: the matrix or picture cannot become a playpen.
-        PortError: no robot stands in it.
-        LogError: the log cannot be written.
+        PlaypenError: It cannot be used.
+        BitmapError: The matrix or picture cannot become a playpen.
+        PortError: No robot stands in it.
+        LogError: The log cannot be written.
     """
     global _current
     options = TwinOptions(seed=seed, robot=None, noise=noise, rom=rom, unpaced=True, log=log and str(log))
     chosen = lit(_playpen(playpen), lighting)
     if not chosen.robots:
-        raise PlaypenError(f"{chosen.name}: no robot stands in it; right is a [[robot]] in its file")
+        raise PlaypenError(f"{chosen.name}: no robot stands in it; expected a [[robot]] in its file")
     close_playpen()
     _current = OpenPlaypen(open_twin(chosen, options))
     return _current
 
 
 def close_playpen() -> None:
-    """Closes the playpen that is open and completes its log, RoboRunner's Close Playpen."""
+    """Close the playpen that is open and complete its log, RoboRunner's Close Playpen."""
     global _current
     if _current is not None:
         before, _current = _current, None
@@ -139,24 +139,24 @@ def close_playpen() -> None:
 
 
 def opened(btmap1: object = None) -> OpenPlaypen:
-    """The playpen that is open.
+    """Return the playpen that is open.
 
     Args:
-        btmap1: what a program takes for it; None for whatever is open.
+        btmap1: Playpen that a program takes to be open; None for whichever is.
 
     Raises:
-        PlaypenError: none is open, or it is another one.
+        PlaypenError: None is open, or it is another one.
     """
     if _current is None:
-        raise PlaypenError("no playpen is open; right is btmap1 = open_default(), or open_custom('NAME')")
+        raise PlaypenError("no playpen is open; expected btmap1 = open_default(), or open_custom('NAME')")
     if btmap1 is not None and btmap1 is not _current:
-        raise PlaypenError("btmap1 is not the playpen that is open; right is what open_custom has returned")
+        raise PlaypenError("btmap1 is not the playpen that is open; expected what open_custom has returned")
     return _current
 
 
 @contextmanager
 def lent(robot: Khepera) -> Generator[OpenPlaypen | None]:
-    """Let the twin in this process behind a robot be the playpen that is open, for a while.
+    """Let the twin in this process behind a robot be the playpen that is open, within the context.
 
     Returns:
         The playpen; None for a robot that is no twin in this process.
@@ -172,7 +172,7 @@ def lent(robot: Khepera) -> Generator[OpenPlaypen | None]:
 
 
 def kheprom(btmap1: OpenPlaypen, cycle: float = CYCLE) -> None:
-    """Lets the simulated robots do what they were told, for one cycle [s].
+    """Advance the simulated robots by one cycle [s].
 
     Raises:
         PlaypenError: `btmap1` is not what `open_default` or `open_custom` has returned last.
@@ -193,53 +193,53 @@ def ulsv() -> None:
     """Convert all sensors as `upsv` does; the lamps are those of the playpen that is open.
 
     Raises:
-        PlaypenError: none is open.
+        PlaypenError: No playpen is open.
     """
     scan(opened().twin.world)
 
 
 def sim_skp(port_id: int, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
-    """Sends the wheels to these places [pulses of 0.08 mm], any mixture of way and turn."""
+    """Send the wheels to these positions [pulses of 0.08 mm], any mixture of path and turn."""
     serial_commands.skp(_robot(port_id), pos_left, pos_right)
 
 
 def sim_sms(port_id: int, speed_left: SupportsFloat, speed_right: SupportsFloat) -> None:
-    """Drives the wheels at these speeds [pulses/10 ms = 8 mm/s], each at its own."""
+    """Drive the wheels at these speeds [pulses/10 ms = 8 mm/s], each at its own."""
     serial_commands.sms(_robot(port_id), speed_left, speed_right)
 
 
 def sim_rms(port_id: int) -> Row:
-    """Measured speed of the left and the right wheel (2,) [pulses/10 ms], in position mode, too."""
+    """Return the measured speed, left and right (2,) [pulses/10 ms], in position mode, too."""
     return serial_commands.rms(_robot(port_id))
 
 
 def sim_spc(port_id: int, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
-    """Sets the position counters [pulses]."""
+    """Set the position counters [pulses]."""
     serial_commands.spc(_robot(port_id), pos_left, pos_right)
 
 
 def sim_rpc(port_id: int) -> Row:
-    """Position counters of the left and the right wheel (2,) [pulses]."""
+    """Return the position counters of the left and the right wheel (2,) [pulses]."""
     return serial_commands.rpc(_robot(port_id))
 
 
 def sim_rmc(port_id: int) -> Row:
-    """Motion control, [T, M, E] of the left and the right wheel (6,); M as `rmc` has it, E is alive."""
+    """Return motion control, [T, M, E] left and right (6,); M as `rmc` has it, E is updated."""
     return serial_commands.rmc(_robot(port_id))
 
 
 def sim_rps(port_id: int) -> Row:
-    """Proximity (8,), as last converted."""
+    """Return proximity (8,), as last converted."""
     return serial_commands.rps(_robot(port_id))
 
 
 def sim_rls(port_id: int) -> Row:
-    """Ambient light (8,), as last converted."""
+    """Return ambient light (8,), as last converted."""
     return serial_commands.rls(_robot(port_id))
 
 
 def userdata(btmap1: OpenPlaypen, port_id: int = 1) -> NDArray[np.float64]:
-    """What the toolbox kept in the robot's drawing: 31 numbers in its columns' order (31,).
+    """Return the toolbox's data of the robot's drawing: 31 numbers in its columns' order (31,).
 
     They are true x and y [mm] and rotation from 0 to 360 [degrees], proximity (8), light (8), the speeds that
     are wanted (2) [pulses/10 ms], [T, M, E] twice, position counters (2) and targets (2) [pulses].
@@ -272,12 +272,12 @@ def _robot(port_id: int) -> Khepera:
 
 
 def _playpen(source: str | Path | Playpen | NDArray[Any]) -> Playpen:
-    """A playpen from whatever may be one."""
+    """Return a playpen from any of its sources."""
     if isinstance(source, Playpen):
         return source
     if isinstance(source, np.ndarray):
         if source.ndim != 2:
-            raise BitmapError(f"btmap1: {source.ndim} dimensions; right is a matrix, such as 500 x 600")
+            raise BitmapError(f"btmap1: {source.ndim} dimensions; expected a matrix, such as 500 x 600")
         # The toolbox scans upside down.
         return bitmap.to_playpen(source[::-1] == bitmap_files.SOLID, bitmap_files.SCAN).playpen
     path = Path(source)

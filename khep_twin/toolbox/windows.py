@@ -1,6 +1,6 @@
 """Windows for the Khepera Toolbox's pictures, where there is a screen.
 
-They stay open when a program has come to its end, until somebody closes them or presses Ctrl-C.
+They stay open when a program has come to its end, until the user closes them or presses Ctrl-C.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 def show(figure: "Figure", title: str) -> bool:
-    """Opens a window with a figure and goes on at once.
+    """Open a window with a figure and go on at once.
 
     Returns:
-        Whether there is one: matplotlib must have found a screen, or been told of one.
+        True if there is one: matplotlib must have found a screen, or have one set.
     """
     import matplotlib
     from matplotlib.backends.registry import BackendFilter, backend_registry
@@ -41,7 +41,7 @@ def show(figure: "Figure", title: str) -> bool:
 
 
 def refresh(figure: "Figure") -> None:
-    """Brings a window up to date, unless somebody has closed it."""
+    """Redraw a window, unless the user has closed it."""
     if any(manager.canvas is figure.canvas for manager in _windows):
         figure.canvas.draw()
         figure.canvas.flush_events()
@@ -50,7 +50,7 @@ def refresh(figure: "Figure") -> None:
 def wait_until_closed() -> None:
     """Keep the windows of a program that has ended until they are closed, with its robots at rest.
 
-    Nothing is waited for at a prompt, which keeps them itself, and after an error or Ctrl-C.
+    At a prompt, which keeps the windows itself, and after an error or Ctrl-C, return at once.
     """
     failed = hasattr(sys, "last_type")
     if not _windows or failed or hasattr(sys, "ps1") or sys.flags.interactive:
@@ -69,7 +69,7 @@ def wait_until_closed() -> None:
 atexit.register(wait_until_closed)
 
 _LOOK = 0.03
-"""How often the windows are looked after [s]."""
+"""Interval at which the windows' events are handled [s]."""
 
 _windows: list[Any] = []
-"""Kept, because a window that nobody holds is closed."""
+"""Windows kept, because one without a reference is closed."""

@@ -5,12 +5,12 @@ such as NiceGUI was tried and left: it takes 105 MB and 2 s to import where thes
 editor for drawings needs JavaScript of its own anyway, and here each request passes one guard that is
 small enough to be read. Nothing is fetched from outside, so that the page works without a network.
 
-    guard       who may ask at all: host, origin, token, sizes
+    guard       checks of each request: host, origin, token, sizes
     documents   playpen files below one folder, and drafts of what is not saved yet
-    drafts      what the page sends, as a playpen, with what is wrong with it
+    drafts      playpens as the page sends them, with their problems
     paced_twin  a twin that can be watched, paused, and shared with an outside host
     stage       the running twin, or the robot, of the page, in a thread of its own
-    jobs        what is run on it: controllers and sensor tests
-    routes      what the page asks for
+    jobs        jobs of the robot: controllers and sensor tests
+    routes      actions and files that the page requests
     server      all of it together
 """

@@ -1,7 +1,7 @@
-"""The pages that watch: what a thread tells is sent to each of them, and a slow one misses pictures only.
+"""Messages to the pages that watch: each page gets what a thread sends, and a slow one misses pictures only.
 
-Each message to a page wakes the thread that sends, which then stands in the way of the simulation. So nothing
-is told more often than pictures are, and no pictures while nobody watches.
+Each message to a page wakes the thread that sends, which then slows the simulation down. So messages
+are sent no more often than pictures, and no pictures while no page watches.
 """
 
 import asyncio
@@ -18,10 +18,10 @@ _WAITING = 500
 
 
 class Audience:
-    """All pages that are open.
+    """Pages that are open.
 
     Attributes:
-        watching: whether there is any.
+        watching: True if there are any.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class Audience:
         self._last: dict[str, str] = {}
 
     def tell(self, message: Mapping[str, Any]) -> None:
-        """Tells all pages something; from any thread."""
+        """Send a message to all pages; from any thread."""
         kind = str(message.get("kind"))
         if kind == "picture" and not self.watching:
             return
@@ -45,7 +45,7 @@ class Audience:
                 self._loop.call_soon_threadsafe(self._spread, kind, text)
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serves one page until it goes."""
+        """Serve one page until it goes."""
         self._loop = asyncio.get_running_loop()
         await socket.accept()
         watcher = _Watcher()
@@ -56,7 +56,7 @@ class Audience:
         sending = asyncio.create_task(self._send(socket, watcher))
         try:
             while True:
-                # A page tells which file it has, so that the others know.
+                # A page reports which file it has, so that the others know.
                 said = await socket.receive_text()
                 self._spread("page", json.dumps({"kind": "page", "said": said[:1000]}), but=watcher)
         except (WebSocketDisconnect, KeyError):
@@ -79,7 +79,7 @@ class Audience:
 
 
 class _Watcher:
-    """What waits to be sent to one page."""
+    """Messages that wait to be sent to one page."""
 
     def __init__(self) -> None:
         self._waiting: deque[str] = deque(maxlen=_WAITING)
@@ -87,7 +87,7 @@ class _Watcher:
         self._something = asyncio.Event()
 
     def take(self, kind: str, text: str) -> None:
-        """Takes a message; a new picture replaces the one that still waits."""
+        """Take a message; a new picture replaces the one that still waits."""
         if kind == "picture":
             self._picture = text
         else:
@@ -95,7 +95,7 @@ class _Watcher:
         self._something.set()
 
     async def next(self) -> str:
-        """The next message, when there is one."""
+        """Return the next message, when there is one."""
         while not self._waiting and self._picture is None:
             self._something.clear()
             await self._something.wait()

@@ -1,4 +1,4 @@
-"""Connections to the page: how many there are at most, how long each may keep it waiting, and what is told.
+"""Connections to the page: a limit of their number, of the time each may wait, and reports of errors.
 
 uvicorn waits for ever for the rest of a request and for a peer that takes no answer, and it accepts until no
 descriptor is left. Here a connection that stands at one thing for too long is ended, and where all places
@@ -17,12 +17,12 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 PATIENCE: Mapping[str, float] = {"head": 10.0, "body": 60.0, "answer": 30.0, "end": 5.0}
-"""How long a connection may stand at one thing [s]: at the head of a request, which begins with the
+"""Longest time at one thing [s]: at the head of a request, which begins with the
 connection or the last answer; at the rest of a request; at an answer of which the peer takes nothing; at the
 last bytes of one, likewise. Work on an answer, and a websocket that answers when asked, may take any time."""
 
 PING = 20.0
-"""How often a websocket is asked whether its page is still there, and how long it has to answer [s]."""
+"""Interval of the pings to a websocket's page, and time to answer [s]."""
 
 ACCEPTED_AT_ONCE, QUEUE = 4, 128
 """Most connections that are accepted before the first of them can be ended, and that wait for it."""
@@ -31,14 +31,14 @@ _MOST = 64
 """Most connections: a page has up to seven, its websocket included."""
 
 _AHEAD = 64 * 1024
-"""Most that may have come of further requests when one is answered [bytes]; more than all of a page's."""
+"""Most bytes of further requests that may have come when one is answered; more than all of a page's."""
 
 _NEXT_LINE = 60.0
-"""How long nothing more is told about trouble of one kind [s]."""
+"""Time in which an error of one kind is reported once only [s]."""
 
 
 def most() -> int:
-    """Return how many connections there may be: as many as take a quarter of the descriptors, at most 64."""
+    """Return the limit of connections: as many as take a quarter of the descriptors, at most 64."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return _MOST if limit == resource.RLIM_INFINITY else max(min(_MOST, limit // 4), 1)
 
@@ -69,13 +69,13 @@ class Connection(H11Protocol):
 
 
 class Watch:
-    """Ends connections that stand at one thing for too long; to be asked again and again."""
+    """Limit of the time at one thing; ends connections that exceed it when called repeatedly."""
 
     def __init__(self) -> None:
         self._seen: dict[Any, tuple[tuple[str, object], float]] = {}
 
     def look(self, connections: Iterable[Any], now: float) -> None:
-        """Look at all connections there are, at a time [s]."""
+        """Check all connections at a time [s]."""
         seen: dict[Any, tuple[tuple[str, object], float]] = {}
         for connection in list(connections):
             stands_at = _stands_at(connection)
@@ -88,7 +88,7 @@ class Watch:
 
 @contextmanager
 def told(tell: Callable[[str], object] | None) -> Generator[None]:
-    """Tell of the server's errors a line each and one of a kind a minute; without `tell`, log them."""
+    """Report the server's errors a line each and one of a kind a minute; without `tell`, log them."""
     loggers = [logging.getLogger(name) for name in ("uvicorn.error", "asyncio")] if tell else []
     lines = _Lines(tell or str)
     for logger in loggers:
@@ -101,7 +101,7 @@ def told(tell: Callable[[str], object] | None) -> Generator[None]:
 
 
 class _Lines(logging.Handler):
-    """Makes one line of a record."""
+    """Handler that makes one line of a record."""
 
     def __init__(self, tell: Callable[[str], object]) -> None:
         super().__init__(logging.ERROR)
@@ -109,7 +109,7 @@ class _Lines(logging.Handler):
         self._next: dict[str, float] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Tell of a record, unless one of its kind was told of a short time ago."""
+        """Report a record, unless one of its kind was reported a short time ago."""
         error = record.exc_info[1] if record.exc_info else None
         if isinstance(error, CancelledError):
             return  # the server is at its end

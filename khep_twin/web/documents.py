@@ -1,8 +1,8 @@
 """Playpen files below one folder, and nothing outside it.
 
-A file is known by its version, a hash of its bytes: who saves tells on which version that is built, so that
-two pages, or a page and an editor, never write over each other unseen. What a page has not saved yet lies as
-a draft beside the file, `.NAME.toml.PAGE.draft`, until it is saved or thrown away. Each page writes and
+A file is known by its version, a hash of its bytes: each save names the version that it is built on, so that
+two pages, or a page and an editor, never overwrite each other unseen. What a page has not saved yet lies as
+a draft beside the file, `.NAME.toml.PAGE.draft`, until it is saved or discarded. Each page writes and
 deletes its own drafts only.
 """
 
@@ -24,7 +24,7 @@ from khep_twin.web.drafts import Draft, blank, draft_of, text_of
 from khep_twin.web.requests import RequestError, object_of, sendable
 
 _UNNAMED = "unnamed"
-"""Stands in a draft's name for a playpen that has no file yet."""
+"""Name in a draft's file name for a playpen that has no file yet."""
 
 _PAGE = re.compile("[A-Za-z0-9-]{0,40}")
 """Identifiers of pages."""
@@ -42,28 +42,28 @@ class ConflictError(KhepTwinError):
 
 
 class Documents:
-    """The playpens below a folder.
+    """Playpens below a folder.
 
     Args:
-        root: the folder.
+        root: Path of the folder.
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root.resolve()
 
     def path(self, name: str, *endings: str) -> Path:
-        """Where a file lies.
+        """Return the path of a file.
 
         Args:
-            name: of it, from the folder on.
-            endings: one of which it has to have.
+            name: Name of the file, from the folder on.
+            endings: Endings of which it has to have one.
 
         Raises:
-            OutsideError: that is not below the folder.
-            PlaypenError: it is no name of such a file.
+            OutsideError: The file is not below the folder.
+            PlaypenError: It is no name of such a file.
         """
         if not name or len(name) > 512 or not name.isprintable() or "\\" in name:
-            raise OutsideError("right is the name of a file below the folder of the designer")
+            raise OutsideError("no file name; expected a file below the folder of the designer")
         wanted = Path(name)
         if wanted.is_absolute() or ".." in wanted.parts:
             raise OutsideError(f"{name}: outside the folder that the designer was started in")
@@ -71,18 +71,18 @@ class Documents:
         if not found.is_relative_to(self.root):
             raise OutsideError(f"{name}: leads out of the folder that the designer was started in")
         if found.suffix not in endings or wanted.name.startswith("."):
-            raise PlaypenError(f"{name}: right is a name that ends in {' or '.join(endings)}")
+            raise PlaypenError(f"{name}: expected a name that ends in {' or '.join(endings)}")
         try:
-            # To open a pipe would wait for ever.
+            # Opening a pipe would wait for ever.
             odd = found.suffix and found.exists() and not found.is_file()
         except OSError as error:  # such as a name that is too long
             raise PlaypenError(f"{name}: {error.strerror}") from error
         if odd:
-            raise PlaypenError(f"{name}: this is no regular file; right is the name of a file")
+            raise PlaypenError(f"{name}: this is no regular file; expected the name of a file")
         return found
 
     def new_path(self, name: str, *endings: str) -> Path:
-        """Return where a file will lie that is not there yet; an empty one may be replaced.
+        """Return the path of a file that is not there yet; an empty one may be replaced.
 
         Args:
             name: Name of the file, from the folder on.
@@ -98,7 +98,7 @@ class Documents:
         return found
 
     def names(self, ending: str = ".toml") -> list[str]:
-        """The files with an ending, in the order of their names; none of hidden folders."""
+        """Return the files with an ending, in the order of their names; none of hidden folders."""
         found: list[str] = []
         looked = 0
         for folder, folders, files in os.walk(self.root):
@@ -114,10 +114,10 @@ class Documents:
         return sorted(found)[:_LISTED]
 
     def check(self, name: str) -> None:
-        """Whether a file can be opened, or made.
+        """Check that a file can be opened, or made.
 
         Raises:
-            KhepTwinError: it cannot.
+            KhepTwinError: It cannot.
         """
         path = self.path(name, ".toml")
         if path.exists():
@@ -126,10 +126,10 @@ class Documents:
             raise PlaypenError(f"{name}: cannot be made: {reason}")
 
     def open(self, name: str) -> dict[str, Any]:
-        """A file for the page: its playpen, its version, and the drafts that were left of it.
+        """Return a file for the page: its playpen, its version, and the drafts that were left of it.
 
         Raises:
-            KhepTwinError: it cannot be used.
+            KhepTwinError: It cannot be used.
         """
         text = self._text(name)
         playpen = playpens.parse(text, name)
@@ -146,10 +146,10 @@ class Documents:
         return {"file": name, "version": None, "draft": draft, "left": self.left(name)}
 
     def library(self, name: str) -> dict[str, Any]:
-        """A shipped playpen as a new document.
+        """Return a shipped playpen as a new document.
 
         Raises:
-            PlaypenError: there is none of this name.
+            PlaypenError: There is none of this name.
         """
         if name not in playpens.names():
             raise PlaypenError(f"{name}: no such playpen in the library")
@@ -165,29 +165,29 @@ class Documents:
         overwrite: bool = False,
         page: str = "",
     ) -> str:
-        """Writes a playpen file as a whole, comments kept, and deletes the page's draft of it.
+        """Write a playpen file as a whole, comments kept, and delete the page's draft of it.
 
         Args:
-            name: of the file.
-            draft: what it is to say.
-            version: of the file as the page knows it; None for a new one.
-            base: what its text goes on from: {"file": NAME}, {"library": NAME} or {}.
-            overwrite: takes the file as it is, whatever the page knew.
-            page: identifier of the page that saves.
+            name: Name of the file.
+            draft: Playpen to write.
+            version: Version of the file as the page knows it; None for a new one.
+            base: Source of the text to start from: {"file": NAME}, {"library": NAME} or {}.
+            overwrite: Replace the file whatever its version.
+            page: Identifier of the page that saves.
 
         Returns:
-            Its version by now.
+            New version of the file.
 
         Raises:
-            ConflictError: the file is there, and another one than the page knows.
-            KhepTwinError: the draft is no playpen, or cannot be written.
+            ConflictError: The file is there, and another one than the page knows.
+            KhepTwinError: The draft is no playpen, or cannot be written.
         """
         path = self.path(name, ".toml")
         there = self._text(name) if path.exists() else None
         if there is not None and not overwrite and _version(there) != version:
             raise ConflictError(
-                f"{name}: was changed by another page or program; right is to load it anew, to save "
-                "under another name, or to replace it"
+                f"{name}: was changed by another page or program; expected to be loaded anew, saved "
+                "under another name, or replaced"
             )
         text = text_of(draft, self._base(base, there))
         write_whole(path, text.encode("utf-8"))
@@ -195,7 +195,7 @@ class Documents:
         return _version(text)
 
     def version(self, name: str) -> str | None:
-        """A file's version; None if it is gone."""
+        """Return a file's version; None if it is gone."""
         path = self.path(name, ".toml")
         return _version(self._text(name)) if path.exists() else None
 

@@ -1,4 +1,4 @@
-"""What the page works on: a playpen as JSON, which may be wrong for now, and what is wrong with it."""
+"""Drafts of the page: a playpen as JSON, which may be wrong for now, and its problems."""
 
 import re
 import unicodedata
@@ -30,12 +30,12 @@ def blank(stem: str) -> Draft:
 
 
 def draft_of(playpen: Playpen) -> Draft:
-    """A playpen as the page has it: the keys of its file, all of them, tables of a kind as lists."""
+    """Return a playpen as the page has it: the keys of its file, all of them, tables of a kind as lists."""
     return playpen.model_dump(by_alias=True, exclude_none=True, mode="json")
 
 
 def problems_of(draft: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What is wrong with a draft, as `playpen check` tells it: the place that it is about, and a text."""
+    """Return a draft's problems, as `playpen check` reports them: the place and a text each."""
     return [
         {"place": [part for part in problem.location if part != "[key]"], "text": problem.text}
         for problem in toml_files.problems(Playpen, draft)
@@ -43,10 +43,10 @@ def problems_of(draft: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def playpen_of(draft: Mapping[str, Any]) -> Playpen:
-    """A draft as a playpen.
+    """Return a draft as a playpen.
 
     Raises:
-        PlaypenError: it is none yet; one line per problem.
+        PlaypenError: It is none yet; one line per problem.
     """
     return toml_files.check(
         Playpen, toml_files.frozen(draft), str(draft.get("name", "draft"))[:64], PlaypenError
@@ -54,14 +54,14 @@ def playpen_of(draft: Mapping[str, Any]) -> Playpen:
 
 
 def text_of(draft: Mapping[str, Any], base: str | None) -> str:
-    """The text of a playpen file that says what a draft does.
+    """Return the text of a playpen file for a draft.
 
     Args:
-        draft: what it is to say.
-        base: a file's text that it goes on from, whose comments stay; None to begin anew.
+        draft: Playpen to write.
+        base: Text of a file to start from, whose comments stay; None to begin anew.
 
     Raises:
-        PlaypenError: the draft is no playpen yet, or the text leaves no room for the change.
+        PlaypenError: The draft is no playpen yet, or the text leaves no room for the change.
     """
     playpen = playpen_of(draft)
     if base is None:
@@ -70,5 +70,5 @@ def text_of(draft: Mapping[str, Any], base: str | None) -> str:
 
 
 def surfaces() -> dict[str, Any]:
-    """The surfaces that there are in each playpen."""
+    """Return the surfaces that there are in each playpen."""
     return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}

@@ -1,4 +1,4 @@
-"""Who may ask: a page that this server has given out, in a browser on this machine, and nobody else.
+"""Guard of requests: only a page that this server has given out, in a browser on this machine, is let in.
 
 That a server listens on loopback only does not keep other pages in the same browser away from it: they can
 send it forms, and by a name of their own that leads to 127.0.0.1 they can read its answers. So each request
@@ -32,12 +32,12 @@ _HEADERS = (
 
 
 class Guard:
-    """Lets requests through to an application, less the token that their paths begin with.
+    """Guard of an application: passes requests on, less the token that their paths begin with.
 
     Args:
-        app: behind it.
-        token: that opens it.
-        hosts: as a browser names them, each with its port.
+        app: Application behind it.
+        token: Token that gives access.
+        hosts: Hosts as a browser names them, each with its port.
     """
 
     def __init__(self, app: ASGIApp, token: str, hosts: Iterable[str]) -> None:
@@ -46,7 +46,7 @@ class Guard:
         self._origins = frozenset(f"http://{host}" for host in self._hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answers a request, or has it answered."""
+        """Answer a request, or have it answered."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -64,7 +64,7 @@ class Guard:
         await _Bounded(self._app, limit)(inner, receive, send)
 
     def _refusal(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str]:
-        """Status and reason; 0 for a request that may pass."""
+        """Return status and reason; 0 for a request that may pass."""
         named = [name for name, _ in headers]
         if any(named.count(name) > 1 for name in ("host", "origin", "content-length", "content-type")):
             return 403, "a header stands there twice"
@@ -100,7 +100,7 @@ class Guard:
 
 
 class _Bounded:
-    """Breaks off a request that turns out to be longer than it may be."""
+    """Bound on a request: breaks off one that turns out to be longer than it may be."""
 
     def __init__(self, app: ASGIApp, limit: int) -> None:
         self._app, self._limit = app, limit

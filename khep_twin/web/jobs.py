@@ -1,4 +1,4 @@
-"""What is run on the page's robot, twin or real: controllers in series, and sensor tests."""
+"""Jobs of the page's robot, twin or real: controllers in series, and sensor tests."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -22,17 +22,17 @@ from khep_twin.web.documents import Documents
 from khep_twin.web.requests import Run, Sense
 
 Tell = Callable[[Mapping[str, Any]], None]
-"""Takes a message for the page."""
+"""Function that takes a message for the page."""
 
 Progress = Callable[[float], None]
-"""Is told which part of a job is done, 0 to 1; as often as the job likes."""
+"""Function that takes the part of a job that is done, 0 to 1; as often as the job likes."""
 
 
 class Job(Protocol):
-    """Something that has the robot for a while."""
+    """Job that has the robot for a while."""
 
     def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Does it, telling how far it is, until it is done or to stop."""
+        """Do the job, reporting its progress, until it is done or to stop."""
         ...
 
 
@@ -41,10 +41,10 @@ class Series:
     """A controller, run after run.
 
     Attributes:
-        name: of the controller.
-        controller: itself.
-        plan: how the series goes.
-        folder: where each run's numbers and variables are kept; None for nowhere.
+        name: Name of the controller.
+        controller: Controller to run.
+        plan: Plan of the series.
+        folder: Folder for each run's metrics and variables; None for nowhere.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Series:
     folder: Path | None
 
     def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Runs it."""
+        """Run it."""
         kept = None
         if self.folder is not None:
             settings = {
@@ -92,12 +92,12 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """A sensor test, and the picture that is made of it.
+    """A sensor test and its picture.
 
     Attributes:
-        test: what is driven.
-        keep: takes what it has gathered.
-        text: a description to keep with it.
+        test: Test to drive.
+        keep: Function that takes the data.
+        text: Description to keep with them.
     """
 
     test: SensorTest
@@ -105,7 +105,7 @@ class Sensing:
     text: str = ""
 
     def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Drives it."""
+        """Drive it."""
         run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
         self.keep(run)
         tell({"kind": "sensed", "rows": len(run.times), "warning": run.warning})
@@ -145,10 +145,10 @@ def sensing(asked: Sense, keep: Callable[[SensorRun], None]) -> Sensing:
 
 
 def figure(run: SensorRun, sensor: str | None, y_min: int, grid: bool) -> bytes:
-    """The toolbox's picture of a sensor test, as PNG.
+    """Return the toolbox's picture of a sensor test, as PNG.
 
     Raises:
-        SensorTestError: there is no such sensor.
+        SensorTestError: There is no such sensor.
     """
     from khep_twin.lab.sensor_test.sensor_figure import draw
 

@@ -18,18 +18,18 @@ _LINE_LIMIT = 1024
 
 
 class OutsideHost:
-    """What is at the far end of one robot's cable.
+    """Host at the far end of one robot's cable.
 
     Args:
-        twin: the world of the robot.
-        robot: whose line it is.
-        cable: to the host.
-        tell: takes what somebody should see.
+        twin: Twin whose world the robot is in.
+        robot: Robot of the line.
+        cable: Cable to the host.
+        tell: Callback that takes notices for the user.
 
     Attributes:
-        robot: whose line it is.
-        cable: to the host.
-        commands: lines that it has put in between others so far.
+        robot: Robot of the line.
+        cable: Cable to the host.
+        commands: Number of lines that it has put in between others so far.
     """
 
     def __init__(self, twin: Twin, robot: Robot, cable: Cable, tell: Callable[[str], None]) -> None:
@@ -40,25 +40,25 @@ class OutsideHost:
         self._begun = bytearray()
 
     def descriptors(self) -> Sequence[int]:
-        """What to wait for."""
+        """Return the descriptors to wait for."""
         return self._alone.descriptors()
 
     def events_ns(self) -> list[int]:
-        """When something happens on the line next [ns]."""
+        """Return the times of the next events on the line [ns]."""
         return self._alone.events_ns()
 
     def exchange(self, now: Callable[[], int] | None) -> None:
-        """Takes and gives bytes, with nobody else on the line."""
+        """Pass bytes both ways, with no other program on the line."""
         if self._begun:
             self.robot.send(bytes(self._begun))
             self._begun.clear()
         self._alone.exchange(now)
 
     def speak_between(self, pass_time: Callable[[int], None]) -> None:
-        """Carries out one line of the host if there is one, and if nobody waits for a reply.
+        """Carry out one line of the host if there is one, and if no reply is waited for.
 
         Args:
-            pass_time: lets time pass until then [ns].
+            pass_time: Function that lets time pass until a time [ns].
         """
         uart = self.robot.uart
         if len(uart.rx) or len(uart.tx):
@@ -68,7 +68,7 @@ class OutsideHost:
         for notice in received.notices:
             self._tell(notice)
         if received.left:
-            # What the host has sent still reaches the robot; nobody gets the answers.
+            # What the host has sent still reaches the robot; the answers are dropped.
             if last := bytes(self._begun) + received.last:
                 self.robot.send(last)
             self.robot.hang_up()

@@ -1,7 +1,7 @@
-"""A twin that is watched: time passes with the clock on the wall, and can be stopped, stepped and hurried.
+"""A twin that is watched: time passes with the wall clock, and can be stopped, stepped and hurried.
 
-It stands between a world and whoever lets time pass in it, such as a controller's port in lock-step. Between
-any two slices of time it attends to what people want meanwhile, and to an outside host on the robot's line.
+It stands between a world and the code that lets time pass in it, such as a controller's port in lock-step.
+Between any two slices of time it handles the user's requests and an outside host on the robot's line.
 """
 
 import math
@@ -20,38 +20,38 @@ from khep_twin.units import TICK_NS
 from khep_twin.web.outside_host import OutsideHost
 
 LONGEST_WAIT = 0.02
-"""After so much wall time it looks up, whatever it waits for [s]."""
+"""Longest wall time of one wait, whatever it waits for [s]."""
 
 PICTURE_INTERVAL = 0.04
 """Wall time from one picture to the next, at least [s]."""
 
 STEP_NS = 10 * TICK_NS
-"""What one step is, where time stands still otherwise [ns]."""
+"""Time of one step while paused [ns]."""
 
 _LISTENING_INTERVAL = 0.002
 """Wall time from one look for hosts to the next while a program runs: each costs calls to the system [s]."""
 
 _PATIENCE = 1.0
-"""So long a controller that is to end may go on with its cycle [s of wall time]."""
+"""Longest that a controller that is to end may go on with its cycle [s of wall time]."""
 
 
 class BrokenOffError(KhepTwinError):
-    """What runs on a paced twin was to end and did not by itself."""
+    """A program on a paced twin that was to end and did not by itself."""
 
 
 class PacedTwin(Twin):
-    """A twin whose time passes at a pace, with a port for programs in lock-step.
+    """Twin whose time passes at a pace, with a port for programs in lock-step.
 
     Args:
-        twin: what it is.
-        hosts: outside hosts, one for each robot on the line.
-        show: is called for a picture, up to 25 times a second, with the time by its side.
+        twin: Twin to pace.
+        hosts: Outside hosts, one for each robot on the line.
+        show: Callback for a picture, up to 25 times a second, with the time by its side.
 
     Attributes:
-        speed: simulated seconds per second; inf for as fast as it goes.
-        paused: whether time stands still.
-        ended: whether the whole is to end.
-        busy: whether a program in lock-step has the first robot's line.
+        speed: Simulated seconds per second; inf for as fast as it goes.
+        paused: True if time stands still.
+        ended: True if the twin is to end.
+        busy: True if a program in lock-step has the first robot's line.
     """
 
     def __init__(self, twin: Twin, hosts: Sequence[OutsideHost], show: Callable[[], None]) -> None:
@@ -73,42 +73,42 @@ class PacedTwin(Twin):
         self._lock = threading.Lock()
 
     def wish(self, act: Callable[[], None]) -> None:
-        """Has something done by the thread of the twin, between two slices of time; from any thread."""
+        """Have the thread of the twin do something between two slices of time; from any thread."""
         with self._lock:
             self._wishes.append(act)
 
     def step(self) -> None:
-        """Lets one step pass while it is paused."""
+        """Let one step pass while it is paused."""
         self._steps_left += STEP_NS
 
     def stop_program(self, wanted: bool = True) -> None:
-        """Has the program in lock-step come to its end, or lets the next one begin."""
+        """Request the end of the program in lock-step, or let the next one begin."""
         self._stop_at = time.monotonic() + _PATIENCE if wanted else None
         self._broken_off = False
 
     def stopping(self) -> bool:
-        """Whether the program is to end."""
+        """Return True if the program is to end."""
         return self.ended or self._stop_at is not None
 
     def advance_to(self, time_ns: int) -> None:
-        """Lets time pass until `time_ns`, at the pace that is wanted, and attends to people meanwhile."""
+        """Let time pass until `time_ns`, at the pace that is wanted, and handle requests meanwhile."""
         world = self.world
         while world.time_ns < time_ns:
             self.attend()
             self._slice(min(time_ns, world.time_ns + TICK_NS))
 
     def idle(self) -> None:
-        """Lets time pass with nothing but outside hosts on the lines, until the next thing of note."""
+        """Let time pass with only outside hosts on the lines, until the next event."""
         self.attend()
         world = self.world
         events = [time_ns for host in self._hosts for time_ns in host.events_ns()]
         self._slice(max(min([world.time_ns + TICK_NS, *events]), world.time_ns))
 
     def attend(self) -> None:
-        """Does what was wished for, waits while time is to stand still, and lets outside hosts speak.
+        """Carry out requests, wait while time is to stand still, and let outside hosts speak.
 
         Raises:
-            BrokenOffError: a program was to end and went on and on.
+            BrokenOffError: A program was to end and went on and on.
         """
         while True:
             self._fulfil()
@@ -137,15 +137,15 @@ class PacedTwin(Twin):
         self._picture()
 
     def close(self) -> None:
-        """The world stays for what comes next."""
+        """Keep the world for what comes next."""
 
     def end(self) -> None:
-        """Gives back what it waits by, and completes the log."""
+        """Release the timer, and complete the log."""
         self._timer.close()
         super().close()
 
     def _slice(self, time_ns: int) -> None:
-        """Waits until a time is due, and brings the world there."""
+        """Wait until a time is due, and advance the world to it."""
         pacer = self._pacer_now()
         if pacer is not None and not self.paused and not self.stopping():
             while (
@@ -174,7 +174,7 @@ class PacedTwin(Twin):
         return self.world.time_ns if pacer is None else max(pacer.due_ns(), self.world.time_ns)
 
     def _wait(self, duration: float, pacer: Pacer | None = None, next_ns: int = 0) -> bool:
-        """Waits a while, or until a host is heard; whether one was."""
+        """Wait a while, or until a host is heard; return whether one was."""
         descriptors = [] if self.busy else [each for host in self._hosts for each in host.descriptors()]
         wait = min(duration, LONGEST_WAIT)
         timer = self._timer.descriptor
@@ -202,10 +202,10 @@ class PacedTwin(Twin):
 
 
 class PacedSerial(Serial):
-    """The port of a paced twin: before each command an outside host may put in one of its own."""
+    """Port of a paced twin: before each command an outside host may put in one of its own."""
 
     def write(self, data: object, /) -> int:
-        """Puts bytes on the line."""
+        """Write bytes to the line."""
         twin = self.twin
         if isinstance(twin, PacedTwin):
             twin.attend()

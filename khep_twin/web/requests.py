@@ -1,4 +1,4 @@
-"""What the page may ask for: one class per action, its attributes the keys of the request.
+"""Requests of the page: one class per action, its attributes the keys of the request.
 
 Each request is checked here before anything is done: it has these keys and no others, no value is of another
 type, numbers are finite and within their ranges, texts not too long.
@@ -21,7 +21,7 @@ _DEPTH = 32
 """Most objects and lists within each other; a playpen has five."""
 
 _FAR = 100_000
-"""Beyond all places [mm] and turns [degrees] that a page has to do with."""
+"""Bound beyond all positions [mm] and turns [degrees] of a page."""
 
 
 def sendable(value: dict[str, Any]) -> dict[str, Any]:
@@ -58,7 +58,7 @@ class Request(Table):
     """A request without keys of its own.
 
     Attributes:
-        tab: identifier of the page that asks.
+        tab: Identifier of the page that asks.
     """
 
     tab: Annotated[
@@ -97,7 +97,7 @@ class Drafted(Request):
 
 
 class Base(Table):
-    """What the text of a file goes on from."""
+    """Source of the text to start from."""
 
     file: FileName | None = None
     library: FileName | None = None
@@ -126,7 +126,7 @@ class Saved(Drafted):
 
 
 class Pace(Request):
-    """How fast time passes; speed 0 is as fast as it goes."""
+    """Pace of time; speed 0 is as fast as it goes."""
 
     speed: Speed = 1.0
     paused: bool = False
@@ -136,7 +136,7 @@ class Start(Drafted, Pace):
     """A twin."""
 
     file: FileName | None = None
-    seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT, description="a whole number from 0 to 2**63-1")] = 0
+    seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT, description="an integer from 0 to 2**63-1")] = 0
     noise: bool = True
     log: Word | None = None
 
@@ -148,7 +148,7 @@ class Connect(Request):
 
 
 class Room(Request):
-    """A place of which is asked if a robot has room there."""
+    """A position to check for room for a robot."""
 
     robot: Index
     x_mm: Far
@@ -156,7 +156,7 @@ class Room(Request):
 
 
 class Put(Room):
-    """A place that a robot is put to."""
+    """A position to put a robot at."""
 
     heading_deg: Far
 
@@ -175,9 +175,7 @@ class Run(Request):
         str, Field(min_length=1, max_length=1024, description="the name of a controller or of its file")
     ] = "braitenberg"
     runs: Annotated[int, Field(ge=1, le=100_000)] = 1
-    cycles: Annotated[
-        int | None, Field(ge=1, le=10**9, description="a whole number from 1 to 1000000000")
-    ] = None
+    cycles: Annotated[int | None, Field(ge=1, le=10**9, description="an integer from 1 to 1000000000")] = None
     seconds: Annotated[float | None, Field(gt=0, le=100_000)] = None
     pause: Annotated[float, Field(ge=0, le=100_000)] = 0.0
     folder: Word | None = None
@@ -235,7 +233,7 @@ def object_of(data: bytes) -> dict[str, Any]:
 
 
 def _whole(digits: str) -> float:
-    # Python refuses to read thousands of digits; which key has them is told by the checks.
+    # Python refuses to read thousands of digits; the checks report which key has them.
     return int(digits) if len(digits) < 1000 else math.inf
 
 

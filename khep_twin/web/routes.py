@@ -1,6 +1,6 @@
-"""What the page asks for: files of its own, and actions, each by a POST with JSON and an answer in JSON.
+"""Routes of the page: its files, and actions, each by a POST with JSON and an answer in JSON.
 
-What a person has done wrong is answered 400 with its line, a file that has changed meanwhile 409, a name that
+An error of the user's is answered 400 with its line, a file that has changed meanwhile 409, a name that
 leads out of the folder 403.
 """
 
@@ -44,11 +44,11 @@ _KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".
 
 
 class Page:
-    """Everything behind the page.
+    """Application behind the page.
 
     Args:
-        documents: that it works on.
-        file: that is opened at first; None for a new playpen. Later it is what was worked on last.
+        documents: Documents that it works on.
+        file: File that is opened at first; None for a new playpen. Later the one that was worked on last.
     """
 
     def __init__(self, documents: Documents, file: str | None) -> None:
@@ -60,7 +60,7 @@ class Page:
         self._runs_in: str | None = None
 
     def app(self) -> Starlette:
-        """The application, to be put behind a guard."""
+        """Return the application, to be put behind a guard."""
         routes = [
             Route("/", _asset, methods=["GET"]),
             Route("/static/{name}", _asset, methods=["GET"]),
@@ -75,7 +75,7 @@ class Page:
 
     @property
     def actions(self) -> Mapping[str, tuple[type[requests.Request], Callable[[Any], Any]]]:
-        """What the page may ask for, by name: its class and what is done."""
+        """Return the actions of the page by name: the request's class and the function."""
         documents = self._documents
         return {
             "hello": (requests.Hello, self._hello),
@@ -107,7 +107,7 @@ class Page:
         }
 
     def close(self) -> None:
-        """Ends what runs."""
+        """End what runs."""
         if self._actor is not None:
             self._actor.end()
 
@@ -198,7 +198,7 @@ class Page:
         return Response(render(playpen, Path("picture.png")), media_type="image/png")
 
     async def _import(self, request: Request) -> Response:
-        """A MAT file or a PNG as a new playpen."""
+        """Return a MAT file or a PNG as a new playpen."""
         data = await request.body()
         name = request.query_params.get("name", "imported")
         try:
@@ -212,7 +212,7 @@ class Page:
     def _start(self, asked: requests.Start) -> None:
         playpen = drafts.playpen_of(asked.draft)
         if not playpen.robots:
-            raise PortError("there is no robot; right is to add one")
+            raise PortError("there is no robot; expected one in the playpen")
         options = TwinOptions(seed=asked.seed, noise=asked.noise)
         path = self._documents.new_path(asked.log, ".mcap") if asked.log else None
         actor = TwinActor(playpen, options, path, self._audience.tell)
@@ -224,7 +224,7 @@ class Page:
         url = asked.port
         known = {port.url for port in found_ports()}
         if url not in known and not url.startswith(("/dev/", "socket://", "rfc2217://")):
-            wish = "right is a path in /dev, socket://HOST:PORT or rfc2217://HOST:PORT"
+            wish = "expected a path in /dev, socket://HOST:PORT or rfc2217://HOST:PORT"
             raise PortError(f"{url[:80]}: {wish}; {choices(url, sorted(known))}")
         self._replace(RobotActor(url, self._audience.tell))
 
@@ -278,7 +278,7 @@ class Page:
 
     def _running(self) -> Actor:
         if self._actor is None or not self._actor.alive:
-            raise PortError("nothing runs; right is to start the twin, or to connect to a robot")
+            raise PortError("nothing runs; expected a started twin, or a connection to a robot")
         return self._actor
 
     def _twin(self) -> TwinActor:
@@ -301,7 +301,7 @@ def _action(
 
 
 async def _failed(request: Request, error: Exception) -> Response:
-    """Answer a request that has met a mistake of the server itself, which is told on standard error."""
+    """Answer a request that has met an error of the server itself, which is printed on standard error."""
     return _refused(f"the designer failed: {type(error).__name__}: {error}", 500)
 
 
@@ -320,13 +320,13 @@ def _answered(act: Callable[[], Any]) -> Response:
 
 
 def _refused(text: str, status: int = 400, **more: bool) -> Response:
-    """Return an answer that tells what is wrong, a line for each problem."""
+    """Return an answer that gives the problems, a line each."""
     lines = (line if line.isprintable() else ascii(line)[1:-1] for line in text.split("\n"))
     return JSONResponse({"error": "\n".join(lines), **more}, status)
 
 
 async def _asset(request: Request) -> Response:
-    """A file of the page itself."""
+    """Return a file of the page itself."""
     name = request.path_params.get("name", "index.html")
     known = await asyncio.to_thread(lambda: {path.name: path for path in ASSETS.iterdir()})
     if name not in known or known[name].suffix not in _KINDS:

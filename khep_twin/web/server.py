@@ -24,21 +24,21 @@ MESSAGE_LIMIT = 64 * 1024
 
 
 class Server:
-    """A designer that listens.
+    """Server of the designer.
 
     Args:
-        folder: whose files it may read and write.
-        file: that is opened at first, from the folder on.
+        folder: Folder whose files it may read and write.
+        file: File that is opened at first, from the folder on.
         listen: HOST:PORT, port 0 for any that is free.
-        expose: whether other machines may reach it.
-        complain: told of the server's own errors, in a line each; without it, they are logged.
+        expose: Let other machines reach it.
+        complain: Function that takes the server's own errors, a line each; without it, they are logged.
 
     Attributes:
-        url: of the page, with its token.
-        listener: socket that it listens at.
+        url: URL of the page, with its token.
+        listener: Socket that it listens at.
 
     Raises:
-        PortError: it cannot listen there, or may not.
+        PortError: It cannot listen there, or may not.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Server:
         host, port = parse_address(listen)
         if not is_loopback(host) and not expose:
             raise PortError(
-                f"{listen}: other machines could reach your files from there; right is 127.0.0.1:{port}, or "
+                f"{listen}: other machines could reach your files from there; expected 127.0.0.1:{port}, or "
                 "--expose if that is wanted"
             )
         documents = Documents(folder)
@@ -94,11 +94,11 @@ class Server:
 
     @property
     def connections(self) -> int:
-        """How many connections are open."""
+        """Number of connections that are open."""
         return len(self._server.server_state.connections)
 
     def serve(self, stop: Callable[[], bool]) -> None:
-        """Serves until `stop` says so."""
+        """Serve until `stop` returns True."""
         self._server.stop = stop
         try:
             with told(self._complain):
@@ -109,7 +109,7 @@ class Server:
 
 
 def _names(host: str) -> list[str]:
-    """What a browser may call the host that listens; the first for its address."""
+    """Return the names that a browser may use for the host that listens; the first for its address."""
     if is_loopback(host):
         return [_bracketed(host)] if host == "localhost" else [_bracketed(host), "localhost"]
     if host not in _ANY:
@@ -131,7 +131,7 @@ def _bracketed(host: str) -> str:
 
 
 class _Quiet(uvicorn.Server):
-    """Leaves signals to who has started it, asks whether to go on, and watches over its connections."""
+    """Server that leaves signals to its starter, asks whether to go on, and watches over its connections."""
 
     stop: Callable[[], bool]
 
@@ -140,17 +140,17 @@ class _Quiet(uvicorn.Server):
         self._watch = Watch()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Starts to listen."""
+        """Start to listen."""
         await super().startup(sockets)
         for each in sockets or ():
             each.listen(QUEUE)  # which asyncio makes as short as what it accepts at once
 
     @contextmanager
     def capture_signals(self) -> Generator[None, None, None]:
-        """Captures none."""
+        """Capture none."""
         yield
 
     async def on_tick(self, counter: int) -> bool:
-        """Whether to end, asked ten times a second."""
+        """Return whether to end, asked ten times a second."""
         self._watch.look(self.server_state.connections, time.monotonic())
         return self.stop() or await super().on_tick(counter)

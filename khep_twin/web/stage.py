@@ -1,7 +1,7 @@
-"""What runs for the page: a twin in its playpen or a robot at a port, in a thread of its own.
+"""Thread behind the page: a twin in its playpen or a robot at a port.
 
-One thread has the whole world of a twin, as no other may touch it. What the page wants is handed to it, and
-what it shows is handed to the page, at most 25 times a second.
+One thread has the whole world of a twin, as no other may touch it. The page's requests are passed to it, and
+its pictures are passed to the page, at most 25 times a second.
 """
 
 import math
@@ -30,24 +30,24 @@ from khep_twin.web.printed import taken_by
 from khep_twin.web.turret_outlines import TurretParts
 
 _PATIENCE = 5.0
-"""How long an actor may take to end [s]."""
+"""Longest time for an actor to end [s]."""
 
 _PRINT_LIMIT = 20_000
-"""Longest text of a controller that is told at once [characters]."""
+"""Longest text of a controller that is sent at once [characters]."""
 
 _LOOK = 0.08
-"""How often a robot at a port is asked for its readings [s]."""
+"""Interval at which a robot at a port is asked for its readings [s]."""
 
 
 class Actor:
-    """What there is to a twin and to a robot alike: a thread, a job at a time, and an end.
+    """Common part of a twin and a robot: a thread, a job at a time, and an end.
 
     Args:
-        tell: takes messages for the page; called by the thread.
+        tell: Function that takes messages for the page; called by the thread.
 
     Attributes:
-        job: that it is at, None without.
-        part: of the job that is done, 0 to 1; told with the pictures, as jobs tell it at each cycle.
+        job: Current job, None without.
+        part: Part of the job that is done, 0 to 1; sent with the pictures, as jobs report it at each cycle.
     """
 
     def __init__(self, tell: Tell) -> None:
@@ -60,31 +60,31 @@ class Actor:
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
 
     def begin(self) -> None:
-        """Starts the thread."""
+        """Start the thread."""
         self._thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether it is still there."""
+        """True if its thread is still running."""
         return self._thread.is_alive()
 
     def start(self, job: Job) -> None:
-        """Gives it something to do.
+        """Start a job.
 
         Raises:
-            PortError: it is at something already, or has ended.
+            PortError: It has a job already, or has ended.
         """
         if self.job is not None or not self.alive:
-            raise PortError("the robot is busy; right is to stop it first" if self.alive else "it has ended")
+            raise PortError("the robot is busy; expected a stopped robot" if self.alive else "it has ended")
         self.part = 0.0
         self.job = job
 
     def stop(self) -> None:
-        """Ends its job, and stops the motors."""
+        """End its job, and stop the motors."""
         raise NotImplementedError
 
     def end(self) -> None:
-        """Ends it; what does not end in time is left to itself, and heard no more."""
+        """End it; a thread that does not end in time is left to itself, and its messages are dropped."""
         self._ended.set()
         self._thread.join(_PATIENCE)
         if self.alive:
@@ -93,12 +93,12 @@ class Actor:
             self._left = True
 
     def tell(self, message: Mapping[str, Any]) -> None:
-        """Tells the page something, unless there may be another actor by now."""
+        """Send a message to the page, unless there may be another actor by now."""
         if not self._left:
             self._tell(message)
 
     def take_printed(self, text: str) -> None:
-        """Keep what a controller prints for the page, of much the last; `_tell_printed` tells it."""
+        """Keep what a controller prints for the page, of much the last; `_tell_printed` sends it."""
         self._printed += text
         if len(self._printed) > 2 * _PRINT_LIMIT:
             self._printed = self._printed[-_PRINT_LIMIT:]
@@ -113,7 +113,7 @@ class Actor:
             self._live()
         except KhepTwinError as error:
             self.tell({"kind": "error", "text": error.plain})
-        except BaseException as error:  # told where it can be seen, then as ever
+        except BaseException as error:  # reported where it can be seen, then as ever
             self.tell({"kind": "error", "text": f"{type(error).__name__}: {error}"})
             raise
         finally:
@@ -127,7 +127,7 @@ class Actor:
         self.part = round(part, 4)
 
     def _do(self, robot: Khepera, stop: Callable[[], bool]) -> None:
-        """Does the job; its errors are told, and the robot goes on."""
+        """Do the job; its errors are reported, and the robot goes on."""
         if (job := self.job) is None:
             return
         try:
@@ -146,15 +146,15 @@ class TwinActor(Actor):
     """A twin in a playpen, with a pseudo-terminal for an outside host at each robot.
 
     Args:
-        playpen: that it is in.
-        options: how it is brought to life.
-        log: file to record it in.
-        tell: takes messages for the page.
+        playpen: Playpen to simulate.
+        options: Options of the twin.
+        log: File to record it in.
+        tell: Function that takes messages for the page.
 
     Attributes:
-        playpen: that it is in.
-        speed: simulated seconds per second.
-        paused: whether time stands still.
+        playpen: Playpen that is simulated.
+        speed: Simulated seconds per second.
+        paused: True if time stands still.
     """
 
     def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, tell: Tell) -> None:
@@ -166,22 +166,22 @@ class TwinActor(Actor):
         self.speed, self.paused = 1.0, False
 
     def set_pace(self, speed: float, paused: bool) -> None:
-        """How fast time passes, and whether it does."""
+        """Set the speed of time, and whether it is paused."""
         self.speed, self.paused = speed, paused
         if self._paced is not None:
             self._paced.speed, self._paced.paused = speed, paused
 
     def step(self) -> None:
-        """Lets one step pass."""
+        """Let one step pass."""
         if self._paced is not None:
             self._paced.step()
 
     def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float) -> None:
-        """Puts a robot down elsewhere; that there is no room is told."""
+        """Put a robot down elsewhere; report it if there is no room."""
         self._wish(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg))
 
     def room(self, robot: int, x_mm: float, y_mm: float) -> None:
-        """Tells the page why a robot that is held has no room at a place; an empty reason if it has."""
+        """Report to the page why a held robot has no room at a position; an empty reason if it has."""
         self._wish(
             lambda twin: self.tell(
                 {
@@ -193,11 +193,11 @@ class TwinActor(Actor):
         )
 
     def switch(self, lamp: int, on: bool) -> None:
-        """Switches a lamp."""
+        """Switch a lamp."""
         self._wish(lambda twin: switch(twin.world, lamp, on))
 
     def stop(self) -> None:
-        """Ends the job; without one, stops the motors."""
+        """End the job; without one, stop the motors."""
         twin = self._paced
         if self.job is not None and twin is not None:
             twin.stop_program()
@@ -205,7 +205,7 @@ class TwinActor(Actor):
             self._wish(lambda twin: twin.robot.send(b"D,0,0\n"))
 
     def end(self) -> None:
-        """Ends the twin and completes its log."""
+        """End the twin and complete its log."""
         if self._paced is not None:
             self._paced.ended = True
         super().end()
@@ -267,7 +267,7 @@ class TwinActor(Actor):
                     paced.stop_program(False)
 
     def _cast(self, twin: PacedTwin, cables: list[PtyPort]) -> dict[str, Any]:
-        """Who is there, told once."""
+        """Return the message about the robots and the log, sent once."""
         return {
             "kind": "twin",
             "playpen": twin.world.playpen.name,
@@ -285,7 +285,7 @@ class TwinActor(Actor):
         }
 
     def _picture(self, twin: PacedTwin, hosts: list[OutsideHost]) -> dict[str, Any]:
-        """The world as it is now."""
+        """Return the state of the world as it is now."""
         world = twin.world
         robots: list[dict[str, Any]] = []
         now = as_it_stands(world)
@@ -333,11 +333,11 @@ class TwinActor(Actor):
 
 
 class RobotActor(Actor):
-    """A robot, or a twin that is served elsewhere, at a port; its readings are asked for over and over.
+    """Robot, or twin that is served elsewhere, at a port; its readings are asked for over and over.
 
     Args:
-        url: of the port.
-        tell: takes messages for the page.
+        url: URL of the port.
+        tell: Function that takes messages for the page.
     """
 
     def __init__(self, url: str, tell: Tell) -> None:
@@ -348,7 +348,7 @@ class RobotActor(Actor):
         self._began = self._looked = 0.0
 
     def stop(self) -> None:
-        """Ends the job and stops the motors."""
+        """End the job and stop the motors."""
         self._halt.set()
 
     def _live(self) -> None:
@@ -388,7 +388,7 @@ class RobotActor(Actor):
 
 
 def shape(model: str, sensors: str) -> dict[str, Any]:
-    """A robot's outline and its sensors, for drawing: [mm] and [deg]."""
+    """Return a robot's outline and its sensors, for drawing: [mm] and [deg]."""
     body = BODIES[model]
     measured = calibration.read(sensors)[0]
     return {

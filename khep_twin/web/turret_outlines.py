@@ -47,8 +47,8 @@ class TurretParts:
     """The parts of a robot's turrets in a world, in the order of `at_start`, turret by turret.
 
     Args:
-        world: in which the robot is.
-        index: its number.
+        world: World of the robot.
+        index: Number of the robot.
     """
 
     def __init__(self, world: World, index: int) -> None:

@@ -86,9 +86,9 @@ def test_turrets_that_cannot_be_plugged_on_are_told(offered: list[str], names: l
     ("names", "part"),
     [
         (["MISSING"], ":MISSING cannot be loaded"),
-        (["NOTHING"], ":NOTHING is 5; right is a TurretKind"),
-        (["BEYOND"], "right is a TurretKind of this name with a number from 0 to 31"),
-        (["other=RADIO"], "right is a TurretKind of this name"),
+        (["NOTHING"], ":NOTHING is 5; expected a TurretKind"),
+        (["BEYOND"], "expected a TurretKind of this name with a number from 0 to 31"),
+        (["other=RADIO"], "expected a TurretKind of this name"),
     ],
 )
 def test_a_package_that_offers_no_turret_is_named(offered: list[str], names: list[str], part: str) -> None:

@@ -49,7 +49,7 @@ def complaint(*arguments: str | Path, before: Callable[[], None] | None = None) 
 
 def test_the_version_and_the_help_come_at_once() -> None:
     assert khep_twin("--version").stdout == f"khep-twin {__version__}\n"
-    assert "Runs a controller on a twin or a robot, once or in a series." in khep_twin("--help").stdout
+    assert "Run a controller on a twin or a robot, once or in a series." in khep_twin("--help").stdout
     program = (
         "import sys, khep_twin.cli; print([m for m in ('mujoco', 'rerun', 'matplotlib') if m in sys.modules])"
     )
@@ -76,7 +76,7 @@ def test_what_is_typed_wrong_gets_one_line(typed: str, told: str) -> None:
 def test_nothing_typed_gets_the_help() -> None:
     result = khep_twin()
     assert result.returncode == 2
-    assert "Runs a controller on a twin or a robot, once or in a series." in result.stderr
+    assert "Run a controller on a twin or a robot, once or in a series." in result.stderr
 
 
 def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def test_a_playpen_is_checked_compiled_and_drawn(tmp_path: Path) -> None:
     ("change", "line"),
     [
         (("radius_mm", "radios_mm"), "radios_mm"),
-        (("x_mm = 120", "x_mm = nan"), "x_mm = nan: right is a number from 0 to 10000"),
+        (("x_mm = 120", "x_mm = nan"), "x_mm = nan; expected a number from 0 to 10000"),
         (("x_mm = 120", "x_mm = 20"), "overlaps the left wall"),
         (("version = 1", "version = 1\n[arena"), "not TOML"),
     ],
@@ -163,13 +163,13 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
     [
         (
             ["run", "--playpen", "obstacle"],
-            "obstacle: no such file; right is the path of a file or a shipped name; did",
+            "obstacle: no such file; expected the path of a file or a shipped name; did",
         ),
         (["run", "--port", "/dev/nope", "--seconds", "1"], "/dev/nope: cannot open this port: "),
         (["run", "--port", "/dev/nope", "--log", "x.mcap"], "--log is for a twin in this process"),
         (["run", "--picture", "x.png"], "--picture draws the path from the log"),
         (["run", "--seconds", "0"], "--seconds and --cycles are above 0"),
-        (["run", "--seed", "-1"], "seed = -1: right is a whole number from 0 to 2**63-1"),
+        (["run", "--seed", "-1"], "seed = -1; expected an integer from 0 to 2**63-1"),
         (["run", "--robot", "1"], "robot = 1: not in playpen 'default'; (choices: 0)"),
         (["run", "--log", "/nowhere/run.mcap"], "/nowhere/run.mcap: cannot write a log here: "),
         (["run", "nobody.py"], "nobody.py: no such file"),
@@ -186,7 +186,7 @@ def test_a_wrong_playpen_is_told_file_table_key_and_value(
         ),
         (
             ["playpen", "draw", "default", "-o", "x.jpeg"],
-            "x.jpeg: right is a name that ends in .png, .svg or .pdf",
+            "x.jpeg: expected a name that ends in .png, .svg or .pdf",
         ),
     ],
 )

@@ -90,7 +90,7 @@ def test_zsh_is_told_what_there_is_and_what_it_is(capsys: pytest.CaptureFixture[
         ("playpen draw", f"(choices: {', '.join(SHIPPED)}, mine.toml)"),
         ("new", "(choices: controller, toolbox)"),
         ("view", "(choices: mine.mcap)"),
-        ("new controller", "Missing argument 'FILE.py': Where to write it."),
+        ("new controller", "Missing argument 'FILE.py': File to write."),
     ],
 )
 def test_a_missing_argument_names_the_choices(

@@ -35,7 +35,7 @@ def test_it_tells_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["../mine.toml"], "right is a file below"),
+        (["../mine.toml"], "expected a file below"),
         (["mine.txt"], "ends in .toml"),
         (["--listen", "0.0.0.0:0"], "--expose"),
         (["--listen", "nowhere"], "nowhere"),

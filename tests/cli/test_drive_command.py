@@ -206,7 +206,7 @@ def test_a_lost_line_is_told_when_the_terminal_is_back(fake: FakeRobot, terminal
 def test_a_small_terminal_says_how_large_it_must_be(fake: FakeRobot) -> None:
     window = Terminal(fake.url, size=(10, 70))
     try:
-        window.wait_for("64 x 18 characters are needed, 70 x 10 are here; q ends")
+        window.wait_for("70 x 10 characters; expected at least 64 x 18; q ends")
         window.type(b"q")
         assert window.end() == 0
     finally:
@@ -216,8 +216,8 @@ def test_a_small_terminal_says_how_large_it_must_be(fake: FakeRobot) -> None:
 @pytest.mark.parametrize(
     ("arguments", "kind", "told"),
     [
-        (["{url}"], "nonsense", "TERM=nonsense: this terminal cannot be drawn on .*right is TERM=xterm"),
-        (["{url}", "--log", "a.mcap"], "xterm", r"right is serve --log, or serve --through socket://"),
+        (["{url}"], "nonsense", "TERM=nonsense: this terminal cannot be drawn on .*expected TERM=xterm"),
+        (["{url}", "--log", "a.mcap"], "xterm", r"expected serve --log, or serve --through socket://"),
         (["khep://nowhere"], "xterm", "nowhere: no such file"),
     ],
 )

@@ -53,12 +53,12 @@ def test_the_way_of_a_fast_run_is_drawn_and_changes_nothing(tmp_path: Path) -> N
     ("arguments", "message"),
     [
         (("--fast", "--log", "x.mcap"), "--log does not go with --fast, which has no serial line and no log"),
-        (("--fast", "--picture", "way.bmp"), "right is a name that ends in .png, .svg or .pdf"),
+        (("--fast", "--picture", "way.bmp"), "expected a name that ends in .png, .svg or .pdf"),
         (("--period", "40"), "--period goes with --fast"),
         (("--planar",), "--planar goes with --fast"),
         (("--fast", "--seconds", "0.03"), "0.03 s is no whole number of control periods of 20 ms"),
         (("own.py:three", "--fast"), "right are proximity and ambient light"),
-        (("own.py:nothing", "--fast"), "nothing: returned None; right are two speeds in pulses per 10 ms"),
+        (("own.py:nothing", "--fast"), "nothing: returned None; expected two speeds in pulses per 10 ms"),
     ],
 )
 def test_a_mistake_gets_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:

@@ -90,25 +90,25 @@ def test_a_playpen_may_have_no_robot(folder: Path) -> None:
     [
         (
             {"a": np.eye(50), "b": np.ones((20, 30))}, "",
-            "several matrices (a: 50 x 50, b: 20 x 30); right is --variable with one of them",
+            "several matrices (a: 50 x 50, b: 20 x 30); expected --variable with one of them",
         ),
         (
             {"objects": np.ones((5, 4))}, "",
-            "no bitmap among its variables (objects: 5 x 4): probably an editable playpen; right is the "
+            "no bitmap among its variables (objects: 5 x 4): probably an editable playpen; expected the "
             "scanned one, with btmap1, which Scan Playpen writes",
         ),
         (
             {"btmap1": np.eye(200) * 44}, "--robot 100,100,0",
-            "robot 1 at (100, 100) overlaps block 81 at (119.5, 119.5); right is a place clear of it",
+            "robot 1 at (100, 100) overlaps block 81 at (119.5, 119.5); expected a place clear of it",
         ),
         (
             {"btmap1": np.eye(200) * 44}, "--mm-per-pixel 0.6",
-            "a block of 0.6 mm; right is at least 1 mm, as a picture of fewer pixels with a larger "
-            "--mm-per-pixel gives",
+            "a block of 0.6 mm; expected at least 1 mm, as from a picture of fewer pixels with a larger "
+            "--mm-per-pixel",
         ),
         (
             {"btmap1": np.eye(200) * 44}, "--name a/b",
-            "name = \"a/b\": right is 1 to 64 letters, digits, '_' or '-'",
+            "name = \"a/b\"; expected 1 to 64 letters, digits, '_' or '-'",
         ),
     ],
 )  # fmt: skip
@@ -126,8 +126,8 @@ def test_what_cannot_be_imported_is_told_in_one_line_and_nothing_is_written(
     ("words", "line"),
     [
         ("none.mat", "none.mat: cannot be read: No such file or directory"),
-        ("painted.png --solid 1", "painted.png: a PNG; right is a MAT file for --variable and --solid"),
-        ("painted.png --robot 1,2", '--robot 1,2: right is X,Y,HEADING, such as 300,250,90, or "none"'),
+        ("painted.png --solid 1", "painted.png: a PNG; expected a MAT file for --variable and --solid"),
+        ("painted.png --robot 1,2", '--robot 1,2: expected X,Y,HEADING, such as 300,250,90, or "none"'),
         ("painted.png -o no/out.toml", "no/out.toml: cannot be written: there is no directory no"),
     ],
 )

@@ -202,13 +202,13 @@ def test_only_the_same_series_goes_on(tmp_path: Path) -> None:
     good(*words, folder=tmp_path)
     before = (tmp_path / "s" / "series.json").read_bytes()
     for more, line in (
-        (("--seed", "1"), "s: was made with another seed: 0, now 1; right is the same"),
+        (("--seed", "1"), "s: was made with another seed: 0, now 1; expected the same"),
         (("--playpen", "obstacles"), "s: was made with another playpen: "),
         (("--start", "playpen"), "s: was made with another starts: [], now ['playpen']"),
         (("--lighting", "random"), 's: was made with another playpen: mode = "all", now mode = "random"'),
     ):
         assert complaint(*words, "--resume", *more, folder=tmp_path).startswith(line)
-    assert complaint(*words, folder=tmp_path).startswith("s: has a series of 1 runs already; right is --res")
+    assert complaint(*words, folder=tmp_path).startswith("s: has a series of 1 runs already; expected --res")
     mine.write_text(PLAIN.replace("300", "301"))
     assert "another controller source: sha256" in complaint(*words, "--resume", folder=tmp_path)
     assert (tmp_path / "s" / "series.json").read_bytes() == before
@@ -222,7 +222,7 @@ def test_a_controller_that_draws_on_chance_of_its_own_is_told_on_resume(tmp_path
     words = ("run", "mine.py", "--cycles", "3", "--save", "s", "--start", "playpen")
     good(*words, folder=tmp_path)
     line = complaint(*words, "--runs", "2", "--resume", folder=tmp_path)
-    assert line.startswith("s: run 1, done again, came out with luck ")
+    assert line.startswith("s: run 1, repeated, has luck ")
     assert len(rows(tmp_path / "s")) == 1
 
 
@@ -252,14 +252,14 @@ def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
     assert told.count("as before") == 2
     for text, line in (
         ("def after(run):\n    run.nothing", "bad.py:2: AttributeError: "),
-        ("def after(run, more): ...", "bad.py: 'after' takes (run, more); right is one run"),
+        ("def after(run, more): ...", "bad.py: 'after' takes (run, more); expected one run"),
         ("def other(run): ...\ndef another(run): ...", "bad.py: no function 'after' that takes a run"),
         ("x = (", "bad.py:1: SyntaxError"),
     ):
         (tmp_path / "bad.py").write_text(text)
         told = complaint("run", "--after", "bad.py", "--cycles", "1", folder=tmp_path)
         assert told.removeprefix(f"{tmp_path}/").startswith(line)
-    assert "no such function; right is" in complaint("run", "--after", "bad", folder=tmp_path)
+    assert "no such function; expected" in complaint("run", "--after", "bad", folder=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +284,7 @@ def test_before_each_run_a_person_is_waited_for(tmp_path: Path) -> None:
     assert result.stderr.count("put the robot right, then press Enter") == 2
     ended = subprocess.run(command, cwd=tmp_path, input="\n", capture_output=True, text=True, timeout=60)
     assert ended.returncode == 1
-    assert "--confirm: the input ended before run 2; right is a terminal" in ended.stderr
+    assert "--confirm: the input ended before run 2; expected a terminal" in ended.stderr
 
 
 def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
@@ -383,9 +383,9 @@ def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
         (("one", "none"), "none/series.json: cannot be read: No such file"),
         (
             ("one", "--columns", "fitnes"),
-            "column fitnes: is no number of these runs; did you mean 'fitness'?",
+            "column fitnes: not a number in these runs; did you mean 'fitness'?",
         ),
-        (("one", "--picture", "s.jpg"), "--picture s.jpg: right is a name that ends in"),
+        (("one", "--picture", "s.jpg"), "--picture s.jpg: expected a name that ends in"),
         (("one", "--picture", "no/s.png"), "no/s.png: cannot be written: there is no directory no"),
     ):
         assert complaint("series", *words, folder=tmp_path).startswith(line)
@@ -394,18 +394,18 @@ def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("--resume",), "--resume goes on with a series that was saved; right is to give --save FOLDER too"),
-        (("--save", "s", "--resume"), "s: holds no series to go on with; right is a folder that --save made"),
+        (("--resume",), "--resume goes on with a series that was saved; expected --save FOLDER, too"),
+        (("--save", "s", "--resume"), "s: no series to resume; expected a folder that --save made"),
         (("--start", "5,5,0"), "start 5,5,0: robot 1 at (5, 5) overlaps the left wall"),
         (("--start", "playpen", "--robot", "3"), "robot = 3: not in playpen 'default'; (choices: 0)"),
         (("--lighting", "dark"), "lighting 'dark': unknown; (choices: all, random, sequenced, off)"),
-        (("--without-lamp", "1"), "--without-lamp 1: right is X,Y in mm, such as 50,450"),
+        (("--without-lamp", "1"), "--without-lamp 1: expected X,Y in mm, such as 50,450"),
         (("--without-lamp", "1,1"), "default: no lamp is left; expected one to take away or move"),
         (
             ("--port", "khep://default", "--start", "random"),
             "--start is for a twin in this process, not for one",
         ),
-        (("--pause", "inf"), "a pause of inf s; right is 0 or more"),
+        (("--pause", "inf"), "a pause of inf s; expected 0 or more"),
         (("--save", "mine.py"), "mine.py: no folder can be made here: File exists"),
     ],
 )
@@ -419,7 +419,7 @@ def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
     good("run", "mine.py", "--playpen", "obstacles", "--seconds", "20", "--save", "s", folder=tmp_path)
     assert int(rows(tmp_path / "s")[0]["turns"]) >= 1
     assert complaint("new", "controller", "mine.py", folder=tmp_path).startswith("mine.py: is there already")
-    assert complaint("new", "controller", "mine.txt", folder=tmp_path).startswith("mine.txt: right is a name")
+    assert complaint("new", "controller", "mine.txt", folder=tmp_path).startswith("mine.txt: expected a name")
 
 
 @pytest.mark.parametrize("kind", [(), ("--fast", "--planar", "--period", "20")])

@@ -127,31 +127,31 @@ def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ([], "there is nothing to do; right is a PORT such as khep://default, or --overlay FILE"),
+        ([], "there is nothing to do; expected a PORT such as khep://default, or --overlay FILE"),
         (
             ["khep://default"],
-            "--linear and --rotate: none is given; right is one, --linear CM or --rotate DEG",
+            "--linear and --rotate: none is given; expected one, --linear CM or --rotate DEG",
         ),
         (["khep://default", "--linear", "5", "--rotate", "90"], "--linear and --rotate: both is given"),
-        (["khep://default", "--linear", "3"], "linear = 3 cm: right is 5 to 60, or -5 to -60"),
-        (["khep://default", "--linear", "5", "--speed", "0"], "speed = 0: right is a whole number from 1"),
+        (["khep://default", "--linear", "3"], "linear = 3 cm; expected 5 to 60, or -5 to -60"),
+        (["khep://default", "--linear", "5", "--speed", "0"], "speed = 0; expected an integer from 1"),
         (
             ["khep://default", "--linear", "5", "--runs", "0"],
-            "runs = 0: right is a whole number from 1 to 100",
+            "runs = 0; expected an integer from 1 to 100",
         ),
-        (["khep://default", "--linear", "5", "-o", "a.txt"], "a.txt: right is a name that ends in .csv"),
+        (["khep://default", "--linear", "5", "-o", "a.txt"], "a.txt; expected a name that ends in .csv"),
         (["khep://default", "--linear", "5", "-o", "no/a.csv"], "no/a.csv: cannot be written: there is no"),
         (["khep://default", "--linear", "5", "-o", "a.csv", "-o", "./a.csv"], "a.csv: is given twice"),
         (
             ["khep://default", "--linear", "5", "--picture", "a.gif"],
-            "a.gif: right is a name that ends in .png",
+            "a.gif: expected a name that ends in .png",
         ),
         (["khep://default", "--linear", "5", "--sensor", "left 10"], "--sensor is for the picture"),
         (
             ["khep://default", "--linear", "5", "--sensor", "left 11", "--picture", "a.png"],
             "sensor = left 11: no such sensor; did you mean 'left 10'?",
         ),
-        (["--linear", "5"], "--linear is for a robot; right is to give its PORT"),
+        (["--linear", "5"], "--linear is for a robot; expected its PORT"),
         (["--overlay", "no.csv", "--picture", "a.png"], "no.csv: cannot be read: No such file"),
     ],
 )

@@ -271,7 +271,7 @@ def test_an_svg_is_well_formed_and_tells_neither_hour_nor_version(tmp_path: Path
 
 def test_another_suffix_is_refused(tmp_path: Path) -> None:
     for name in ("scene.bmp", "scene"):
-        with pytest.raises(KhepTwinError, match=r"right is a name that ends in \.png, \.svg or \.pdf"):
+        with pytest.raises(KhepTwinError, match=r"expected a name that ends in \.png, \.svg or \.pdf"):
             save(draw(SCENE), tmp_path / name)
     assert not list(tmp_path.iterdir())
 

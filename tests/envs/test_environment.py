@@ -278,14 +278,14 @@ def test_an_agent_without_an_action_is_named() -> None:
 @pytest.mark.parametrize("seconds", [0.0, -1.0, math.nan, math.inf, 0.06])
 def test_a_trial_lasts_whole_control_periods(seconds: float) -> None:
     with pytest.raises(
-        ValueError, match=r"seconds = .*: right are one or more whole control periods of 50 ms"
+        ValueError, match=r"seconds = .*; expected one or more whole control periods of 50 ms"
     ):
         Course("ObstacleAvoidance", seconds=seconds)
 
 
 @pytest.mark.parametrize("action", [[1.0], [1.0, 2.0, 3.0], 5.0, "ab", None])
 def test_an_action_that_is_not_two_speeds_is_told_in_a_line(action: Any) -> None:
-    with pytest.raises(ValueError, match=r"action .*: right are two speeds, left and right, from -20 to 20"):
+    with pytest.raises(ValueError, match=r"action .*; expected two speeds, left and right, from -20 to 20"):
         cut(action)
 
 
@@ -293,7 +293,7 @@ def test_as_many_actions_as_environments_are_wanted() -> None:
     environments = gyms(3)
     environments.reset(seed=1)
     for count in (2, 4):
-        with pytest.raises(ValueError, match=rf"actions of shape \({count}, 2\); right is \(3, 2\)"):
+        with pytest.raises(ValueError, match=rf"actions of shape \({count}, 2\); expected \(3, 2\)"):
             environments.step(np.zeros((count, 2), np.float32))
     environments.close()
 
@@ -325,7 +325,7 @@ def test_without_gl_auto_is_a_map_with_a_warning_and_a_scene_is_refused(
     trial = Trial(Course("LoopingMaze", **SHORT))
     trial.begin(0)
     painter = Painter(trial.course.playpen, "auto")
-    with pytest.warns(MapWarning, match=r"cannot render here \(no library\); right is MUJOCO_GL"):
+    with pytest.warns(MapWarning, match=r"cannot render here \(no library\); expected MUJOCO_GL"):
         drawn = painter.picture(trial.data, trial.poses)
     assert painter.view == "map"
     assert (painter.picture(trial.data, trial.poses) == drawn).all()

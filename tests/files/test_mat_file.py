@@ -85,58 +85,58 @@ def test_an_object_of_a_class_is_passed_over() -> None:
 @pytest.mark.parametrize(
     ("data", "line"),
     [
-        (b"short", "no MAT file: only 5 bytes; right is one of Matlab 4 to 7.2"),
-        (b"x" * 200, "no MAT file: begins b'xxxxxxxxxxxxxxxxxxxx'; right is one of Matlab 4 to 7.2"),
+        (b"short", "no MAT file: only 5 bytes; expected one of Matlab 4 to 7.2"),
+        (b"x" * 200, "no MAT file: begins b'xxxxxxxxxxxxxxxxxxxx'; expected one of Matlab 4 to 7.2"),
         (
             b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM",
-            "a MAT file of Matlab 7.3; right is one of Matlab 4 to 7.2, as save -v7 writes it",
+            "a MAT file of Matlab 7.3; expected one of Matlab 4 to 7.2, as save -v7 writes it",
         ),
         (
             b"\x89HDF\r\n\x1a\n".ljust(200),
-            "a MAT file of Matlab 7.3; right is one of Matlab 4 to 7.2, as save -v7 writes it",
+            "a MAT file of Matlab 7.3; expected one of Matlab 4 to 7.2, as save -v7 writes it",
         ),
         (
             five(matrix([2, 2], content=b"abc")),
-            "'x': 3 values; right are 2 x 2",
+            "'x': 3 values; expected 2 x 2",
         ),
         (
             five(matrix([-1, 2])),
-            "no whole MAT file: a matrix of -1 x 2; right is the file as saved",
+            "no whole MAT file: a matrix of -1 x 2; expected the file as saved",
         ),
         (
             five(matrix([1] * 33, content=b"a")),
-            "no whole MAT file: a matrix of 33 dimensions; right is the file as saved",
+            "no whole MAT file: a matrix of 33 dimensions; expected the file as saved",
         ),
         (
             five(matrix([2**31 - 1] * 4 + [0])),
             "no whole MAT file: a matrix of 2147483647 x 2147483647 x 2147483647 x 2147483647 x 0; "
-            "right is the file as saved",
+            "expected the file as saved",
         ),
         (
             five(matrix([1, 1], content=b"a", stored=8)),
-            "no whole MAT file: numbers of type 8; right is the file as saved",
+            "no whole MAT file: numbers of type 8; expected the file as saved",
         ),
         (
             five(matrix([2, 2], content=b"abcd"))[:-8],
-            "no whole MAT file: 8 bytes are missing at its end; right is the file as saved",
+            "no whole MAT file: 8 bytes are missing at its end; expected the file as saved",
         ),
         (
             five(element(14, element(6, b"1234"))),
-            "no whole MAT file: a matrix without its kind; right is the file as saved",
+            "no whole MAT file: a matrix without its kind; expected the file as saved",
         ),
         (
             five(element(15, b"no zlib")),
             "no whole MAT file: Error -3 while decompressing data: incorrect header check; "
-            "right is the file as saved",
+            "expected the file as saved",
         ),
         (
             struct.pack("<5I", 7, 1, 1, 0, 2) + b"a\0" + bytes(8),
-            "no MAT file: a matrix of kind 7 at byte 0; right is one of Matlab 4 to 7.2",
+            "no MAT file: a matrix of kind 7 at byte 0; expected one of Matlab 4 to 7.2",
         ),
         (
             struct.pack("<5I", 0, 2**31, 2**31, 0, 2) + b"a\0" + bytes(8),
             "no whole MAT file: 36893488147419103224 bytes are missing at its end; "
-            "right is the file as saved",
+            "expected the file as saved",
         ),
     ],
 )  # fmt: skip
@@ -156,19 +156,19 @@ def bomb() -> bytes:
     [
         (bomb(), f"unpacked larger than {mat_file.SIZE_LIMIT} bytes, the most that is read"),
         (bytes(mat_file.SIZE_LIMIT + 1), f"larger than {mat_file.SIZE_LIMIT} bytes, the most that is read"),
-        (five(matrix([0, 0]) * 10_001), "more than 10000 variables; right is a file with fewer"),
-        (five(element(1, b"") * 10_001), "more than 10000 variables; right is a file with fewer"),
+        (five(matrix([0, 0]) * 10_001), "more than 10000 variables; expected a file with fewer"),
+        (five(element(1, b"") * 10_001), "more than 10000 variables; expected a file with fewer"),
         (
             (struct.pack("<5I", 50, 0, 0, 0, 2) + b"a\0") * 10_001,
-            "more than 10000 variables; right is a file with fewer",
+            "more than 10000 variables; expected a file with fewer",
         ),
         (
             five(matrix([1, 2**21], 4, bytes(2**21))),
-            "text of 2097152 characters; right is up to 1048576",
+            "text of 2097152 characters; expected up to 1048576",
         ),
         (
             five(matrix([1, 2**21], 4, b"a" * 2**21, stored=16)),
-            "text of 2097152 characters; right is up to 1048576",
+            "text of 2097152 characters; expected up to 1048576",
         ),
     ],
 )  # fmt: skip
@@ -181,7 +181,7 @@ def test_a_bomb_is_refused(data: bytes, line: str) -> None:
 def test_much_text_in_many_rows_and_matrices_is_refused_in_time() -> None:
     rows = matrix([2**20, 1], 4, "♞".encode("utf-16-le") * 2**20, stored=17)
     begun = time.process_time()
-    with pytest.raises(MatError, match="text of 2097152 characters; right is up to 1048576"):
+    with pytest.raises(MatError, match="text of 2097152 characters; expected up to 1048576"):
         read_variables(five(rows * 30))
     assert time.process_time() - begun < 2
 

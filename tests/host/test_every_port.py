@@ -34,7 +34,7 @@ def test_a_move_that_takes_too_long_is_stopped(robot: Khepera) -> None:
     with pytest.raises(MoveError, match=r"not on target after 0.1 s \(left and right wheel\); stopped at"):
         robot.move(0.1, timeout=0.1)
     assert robot.status().left.mode is MotorMode.SPEED
-    with pytest.raises(MoveError, match=r"left wheel .* in SPEED mode; right is set_target"):
+    with pytest.raises(MoveError, match=r"left wheel .* in SPEED mode; expected set_target"):
         robot.wait_for_target()
 
 
@@ -68,7 +68,7 @@ def test_after_rubbish_the_next_answer_is_right(robot: Khepera) -> None:
 
 
 def test_an_order_that_the_robot_refuses_is_told_with_the_exchange(robot: Khepera) -> None:
-    with pytest.raises(ProtocolError, match="'I,9' was answered 'z,Protocol error'; right is"):
+    with pytest.raises(ProtocolError, match="'I,9' was answered 'z,Protocol error'; expected"):
         robot.converter(9)
     assert robot.versions() == ("5.02", "5.01")
 

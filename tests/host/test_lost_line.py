@@ -55,7 +55,7 @@ def test_a_killed_twin_is_one_clear_error() -> None:
             robot.proximity()
     assert time.monotonic() - start < LONG
     assert "\n" not in str(caught.value)
-    assert "its number may be a stranger's by now" in str(caught.value)
+    assert "its number may be reused by now" in str(caught.value)
 
 
 def test_the_link_of_a_killed_twin_is_not_followed_to_a_stranger(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_a_silent_robot_ends_within_the_timeout(fake: FakeRobot) -> None:
 
 def test_a_speed_that_nobody_answers_at_is_told_with_all_that_were_tried(fake: FakeRobot) -> None:
     fake.silent = True
-    with pytest.raises(PortTimeout, match="nobody answers 'B' at 9600, 19200, 38400, 57600, 115200 baud"):
+    with pytest.raises(PortTimeout, match="no answer to 'B' at 9600, 19200, 38400, 57600, 115200 baud"):
         Khepera(fake.url, baudrate="auto")
 
 
@@ -166,7 +166,7 @@ def test_a_read_is_asked_again_and_an_order_is_not(fake: FakeRobot) -> None:
         assert fake.requests == ["N", "B", "N"]
         fake.requests.clear()
         fake.answers["D"] = "x"
-        with pytest.raises(ProtocolError, match="'D,5,5' was answered 'x'; right is 'd' alone"):
+        with pytest.raises(ProtocolError, match="'D,5,5' was answered 'x'; expected 'd' alone"):
             robot.set_speed(5, 5)
         assert fake.requests == ["D,5,5", "B"]
         del fake.answers["D"]
@@ -182,7 +182,7 @@ def test_an_order_whose_answer_comes_behind_rubbish_is_done(fake: FakeRobot) -> 
 
 def test_a_mode_that_no_rom_has_is_refused(fake: FakeRobot) -> None:
     fake.answers["K"] = "k,1,7,0,1,1,0"
-    with Khepera(fake.url) as robot, pytest.raises(ProtocolError, match="right is a mode of 0, 1, 2"):
+    with Khepera(fake.url) as robot, pytest.raises(ProtocolError, match="expected a mode of 0, 1, 2"):
         robot.status()
 
 

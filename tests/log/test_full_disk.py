@@ -162,9 +162,7 @@ def test_a_controller_that_catches_everything_does_not_hide_it(tmp_path: Path) -
 def test_what_to_do_without_a_log_needs_a_log(command: str) -> None:
     done = CliRunner().invoke(app, [command, "--carry-on"])
     assert done.exit_code == 2
-    assert done.stderr == (
-        "khep-twin: --carry-on is about a log that fails; right is to give --log FILE.mcap too\n"
-    )
+    assert done.stderr == ("khep-twin: --carry-on is about a log that fails; expected --log FILE.mcap, too\n")
 
 
 def test_a_device_is_no_place_for_a_log() -> None:

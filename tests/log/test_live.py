@@ -92,7 +92,7 @@ def _growing(folder: Path, data: bytes) -> GrowingLog:
 
 
 def test_a_finished_log_is_viewed_without_live(log: Path) -> None:
-    with pytest.raises(LogError, match=r"run\.mcap: this log is finished; right is .* without --live"):
+    with pytest.raises(LogError, match=r"run\.mcap: this log is finished; to view it, leave out --live"):
         GrowingLog(log)
 
 
@@ -123,7 +123,7 @@ def test_a_run_that_was_killed_is_noticed(log: Path, tmp_path: Path, monkeypatch
     # All but what the end of a run writes.
     with _growing(tmp_path, data[: _end_of_data(data)]) as growing:
         assert growing.new()
-        with pytest.raises(LogError, match=r"ended without finishing it; right is: .*khep-twin recover"):
+        with pytest.raises(LogError, match=r"ended without finishing it; to recover it: .*khep-twin recover"):
             growing.new()
 
 

@@ -161,7 +161,7 @@ def test_walls_that_are_too_low_now_do_not_matter_in_a_log(log: Path, tmp_path: 
         attachment=lambda name, data: re.sub(rb"(wall_height_mm = )\S+", rb"\g<1>9.0", data),
     )
     assert playpen_of(read_label(low).attachments, low).arena.wall_height_mm == 9.0
-    with pytest.raises(PlaypenError, match="right is 15 or more"):
+    with pytest.raises(PlaypenError, match="expected at least 15"):
         playpen.parse(read_label(low).attachments["playpen.toml"], "now")
 
 

@@ -155,34 +155,34 @@ def spot() -> NDArray[np.bool_]:
     [
         (
             checkers(200), {},
-            "20000 blocks; right are up to 4999, as a picture of fewer pixels with a larger "
-            "--mm-per-pixel gives",
+            "20000 blocks; expected up to 4999, as from a picture of fewer pixels with a larger "
+            "--mm-per-pixel",
         ),
         (
             spot(), {"mm_per_pixel": 0.5},
-            "a block of 0.5 mm; right is at least 1 mm, as a picture of fewer pixels with a larger "
-            "--mm-per-pixel gives",
+            "a block of 0.5 mm; expected at least 1 mm, as from a picture of fewer pixels with a larger "
+            "--mm-per-pixel",
         ),
-        (np.ones((9, 9), dtype=np.bool_), {}, "every pixel is solid; right is a bitmap with a free floor"),
+        (np.ones((9, 9), dtype=np.bool_), {}, "every pixel is solid; expected a bitmap with a free floor"),
         (
             field(50, 600), {},
-            "an arena of 600 x 50 mm within the walls; right are 100 to 10000 mm a side, which another "
-            "--mm-per-pixel may give",
+            "an arena of 600 x 50 mm within the walls; expected 100 to 10000 mm a side, as with another "
+            "--mm-per-pixel",
         ),
         (
-            field(4097, 200), {}, "4097 x 200 pixels; right are 1 to 4096 rows and columns",
+            field(4097, 200), {}, "4097 x 200 pixels; expected 1 to 4096 rows and columns",
         ),
-        (field(0, 200), {}, "0 x 200 pixels; right are 1 to 4096 rows and columns"),
-        (spot(), {"mm_per_pixel": float("nan")}, "--mm-per-pixel nan: right is a number from 0.001 to 1000"),
-        (spot(), {"mm_per_pixel": 0.0}, "--mm-per-pixel 0: right is a number from 0.001 to 1000"),
-        (spot(), {"height_mm": 1001.0}, "--height-mm 1001: right is a number from 1 to 1000"),
+        (field(0, 200), {}, "0 x 200 pixels; expected 1 to 4096 rows and columns"),
+        (spot(), {"mm_per_pixel": float("nan")}, "--mm-per-pixel nan; expected a number from 0.001 to 1000"),
+        (spot(), {"mm_per_pixel": 0.0}, "--mm-per-pixel 0; expected a number from 0.001 to 1000"),
+        (spot(), {"height_mm": 1001.0}, "--height-mm 1001; expected a number from 1 to 1000"),
         (
             spot(), {"robot": (150.0, 100.0, 0.0)},
-            "robot 1 at (150, 100) overlaps block 1 at (150.5, 99.5); right is a place clear of it",
+            "robot 1 at (150, 100) overlaps block 1 at (150.5, 99.5); expected a place clear of it",
         ),
         (spot(), {"robot": (150.0, 30.0, 400.0)},
-         "robot 1: heading_deg = 400.0: right is a number from -360 to 360"),
-        (spot(), {"name": "a b"}, "name = \"a b\": right is 1 to 64 letters, digits, '_' or '-'"),
+         "robot 1: heading_deg = 400.0; expected a number from -360 to 360"),
+        (spot(), {"name": "a b"}, "name = \"a b\"; expected 1 to 64 letters, digits, '_' or '-'"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_a_playpen_is_told_in_one_line(

@@ -103,24 +103,24 @@ def test_what_is_transparent_is_free() -> None:
     [
         (
             {"map": np.eye(12), "other": np.eye(20)}, (),
-            "several matrices (map: 12 x 12, other: 20 x 20); right is --variable with one of them",
+            "several matrices (map: 12 x 12, other: 20 x 20); expected --variable with one of them",
         ),
         (
             {"objects": np.eye(4), "axes": {"x": 1}, "note": "text"}, (),
             "no bitmap among its variables (objects: 4 x 4, axes: a struct, note: text): probably an "
-            "editable playpen; right is the scanned one, with btmap1, which Scan Playpen writes",
+            "editable playpen; expected the scanned one, with btmap1, which Scan Playpen writes",
         ),
         ({"btmap1": MARKS}, ("btmap",), "no variable 'btmap'; did you mean 'btmap1'? (choices: btmap1)"),
-        ({"btmap1": {"a": 1}}, (), "btmap1: is a struct; right is a full matrix of real numbers"),
-        ({"btmap1": "text"}, (), "btmap1: is text; right is a full matrix of real numbers"),
-        ({"btmap1": np.zeros((2, 2, 2))}, (), "btmap1: is 2 x 2 x 2; right is a full matrix of real numbers"),
+        ({"btmap1": {"a": 1}}, (), "btmap1: is a struct; expected a full matrix of real numbers"),
+        ({"btmap1": "text"}, (), "btmap1: is text; expected a full matrix of real numbers"),
+        ({"btmap1": np.zeros((2, 2, 2))}, (), "btmap1: is 2 x 2 x 2; expected a full matrix of real numbers"),
         (
             {"btmap1": np.zeros((5000, 2), np.uint8)}, (),
-            "btmap1: is 5000 x 2; right are up to 4096 rows and columns",
+            "btmap1: is 5000 x 2; expected up to 4096 rows and columns",
         ),
         (
             {"btmap1": np.eye(20)}, (),
-            "btmap1: no pixel is 44; right is --solid with one of its values (0, 1)",
+            "btmap1: no pixel is 44; expected --solid with one of its values (0, 1)",
         ),
     ],
 )  # fmt: skip
@@ -140,38 +140,38 @@ WHOLE = png(grey(np.where(DRAWN, 0, 255)))
 @pytest.mark.parametrize(
     ("data", "arguments", "line"),
     [
-        (WHOLE, ("btmap1",), "a PNG; right is a MAT file for --variable and --solid"),
-        (WHOLE, (None, 1), "a PNG; right is a MAT file for --variable and --solid"),
-        (WHOLE[:8], (), "no whole PNG: its head is damaged; right is the file as saved"),
-        (WHOLE[:20], (), "no whole PNG: begins without its size; right is the file as saved"),
-        (WHOLE[:30], (), "no whole PNG: its head is damaged; right is the file as saved"),
+        (WHOLE, ("btmap1",), "a PNG; expected a MAT file for --variable and --solid"),
+        (WHOLE, (None, 1), "a PNG; expected a MAT file for --variable and --solid"),
+        (WHOLE[:8], (), "no whole PNG: its head is damaged; expected the file as saved"),
+        (WHOLE[:20], (), "no whole PNG: begins without its size; expected the file as saved"),
+        (WHOLE[:30], (), "no whole PNG: its head is damaged; expected the file as saved"),
         (WHOLE[:600], (), "no whole PNG: "),
         (
-            header(4097, 10), (), "10 x 4097 pixels; right are 1 to 4096 rows and columns",
+            header(4097, 10), (), "10 x 4097 pixels; expected 1 to 4096 rows and columns",
         ),
-        (header(0, 10), (), "10 x 0 pixels; right are 1 to 4096 rows and columns"),
+        (header(0, 10), (), "10 x 0 pixels; expected 1 to 4096 rows and columns"),
         (
-            header(100_000, 100_000), (), "100000 x 100000 pixels; right are 1 to 4096 rows and columns",
+            header(100_000, 100_000), (), "100000 x 100000 pixels; expected 1 to 4096 rows and columns",
         ),
         (
             header(9, 9) + chunk(b"tEXt", b"") * 100_000, (),
-            "a PNG of more than 100000 parts; right is one saved anew",
+            "a PNG of more than 100000 parts; expected one saved anew",
         ),
         (
             b"\x89PNG\r\n\x1a\n" + chunk(b"IDAT", bytes(20)), (),
-            "no whole PNG: begins without its size; right is the file as saved",
+            "no whole PNG: begins without its size; expected the file as saved",
         ),
         (
             png(grey(np.full((9, 9), 255))), (),
-            "no pixel is dark; right is a picture with dark walls or blocks on a bright floor",
+            "no pixel is dark; expected a picture with dark walls or blocks on a bright floor",
         ),
         (
             b"GIF89a..........................", (),
-            "begins b'GIF89a..'; right is a MAT file of Matlab 4 to 7.2 or a PNG",
+            "begins b'GIF89a..'; expected a MAT file of Matlab 4 to 7.2 or a PNG",
         ),
         (
             b"%!PS-Adobe-3.0 EPSF-3.0\n........", (),
-            "begins b'%!PS-Ado'; right is a MAT file of Matlab 4 to 7.2 or a PNG",
+            "begins b'%!PS-Ado'; expected a MAT file of Matlab 4 to 7.2 or a PNG",
         ),
     ],
     ids=range(14),
@@ -248,7 +248,7 @@ def test_the_largest_bitmaps_take_less_than_two_seconds_and_512_mb(kind: str, tm
     assert done.returncode == 0, done.stderr
     first, told, second = done.stdout.splitlines()
     assert first.endswith(" (4096, 4096)")
-    assert told.startswith("8388608 blocks; right are up to 4999")
+    assert told.startswith("8388608 blocks; expected up to 4999")
     assert float(first.split()[0]) < 2
     assert float(second) < 4
 

@@ -161,58 +161,56 @@ def test_no_lane_between_the_obstacles_is_narrower_than_90_mm() -> None:
 # Wrong files ---------------------------------------------------------------------------------------------
 
 SURFACES = "(choices: white, grey, black, wood, styropor, sponge, copper, lego)"
-PLACE = "right is a number from 0 to 10000"
+PLACE = "expected a number from 0 to 10000"
 
 WRONG = {
-    "": "name is missing; right is 1 to 64 letters, digits, '_' or '-'",
-    HEAD: "arena is missing; right is a table",
-    HEAD.replace("1", "2") + ARENA: "version = 2: right is 1",
-    HEAD.replace("1", "true") + ARENA: "version = true: right is 1",
-    HEAD.replace("1", "1.0") + ARENA: "version = 1.0: right is 1",
-    'version = 1\nname = "a b"\n' + ARENA: "name = \"a b\": right is 1 to 64 letters, digits, '_' or '-'",
+    "": "name is missing; expected 1 to 64 letters, digits, '_' or '-'",
+    HEAD: "arena is missing; expected a table",
+    HEAD.replace("1", "2") + ARENA: "version = 2; expected 1",
+    HEAD.replace("1", "true") + ARENA: "version = true; expected 1",
+    HEAD.replace("1", "1.0") + ARENA: "version = 1.0; expected 1",
+    'version = 1\nname = "a b"\n' + ARENA: "name = \"a b\"; expected 1 to 64 letters, digits, '_' or '-'",
     HEAD
     + "wdith = 3\n"
     + ARENA: "wdith = 3: unknown key; (choices: version, name, arena, lighting, surfaces, "
     "block, cylinder, wall, patch, lamp, spot, robot)",
-    HEAD + "arena = 3\n": "arena = 3: right is a table",
+    HEAD + "arena = 3\n": "arena = 3; expected a table",
     HEAD + ARENA + "widht_mm = 3\n": "arena: widht_mm = 3: unknown key; did you mean 'width_mm'? (choices: "
     "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface)",
-    HEAD + ARENA.replace("600", "60"): "arena: width_mm = 60: right is a number from 100 to 10000",
-    HEAD + ARENA.replace("600", "20000"): "arena: width_mm = 20000: right is a number from 100 to 10000",
-    HEAD + ARENA.replace("500", '"500"'): 'arena: height_mm = "500": right is a number from 100 to 10000',
+    HEAD + ARENA.replace("600", "60"): "arena: width_mm = 60; expected a number from 100 to 10000",
+    HEAD + ARENA.replace("600", "20000"): "arena: width_mm = 20000; expected a number from 100 to 10000",
+    HEAD + ARENA.replace("500", '"500"'): 'arena: height_mm = "500"; expected a number from 100 to 10000',
     HEAD
     + ARENA
     + 'surface = "whit"\n': f"arena: surface = \"whit\": unknown; did you mean 'white'? {SURFACES}",
-    HEAD + ARENA + "[block]\nx_mm = 1\n": "block: right is [[block]], in two brackets each",
-    HEAD + ARENA + BLOCK.replace("120", "nan"): f"block 1: x_mm = nan: {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "inf"): f"block 1: x_mm = inf: {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "true"): f"block 1: x_mm = true: {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "-1"): f"block 1: x_mm = -1: {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "1979-05-27"): f"block 1: x_mm = 1979-05-27: {PLACE}",
+    HEAD + ARENA + "[block]\nx_mm = 1\n": "block; expected [[block]], in two brackets each",
+    HEAD + ARENA + BLOCK.replace("120", "nan"): f"block 1: x_mm = nan; {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "inf"): f"block 1: x_mm = inf; {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "true"): f"block 1: x_mm = true; {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "-1"): f"block 1: x_mm = -1; {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "1979-05-27"): f"block 1: x_mm = 1979-05-27; {PLACE}",
+    HEAD + ARENA + BLOCK.replace("120", "650"): "block 1: x_mm = 650: outside the arena; expected 0 to 600",
     HEAD
     + ARENA
-    + BLOCK.replace("120", "650"): "block 1: x_mm = 650: outside the arena; right is from 0 to 600",
+    + BLOCK.replace("y_mm = 200\n", ""): "block 1: y_mm is missing; expected a number from 0 to 10000",
+    HEAD + ARENA + BLOCK.replace("60", "0"): "block 1: length_mm = 0; expected a number from 1 to 10000",
     HEAD
     + ARENA
-    + BLOCK.replace("y_mm = 200\n", ""): "block 1: y_mm is missing; right is a number from 0 to 10000",
-    HEAD + ARENA + BLOCK.replace("60", "0"): "block 1: length_mm = 0: right is a number from 1 to 10000",
-    HEAD
-    + ARENA
-    + BLOCK.replace("= 50", "= 1001"): "block 1: height_mm = 1001: right is a number from 1 to 1000",
+    + BLOCK.replace("= 50", "= 1001"): "block 1: height_mm = 1001; expected a number from 1 to 1000",
     HEAD
     + ARENA
     + BLOCK
-    + "angle_deg = 400\n": "block 1: angle_deg = 400: right is a number from -360 to 360",
+    + "angle_deg = 400\n": "block 1: angle_deg = 400; expected a number from -360 to 360",
     HEAD
     + ARENA
     + BLOCK
     + "heigth_mm = 50\n": "block 1: heigth_mm = 50: unknown key; did you mean 'height_mm'? "
     "(choices: name, x_mm, y_mm, angle_deg, length_mm, width_mm, height_mm, surface, movable, mass_g)",
-    HEAD + ARENA + BLOCK + BLOCK + "movable = 1\n": "block 2: movable = 1: right is true or false",
+    HEAD + ARENA + BLOCK + BLOCK + "movable = 1\n": "block 2: movable = 1; expected true or false",
     HEAD
     + ARENA
     + BLOCK
-    + 'name = ""\n': "block 1: name = \"\": right is 1 to 64 letters, digits, '_' or '-'",
+    + 'name = ""\n': "block 1: name = \"\"; expected 1 to 64 letters, digits, '_' or '-'",
     HEAD
     + ARENA
     + BLOCK
@@ -220,24 +218,22 @@ WRONG = {
     HEAD
     + ARENA
     + CYLINDER
-    + "movable = true\nmass_g = 0\n": "cylinder 1: mass_g = 0: right is a number from 1 to 10000",
+    + "movable = true\nmass_g = 0\n": "cylinder 1: mass_g = 0; expected a number from 1 to 10000",
     HEAD + ARENA + CYLINDER.replace("12.5", "12,5"): "not TOML: Expected newline or end of document after a "
     "statement (at line 9, column 15)",
     HEAD + ARENA + CYLINDER + "x_mm = 4\n": "not TOML: Cannot overwrite a value (at line 11, column 9)",
-    HEAD + ARENA + LAMP.replace("7", "2000"): "lamp 1: power_w = 2000: right is a number from 0 to 1000",
-    HEAD + ARENA + LAMP + "z_mm = 0\n": "lamp 1: z_mm = 0: right is a number from 1 to 1000",
-    HEAD
-    + ARENA
-    + LAMP.replace("450", "501"): "lamp 1: y_mm = 501: outside the arena; right is from 0 to 500",
-    HEAD + ARENA + LAMP + "blink_duty = 2\n": "lamp 1: blink_duty = 2: right is a number from 0 to 1",
-    HEAD + ARENA + LAMP + "dim = -1\n": "lamp 1: dim = -1: right is a number from 0 to 1",
-    HEAD + ARENA + "[lighting]\nmax_angle_deg = 0\n": "lighting: max_angle_deg = 0: right is a number from 1 "
+    HEAD + ARENA + LAMP.replace("7", "2000"): "lamp 1: power_w = 2000; expected a number from 0 to 1000",
+    HEAD + ARENA + LAMP + "z_mm = 0\n": "lamp 1: z_mm = 0; expected a number from 1 to 1000",
+    HEAD + ARENA + LAMP.replace("450", "501"): "lamp 1: y_mm = 501: outside the arena; expected 0 to 500",
+    HEAD + ARENA + LAMP + "blink_duty = 2\n": "lamp 1: blink_duty = 2; expected a number from 0 to 1",
+    HEAD + ARENA + LAMP + "dim = -1\n": "lamp 1: dim = -1; expected a number from 0 to 1",
+    HEAD + ARENA + "[lighting]\nmax_angle_deg = 0\n": "lighting: max_angle_deg = 0; expected a number from 1 "
     "to 180",
     HEAD + ARENA + '[lighting]\nmode = "al"\n': "lighting: mode = \"al\": unknown; did you mean 'all'? "
     "(choices: all, random, sequenced)",
     HEAD
     + ARENA
-    + ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; right is a number from "
+    + ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; expected a number from "
     "-360 to 360",
     HEAD + ARENA + ROBOT + 'model = "khepera3"\n': 'robot 1: model = "khepera3": unknown; did you mean '
     "'khepera2'? (choices: khepera1, khepera2)",
@@ -245,11 +241,11 @@ WRONG = {
     + ARENA
     + ROBOT.replace("300", "30")
     + 'model = "khepera2"\n': "robot 1 at (30, 250) overlaps the left "
-    "wall at x = 0; right is 5 mm further in",
+    "wall at x = 0; expected 5 mm further in",
     HEAD + ARENA + ROBOT + "mode = 4\n": "robot 1: mode = 4: mode 4 runs a user's program from the "
-    "robot's memory, and the twin runs no machine code; right is a running mode that the twin has "
+    "robot's memory, and the twin runs no machine code; expected a running mode that the twin has "
     "(0, 1, 2, 3, 7)",
-    HEAD + ARENA + ROBOT + 'mode = "1"\n': 'robot 1: mode = "1": right is a whole number from 0 to 15',
+    HEAD + ARENA + ROBOT + 'mode = "1"\n': 'robot 1: mode = "1"; expected an integer from 0 to 15',
     HEAD
     + ARENA
     + ROBOT
@@ -264,168 +260,156 @@ WRONG = {
     + ROBOT
     + 'turrets = ["gripper", "gripper"]\n': "robot 1: turrets = ['gripper', 'gripper']: turret 'gripper' is "
     "named twice",
-    HEAD + ARENA + ROBOT + "battery_used_min = -1\n": "robot 1: battery_used_min = -1: right is a number "
+    HEAD + ARENA + ROBOT + "battery_used_min = -1\n": "robot 1: battery_used_min = -1; expected a number "
     "from 0 to 1000",
-    HEAD + ARENA + ROBOT + 'turrets = "gripper"\n': 'robot 1: turrets = "gripper": right is names, '
+    HEAD + ARENA + ROBOT + 'turrets = "gripper"\n': 'robot 1: turrets = "gripper"; expected names, '
     'such as ["gripper"]',
     HEAD
     + ARENA
     + ROBOT
-    + 'calibration = ""\n': 'robot 1: calibration = "": right is the name of a calibration, or '
+    + 'calibration = ""\n': 'robot 1: calibration = ""; expected the name of a calibration, or '
     "the path of a file",
     HEAD
     + ARENA
-    + CARDBOARD.replace("cardboard", "white"): "surfaces white: built in; right is a name other than "
+    + CARDBOARD.replace("cardboard", "white"): "surfaces white: built in; expected a name other than "
     "white, grey, black, wood, styropor, sponge, copper, lego",
     HEAD
     + ARENA
-    + CARDBOARD.replace("0.6", "2.5"): "surfaces cardboard: reflectance = 2.5: right is a number from 0 to 2",
+    + CARDBOARD.replace("0.6", "2.5"): "surfaces cardboard: reflectance = 2.5; expected a number from 0 to 2",
     HEAD
     + ARENA
-    + CARDBOARD.replace("180", "256"): "surfaces cardboard: rgb 1 = 256: right is three whole numbers "
+    + CARDBOARD.replace("180", "256"): "surfaces cardboard: rgb 1 = 256; expected three integers "
     "from 0 to 255",
+    HEAD + ARENA + CARDBOARD.replace("180, ", ""): "surfaces cardboard: rgb 3 is missing; expected three "
+    "integers from 0 to 255",
     HEAD
     + ARENA
-    + CARDBOARD.replace("180, ", ""): "surfaces cardboard: rgb 3 is missing; right is three whole "
-    "numbers from 0 to 255",
-    HEAD
-    + ARENA
-    + CARDBOARD.replace("cardboard", '"card board"'): 'surfaces: "card board" is no name; right is 1 '
+    + CARDBOARD.replace("cardboard", '"card board"'): 'surfaces: "card board" is no name; expected 1 '
     "to 64 letters, digits, '_' or '-'",
     HEAD
     + ARENA
-    + ROBOT.replace("300", "20"): "robot 1 at (20, 250) overlaps the left wall at x = 0; right is "
+    + ROBOT.replace("300", "20"): "robot 1 at (20, 250) overlaps the left wall at x = 0; expected "
     "7.5 mm further in",
     HEAD
     + ARENA
     + ROBOT.replace("250", "480.25"): "robot 1 at (300, 480.25) overlaps the top wall at y = 500; "
-    "right is 7.8 mm further in",
+    "expected 7.8 mm further in",
     HEAD
     + ARENA
     + ROBOT
     + ROBOT.replace("300", "350"): "robot 2 at (350, 250) overlaps robot 1 at (300, 250); "
-    "right is a place clear of it",
+    "expected a place clear of it",
     HEAD
     + ARENA
     + BLOCK.replace("120", "290")
     + "angle_deg = 60\n"
-    + ROBOT: "robot 1 at (300, 250) overlaps block 1 at (290, 200); right is a place clear of it",
+    + ROBOT: "robot 1 at (300, 250) overlaps block 1 at (290, 200); expected a place clear of it",
     HEAD
     + ARENA
     + LAMP.replace("50\ny_mm = 450", "330\ny_mm = 250")
-    + ROBOT: "robot 1 at (300, 250) overlaps lamp 1 at (330, 250); right is a place clear of it",
+    + ROBOT: "robot 1 at (300, 250) overlaps lamp 1 at (330, 250); expected a place clear of it",
     HEAD
     + ARENA
     + BLOCK
     + 'name = "wall"\n'
     + BLOCK.replace("120", "150")
     + 'movable = true\nname = "box"\n': "block "
-    "2 (box) at (150, 200) overlaps block 1 (wall) at (120, 200); right is a place clear of it",
+    "2 (box) at (150, 200) overlaps block 1 (wall) at (120, 200); expected a place clear of it",
     HEAD
     + ARENA
     + CYLINDER.replace("400", "595")
     + "movable = true\n": "cylinder 1 at (595, 250) overlaps the right "
-    "wall at x = 600; right is 7.5 mm further in",
-    HEAD + ARENA + "outline_mm = [[0, 0], [600, 0]]\n": "arena: outline_mm: 2 corners; right are 3 to 200",
+    "wall at x = 600; expected 7.5 mm further in",
+    HEAD + ARENA + "outline_mm = [[0, 0], [600, 0]]\n": "arena: outline_mm: 2 corners; expected 3 to 200",
     HEAD
     + ARENA
     + "outline_mm = [[0, 0], [700, 0], [0, 500]]\n": "arena: outline_mm 2: 700: outside width and "
-    "height; right is from 0 to 600",
-    HEAD + ARENA + "outline_mm = [[0, 0], [0, 0], [0, 500]]\n": "arena: outline_mm 1: the next one is at its "
-    "place; right is each corner once",
+    "height; expected 0 to 600",
+    HEAD + ARENA + "outline_mm = [[0, 0], [0, 0], [0, 500]]\n": "arena: outline_mm 1: same as the next "
+    "corner; expected each corner once",
     HEAD
     + ARENA
     + "outline_mm = [[0, 0], [600, 500], [600, 0], [0, 500]]\n": "arena: outline_mm: edges 1 and 3 "
-    "meet; right is an outline that meets itself nowhere",
+    "meet; expected an outline that does not cross or touch itself",
+    HEAD + ARENA + "outline_mm = [[0, 0], [100, 0], [100, 50], [0, 50]]\n": "arena: outline_mm: 5000 mm2; "
+    "expected at least 10000",
     HEAD
     + ARENA
-    + "outline_mm = [[0, 0], [100, 0], [100, 50], [0, 50]]\n": "arena: outline_mm: 5000 mm2; right "
-    "are 10000 and more",
-    HEAD
-    + ARENA
-    + "outline_mm = [[0, 0, 0], [100, 0], [100, 50]]\n": "arena: outline_mm 1: right is corners, "
+    + "outline_mm = [[0, 0, 0], [100, 0], [100, 50]]\n": "arena: outline_mm 1; expected corners, "
     "such as [[0, 0], [600, 0], [300, 500]]",
     HEAD + ARENA + TRIANGLE + ROBOT.replace("300", "500").replace("250", "400"): "robot 1 at (500, 400) is "
-    "outside the arena's outline; right is a place within it",
+    "outside the arena's outline; expected a place within it",
     HEAD
     + ARENA
     + TRIANGLE
     + ROBOT.replace("300", "100").replace("250", "390"): "robot 1 at (100, 390) overlaps "
-    "the wall after corner 2; right is a place further in",
+    "the wall after corner 2; expected a place further in",
     HEAD
     + ARENA
-    + "[[wall]]\npoints_mm = [[10, 10]]\n": "wall 1: points_mm: right is two points and more, such "
+    + "[[wall]]\npoints_mm = [[10, 10]]\n": "wall 1: points_mm; expected at least two points, such "
     "as [[100, 100], [100, 300]]",
+    HEAD + ARENA + "[[wall]]\npoints_mm = [[10, 10], [10, 10]]\n": "wall 1: points_mm 1: same as the next "
+    "point; expected each point once",
     HEAD
     + ARENA
-    + "[[wall]]\npoints_mm = [[10, 10], [10, 10]]\n": "wall 1: points_mm 1: the next one is at its "
-    "place; right is each point once",
-    HEAD
-    + ARENA
-    + WALL.replace("300, 100", "700, 100"): "wall 1: points_mm 2: 700: outside the arena; right is "
-    "from 0 to 600",
+    + WALL.replace("300, 100", "700, 100"): "wall 1: points_mm 2: 700: outside the arena; expected 0 to 600",
     HEAD + ARENA + WALL + ROBOT.replace("250", "120"): "robot 1 at (300, 120) overlaps wall 1 at (200, 100); "
-    "right is a place clear of it",
+    "expected a place clear of it",
     HEAD
     + ARENA
     + "wall_height_mm = 14\n"
-    + ROBOT: "arena: wall_height_mm = 14: a robot drives over it at full speed; right is 15 or more",
+    + ROBOT: "arena: wall_height_mm = 14: a robot drives over it at full speed; expected at least 15",
     HEAD
     + ARENA
     + "wall_height_mm = 20\n"
     + ROBOT
     + 'turrets = ["gripper"]\n': "arena: wall_height_mm = 20: a "
-    "robot with a turret topples over it at full speed; right is 30 or more",
+    "robot with a turret topples over it at full speed; expected at least 30",
     HEAD
     + ARENA
     + "wall_thickness_mm = 9\n"
     + CYLINDER
     + "movable = true\n"
-    + ROBOT: "arena: wall_thickness_mm = 9: a robot presses movable things through it; right is 10 or more",
+    + ROBOT: "arena: wall_thickness_mm = 9: a robot presses movable things through it; expected at least 10",
     HEAD
     + ARENA
     + CYLINDER
     + "movable = true\nmass_g = 4\n"
-    + ROBOT: "cylinder 1: mass_g = 4: a robot presses it through walls; right is 5 or more",
+    + ROBOT: "cylinder 1: mass_g = 4: a robot presses it through walls; expected at least 5",
     HEAD + ARENA + WALL + 'surface = "velvet"\n': f'wall 1: surface = "velvet": unknown; {SURFACES}',
     HEAD
     + ARENA
     + "[[patch]]\nx_mm = 1\ny_mm = 1\nradius_mm = 9\nwidth_mm = 9\n": "patch 1: neither disc nor "
-    "rectangle; right is radius_mm alone, or length_mm and width_mm",
+    "rectangle; expected radius_mm alone, or length_mm and width_mm",
     HEAD
     + ARENA
-    + "[[patch]]\nx_mm = 1\ny_mm = 1\n": "patch 1: neither disc nor rectangle; right is radius_mm "
+    + "[[patch]]\nx_mm = 1\ny_mm = 1\n": "patch 1: neither disc nor rectangle; expected radius_mm "
     "alone, or length_mm and width_mm",
     HEAD
     + ARENA
-    + "[[spot]]\nx_mm = 1\ny_mm = 1\nheading_deg = 0\n": "spot 1: name is missing; right is 1 to "
+    + "[[spot]]\nx_mm = 1\ny_mm = 1\nheading_deg = 0\n": "spot 1: name is missing; expected 1 to "
     "64 letters, digits, '_' or '-'",
-    HEAD
-    + ARENA
-    + SPOT.replace("250", "10"): "spot 1 (a) at (300, 10) overlaps the bottom wall at y = 0; right "
-    "is 17.5 mm further in",
+    HEAD + ARENA + SPOT.replace("250", "10"): "spot 1 (a) at (300, 10) overlaps the bottom wall at y = 0; "
+    "expected 17.5 mm further in",
     HEAD + ARENA + SPOT + '[[robot]]\nspots = ["b"]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n': "robot 1: "
     'spots: "b": unknown; (choices: a)',
     HEAD + ARENA + '[[robot]]\nspots = ["b"]\n': 'robot 1: spots: "b": unknown; (choices: none)',
     HEAD
     + ARENA
     + SPOT
-    + SPOT.replace("300", "100"): 'spot 2 (a): name = "a": taken by spot 1 (a); right is a name used once',
-    HEAD + ARENA + LAMP + "on_s = [[5, 2]]\n": "lamp 1: on_s = [5, 2]: right are times that rise, from 0 on",
+    + SPOT.replace("300", "100"): 'spot 2 (a): name = "a": taken by spot 1 (a); expected a unique name',
+    HEAD + ARENA + LAMP + "on_s = [[5, 2]]\n": "lamp 1: on_s = [5, 2]; expected times that rise, from 0 on",
     HEAD
     + ARENA
     + LAMP
-    + "on_s = [[1, 4], [2, 5]]\n": "lamp 1: on_s = [2, 5]: right are times that rise, from 4 on",
-    HEAD
-    + ARENA
-    + LAMP
-    + "rgb = [1, 2]\n": "lamp 1: rgb 3 is missing; right is three whole numbers from 0 to 255",
+    + "on_s = [[1, 4], [2, 5]]\n": "lamp 1: on_s = [2, 5]; expected times that rise, from 4 on",
+    HEAD + ARENA + LAMP + "rgb = [1, 2]\n": "lamp 1: rgb 3 is missing; expected three integers from 0 to 255",
     HEAD
     + ARENA
     + BLOCK
     + 'name = "a"\n'
     + LAMP
-    + 'name = "a"\n': 'lamp 1 (a): name = "a": taken by block 1 (a); right is a name used once',
+    + 'name = "a"\n': 'lamp 1 (a): name = "a": taken by block 1 (a); expected a unique name',
 }
 
 
@@ -461,7 +445,7 @@ def test_all_problems_are_told_at_once() -> None:
 
 def test_huge_numbers_and_deep_tables_are_refused() -> None:
     assert lines_about(HEAD + ARENA + BLOCK.replace("120", "9" * 400)) == [
-        f"p.toml: block 1: x_mm = {'9' * 57}...: {PLACE}"
+        f"p.toml: block 1: x_mm = {'9' * 57}...; {PLACE}"
     ]
     assert "not TOML" in lines_about("a = " + "9" * 5000)[0]
     assert "nested too deeply" in lines_about("a = " + "[" * 50_000)[0]
@@ -471,14 +455,17 @@ def test_huge_numbers_and_deep_tables_are_refused() -> None:
 def test_so_many_objects_are_refused_before_they_are_compared() -> None:
     lamps = ",".join(["{x_mm=50,y_mm=450,power_w=7}"] * (THING_LIMIT + 1))
     (line,) = lines_about(f"lamp = [{lamps}]\n" + HEAD + ARENA)
-    assert line == "p.toml: 5001 blocks, cylinders, lamps and robots; right is up to 5000 together"
+    assert line == "p.toml: 5001 blocks, cylinders, lamps and robots; expected up to 5000 together"
 
 
 def test_of_very_many_problems_of_a_place_only_the_first_are_told() -> None:
     robots = ",".join(["{x_mm=300,y_mm=250,heading_deg=0}"] * 1000)
     lines = lines_about(f"robot = [{robots}]\n" + HEAD + ARENA)
     assert len(lines) == PROBLEM_LIMIT + 1
-    assert lines[-1] == f"p.toml: more than {PROBLEM_LIMIT} problems; the others are told once these are gone"
+    assert (
+        lines[-1]
+        == f"p.toml: more than {PROBLEM_LIMIT} problems; the others are reported once these are gone"
+    )
 
 
 # Where things may stand ----------------------------------------------------------------------------------
@@ -663,7 +650,7 @@ def test_any_text_is_a_playpen_or_is_refused_as_one(text: str) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "line"),
     [
-        ("version = 1", "version = 0x" + "9" * 5000, "version = a number of thousands of digits: right is 1"),
+        ("version = 1", "version = 0x" + "9" * 5000, "version = a number of thousands of digits; expected 1"),
         (
             "[arena]",
             "[lighting]\nmode = 0x" + "9" * 5000 + "\n[arena]",
@@ -714,7 +701,7 @@ def test_robots_that_share_spots_always_find_room_where_there_is() -> None:
 def test_too_few_spots_are_told(robots: str) -> None:
     (line,) = lines_about(HEAD + ARENA + SPOT + robots)
     assert line == (
-        "p.toml: robots: there is not a spot for each of them, clear of the others; right is a spot more"
+        "p.toml: robots: there is not a spot for each of them, clear of the others; expected a spot more"
     )
 
 

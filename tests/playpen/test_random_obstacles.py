@@ -44,7 +44,7 @@ def test_the_same_seed_draws_the_same_field() -> None:
 
 @pytest.mark.parametrize("density", [-0.1, 0.11, math.nan])
 def test_what_cannot_be_is_refused(density: float) -> None:
-    with pytest.raises(PlaypenError, match=r"right is from 0 to 0\.1"):
+    with pytest.raises(PlaypenError, match=r"expected 0 to 0\.1"):
         field(density, 1)
     with pytest.raises(PlaypenError, match="there was room for"):
         obstacle_field("small", 200, 200, 0.1, np.random.default_rng(1))

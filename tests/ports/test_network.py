@@ -207,10 +207,10 @@ def test_several_robots_have_a_line_each(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--tcp", "0.0.0.0:0"], "other machines could drive the robot from there; right is 127.0.0.1:0"),
-        (["--tcp", "nowhere"], "nowhere: right is HOST:PORT"),
-        (["--tcp", "127.0.0.1:99999"], "right is HOST:PORT"),
-        (["--tcp", ":0", "--rfc2217", ":0"], "one cable each; right is one of them"),
+        (["--tcp", "0.0.0.0:0"], "other machines could drive the robot from there; expected 127.0.0.1:0"),
+        (["--tcp", "nowhere"], "nowhere: expected HOST:PORT"),
+        (["--tcp", "127.0.0.1:99999"], "expected HOST:PORT"),
+        (["--tcp", ":0", "--rfc2217", ":0"], "one cable each; expected one of them"),
         (["--tcp", "no.such.host.invalid:0", "--expose"], "cannot listen here"),
         (["--fault", "nope"], "fault 'nope': unknown"),
     ],

@@ -152,7 +152,7 @@ def test_it_ends_at_once_and_takes_its_link_away(tmp_path: Path, how: signal.Sig
     [
         (["--through", "/dev/no-such-robot"], "/dev/no-such-robot: cannot open this port"),
         (["--through", "nonsense://x"], "nonsense://x: cannot open this port"),
-        (["--through", "khep://default"], "khep://default: a twin needs no relay; right is khep-twin serve"),
+        (["--through", "khep://default"], "khep://default: a twin needs no relay; expected khep-twin serve"),
         (["obstacles", "--through", "loop://"], "PLAYPEN is for a twin, not for a robot at --through"),
         (["--through", "loop://", "--speed", "2"], "--speed is for a twin"),
         (["--through", "loop://", "--fault", "stuck:1"], "--fault is for a twin"),

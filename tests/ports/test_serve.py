@@ -257,8 +257,8 @@ def test_a_killed_server_loses_less_than_a_second_and_is_announced_next_time(tmp
     ("arguments", "message"),
     [
         (["nowhere"], "khep-twin: nowhere: no such file"),
-        (["--speed", "fast"], "khep-twin: --speed fast: right is a number from 0.001 to 1000, or max"),
-        (["--speed", "-1"], "khep-twin: --speed -1: right is a number from 0.001 to 1000, or max"),
+        (["--speed", "fast"], "khep-twin: --speed fast: expected a number from 0.001 to 1000, or max"),
+        (["--speed", "-1"], "khep-twin: --speed -1: expected a number from 0.001 to 1000, or max"),
         (["--mode", "9"], "khep-twin: mode = 9 with rom = '5.02': mode 9 is a mode of the Khepera II"),
         (["--link", "/nowhere/link"], "khep-twin: /nowhere/link: cannot make this link"),
     ],

@@ -138,17 +138,17 @@ def test_memory_does_not_grow_with_the_number_of_lives(monkeypatch: pytest.Monke
 
 
 def test_what_does_not_fit_is_refused_before_anything_lives() -> None:
-    with pytest.raises(ValueError, match="5 genes for 6 seeds; right are as many"):
+    with pytest.raises(ValueError, match="5 genes for 6 seeds; expected 6"):
         batch_of(False, genes=GENES[:5])
-    with pytest.raises(ValueError, match="genes are of shape"):
+    with pytest.raises(ValueError, match="genes of shape"):
         batch_of(False, genes=np.full((N, 2), np.nan))
-    with pytest.raises(ValueError, match=r"no genes for Network.*; right are \(6, "):
+    with pytest.raises(ValueError, match=r"no genes for Network.*; expected shape \(6, "):
         batch_of(False, genes=None)
-    with pytest.raises(ControllerError, match=r"2 genes for Network.*; right are "):
+    with pytest.raises(ControllerError, match=r"2 genes for Network.*; expected "):
         batch_of(False, genes=np.zeros((N, 2)))
-    with pytest.raises(ValueError, match=r"0.03 s is no whole number of control periods of 20 ms"):
+    with pytest.raises(ValueError, match=r"0.03 s; expected a whole number of control periods of 20 ms"):
         rollout(SCENE, Wander(), [1], 0.03, compiled=False)
-    with pytest.raises(ValueError, match=r"the policy gave speeds of shape \(2,\)"):
+    with pytest.raises(ValueError, match=r"the policy returned speeds of shape \(2,\)"):
         rollout(SCENE, Policy(lambda proximity, ambient, which: np.zeros(2)), [1], 0.02, compiled=False)
 
 
@@ -158,7 +158,7 @@ def test_a_function_that_numba_cannot_compile_is_told_by_name() -> None:
         return open("x").fileno(), 0.0
 
     with pytest.raises(
-        ControllerError, match=r"odd: numba cannot compile it: .*open.*; right is a function of"
+        ControllerError, match=r"odd: numba cannot compile it: .*open.*; expected a function of"
     ):
         rollout(SCENE, Function(odd), [1], 0.02, compiled=True)
 
@@ -185,11 +185,11 @@ def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_l
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"starts": [(60.0, 250.0)]}, r"starts\[0\] = \(60.0, 250.0\): right are x, y \[mm\] and heading"),
+        ({"starts": [(60.0, 250.0)]}, r"starts\[0\] = \(60.0, 250.0\); expected x, y \[mm\] and heading"),
         ({"starts": [(60.0, math.nan, 0.0)]}, r"starts\[0\] = .*, 3 finite numbers"),
-        ({"starts": ["60"]}, r"starts\[0\] = '60': right are"),
+        ({"starts": ["60"]}, r"starts\[0\] = '60'; expected"),
         ({"home": (60.0, 250.0, 50.0)}, "home = .*, 4 finite numbers"),
-        ({"home": (60.0, 250.0, -50.0, 20.0)}, "home = .*: right are a radius and a charge above 0"),
+        ({"home": (60.0, 250.0, -50.0, 20.0)}, "home = .*; expected a radius and a charge above 0"),
         ({"lamps": [Lamp(x_mm=60, y_mm=60, power_w=1)]}, r"lamps\[0\] is one lamp"),
     ],
 )
@@ -200,23 +200,23 @@ def test_what_lives_begin_with_is_checked_before_anything_lives(options: Any, me
 
 @pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
 def test_a_time_that_is_none_is_refused(seconds: float) -> None:
-    with pytest.raises(ValueError, match="right is a time from 0"):
+    with pytest.raises(ValueError, match="expected a time from 0"):
         rollout(SCENE, Wander(), [1], seconds, compiled=False)
 
 
 def test_what_is_no_driver_or_no_playpen_is_told_so() -> None:
-    with pytest.raises(ControllerError, match=r"drives nothing; right is a Hold, Wander, Network"):
+    with pytest.raises(ControllerError, match=r"is no controller; expected a Hold, Wander, Network"):
         rollout(SCENE, along, [1], 0.02, compiled=False)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=r"playpen = 'obstacles': right is a Playpen"):
+    with pytest.raises(TypeError, match=r"playpen = 'obstacles'; expected a Playpen"):
         rollout("obstacles", Wander(), [1], 0.02, compiled=False)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"the policy gave what are no speeds: .*right is an array \(1, 2\)"):
+    with pytest.raises(ValueError, match=r"the policy returned no speeds: .*expected an array \(1, 2\)"):
         rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
 
 
 def test_ground_that_is_made_ready_takes_no_other_step_period_or_plane() -> None:
     ground = Ground(SCENE)
     for options in ({"step_ns": 5_000_000}, {"period_ns": 40_000_000}, {"planar": True}):
-        with pytest.raises(ValueError, match="the ground has its own step and period"):
+        with pytest.raises(ValueError, match="given with a prepared ground, which has its own"):
             rollout(ground, Wander(), [1], 0.04, compiled=False, **options)
     flat = Ground(SCENE, planar=True, period_ns=40_000_000)
     assert not rollout(flat, Wander(), [1], 0.04, compiled=False, planar=True).failures

@@ -167,7 +167,7 @@ def test_coarser_steps_go_about_the_same_way() -> None:
 
 
 def test_a_step_that_divides_no_tick_is_refused_with_the_choices() -> None:
-    with pytest.raises(ValueError, match=r"3 ms .* 10 ms .* right is one of 2.5, 5, 10 ms"):
+    with pytest.raises(ValueError, match=r"3 ms .* 10 ms .* expected one of 2.5, 5, 10 ms"):
         Ground(arena(), step_ns=3_000_000)
 
 
@@ -257,14 +257,14 @@ def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> Non
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"robots": ()}, "has 0 robots; right is one"),
-        ({"lighting": playpen.Lighting(mode="random")}, "mode = 'random'; right is 'all'"),
+        ({"robots": ()}, "0 robots; expected one"),
+        ({"lighting": playpen.Lighting(mode="random")}, "mode = 'random'; expected 'all'"),
     ],
 )
 def test_what_lives_cannot_have_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
     with pytest.raises(PlaypenError, match=message):
         Ground(arena().model_copy(update=change))
-    with pytest.raises(PlaypenError, match=r"turrets = \['gripper'\]; right are none"):
+    with pytest.raises(PlaypenError, match=r"turrets = \['gripper'\]; expected none"):
         Ground(playpen.load("gripper"))
 
 
@@ -298,5 +298,5 @@ def test_the_demo_of_the_rom_drives_by_itself() -> None:
 def test_a_life_that_has_not_begun_says_so() -> None:
     life = Life(Ground(arena()), Wander(), compiled=False)
     for deed in (lambda: life.live(0.02), life.numbers, lambda: life.drive(1, 1)):
-        with pytest.raises(ValueError, match=r"no life has begun; right is begin\(\) first"):
+        with pytest.raises(ValueError, match=r"no episode has begun; expected begin\(\) first"):
             deed()

@@ -233,7 +233,7 @@ def test_rays_that_end_early_change_no_count(name: str, monkeypatch: pytest.Monk
 
 def test_what_is_movable_is_refused() -> None:
     more = "[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n"
-    with pytest.raises(PlaypenError, match="cylinder 4 is movable; right are fixed ones in the plane"):
+    with pytest.raises(PlaypenError, match="cylinder 4 is movable; expected fixed ones in the plane"):
         Ground(playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena"), planar=True)
 
 

@@ -35,10 +35,10 @@ def test_what_is_no_number_comes_last() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"number": "speed"}, "right is one of obstacle_avoidance, "),
-        ({"elite": 0}, "right are 1 or more"),
-        ({"number": "homing"}, "there is no home; right is home="),
-        ({"starts": [(60, 250, 90)] * 2}, "2 starts for 1 seeds; right are as many"),
+        ({"number": "speed"}, "expected one of obstacle_avoidance, "),
+        ({"elite": 0}, "expected 1 or more"),
+        ({"number": "homing"}, "without a home; expected home="),
+        ({"starts": [(60, 250, 90)] * 2}, "2 starts for 1 seeds; expected 1"),
     ],
 )
 def test_a_mistake_is_told_in_a_line(options: dict[str, object], message: str) -> None:

@@ -37,14 +37,14 @@ def test_what_is_not_said_of_wheels_and_motors_is_as_the_manual_has_it() -> None
         (
             "dark_counts = 484.8",
             "dark_counts = 60",
-            "ambient: floor_counts = 75: right is below dark_counts = 60",
+            "ambient: floor_counts = 75; expected below dark_counts = 60",
         ),
         (
             "noise_counts = 40",
             "noise_counts = -1",
-            "proximity: noise_counts = -1: right is a number from 0 to 1023",
+            "proximity: noise_counts = -1; expected a number from 0 to 1023",
         ),
-        ("diffuse = 0.062", "diffuse = 2", "ambient: diffuse = 2: right is a number from 0 to 1"),
+        ("diffuse = 0.062", "diffuse = 2", "ambient: diffuse = 2; expected a number from 0 to 1"),
         (
             "dark_counts = 484.8",
             "drak_counts = 484.8",
@@ -53,7 +53,7 @@ def test_what_is_not_said_of_wheels_and_motors_is_as_the_manual_has_it() -> None
         (
             "heading_deg = [77.8, ",
             "heading_deg = [",
-            "heading_deg: right is a list of eight numbers, one per sensor",
+            "heading_deg; expected a list of eight numbers, one per sensor",
         ),
     ],
 )

@@ -30,21 +30,21 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("seeds = 3", "seeds = 0", r"study.toml:5: seeds = 0: right is a whole number from 1"),
+        ("seeds = 3", "seeds = 0", r"study.toml:5: seeds = 0; expected an integer from 1"),
         ("seeds = 3", "seeds = 3\nsed = 1", r"study.toml:6: sed = 1: unknown key; did you mean 'seeds'"),
-        ("seconds = 0.2", "seconds = 0.21", r"study.toml:6: seconds = 0.21: right are whole .* of 20 ms"),
-        ("step_ms = 10", "step_ms = 3", r"study.toml:7: step_ms = 3: right is 2.5, 5 or 10"),
+        ("seconds = 0.2", "seconds = 0.21", r"study.toml:6: seconds = 0.21; expected whole .* of 20 ms"),
+        ("step_ms = 10", "step_ms = 3", r"study.toml:7: step_ms = 3; expected 2.5, 5 or 10"),
         ('["default"]', '["default", "default"]', r"study.toml:3: playpens has \"default\" twice"),
         ('["default"]', '["defualt"]', r"study.toml:3: playpens: \"defualt\": .*no such file"),
         ('["default"]', '["gripper"]', r"study.toml:3: playpens: \"gripper\": .*turrets"),
         ('["braitenberg"]', '["mine"]', r"study.toml:4: controllers.*\"mine\": unknown; .*braitenberg"),
-        ('controllers = ["braitenberg"]', "", r"no controller; right are controllers, a \[\[network\]\]"),
+        ('controllers = ["braitenberg"]', "", r"no controller; expected controllers, a \[\[network\]\]"),
         (
             '"out"\n',
             '"out"\nfitness = ["homing"]\n',
             r"study.toml:10: fitness = \"homing\": there is no \[home\]",
         ),
-        ('"out"\n', '"out"\n[grid]\nnoise = []\n', r"study.toml:11: grid: noise: right is a list of true"),
+        ('"out"\n', '"out"\n[grid]\nnoise = []\n', r"study.toml:11: grid: noise; expected a list of true"),
         (
             '"out"\n',
             '"out"\n[grid]\nstarts = ["1,2,3"]\n',
@@ -59,7 +59,7 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
         (
             '"out"\n',
             '"out"\n[[network]]\nname = "n"\ngenomes = "few.csv"\n',
-            r"study.toml:12: network 1: genomes = \"few.csv\": is of shape \(2, 3\); right are rows of 18 ",
+            r"study.toml:12: network 1: genomes = \"few.csv\": shape \(2, 3\); expected rows of 18 ",
         ),
         (
             '"out"\n',
@@ -74,7 +74,7 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
         (
             '"out"\n',
             '"out"\n[[program]]\nname = "n"\nfile = "mine.py:steer"\ngenomes = "nan.csv"\n',
-            r"study.toml:13: program 1: genomes = \"nan.csv\": has what is no number; right are finite",
+            r"study.toml:13: program 1: genomes = \"nan.csv\": NaN or infinity; expected finite",
         ),
         (
             '"out"\n',
@@ -140,7 +140,7 @@ def test_the_study_of_the_page_is_as_large_as_it_says(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "sweep.md").read_text()
     text = page.partition("```toml\n")[2].partition("```")[0]
     work = work_of(loaded(tmp_path, text))
-    assert f"noise: {work.lives} lives of 20 s in {len(work.tasks)} tasks" in page
+    assert f"noise: {work.lives} episodes of 20 s in {len(work.tasks)} tasks" in page
 
 
 def test_what_a_plane_cannot_have_is_told_before_any_life(tmp_path: Path) -> None:
@@ -149,5 +149,5 @@ def test_what_a_plane_cannot_have_is_told_before_any_life(tmp_path: Path) -> Non
     (tmp_path / "loose.toml").write_text(text + movable)
     study = STUDY.replace('"default"', '"loose.toml"')
     assert work_of(loaded(tmp_path, study)).lives == 3
-    with pytest.raises(StudyError, match=r"study.toml:3: playpens: .*cylinder 1 is movable; right are fixed"):
+    with pytest.raises(StudyError, match=r"study.toml:3: playpens: .*cylinder 1 is movable; expected fixed"):
         work_of(loaded(tmp_path, study + "planar = true\n"))

@@ -121,7 +121,7 @@ def test_a_sweep_ends_with_its_means_and_where_they_are_from(tmp_path: Path) -> 
     ended = CliRunner().invoke(app, ["sweep", str(tmp_path / "study.toml")])
     assert ended.exit_code == 0, ended.output
     _, lives, *means, results = ended.stdout.splitlines()
-    assert lives == "24 lives, 0 failed; means:"
+    assert lives == "24 episodes, 0 failed; means:"
     assert [line.split()[:2] for line in means] == [
         ["default", name] for name in ("braitenberg", "drawn", "mine")
     ]
@@ -178,11 +178,11 @@ def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
 def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("dear diary")
-    with pytest.raises(StudyError, match=r"mine: holds notes.txt and no study.json; right is a new folder"):
+    with pytest.raises(StudyError, match=r"mine: holds notes.txt and no study.json; expected a new folder"):
         swept(tmp_path, output=tmp_path / "mine")
     assert [each.name for each in (tmp_path / "mine").iterdir()] == ["notes.txt"]
     swept(tmp_path)
-    with pytest.raises(StudyError, match=r"out: holds results of this study already; right is --resume"):
+    with pytest.raises(StudyError, match=r"out: holds results of this study already; expected --resume"):
         swept(tmp_path)
     with pytest.raises(StudyError, match=r"out: holds results of another study"):
         swept(tmp_path, STUDY, resume=True)
@@ -226,16 +226,16 @@ def test_what_is_damaged_is_told_by_file(tmp_path: Path) -> None:
     data = part.read_bytes()
     part.write_bytes(data[:4] + bytes(100) + data[104:])
     with pytest.raises(
-        StudyError, match=r"task-000001.parquet: does not hold lives 4 to 7, each once; right is"
+        StudyError, match=r"task-000001.parquet: does not hold episodes 4 to 7, each once; delete it"
     ):
         swept(tmp_path, text, resume=True)
     part.unlink()
     table = swept(tmp_path, text, resume=True)
     table.write_bytes(table.read_bytes()[:-100])
-    with pytest.raises(StudyError, match=r"results.parquet: is damaged; right is to delete it, and --resume"):
+    with pytest.raises(StudyError, match=r"results.parquet: damaged; delete it, and use --resume"):
         swept(tmp_path, text, resume=True)
     (tmp_path / "out" / "study.json").write_text("{")
-    with pytest.raises(StudyError, match=r"study.json: cannot be read, so nobody knows whose results"):
+    with pytest.raises(StudyError, match=r"study.json: cannot be read, so the study of these results"):
         swept(tmp_path, text, resume=True)
 
 
@@ -244,7 +244,7 @@ def test_a_folder_may_have_any_name_but_must_be_one(tmp_path: Path) -> None:
     assert "noise" in rows.column_names
     assert len(rows) == 3
     (tmp_path / "file").write_text("")
-    with pytest.raises(StudyError, match=r"file: cannot be made: File exists"):
+    with pytest.raises(StudyError, match=r"file: cannot be created: File exists"):
         swept(tmp_path, STUDY, output=tmp_path / "file")
 
 
@@ -257,7 +257,7 @@ def test_a_sweep_that_was_killed_at_its_very_beginning_can_be_begun_again(tmp_pa
 def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:
     @contextmanager
     def meanwhile(work: Work, tasks: Sequence[Task]) -> Iterator[Iterator[tuple[Task, bytes]]]:
-        with pytest.raises(StudyError, match=r"out: another sweep is at work there"):
+        with pytest.raises(StudyError, match=r"out: in use by another sweep"):
             swept(tmp_path, STUDY, resume=True)
         with here(1)(work, tasks) as done:
             yield iter(done)
@@ -295,7 +295,7 @@ def test_lives_are_measured_by_functions_of_ones_own(tmp_path: Path) -> None:
     with pytest.raises(KhepTwinError, match=r"^score.py:none: ValueError: could not convert string to float"):
         swept(tmp_path, STUDY + measure.format("none"), output=tmp_path / "none")
     with pytest.raises(
-        StudyError, match=r"study.toml:11: measure 1: name = \"seed\": taken; right is a name"
+        StudyError, match=r"study.toml:11: measure 1: name = \"seed\": taken; expected a unique name"
     ):
         swept(tmp_path, STUDY + measure.format("seed"))
     with pytest.raises(
@@ -325,7 +325,7 @@ def test_a_cluster_is_told_by_host_and_port() -> None:
     assert ray_workers.host_and_port("10.0.0.1:6379") == ("10.0.0.1", 6379)
     assert ray_workers.host_and_port("[::1]:6379") == ("::1", 6379)
     for wrong in ("10.0.0.1", ":6379", "host:", "host:0", "host:65536", "ray://host:10001"):
-        with pytest.raises(ValueError, match=rf"^{wrong}: right is HOST:PORT, such as .*, or auto$"):
+        with pytest.raises(ValueError, match=rf"^{wrong}: expected HOST:PORT, such as .*, or auto$"):
             ray_workers.host_and_port(wrong)
 
 
@@ -333,7 +333,7 @@ def test_a_worker_with_other_versions_does_nothing(tmp_path: Path) -> None:
     work = work_of(loaded(tmp_path, STUDY))
     data, trouble = ray_workers._do(replace(work, versions="khep_twin 9.9"), work.tasks[0])
     assert data == b""
-    assert re.search(r"a worker has khep_twin .* with mujoco .*; right is khep_twin 9.9, as here", trouble)
+    assert re.search(r"a worker has khep_twin .* with mujoco .*; expected khep_twin 9.9, as here", trouble)
 
 
 @pytest.mark.skipif(not HAS_RAY, reason="ray, the extra [ray], is not installed")

@@ -120,7 +120,7 @@ def test_a_fractional_speed_is_rounded_half_away_from_zero(line: Listener, given
 
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf"), 1e12, 10**400])
 def test_what_is_no_speed_is_not_sent(line: Listener, wrong: float) -> None:
-    with pytest.raises(ValueError, match=r"sms: speed_right = .*: right is a number"):
+    with pytest.raises(ValueError, match=r"sms: speed_right = .*; expected a number"):
         serial_commands.sms(2, 0, wrong)
     assert line.sent == []
 
@@ -142,11 +142,11 @@ def test_a_port_is_a_number_that_was_given_a_url_or_the_environments_or_a_url() 
 
 
 def test_a_port_that_nobody_has_chosen_says_what_to_do() -> None:
-    with pytest.raises(PortError, match=r"4: no port is chosen; right is ports\({4: .*KHEP_PORT_4="):
+    with pytest.raises(PortError, match=r"4: no port is chosen; expected ports\({4: .*KHEP_PORT_4="):
         serial_commands.rps(4)
-    with pytest.raises(PortError, match="port_id = 5: right is 1 to 4"):
+    with pytest.raises(PortError, match="port_id = 5; expected 1 to 4"):
         serial_commands.rps(5)
-    with pytest.raises(PortError, match="ports: 0: right is a number from 1 to 4"):
+    with pytest.raises(PortError, match="ports: 0; expected a number from 1 to 4"):
         serial_commands.ports({0: "khep://default"})
 
 

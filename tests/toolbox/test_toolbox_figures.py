@@ -96,11 +96,11 @@ def test_the_latest_graph_goes_to_paper_and_into_a_text() -> None:
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        (lambda: names.ddl(np.ones((3, 9)), 1500), "dv: is 3 x 9; right are rows of 10"),
+        (lambda: names.ddl(np.ones((3, 9)), 1500), "dv: is 3 x 9; expected rows of 10"),
         (lambda: names.ddl(np.ones((0, 10)), 1500), "dv: is 0 x 10"),
         (lambda: names.ddl(rows(9, 9) + 0.5, 1500), "not all are whole numbers"),
-        (lambda: names.ddl(rows(9, 9), 8000), "linear = 64 cm: right is 5 to 60"),
-        (lambda: names.ddr(rows(-9, 9), 40), "rotate = .* degrees: right is 15 to 360"),
+        (lambda: names.ddl(rows(9, 9), 8000), "linear = 64 cm; expected 5 to 60"),
+        (lambda: names.ddr(rows(-9, 9), 40), "rotate = .* degrees; expected 15 to 360"),
         (lambda: names.disonel(rows(9, 9), 1500, 9), "which_one = 9: no such sensor"),
         (lambda: names.dataprnt(), "there is no graph yet"),
     ],
@@ -154,7 +154,7 @@ def test_khepbase_is_opened_first_and_takes_whole_rows() -> None:
     with pytest.raises(KhepTwinError, match="khepbase: it is not open"):
         names.khepbase([0] * 8, [0] * 8, [0, 0])
     names.khepbase()
-    with pytest.raises(ValueError, match="light_data has 7 values; right are 8"):
+    with pytest.raises(ValueError, match="light_data has 7 values; expected 8"):
         names.khepbase([0] * 8, [0] * 7, [0, 0])
     with pytest.raises(ValueError, match="or nothing to open it"):
         names.khepbase([0] * 8)

@@ -112,11 +112,11 @@ def test_without_a_heading_it_looks_where_it_looked() -> None:
     ("x_mm", "y_mm", "message"),
     [
         (450, 255, "overlaps block 1 at"),
-        (10, 100, "overlaps the left wall at x = 0; right is 17.5 mm further in"),
+        (10, 100, "overlaps the left wall at x = 0; expected 17.5 mm further in"),
         (300, 495, "overlaps the top wall"),
         (700, 100, "outside the arena"),
         (-1e9, 100, "overlaps the left wall"),
-        (float("nan"), 100, "right are numbers"),
+        (float("nan"), 100, "expected finite numbers"),
         (300, 250, "overlaps robot 2"),
     ],
 )
@@ -164,7 +164,7 @@ def test_a_robot_moves_5_mm_and_its_counters_tell() -> None:
         names.movekhep(dirn, btmap1)
     assert pose(btmap1)[:2] == pytest.approx([310, 250], abs=0.3)
     assert names.sim_rpc(1) == pytest.approx([125, 125], abs=3)
-    with pytest.raises(ValueError, match="dirn = 2: right is 1 for forward or -1"):
+    with pytest.raises(ValueError, match="dirn = 2; expected 1 for forward or -1"):
         names.movekhep(2, btmap1)
 
 

@@ -153,7 +153,7 @@ def waiting(port_id: int, cycles_per_run: int, runs: int, pause_stat: float) -> 
         (
             lambda: (names.open_default(), names.roborun2(waiting, cycles_per_run=2)),
             ControllerError,
-            r"waiting: a cycle lets no time pass; right is kheprom\(btmap1\)",
+            r"waiting: a cycle lets no time pass; expected kheprom\(btmap1\)",
         ),
         (names.getstat, ControllerError, "there are no runs yet; expected roborun2 before"),
         (lambda: names.template("mine.m"), ControllerError, "expected a name that ends in .py"),

@@ -89,6 +89,6 @@ def test_what_is_no_test_moves_nothing() -> None:
     btmap1 = names.open_default()
     with pytest.raises(SensorTestError, match="linear = 70 cm"):
         names.simsense(linear_cm=70)
-    with pytest.raises(SensorTestError, match=r"right is a name that ends in \.csv"):
+    with pytest.raises(SensorTestError, match=r"expected a name that ends in \.csv"):
         names.simsense(linear_cm=10, save="data.txt")
     assert btmap1.time == 0

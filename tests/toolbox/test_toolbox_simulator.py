@@ -237,7 +237,7 @@ def test_without_a_playpen_it_is_told_how_one_is_opened(btmap1: OpenPlaypen) -> 
         names.kheprom(btmap1)
     names.close_playpen()
     for command in (lambda: names.sim_rps(2), lambda: names.kheprom(other)):
-        with pytest.raises(PlaypenError, match="no playpen is open; right is btmap1 = "):
+        with pytest.raises(PlaypenError, match="no playpen is open; expected btmap1 = "):
             command()
 
 

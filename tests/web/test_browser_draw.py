@@ -146,7 +146,7 @@ def test_what_was_not_saved_is_offered_again(visit: Visit, tmp_path: Path) -> No
     visit.page.goto("about:blank")
     wait_for(lambda: drafts(tmp_path) == ["unnamed"])
     visit.open()
-    visit.page.click("text=Go on with it")
+    visit.page.click("text=Continue it")
     visit.page.wait_for_selector(".kind-block.drawn")
     assert visit.count(".kind-block.drawn") == 1
 
@@ -170,7 +170,7 @@ def test_a_draft_is_offered_for_its_own_playpen_only_and_outlives_another(
     page.click("#open")
     page.click("#dialog .main")
     visit.wait("document.querySelector('#file').textContent === 'mine.toml'")
-    assert visit.count("text=Go on with it") == 0
+    assert visit.count("text=Continue it") == 0
     page.click("#save")
     page.wait_for_selector("text=Saved as mine.toml")
     assert (tmp_path / "mine.toml").read_bytes() == content
@@ -183,7 +183,7 @@ def test_a_draft_is_offered_for_its_own_playpen_only_and_outlives_another(
     page.wait_for_selector("html[data-ready]")
     visit.add("cylinder", (200, 200))
     wait_for(lambda: drafts(tmp_path) == ["unnamed", "unnamed"])
-    page.click("text=Go on with it")
+    page.click("text=Continue it")
     wait_for(lambda: drafts(tmp_path) == ["unnamed"])
     assert (visit.count(".kind-block.drawn"), visit.count(".kind-cylinder.drawn")) == (1, 0)
     page.click("#undo")  # what was drawn before is not lost either
@@ -207,7 +207,7 @@ def test_a_draft_is_thrown_away_only_when_the_person_says_so(visit: Visit, tmp_p
     visit.open()
     assert drafts(tmp_path) == ["unnamed", "unnamed"]
     for left in (1, 0):
-        page.click("text=Throw it away")
+        page.click("text=Discard it")
         wait_for(lambda count=left: len(drafts(tmp_path)) == count)
     assert visit.count(".banner") == 0
 
@@ -223,7 +223,7 @@ def test_a_draft_of_a_file_that_has_changed_since_does_not_replace_it_unasked(
     file = tmp_path / "mine.toml"
     file.write_text(file.read_text() + "# by an editor\n")
     visit.open()
-    page.click("text=Go on with it")
+    page.click("text=Continue it")
     page.wait_for_selector(".kind-block.drawn")
     page.click("#save")
     page.wait_for_selector("text=was changed by another page or program")
@@ -375,7 +375,7 @@ def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, t
     assert drafts(tmp_path) == ["both.toml"]
     visit.page.goto("about:blank")
     visit.open()
-    visit.page.click("text=Go on with it")
+    visit.page.click("text=Continue it")
     visit.page.wait_for_selector(".kind-lamp.drawn")
     visit.trouble = [text for text in visit.trouble if "409" not in text]
 

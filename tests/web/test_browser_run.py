@@ -229,7 +229,7 @@ def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> 
     visit.open()
     visit.wait("document.querySelector('#clock').textContent.includes('paused')")
     assert (visit.count(".drawn"), page.text_content("#file")) == (2, "mine.toml *")
-    visit.wait("document.querySelector('#pause').textContent === 'Go on'")
+    visit.wait("document.querySelector('#pause').textContent === 'Resume'")
     assert page.is_disabled("#run")
     assert page.input_value("#speed") == "2"
     page.click("#end")

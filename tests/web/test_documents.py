@@ -229,7 +229,7 @@ def test_refusals_name_no_options_of_the_command_line(asker: Asker, tmp_path: Pa
     scans: list[tuple[dict[str, Any], str, str]] = [
         ({"a": np.eye(50), "b": np.eye(60)}, "1", "several matrices (a: 50 x 50, b: 60 x 60)"),
         ({"btmap1": np.eye(50)}, "1", "btmap1: no pixel is 44"),
-        ({"btmap1": np.eye(200) * 44}, "0.6", "a block of 0.6 mm; right is at least 1 mm"),
+        ({"btmap1": np.eye(200) * 44}, "0.6", "a block of 0.6 mm; expected at least 1 mm"),
         ({"btmap1": np.eye(50) * 44}, "0", "0 mm per pixel: expected 0.001 to 1000"),
         ({"btmap1": np.eye(50) * 44}, "nan", "nan mm per pixel: expected 0.001 to 1000"),
         ({"btmap1": np.eye(50) * 44}, "1", "an arena of 50 x 50 mm within the walls"),

@@ -147,7 +147,7 @@ def test_a_number_of_400_digits_in_a_draft_is_told_with_its_place(asker: Asker, 
     status, told = asker.do("check", draft=draft)
     assert status == 200
     assert any(
-        key in problem["text"] and "right is a number" in problem["text"] for problem in told["problems"]
+        key in problem["text"] and "expected a number" in problem["text"] for problem in told["problems"]
     )
 
 

@@ -1,4 +1,4 @@
-// What goes between the page and its server.
+// Requests and messages between the page and its server.
 
 const base = location.pathname.replace(/[^/]*$/, "");
 export const tab = crypto.getRandomValues(new Uint32Array(2)).join("-");
@@ -45,7 +45,7 @@ async function read(answer) {
   return found;
 }
 
-// Hears the designer; lost(true, ended) is told when it goes, with whether it said that it ended, lost(false) when it is back.
+// Receives messages; calls lost(true, ended) when the designer goes, ended if it said so, lost(false) when it is back.
 export function listen(hear, lost) {
   let socket;
   const again = () => setTimeout(open, 1500);
@@ -58,7 +58,7 @@ export function listen(hear, lost) {
       again();
     };
   };
-  // A request that found nobody tells so before the socket does.
+  // A request that fails reports this before the socket does.
   drop = () => {
     if (!socket.onclose || socket.readyState > WebSocket.OPEN) return;
     socket.onclose = null;

@@ -63,14 +63,14 @@ export class Drawing {
     this.look(cx - (cx - x) * next, cy - (cy - y) * next, width * next, height * next);
   }
 
-  // Of a pointer, in mm.
+  // Position of a pointer, in mm.
   point(event) {
     const matrix = this.world.getScreenCTM().inverse();
     const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix);
     return [at.x, at.y];
   }
 
-  // How many mm a pixel of the screen is.
+  // Size of a screen pixel in mm.
   get pixel() {
     return 1 / this.world.getScreenCTM().a;
   }
@@ -108,7 +108,7 @@ export class Drawing {
     this.why();
   }
 
-  // What is selected, and what is wrong.
+  // Marks the selection, and the things with problems.
   marks() {
     const bad = new Map();
     for (const { place: at, text } of this.model.problems) {
@@ -127,7 +127,7 @@ export class Drawing {
     this.why();
   }
 
-  // Why the selected things, or the only wrong one, cannot be where they are.
+  // Reasons why the selected things, or the only wrong one, cannot be where they are.
   why() {
     const shown = [...(this.bad ?? [])].filter(([id]) => this.model.selected.has(id) || this.bad.size === 1).slice(0, 3);
     this.reasons(
@@ -138,7 +138,7 @@ export class Drawing {
     );
   }
 
-  // Reasons beside the places that they are about.
+  // Draws reasons beside the positions that they are about.
   reasons(shown) {
     const size = 13 * this.pixel;
     this.labels.replaceChildren(
@@ -200,7 +200,7 @@ export class Drawing {
     return make("g", {}, make("circle", { r: radius, class: "shape body" }), ...wheels, ...this.#turrets(turrets), nose, ...eyes);
   }
 
-  // What turrets have, by part, as at start; those that are not installed here have no parts.
+  // Parts of turrets, as at start; those that are not installed here have no parts.
   #turrets(names) {
     const parts = names.flatMap((name) => this.turrets[name]?.parts ?? []);
     return parts.map(({ points_mm, rgb }) => make("path", { class: "turret", d: closed(points_mm), fill: `rgb(${rgb})` }));

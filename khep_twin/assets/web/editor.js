@@ -1,9 +1,9 @@
-// The hand on the drawing: mouse, finger, pen and keys.
+// Input to the drawing: mouse, finger, pen and keys.
 
 import { make } from "./drawing.js";
 import { angle, drawable, shift, tidy, turn } from "./model.js";
 
-// Told apart by their shapes: an arrow around for turning, a square for the size, a disc for a corner.
+// Distinguished by their shapes: an arrow around for turning, a square for the size, a disc for a corner.
 const HANDLES = {
   turn: { title: "Drag to turn", draw: () => [make("circle", { r: 10 }), make("path", { d: "M4.5 -2.6A5.2 5.2 0 1 0 5 1.5M5.6 -6.4V-2H1.2", class: "arrow" })] },
   size: { title: "Drag to change the size", draw: () => [make("rect", { x: -6, y: -6, width: 12, height: 12 })] },
@@ -94,7 +94,7 @@ export class Editor {
     if (event.button === 1 || this.running.active || (event.button === 0 && event.ctrlKey && !target)) {
       this.#act = { kind: "pan", at: [event.clientX, event.clientY], view: { ...drawing.view } };
     } else if (event.button === 2) {
-      // As in the toolbox's designer: the right button takes away.
+      // As in the toolbox's designer: the right button removes.
       if (target?.dataset.id) {
         model.select([target.dataset.id]);
         model.remove();
@@ -156,7 +156,7 @@ export class Editor {
       return;
     }
     const { left, top, width, height } = this.drawing.svg.getBoundingClientRect();
-    // What was between the fingers stays there.
+    // The position between the fingers stays there.
     const factor = Math.min(Math.max((view.width * from.length) / now.length, 40), 30000) / view.width;
     const [cx, cy] = [view.x + view.width / 2 + (from.x - left - width / 2) * pixel, view.y + view.height / 2 + (from.y - top - height / 2) * pixel];
     const [dx, dy] = [(now.x - left - width / 2) * pixel * factor, (now.y - top - height / 2) * pixel * factor];
@@ -177,7 +177,7 @@ export class Editor {
     if (this.#wall && !act) this.#sketch(this.#inside(at, event.altKey));
     this.told(this.tool, at);
     if (!act) return;
-    // No more than once a frame, however often the mouse tells.
+    // No more than once a frame, however often the mouse moves.
     this.last = { at, event };
     if (this.pending) return;
     this.pending = requestAnimationFrame(() => {
@@ -283,7 +283,7 @@ export class Editor {
     this.#placed();
   }
 
-  // Where a single selected thing can be turned and sized.
+  // Handles to turn and size a single selected thing.
   handles() {
     const { drawing, model } = this;
     const { over } = drawing;

@@ -35,7 +35,7 @@ export class Fields {
   }
 
   show() {
-    // What was typed into stays: Tab goes on to the field after it.
+    // The field that was typed into stays: Tab goes on to the field after it.
     if (this.taking) return this.fresh(true);
     const { model } = this;
     const ids = [...model.selected];
@@ -130,12 +130,12 @@ export class Fields {
       try {
         value = input.value.trim() ? JSON.parse(`[${input.value}]`) : undefined;
       } catch {
-        return wrong(input, "right are values with commas between them");
+        return wrong(input, "expected values with commas between them");
       }
       // Drawn as it is typed, so it has to have corners.
       if (PLACES.has(key) && !(value ?? []).every((at) => at?.length === 2 && at.every?.((each) => Math.abs(each) <= 1e5 && typeof each === "number")))
-        return wrong(input, "right are places, such as [0, 0], [600, 0]");
-      if (key === "points_mm" && !(value?.length > 1)) return wrong(input, "right are two places and more, such as [0, 0], [600, 0]");
+        return wrong(input, "expected positions, such as [0, 0], [600, 0]");
+      if (key === "points_mm" && !(value?.length > 1)) return wrong(input, "expected two positions or more, such as [0, 0], [600, 0]");
       input.setCustomValidity("");
     } else value = input.value || undefined;
     for (const thing of things) {

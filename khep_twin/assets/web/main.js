@@ -53,7 +53,7 @@ function banner(text, kind = "", choices = {}, about = text) {
   away.addEventListener("click", close);
   box.append(away);
   $("#banners").append(box);
-  // What offers a choice is not pushed out.
+  // Banners that offer a choice are not pushed out.
   if ($("#banners").children.length > 4) [...$("#banners").children].find((each) => each.childElementCount === 2)?.remove();
   if (!Object.keys(choices).length && (kind !== "error" || about === "hand")) setTimeout(close, 8000);
   return close;
@@ -68,14 +68,14 @@ function errors(about) {
 }
 
 async function attempt(act, about) {
-  // What comes up meanwhile, as from a twin that does not start, stays.
+  // Banners of meanwhile, as from a twin that does not start, stay.
   const before = errors(about);
   try {
     const found = await act();
     for (const each of before) each.remove();
     return found;
   } catch (error) {
-    // That the designer is gone is told once, by itself.
+    // The loss of the designer is reported once, elsewhere.
     if (!error.unreached) banner(error.message, "error", {}, about);
     return undefined;
   }
@@ -106,7 +106,7 @@ async function choose(title, names, empty) {
   return (await ask(title, list)) ? list.value : null;
 }
 
-// Changes that are not saved are thrown away with their draft: ask before.
+// Changes that are not saved are discarded with their draft: ask before.
 async function mayLeave() {
   const text = Object.assign(document.createElement("p"), { textContent: "There are changes that are not saved." });
   if (model.changed && !(await ask("Leave this playpen?", text, "Discard them"))) return false;
@@ -115,7 +115,7 @@ async function mayLeave() {
 }
 
 function show(found, base) {
-  // What these say is about the document that was open.
+  // These banners are about the document that was open.
   for (const each of [...$("#banners").children]) if (["file", "draft", "conflict", "others"].includes(each.dataset.about)) each.remove();
   model.load(found, base);
   hasDraft = false;
@@ -124,7 +124,7 @@ function show(found, base) {
   say({ file: model.file, tab, ask: true });
 }
 
-// Opens a document in place of the one whose changes the person has given up, and offers the drafts left of it.
+// Opens a document in place of the one whose changes the user has discarded, and offers the drafts left of it.
 function leaveFor(found, base) {
   const before = model.file;
   show(found, base);
@@ -157,7 +157,7 @@ function offer(left) {
   const { file, opened } = model;
   const when = new Date(kept.time * 1000).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   const close = banner(`A draft of ${file ?? "a new playpen"} was never saved (${when}).`, "", {
-    "Go on with it": async () => {
+    "Continue it": async () => {
       if (running.active && !running.real) {
         offer(left);
         throw new Error("A twin runs in this drawing: end it first.");
@@ -170,7 +170,7 @@ function offer(left) {
       model.replace(now.draft);
       if (await keepNow()) await post("keep", { file, draft: null, page: kept.page });
     },
-    "Throw it away": async () => {
+    "Discard it": async () => {
       await post("keep", { file, draft: null, page: kept.page });
       if (model.opened === opened) offer(others);
     },
@@ -219,7 +219,7 @@ async function take(file) {
   if (!file || !(await mayLeave())) return;
   const input = Object.assign(document.createElement("input"), { type: "number", value: 1, step: "any", min: 0.01 });
   const label = document.createElement("label");
-  label.append("How many mm is a pixel of it? ", input);
+  label.append("Size of a pixel in mm: ", input);
   if (!(await ask(`Import ${file.name}`, label, "Import"))) return;
   const leaving = leaveFor(await upload(file, input.value), {});
   model.saved = "";
@@ -306,7 +306,7 @@ function legend() {
   });
   const counts = KINDS.map((kind) => [kind, model.list(kind).length]).filter(([, count]) => count);
   const live = Object.assign(document.createElement("div"), { className: "live-only" });
-  live.append(...[["seen", "what a sensor sees"], ["way", "the way so far"]].flatMap(([name, text]) => [Object.assign(document.createElement("i"), { className: name }), text]));
+  live.append(...[["seen", "field of view"], ["way", "path so far"]].flatMap(([name, text]) => [Object.assign(document.createElement("i"), { className: name }), text]));
   $("#legend").replaceChildren(...entries.flat(), ` · ${counts.map(([kind, count]) => `${count} ${count === 1 ? kind : PLURALS[kind] ?? `${kind}s`}, `).join("")}dotted: movable, dashed with !: wrong`, live);
 }
 
@@ -327,11 +327,11 @@ model.addEventListener("moved", () => check());
 
 const KEYS = [
   ["V B C W L R P S", "select, block, cylinder, wall, lamp, robot, patch, spot; twice, or a double click on the tool: kept for several objects"],
-  ["Enter", "puts the tool's object into the middle; ends a wall"],
+  ["Enter", "put the tool's object into the middle; end a wall"],
   ["Tab, Shift+Tab", "from object to object"],
   ["arrows", "move by the grid, with Shift ten times, with Alt 1 mm; with nothing selected, the view"],
   ["[ ]", "turn by the angle, with Alt 1°"],
-  ["Delete, right button", "take away"],
+  ["Delete, right button", "remove"],
   ["Ctrl+D, Ctrl+A, Ctrl+Z, Ctrl+Y, Ctrl+S", "copy, select all, undo, redo, save"],
   ["Shift+click, drag on the floor", "select several"],
   ["Alt while dragging", "without grid"],
@@ -356,7 +356,7 @@ function press(id, act) {
   $(`#${id}`).addEventListener("click", () => attempt(act, FILES.includes(id) ? "file" : id));
 }
 
-const drawn = (act) => () => (running.active && !running.real ? banner("A twin runs in this drawing; right is to end it first.") : act());
+const drawn = (act) => () => (running.active && !running.real ? banner("A twin runs in this drawing: end it first.") : act());
 press("new", async () => {
   const name = await choose("New from the library", hello.library);
   if (name && (await mayLeave())) await leaveFor(await post("library", { name }), { library: name });
@@ -416,7 +416,7 @@ document.addEventListener("keydown", (event) => {
 });
 addEventListener("pagehide", () => keepNow({ keepalive: true }));
 addEventListener("beforeunload", (event) => {
-  // Nobody keeps a draft any more.
+  // No draft is kept any more.
   if (gone && model.changed) event.preventDefault();
 });
 document.addEventListener("visibilitychange", () => document.hidden && keepNow({ keepalive: true }));
@@ -460,9 +460,9 @@ function hear(message) {
   else if (message.kind === "page") {
     const other = JSON.parse(message.said);
     if (other.tab === tab || other.file !== model.file) return;
-    // It still works on what was taken for left.
+    // The other page still works on a draft that was taken for abandoned.
     if (other.tab === offered?.page) offered.close();
-    banner(`Another page has ${model.file ?? "a new playpen"} open, too: who saves second is asked first.`, "", {}, "others");
+    banner(`Another page has ${model.file ?? "a new playpen"} open, too: the second to save is asked first.`, "", {}, "others");
     if (other.ask) say({ file: model.file, tab });
   } else running.hear(message);
 }
@@ -505,7 +505,7 @@ drawing.turrets = hello.turrets;
   show(hello, hello.version ? { file: hello.file } : {});
   if (hello.trouble) banner(hello.trouble, "error", {}, "file");
   if (hello.runs && hello.runs.file === hello.file) {
-    // What a twin runs in is shown as it is, saved or not.
+    // A twin's playpen is shown as it is, saved or not.
     model.replace(hello.runs.draft);
     drawing.fit();
     $('[data-tab="run"]').click();

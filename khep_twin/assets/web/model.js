@@ -1,4 +1,4 @@
-// The playpen that is drawn: a draft in the keys of its file, what is selected of it, and what was before.
+// The playpen that is drawn: a draft in the keys of its file, the selection, and the history.
 
 export const KINDS = ["patch", "wall", "block", "cylinder", "spot", "lamp", "robot"];
 
@@ -60,7 +60,7 @@ export class Model extends EventTarget {
     this.#tell("selection");
   }
 
-  // After a change: keeps what was before for undo.
+  // After a change: keeps the previous state for undo.
   commit() {
     const now = JSON.stringify(this.draft);
     if (now !== this.#now) {
@@ -171,6 +171,6 @@ export const angle = (degrees) => {
   const turned = ((degrees % 360) + 360) % 360;
   return tidy(turned > 180 ? turned - 360 : turned);
 };
-// What is typed may be no number yet, or a monstrous one: what it is drawn as meanwhile.
+// A typed value may be no number yet, or a huge one: returns the value to draw meanwhile.
 export const drawable = (value, otherwise = 0) => (Number.isFinite(value) ? Math.min(Math.max(value, -1e5), 1e5) : otherwise);
 export const tidy = (value) => Math.round(value * 100) / 100;

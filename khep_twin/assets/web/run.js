@@ -1,4 +1,4 @@
-// What runs: a twin in the drawing or a robot at a port, live, with a hand that can lift it.
+// The running twin in the drawing or robot at a port, live, with a hand that can lift it.
 
 import { post } from "./api.js";
 import { closed, make, place } from "./drawing.js";
@@ -8,7 +8,7 @@ import { Panel, SENSORS, write } from "./panel.js";
 const $ = (selector) => document.querySelector(selector);
 const number = (selector) => ($(selector).value === "" ? null : $(selector).valueAsNumber);
 
-// Where a robot has been: of many short paths only the last is drawn anew.
+// Path of a robot so far: of many short paths only the last is drawn anew.
 class Trail {
   node = make("g");
   #last = null;
@@ -118,11 +118,11 @@ export class Running {
     const picture = $("#figure");
     URL.revokeObjectURL(picture.src);
     picture.src = URL.createObjectURL(blob);
-    picture.alt = "Counts of the sensors over the way";
+    picture.alt = "Counts of the sensors over the path";
     picture.hidden = false;
   }
 
-  // Waits until the twin is there, as a large playpen takes a moment; or is not, for a reason that was told.
+  // Waits until the twin is there, as a large playpen takes a moment; or is not, for a reason that was shown.
   async #there() {
     for (let tries = 0; tries < 300 && !this.active && !this.failed; tries++) await new Promise((done) => setTimeout(done, 100));
     return this.active;
@@ -160,7 +160,7 @@ export class Running {
     const chosen = $("#which");
     chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
     this.model.select([]);
-    if (!real && message.playpen !== this.model.draft.name) this.banner(`The twin that runs is in ${message.playpen}, not in this drawing: another page has started it.`, "error");
+    if (!real && message.playpen !== this.model.draft.name) this.banner(`The running twin is in ${message.playpen}, not in this drawing: another page has started it.`, "error");
     for (const part of [this.drawing.svg, $("#arena")]) part.classList.toggle("running", !real);
     this.#shape();
     if (!real) this.#live();
@@ -244,7 +244,7 @@ export class Running {
     $("#runs-done tbody").append(row);
   }
 
-  // The last of what the controller prints; it scrolls along unless somebody reads further up.
+  // The last of what the controller prints; it scrolls along unless the user reads further up.
   #printed(text) {
     const box = $("#printed");
     const along = box.scrollTop + box.clientHeight >= box.scrollHeight - 4;
@@ -272,14 +272,14 @@ export class Running {
     $("#end").disabled = !active;
     $("#stop").disabled = !active;
     $("#run").disabled = $("#gather").disabled = busy;
-    $("#pause").textContent = this.paused ? "Go on" : "Pause";
+    $("#pause").textContent = this.paused ? "Resume" : "Pause";
     $("#connect").disabled = active && !real;
     document.body.classList.toggle("running", active);
-    // The drawing is what the twin was made of, and stays so.
+    // The twin was made from the drawing, which stays as it is.
     for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = active && !real;
   }
 
-  // The hand: lift a robot, put it down; a click on a lamp switches it. Whether the hand has taken something.
+  // The hand: lift a robot, put it down; a click on a lamp switches it. Returns whether the hand has taken something.
   down(event, at, target) {
     if (this.real || !this.last || event.button !== 0) return false;
     const live = target?.closest?.(".live");
@@ -308,7 +308,7 @@ export class Running {
     this.#ask(held);
   }
 
-  // Asks if a held robot has room where it is by now: one question at a time.
+  // Asks if a held robot has room at its position: one question at a time.
   #ask(held) {
     held.moved = true;
     if (held.asked) return;

@@ -1,4 +1,4 @@
-"""The checks of `conformance` that leave the robot where it is, in the order in which they run."""
+"""Checks of `conformance` that leave the robot where it is, in the order in which they run."""
 
 import re
 from collections.abc import Callable
@@ -7,17 +7,17 @@ from khep_twin.lab.conformance.conformance import Check, Deviation, Line
 from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, N_SENSORS
 
 ALL: list[Check] = []
-"""Every check; `check` adds to it."""
+"""All checks; `check` adds to them."""
 
 FIRST_BYTE = 0.010
-"""Longest wait for a reply's first byte, behind the command's time on the line [s] (what hosts bear)."""
+"""Longest wait for a reply's first byte after the command's time on the line [s] (hosts tolerate it)."""
 
 SETTLE = 0.2
-"""Silence after which a banner is over [s]."""
+"""Silence that ends a banner [s]."""
 
 
 def check(name: str, section: str, moves: str = "") -> Callable[[Callable[[Line], None]], None]:
-    """Adds a function to the checks."""
+    """Return a decorator that adds a function to the checks."""
 
     def add(body: Callable[[Line], None]) -> None:
         ALL.append(Check(name, section, moves, body))
@@ -26,10 +26,10 @@ def check(name: str, section: str, moves: str = "") -> Callable[[Callable[[Line]
 
 
 def within(request: str, values: list[int], low: int, high: int) -> None:
-    """Checks that numbers of a reply lie in a range."""
+    """Raise a `Deviation` if a number of a reply is out of range."""
     for value in values:
         if not low <= value <= high:
-            raise Deviation(f"{request!r} gave {value}; right is {low} to {high}")
+            raise Deviation(f"{request!r} gave {value}; expected {low} to {high}")
 
 
 # Grammar -------------------------------------------------------------------------------------------------
@@ -50,13 +50,13 @@ def _empty_lines(line: Line) -> None:
     line.silent("after empty lines")
 
 
-@check("bytes that come one at a time are as good as a line", "3.2")
+@check("bytes sent one at a time make up a line", "3.2")
 def _single_bytes(line: Line) -> None:
     for byte in "G,12,-34\n":
         line.send(byte)
         line.sleep(0.002)
     if (answer := line.reply("G,12,-34")) != "g":
-        raise Deviation(f"'G,12,-34' was answered {answer!r}; right is 'g'")
+        raise Deviation(f"'G,12,-34' was answered {answer!r}; expected 'g'")
 
 
 @check("a burst of seven commands is answered in order", "3.2")
@@ -67,7 +67,7 @@ def _burst(line: Line) -> None:
         raise Deviation(f"E H N O K B E was answered in the order {' '.join(heads)}")
 
 
-@check("what is no command is not found", "3.2")
+@check("an unknown command is answered with Command not found", "3.2")
 def _unknown_words(line: Line) -> None:
     for word in ("hello", "d,5,5", "n", "b", "XY", " ", "  ", "\x01", "?", "x" * 65, *"MQSUVXYZ"):
         line.expect(word, "Command not found")
@@ -88,7 +88,7 @@ def _signs(line: Line) -> None:
         raise Deviation(f"G,+5,-005 set the counters to {numbers}")
 
 
-@check("a line that is far too long gets one answer and does no harm", "3.2")
+@check("an over-long line gets one reply and has no other effect", "3.2")
 def _long_line(line: Line) -> None:
     line.send("D," + "1" * 600 + "\n")
     line.reply("a line of 602 bytes")
@@ -96,32 +96,32 @@ def _long_line(line: Line) -> None:
     line.expect("G,3,4", "g")
 
 
-@check("after rubbish the line is in step again", "3.2")
+@check("commands work again after rubbish", "3.2")
 def _rubbish(line: Line) -> None:
     line.send(bytes(byte for byte in range(256) if byte not in b"\r\n").decode("latin-1") + "\n")
     line.reply("binary rubbish")
     line.expect("G,1,2", "g")
     if (numbers := line.numbers("H", "h", 2)) != [1, 2]:
-        raise Deviation(f"after rubbish H gave {numbers}; right is [1, 2]")
+        raise Deviation(f"after rubbish H gave {numbers}; expected [1, 2]")
 
 
 # Commands ------------------------------------------------------------------------------------------------
 
 
-@check("B tells the versions of BIOS and protocol", "A, command B")
+@check("B reads the versions of BIOS and protocol", "A, command B")
 def _versions(line: Line) -> None:
     answer = line.ask("B")
     if not re.fullmatch(r"b,\d+\.\d+,\d+\.\d+", answer):
-        raise Deviation(f"'B' was answered {answer!r}; right is like 'b,5.02,5.01'")
+        raise Deviation(f"'B' was answered {answer!r}; expected a reply such as 'b,5.02,5.01'")
 
 
-@check("A and F take the gains of a reset", "A, commands A and F")
+@check("A and F accept the default gains", "A, commands A and F")
 def _gains(line: Line) -> None:
     line.expect("A,3800,800,100", "a")
     line.expect("F,3000,20,4000", "f")
 
 
-@check("J takes the trapezoid of a reset, four numbers", "A, command J")
+@check("J accepts the default profile, four numbers", "A, command J")
 def _profile(line: Line) -> None:
     line.expect("J,20,64,20,64", "j")
 
@@ -134,7 +134,7 @@ def _counters(line: Line) -> None:
             raise Deviation(f"after G,{left},{right} H gave {numbers}")
 
 
-@check("E reads two speeds, and a robot at rest has none", "A, command E")
+@check("E reads two speeds, which are 0 for a robot at rest", "A, command E")
 def _speeds(line: Line) -> None:
     line.expect("D,0,0", "d")
     line.sleep(0.3)
@@ -150,7 +150,7 @@ def _setters(line: Line) -> None:
     line.expect("D,0,0", "d")
 
 
-@check("K tells target, mode and error of both wheels", "A, command K")
+@check("K reads target, mode and error of both wheels", "A, command K")
 def _status(line: Line) -> None:
     modes: list[int] = []
     for request, reply in (("D,0,0", "d"), ("G,0,0", "g"), ("C,0,0", "c"), ("P,0,0", "p")):
@@ -166,7 +166,7 @@ def _status(line: Line) -> None:
     line.expect("D,0,0", "d")
     # Speed, position, PWM are 0, 1, 2; versions of the ROM before 5 have speed and position exchanged.
     if modes not in ([0, 1, 2], [1, 0, 2]):
-        raise Deviation(f"in speed, position and PWM mode K told {modes}; right is 0, 1, 2")
+        raise Deviation(f"in speed, position and PWM mode K gave {modes}; expected 0, 1, 2")
 
 
 @check("N reads eight proximity values of 10 bits", "A, command N")
@@ -185,7 +185,7 @@ def _converter(line: Line) -> None:
         within(f"I,{channel}", line.numbers(f"I,{channel}", "i", 1), 0, COUNTS_LIMIT)
 
 
-@check("L switches both LEDs off, on and over", "A, command L")
+@check("L switches both LEDs off and on, and toggles them", "A, command L")
 def _leds(line: Line) -> None:
     for led in (0, 1):
         for action in (1, 2, 0):
@@ -197,7 +197,7 @@ def _no_led(line: Line) -> None:
     for request in ("L,5,0", "L,0,7"):
         answer = line.ask(request)
         if not answer.startswith("z,"):
-            raise Deviation(f"{request!r} was answered {answer!r}; right is a line that starts with 'z,'")
+            raise Deviation(f"{request!r} was answered {answer!r}; expected a line that starts with 'z,'")
 
 
 @check("W writes and R reads a byte of the extension bus", "A, commands R and W")
@@ -211,7 +211,7 @@ def _turrets(line: Line) -> None:
     for turret in (1, 2, 4, 31):
         answer = line.ask(f"T,{turret},B")
         if not answer.startswith((f"t,{turret},b", "z,")):
-            raise Deviation(f"'T,{turret},B' was answered {answer!r}; right is 't,{turret},b,…' or 'z,…'")
+            raise Deviation(f"'T,{turret},B' was answered {answer!r}; expected 't,{turret},b,…' or 'z,…'")
 
 
 # Time ----------------------------------------------------------------------------------------------------
@@ -251,12 +251,10 @@ def _tools(line: Line) -> None:
         line.send(tool + "\n")
         told = line.read_until_quiet(SETTLE)
         if not told.endswith(b"\r\n") or told.startswith(b"Command not found"):
-            raise Deviation(
-                f"the tool {tool!r} was answered {told[:60]!r}; right are lines that end in CR LF"
-            )
+            raise Deviation(f"the tool {tool!r} was answered {told[:60]!r}; expected lines that end in CR LF")
         if told.count(b"\n") != told.count(b"\r\n") or not told.isascii():
             raise Deviation(
-                f"the tool {tool!r} was answered {told[:60]!r}…; right are plain lines, CR LF each"
+                f"the tool {tool!r} was answered {told[:60]!r}…; expected plain lines, CR LF each"
             )
 
 
@@ -272,10 +270,10 @@ def _restart(line: Line) -> None:
     if banner := line.read_for(0.5):
         banner += line.read_until_quiet(SETTLE)
     if not banner.endswith(b"\r\n") or banner.count(b"\n") != banner.count(b"\r\n"):
-        raise Deviation(f"'restart' was answered {banner!r}; right are lines that end in CR LF")
+        raise Deviation(f"'restart' was answered {banner!r}; expected lines that end in CR LF")
     if not any(b"ROM of minirobot KHEPERA" in text for text in banner.split(b"\r\n")):
-        raise Deviation(f"'restart' was answered {banner!r}; right is a line with 'ROM of minirobot KHEPERA'")
+        raise Deviation(f"'restart' was answered {banner!r}; expected a line with 'ROM of minirobot KHEPERA'")
     if (numbers := line.numbers("H", "h", 2)) != [0, 0]:
-        raise Deviation(f"after a restart H gave {numbers}; right is [0, 0]")
+        raise Deviation(f"after a restart H gave {numbers}; expected [0, 0]")
     if (numbers := line.numbers("E", "e", 2)) != [0, 0]:
-        raise Deviation(f"after a restart E gave {numbers}; right is [0, 0]")
+        raise Deviation(f"after a restart E gave {numbers}; expected [0, 0]")

@@ -1,8 +1,7 @@
-"""Conformance: whether what is at the end of a port speaks the Khepera's serial protocol.
+"""Conformance of a robot or twin at a port to the Khepera's serial protocol.
 
 One body of checks for twin and robot. Each check is a function of a `Line` that raises `Deviation`, and names
-the section of the manual (Khepera User Manual 5.02) that it stands on. What moves the robot runs only if
-asked.
+the section of the manual (Khepera User Manual 5.02) that it tests. Checks that move the robot are optional.
 """
 
 import json
@@ -19,14 +18,14 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, PortError
 
 SILENCE = 0.1
-"""How long a line must stay silent before it counts as silent [s]: what impatient hosts wait for a reply."""
+"""Time without a byte after which a line counts as silent [s]; impatient hosts wait as long for a reply."""
 
 
 _NUMBER = re.compile("-?(0|[1-9][0-9]*)")
 
 
 class Deviation(KhepTwinError):
-    """Something that the protocol does not allow."""
+    """Error raised where a reply deviates from the protocol."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +33,10 @@ class Check:
     """One check.
 
     Attributes:
-        name: what holds, as a sentence.
-        section: of the manual, that it stands on.
-        moves: how the robot moves meanwhile; empty if it does not.
-        body: does the check.
+        name: Tested statement.
+        section: Section of the manual.
+        moves: Motion of the robot during the check; empty if it stands still.
+        body: Function that runs the check.
     """
 
     name: str
@@ -48,7 +47,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """How a check ended; `deviation` is empty if it passed."""
+    """Result of a check; `deviation` is empty if it passed."""
 
     name: str
     section: str
@@ -57,12 +56,12 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """How all checks ended.
+    """Results of all checks.
 
     Attributes:
-        port: what was checked.
-        results: in the order of the checks.
-        skipped: names of the checks that would have moved the robot.
+        port: URL of the port.
+        results: Results in the order of the checks.
+        skipped: Names of the checks that were left out as they move the robot.
     """
 
     port: str
@@ -71,61 +70,61 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """Whether every check passed."""
+        """True if every check passed."""
         return not any(result.deviation for result in self.results)
 
     def text(self) -> str:
-        """A page that a person can read."""
+        """Return the report as readable text."""
         failed = [result for result in self.results if result.deviation]
         lines = [
             f"{'FAIL' if result.deviation else 'ok  '}  {result.name} [{result.section}]"
             for result in self.results
         ]
-        lines += [f"skip  {name} (moves the robot; asked for by --move)" for name in self.skipped]
+        lines += [f"skip  {name} (moves the robot; enable with --move)" for name in self.skipped]
         lines += [f"\n{result.name}\n    {result.deviation}" for result in failed]
         lines.append(f"\n{self.port}: {len(self.results) - len(failed)} passed, {len(failed)} failed")
         return "\n".join(lines)
 
     def json(self) -> str:
-        """The same for programs."""
+        """Return the report as JSON."""
         return json.dumps({"passed": self.passed, **asdict(self)}, indent=2)
 
 
 class Line:
-    """A port of pyserial, and the port's own time."""
+    """A pyserial port with its own time."""
 
     def __init__(self, port: Any) -> None:
         self.port = port
         port.timeout = 1.0
 
     def ask(self, request: str, end: str = "\n") -> str:
-        """The one reply to a line, without its ending; checks that it is one line and ends in CR LF."""
+        """Send a line and return its reply without CR LF; raise a `Deviation` unless it is one line."""
         self.send(request + end)
         return self.reply(request)
 
     def send(self, text: str) -> None:
-        """Writes to the robot."""
+        """Send text to the robot."""
         self.port.write(text.encode("latin-1"))
 
     def reply(self, request: str) -> str:
-        """The next reply, without its ending."""
+        """Return the next reply without CR LF."""
         line: bytes = self.port.read_until(b"\n")
         if not line:
             raise Deviation(f"no reply to {request!r} within {self.port.timeout} s")
         if not line.endswith(b"\r\n") or b"\r" in line[:-2]:
-            raise Deviation(f"{request!r} was answered {line!r}; right is one line that ends in CR LF")
+            raise Deviation(f"{request!r} was answered {line!r}; expected one line that ends in CR LF")
         if not line.isascii():
-            raise Deviation(f"{request!r} was answered {line!r}; right is plain ASCII")
+            raise Deviation(f"{request!r} was answered {line!r}; expected plain ASCII")
         return line[:-2].decode("ascii")
 
     def silent(self, why: str) -> None:
-        """Checks that nothing comes."""
+        """Raise a `Deviation` if anything is received."""
         data = self.read_for(SILENCE)
         if data:
-            raise Deviation(f"{why}: {data!r} came; right is silence")
+            raise Deviation(f"{why}: received {data!r}; expected silence")
 
     def read_for(self, duration: float) -> bytes:
-        """What comes within a time [s]."""
+        """Return the bytes received within a duration [s]."""
         before, self.port.timeout = self.port.timeout, duration
         try:
             return self.port.read(4096)
@@ -133,34 +132,34 @@ class Line:
             self.port.timeout = before
 
     def read_until_quiet(self, quiet: float) -> bytes:
-        """What comes until nothing has come for a time [s]: a text of any number of lines."""
+        """Return the bytes received until the line was quiet for a duration [s]: any number of lines."""
         told = b""
         while more := self.read_for(quiet):
             told += more
         return told
 
     def numbers(self, request: str, letter: str, count: int) -> list[int]:
-        """The whole numbers of a reply, of which there must be so many."""
+        """Return the integers of a reply; raise a `Deviation` unless there are `count`."""
         answer = self.ask(request)
         head, *fields = answer.split(",")
         if head != letter or len(fields) != count:
-            raise Deviation(f"{request!r} was answered {answer!r}; right is {letter!r} and {count} numbers")
+            raise Deviation(f"{request!r} was answered {answer!r}; expected {letter!r} and {count} numbers")
         if not all(_NUMBER.fullmatch(field) for field in fields):
-            raise Deviation(f"{request!r} was answered {answer!r}; right are plain whole numbers")
+            raise Deviation(f"{request!r} was answered {answer!r}; expected plain integers")
         return [int(field) for field in fields]
 
     def expect(self, request: str, reply: str, end: str = "\n") -> None:
-        """Checks for one fixed reply."""
+        """Raise a `Deviation` unless a request gets this reply."""
         answer = self.ask(request, end)
         if answer != reply:
-            raise Deviation(f"{request + end!r} was answered {answer!r}; right is {reply!r}")
+            raise Deviation(f"{request + end!r} was answered {answer!r}; expected {reply!r}")
 
     def sleep(self, duration: float) -> None:
-        """Waits in the port's own time [s]."""
+        """Wait for a duration in the port's own time [s]."""
         getattr(self.port, "sleep", time.sleep)(duration)
 
     def time(self) -> float:
-        """The port's own time [s]."""
+        """Return the port's own time [s]."""
         time_ns = getattr(self.port, "time_ns", None)
         return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
 
@@ -168,22 +167,22 @@ class Line:
 def conform(
     url: str, *, move: bool = False, baudrate: int = 9600, tell: Callable[[Check], None] | None = None
 ) -> Report:
-    """Checks what is at the end of a port.
+    """Check the robot or twin at a port.
 
     Args:
-        url: of the port.
-        move: also run what moves the robot.
-        baudrate: of the line.
-        tell: is shown each check before it runs.
+        url: URL of the port.
+        move: If true, also run the checks that move the robot.
+        baudrate: Baud rate of the line.
+        tell: Called with each check before it runs.
 
     Raises:
-        PortError: the port cannot be opened.
+        PortError: The port cannot be opened.
     """
     from khep_twin.host import Khepera
 
     if baudrate < 1:
-        raise PortError(f"baudrate = {baudrate}: right is the speed of the line, such as 9600")
-    # What is broken may not even confirm the last stop; that is no reason to lose the report.
+        raise PortError(f"baudrate = {baudrate}; expected the speed of the line, such as 9600")
+    # A broken robot may not even confirm the last stop; the report must survive that.
     with closing(Khepera(url, baudrate=baudrate)) as robot:
         return examine(Line(robot.port), url, move=move, tell=tell)
 
@@ -191,7 +190,7 @@ def conform(
 def examine(
     line: Line, name: str, *, move: bool = False, tell: Callable[[Check], None] | None = None
 ) -> Report:
-    """Runs the checks on an open line."""
+    """Run the checks on an open line."""
     results: list[Result] = []
     for check in checks(move):
         if tell is not None:
@@ -202,7 +201,7 @@ def examine(
 
 
 def checks(move: bool) -> Iterator[Check]:
-    """All checks, with or without those that move the robot."""
+    """Return all checks, with or without those that move the robot."""
     # Those that move the robot come behind the others, in one list.
     from khep_twin.lab.conformance.motion import ALL
 
@@ -210,7 +209,7 @@ def checks(move: bool) -> Iterator[Check]:
 
 
 def run_check(check: Check, line: Line) -> Result:
-    """Runs one check on a quiet line, and leaves a quiet line behind."""
+    """Run one check on a quiet line and leave the line quiet."""
     deviation = ""
     try:
         line.port.reset_input_buffer()
@@ -218,7 +217,7 @@ def run_check(check: Check, line: Line) -> Result:
         line.silent("after the last reply")
     except Deviation as error:
         deviation = str(error)
-        # What a wrong answer left on the line is none of the next check's business.
+        # Leftovers of a wrong answer must not reach the next check.
         line.send("\n")
         line.read_for(0.3)
     except (serial.SerialException, OSError) as error:

@@ -1,4 +1,4 @@
-"""The checks of `conformance` that move the robot, in the order in which they run."""
+"""Checks of `conformance` that move the robot, in the order in which they run."""
 
 import re
 
@@ -9,21 +9,21 @@ from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 FORWARD = "drives about 80 mm forwards and as far back"
 SPIN = "turns on the spot, about a quarter turn each way"
-TO_A_WALL = "drives forwards until it is before something light, up to 40 cm, turns there and comes back"
+TO_A_WALL = "drives forwards to a light-coloured object, up to 40 cm, turns there and comes back"
 ARM = "moves the arm and the fingers of its gripper, if it has one"
 
 NEAR = 600
-"""Proximity counts at which the robot is near enough to a wall."""
+"""Proximity at which the robot is near enough to a wall [counts]."""
 
 TIME_TO_A_WALL = 5.0
-"""Longest time to it, at 80 mm/s [s]."""
+"""Longest drive to the wall, at 80 mm/s [s]."""
 
 QUARTER_PULSES = 510
-"""Of each wheel for a quarter turn on the spot: wheels 52 mm apart, 0.08 mm per pulse."""
+"""Pulses of each wheel for a quarter turn on the spot: wheels 52 mm apart, 0.08 mm per pulse."""
 
 
 def _drive_to(line: Line, left: int, right: int) -> float:
-    """Sends the wheels to a target; returns the time until both are there [s]."""
+    """Send the wheels to a target; return the time until both are there [s]."""
     line.expect(f"C,{left},{right}", "c")
     start = line.time()
     limit = 5 + max(abs(left), abs(right)) / 1000
@@ -34,7 +34,7 @@ def _drive_to(line: Line, left: int, right: int) -> float:
 
 
 def _ways(line: Line, command: str, left: int, right: int, duration: float) -> list[int]:
-    """Lets D or P act for a time [s] and stops; returns how far the counters have come meanwhile [pulses]."""
+    """Apply D or P for a duration [s] and stop; return the change of the counters [pulses]."""
     before = line.numbers("H", "h", 2)
     line.expect(f"{command},{left},{right}", command.lower())
     line.sleep(duration)
@@ -47,10 +47,10 @@ def _ways(line: Line, command: str, left: int, right: int, duration: float) -> l
 def _took_its_time(took: float) -> None:
     # From rest over 1000 pulses at 0.25 pulses per tick^2: 2 sqrt(1000 / 0.25) ticks are 1.26 s.
     if not 1.1 < took < 2.0:
-        raise Deviation(f"1000 pulses took {took:.2f} s; right is 1.26 s and some settling")
+        raise Deviation(f"1000 pulses took {took:.2f} s; expected 1.26 s and some settling")
 
 
-@check("D drives both wheels at the speed asked for, forwards", "A, command D", FORWARD)
+@check("D drives both wheels at the requested speed", "A, command D", FORWARD)
 def _drive(line: Line) -> None:
     for sign in (1, -1):
         line.expect("G,0,0", "g")
@@ -67,7 +67,7 @@ def _drive(line: Line) -> None:
         within("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
 
 
-@check("E tells what is measured, not what is asked for", "A, command E", SPIN)
+@check("E reads the measured speeds, not the setpoints", "A, command E", SPIN)
 def _measured_speeds(line: Line) -> None:
     for left, right in ((40, -40), (-40, 40)):
         line.expect(f"P,{left},{right}", "p")
@@ -80,7 +80,7 @@ def _measured_speeds(line: Line) -> None:
             raise Deviation(f"P,{left},{right} turned the wheels at the speeds {speeds} by E")
 
 
-@check("K tells of the left wheel first, and of the error that there is", "A, command K", FORWARD)
+@check("K reads the left wheel first, and the error left", "A, command K", FORWARD)
 def _status_of_each_wheel(line: Line) -> None:
     line.expect("J,20,64,20,64", "j")
     line.expect("G,0,0", "g")
@@ -88,7 +88,7 @@ def _status_of_each_wheel(line: Line) -> None:
     line.sleep(0.6)
     status = line.numbers("K", "k", 6)
     if status[:5:3] != [0, 1]:
-        raise Deviation(f"with only the left wheel on its way K told {status}; right is T 0 and 1")
+        raise Deviation(f"with only the left wheel on its way K gave {status}; expected T 0 and 1")
     line.sleep(1.5)
     _drive_to(line, 0, 0)
     for target, sign in ((1000, 1), (0, -1)):
@@ -99,11 +99,11 @@ def _status_of_each_wheel(line: Line) -> None:
             line.sleep(0.04)
         _drive_to(line, target, target)
         if max(errors) <= 0:
-            raise Deviation(f"on the way to C,{target},{target} K told no error that pulls there")
+            raise Deviation(f"on the way to C,{target},{target} K gave no error towards the target")
     line.expect("D,0,0", "d")
 
 
-@check("G in motion renumbers the place and stops nothing", "A, command G", FORWARD)
+@check("G in motion sets the counters and stops nothing", "A, command G", FORWARD)
 def _renumbering(line: Line) -> None:
     line.expect("D,10,10", "d")
     line.sleep(0.5)
@@ -126,12 +126,12 @@ def _profiles(line: Line) -> None:
         took = _drive_to(line, target, target)
         if not 0.9 * right < took < right + 0.6:
             raise Deviation(
-                f"with J,{profile} 1000 pulses took {took:.2f} s; right is {right} s and some settling"
+                f"with J,{profile} 1000 pulses took {took:.2f} s; expected {right} s and some settling"
             )
     line.expect("J,20,64,20,64", "j")
 
 
-@check("C goes to places below zero and beyond 16 bits", "A, command C", FORWARD)
+@check("C goes to positions below zero and beyond 16 bits", "A, command C", FORWARD)
 def _far_numbers(line: Line) -> None:
     for start, target in ((0, -500), (70_000, 70_500)):
         line.expect(f"G,{start},{start}", "g")
@@ -157,7 +157,7 @@ def _restart_stops(line: Line) -> None:
         raise Deviation(f"after a restart in motion the counters went on from {before} to {after}")
 
 
-@check("left is left and right is right", "A, command D", SPIN)
+@check("D drives the left and the right wheel in this order", "A, command D", SPIN)
 def _sides(line: Line) -> None:
     line.expect("G,0,0", "g")
     for left, right in ((5, -5), (-5, 5)):
@@ -166,7 +166,7 @@ def _sides(line: Line) -> None:
             raise Deviation(f"D,{left},{right} moved the counters by {ways}")
 
 
-@check("C goes to a position along the trapezoid and says when it is there", "A, commands C and J", FORWARD)
+@check("C goes to a position along the profile and reports arrival", "A, commands C and J", FORWARD)
 def _position(line: Line) -> None:
     line.expect("J,20,64,20,64", "j")
     line.expect("G,0,0", "g")
@@ -177,7 +177,7 @@ def _position(line: Line) -> None:
         within("K", line.numbers("K", "k", 6)[2::3], -3, 3)
 
 
-@check("a restart sets the trapezoid to 20 and 64", "A, command J", FORWARD)
+@check("a restart sets the profile to 20 and 64", "A, command J", FORWARD)
 def _profile_of_a_reset(line: Line) -> None:
     line.expect("J,5,5,5,5", "j")
     line.send("restart\n")
@@ -196,9 +196,7 @@ def _sensor_order(line: Line) -> None:
         if line.time() - start > TIME_TO_A_WALL:
             line.expect("D,0,0", "d")
             _drive_to(line, 0, 0)
-            raise Deviation(
-                "nothing came into the view of the front sensors on 40 cm; a light wall is needed"
-            )
+            raise Deviation("the front sensors detected nothing within 40 cm; expected a light-coloured wall")
     line.expect("D,0,0", "d")
     line.sleep(0.3)
     here = line.numbers("H", "h", 2)[0]
@@ -214,8 +212,8 @@ def _sensor_order(line: Line) -> None:
     sides = ({2, 3}, {0, 1}, {4, 5}, {6, 7})
     if not all(index in side for index, side in zip(seen, sides, strict=True)):
         raise Deviation(
-            f"with a wall ahead, left, right and behind the sensors {seen} of N saw most of it; "
-            "right is 2 or 3, 0 or 1, 4 or 5, 6 or 7"
+            f"with a wall ahead, left, right and behind the sensors {seen} of N read the highest counts; "
+            "expected 2 or 3, 0 or 1, 4 or 5, 6 or 7"
         )
 
 
@@ -229,7 +227,7 @@ def _open_loop(line: Line) -> None:
     line.expect("D,0,0", "d")
 
 
-@check("a value beyond the range does not fail and does not turn round", "A, commands D and P", FORWARD)
+@check("a value beyond the range is accepted and keeps its sign", "A, commands D and P", FORWARD)
 def _saturation(line: Line) -> None:
     line.expect("P,0,0", "p")
     line.expect("D,0,0", "d")
@@ -252,12 +250,12 @@ def _gripper(line: Line) -> None:
         what = "H,1" if order[0] == "E" else "H,0"
         answer = line.ask(f"T,1,{what}")
         if not re.fullmatch(r"t,1,h,\d+", answer):
-            raise Deviation(f"'T,1,{what}' was answered {answer!r}; right is 't,1,h' and one number")
+            raise Deviation(f"'T,1,{what}' was answered {answer!r}; expected 't,1,h' and one number")
         within(f"T,1,{what}", [int(answer.split(",")[3])], low, high)
     for order in "FGJ":
         answer = line.ask(f"T,1,{order}")
         if not re.fullmatch(rf"t,1,{order.lower()},\d+", answer):
             raise Deviation(
-                f"'T,1,{order}' was answered {answer!r}; right is 't,1,{order.lower()}' and a number"
+                f"'T,1,{order}' was answered {answer!r}; expected 't,1,{order.lower()}' and a number"
             )
         within(f"T,1,{order}", [int(answer.split(",")[3])], 0, COUNTS_LIMIT)

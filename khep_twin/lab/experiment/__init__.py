@@ -1,1 +1,1 @@
-"""Controllers and series of runs, their measures, and runs repeated from logs."""
+"""Controllers, series of runs, their metrics, and runs repeated from logs."""

@@ -1,4 +1,4 @@
-"""The source of a controller, as the log of its run keeps it: the very text that was run."""
+"""Source text of a controller as it was run, for the log."""
 
 import inspect
 import io
@@ -13,23 +13,23 @@ from types import CodeType
 from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, defining, name_of
 
 MOST_BYTES = 2**20
-"""Longer sources are left out of logs; a program written by hand has no tenth of it (assumed)."""
+"""Longest source kept in a log [bytes]; programs written by hand have less than a tenth (assumed)."""
 
 
 class ReadOnceLoader(SourceFileLoader):
-    """Loads a Python file from one reading of it, and still has what it read afterwards.
+    """Loader of a Python file that reads it once and keeps its bytes.
 
-    Nothing is taken from `__pycache__` and nothing left there.
+    It neither reads nor writes `__pycache__`.
     """
 
     _data: bytes | None = None
 
     def get_code(self, fullname: str) -> CodeType | None:
-        """Compiles what was read."""
+        """Compile the bytes that were read."""
         return self.source_to_code(self.get_data(self.path), self.path)
 
     def get_data(self, path: str) -> bytes:
-        """The file's bytes when it was read first."""
+        """Return the file's bytes as they were first read."""
         if self._data is None:
             self._data = super().get_data(path)
         return self._data
@@ -37,11 +37,11 @@ class ReadOnceLoader(SourceFileLoader):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What a log says of a controller.
+    """Name and source of a controller, for a log.
 
     Attributes:
-        facts: its name, as built in or FILE.py:FUNCTION without a folder, and why its source is left out.
-        attachments: its source by the name controller/FILE.py, empty if it is left out.
+        facts: Name, built-in or FILE.py:FUNCTION without a folder, and why the source is left out.
+        attachments: Source by the name controller/FILE.py, empty if it is left out.
     """
 
     facts: Mapping[str, str]
@@ -49,21 +49,21 @@ class Source:
 
     @property
     def identity(self) -> dict[str, str]:
-        """What tells a controller from another one: its name and a hash of its source."""
+        """Name and source hash that identify the controller."""
         text = "".join(f"{name}\0{text}" for name, text in sorted(self.attachments.items()))
         return {**self.facts, "controller_source": f"sha256 {sha256(text.encode('utf-8')).hexdigest()}"}
 
 
 def source_of(controller: AnyController) -> Source:
-    """What a log says of a controller: of a file, just that file and not what it imports."""
+    """Return name and source of a controller; of its file only, without imports."""
     defined = defining(controller)
     file = inspect.getsourcefile(defined) or ""
-    # The folder is the machine's business and no part of the run.
+    # The folder is specific to the machine and no part of the run.
     name = Path(file).name.encode("utf-8", "backslashreplace").decode("utf-8")
     built_in = next((each for each, function in BUILT_IN.items() if function is controller), None)
     facts = {"controller": built_in or f"{name}:{name_of(controller)}"}
     try:
-        # A module may come out of an archive; that of an interactive Python comes out of nothing.
+        # A module may come from an archive; that of an interactive Python has no file.
         get_data = getattr(getattr(inspect.getmodule(defined), "__loader__", None), "get_data", None)
         data: bytes = Path(file).read_bytes() if get_data is None else get_data(file)
         text = _text(data)
@@ -76,7 +76,7 @@ def source_of(controller: AnyController) -> Source:
 
 
 def _text(data: bytes) -> str:
-    """A source as text; what is UTF-8 stays so to the byte, anything else is read as Python reads it."""
+    """Return a source as text: UTF-8 to the byte, anything else decoded as Python does."""
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:

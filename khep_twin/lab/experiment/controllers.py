@@ -1,7 +1,7 @@
-"""Controllers: what they are, and those that ship with the package.
+"""Controller interface and the built-in controllers.
 
-A controller is a function of a robot, called once a cycle, or a `Controller` with places for what is to be
-done before, between and after.
+A controller is a function of a robot, called once a cycle, or a `Controller` with methods that are called
+before, during and after a run.
 """
 
 import math
@@ -20,7 +20,7 @@ from khep_twin.playpen import Playpen
 
 
 class Controller:
-    """A controller with places for what is done around its cycles; a subclass fills those that it needs.
+    """Base class of controllers; a subclass overrides the methods that it needs.
 
         class Counting(Controller):
             def start(self, robot):
@@ -29,34 +29,34 @@ class Controller:
             def cycle(self, robot):
                 self.near += max(robot.proximity()) > 500
 
-    One object is there for a whole series, so what it learns in a run it knows in the next one. What its
-    attributes hold at a run's end is kept with the run, but for those whose name begins with "_".
+    One object serves a whole series, so its attributes carry over from run to run. Their values at a run's
+    end are kept with the run, except those whose name begins with "_".
 
     Attributes:
-        passes_time: what a cycle is expected to do to let time pass, for messages.
+        passes_time: Calls that let time pass in a cycle, for messages.
     """
 
     passes_time: ClassVar[str] = "to ask the robot something, or robot.sleep"
 
     def start(self, robot: Khepera) -> None:
-        """Called before the first cycle of each run."""
+        """Run before the first cycle of each run."""
 
     def cycle(self, robot: Khepera) -> None:
-        """Called again and again; it has to let time pass, as every command to the robot does."""
+        """Run one cycle; it must let time pass, as every command to the robot does."""
         raise NotImplementedError(f"{type(self).__name__} needs a cycle(self, robot)")
 
     def end(self, robot: Khepera) -> None:
-        """Called after the last cycle of each run; the motors stand."""
+        """Run after the last cycle of each run, with the motors stopped."""
 
     def stop(self, robot: Khepera) -> None:
-        """Called when this robot is done with, after the last run or trouble, to leave it in order."""
+        """Clean up the robot after the last run or an error."""
 
 
 class FunctionController(Controller):
-    """A function as a controller; a mapping that it returns has its variables.
+    """A controller made of a function; a mapping that it returns holds its variables.
 
     Attributes:
-        function: called once a cycle.
+        function: Function called once a cycle.
     """
 
     def __init__(self, function: Callable[[Khepera], Any]) -> None:
@@ -64,27 +64,27 @@ class FunctionController(Controller):
         self._told: Mapping[str, Any] = {}
 
     def start(self, robot: Khepera) -> None:
-        """Forgets what was told in another run."""
+        """Forget the variables of the previous run."""
         self._told = {}
 
     def cycle(self, robot: Khepera) -> None:
-        """Calls the function."""
+        """Call the function."""
         told = self.function(robot)
         if isinstance(told, Mapping):
             self._told = told
 
     def told(self) -> dict[str, Any]:
-        """What the function has returned last."""
+        """Return the mapping that the function returned last."""
         return {str(name): value for name, value in self._told.items()}
 
 
 class LoopingController(FunctionController):
-    """A function that goes through the cycles of a run by itself.
+    """A function that runs the cycles of a run by itself.
 
     Attributes:
-        unpaced: whether its commands to a twin take no time on the line.
-        playpen: that its file has open, None for no playpen of its own.
-        port_id: number of the robot's port, None for one that means no other robot.
+        unpaced: True if its commands to a twin take no time on the line.
+        playpen: Playpen opened by its file, None for none.
+        port_id: Number of the robot's port, None if it refers to no other robot.
     """
 
     unpaced = False
@@ -94,16 +94,16 @@ class LoopingController(FunctionController):
     def loop(
         self, robot: Khepera, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]
     ) -> int | None:
-        """Go through the cycles of one run.
+        """Run the cycles of one run.
 
         Args:
-            robot: what is driven.
-            cycles: how many.
-            end_cycle: is called after each cycle; tells whether to go on.
-            stop: tells whether to end early.
+            robot: Robot to drive.
+            cycles: Number of cycles.
+            end_cycle: Called after each cycle; returns whether to go on.
+            stop: Returns whether to end early.
 
         Returns:
-            The number of cycles, None for a run that was broken off.
+            Number of cycles, None for an aborted run.
         """
         raise NotImplementedError
 
@@ -112,17 +112,17 @@ AnyController = Controller | Callable[[Khepera], Any]
 
 
 def as_controller(controller: AnyController) -> Controller:
-    """A controller with its places."""
+    """Return a controller as a `Controller`."""
     return controller if isinstance(controller, Controller) else FunctionController(controller)
 
 
 def name_of(controller: AnyController) -> str:
-    """What a controller is called in its file."""
+    """Return the name of a controller in its file."""
     return str(getattr(defining(controller), "__name__", type(controller).__name__))
 
 
 def defining(controller: Any) -> Any:
-    """The function or class that defines a controller or one of its places."""
+    """Return the function or class that defines a controller or one of its methods."""
     owner = getattr(controller, "__self__", controller)
     if isinstance(owner, FunctionController):
         return owner.function
@@ -130,9 +130,9 @@ def defining(controller: Any) -> Any:
 
 
 def variables(controller: Controller) -> dict[str, Any]:
-    """What a controller holds: truths, numbers, texts, and arrays and lists of numbers, as copies.
+    """Return copies of a controller's variables: booleans, numbers, texts, arrays and lists of numbers.
 
-    Whole numbers beyond 64 bits become floats.
+    Integers beyond 64 bits become floats.
     """
     held = controller.told() if isinstance(controller, FunctionController) else vars(controller)
     found: dict[str, Any] = {}
@@ -140,7 +140,7 @@ def variables(controller: Controller) -> dict[str, Any]:
         if name.startswith("_"):
             continue
         if isinstance(value, str):
-            # What no file takes, such as half of a pair of surrogates, is told by its code.
+            # Characters that no file can hold, such as lone surrogates, are written by their codes.
             found[name] = value.encode("utf-8", "backslashreplace").decode("utf-8")
         elif isinstance(value, bool | int | float):
             found[name] = _plain(value)
@@ -152,16 +152,16 @@ def variables(controller: Controller) -> dict[str, Any]:
 
 
 def write_template(kind: Literal["controller", "toolbox"], file: Path) -> None:
-    """Write a commented controller to begin with, as a class or in the Khepera Toolbox's form.
+    """Write a commented controller template, as a class or in the Khepera Toolbox's form.
 
     Raises:
-        KhepTwinError: it cannot be written.
+        KhepTwinError: The file cannot be written.
     """
     write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes())
 
 
 def _plain(value: bool | int | float) -> bool | int | float:
-    """A single number without what else its type may be, such as a member of an enumeration."""
+    """Return a number as a plain type, e.g. of an enumeration's member."""
     if isinstance(value, bool | float):
         return bool(value) if isinstance(value, bool) else float(value)
     if -(2**63) <= value < 2**63:
@@ -173,7 +173,7 @@ def _plain(value: bool | int | float) -> bool | int | float:
 
 
 def _numbers(value: Any) -> NDArray[Any] | None:
-    """A copy as an array; None for what is none of numbers."""
+    """Return a copy as an array, None if it does not hold numbers."""
     try:
         array: NDArray[Any] = np.array(value)
     except ValueError:  # rows of several lengths
@@ -182,7 +182,7 @@ def _numbers(value: Any) -> NDArray[Any] | None:
 
 
 def braitenberg(robot: Khepera) -> None:
-    """Wanders and avoids obstacles: speeds = proximity x weights / 400 + 10."""
+    """Wander and avoid obstacles: speeds = proximity x weights / 400 + 10."""
     proximity = robot.proximity()
     left, right = (
         sum(weights[side] * count for weights, count in zip(DEMO_WEIGHTS, proximity, strict=True))
@@ -194,4 +194,4 @@ def braitenberg(robot: Khepera) -> None:
 
 
 BUILT_IN: Mapping[str, Callable[[Khepera], Any]] = {"braitenberg": braitenberg}
-"""By the name that `khep-twin run` knows them by."""
+"""Built-in controllers by their names in `khep-twin run`."""

@@ -1,4 +1,4 @@
-"""What a terminal shows of a robot that is driven by hand: plain lines of characters."""
+"""Terminal screen for driving a robot by hand, as plain lines of characters."""
 
 from khep_twin.host import SensorCounts
 from khep_twin.lab.experiment.teleoperation import View
@@ -6,7 +6,7 @@ from khep_twin.sensing.bars import BARS
 from khep_twin.units import speed
 
 WIDTH, HEIGHT = 64, 18
-"""The smallest terminal [characters]."""
+"""Size of the smallest terminal [characters]."""
 
 _NAMES = [name.replace("_", " ") for name in SensorCounts._fields]
 _LABEL, _COUNTS, _GAP = 12, 5, 3
@@ -19,9 +19,9 @@ KEYS = (
 
 
 def draw(view: View, name: str, width: int, height: int) -> list[str]:
-    """The lines of the screen, of `width` characters at most."""
+    """Return the lines of the screen, of at most `width` characters."""
     if width < WIDTH or height < HEIGHT:
-        line = f"{WIDTH} x {HEIGHT} characters are needed, {width} x {height} are here; q ends"
+        line = f"{width} x {height} characters; expected at least {WIDTH} x {HEIGHT}; q ends"
         return [line[: max(width - 1, 0)]]
     bar = (width - _LABEL - 2 * _COUNTS - _GAP - 1) // 2
     left, right = (1e3 * speed(pulses) for pulses in view.measured)

@@ -1,4 +1,4 @@
-"""Experiments: a controller, a robot, and for how long."""
+"""Runs of a controller on a robot for a number of cycles or seconds."""
 
 import importlib.util
 import inspect
@@ -27,12 +27,12 @@ from khep_twin.signals import is_interruption
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a run ended.
+    """Outcome of a run.
 
     Attributes:
-        cycles: how often the controller was called.
-        duration: how long the run took in the port's own time [s].
-        complete: whether it came to its end.
+        cycles: Number of calls of the controller.
+        duration: Duration of the run in the port's own time [s].
+        complete: True unless the run was ended early.
     """
 
     cycles: int
@@ -50,25 +50,25 @@ def run(
     stop: Callable[[], bool] | None = None,
     after_cycle: Callable[[], None] | None = None,
 ) -> Outcome:
-    """Starts a controller, calls it once a cycle, then stops the motors and lets it end.
+    """Start a controller, call it once a cycle, then stop the motors and end the controller.
 
     Args:
-        controller: what drives the robot.
-        robot: what is driven.
-        cycles: end after so many calls.
-        seconds: end after this time, in the port's own time [s].
-        progress: is told after each cycle which part of the run is done, 0 to 1.
-        stop: is asked before each cycle whether to end early.
-        after_cycle: is called after each.
+        controller: Controller of the robot.
+        robot: Robot to drive.
+        cycles: Number of calls after which to end.
+        seconds: Time after which to end, in the port's own time [s].
+        progress: Called after each cycle with the completed part of the run, 0 to 1.
+        stop: Called before each cycle; returns whether to end early.
+        after_cycle: Called after each cycle.
 
     Raises:
-        ValueError: neither cycles nor seconds are given, or one is not above 0.
-        ControllerError: the controller failed, or lets no time pass.
+        ValueError: Neither cycles nor seconds are given, or one is not above 0.
+        ControllerError: The controller failed, or lets no time pass.
     """
     if cycles is None and seconds is None:
-        raise ValueError("a run needs an end: cycles or seconds")
+        raise ValueError("no cycles and no seconds; expected one of them")
     if (cycles is not None and cycles < 1) or (seconds is not None and not seconds > 0):
-        raise ValueError(f"cycles {cycles} and seconds {seconds} must be above 0")
+        raise ValueError(f"cycles = {cycles}, seconds = {seconds}; expected numbers above 0")
     algorithm = as_controller(controller)
     asked = stop or (lambda: False)
     start = before = robot.time
@@ -76,11 +76,11 @@ def run(
     part = 0.0
 
     def end_cycle() -> bool:
-        """Count a cycle and tell whether another one is to follow."""
+        """Count a cycle and return whether another one follows."""
         nonlocal before, done, part
         if robot.time == before:
             raise ControllerError(
-                f"{_source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; right is "
+                f"{_source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; expected "
                 f"{algorithm.passes_time}"
             )
         before = robot.time
@@ -112,7 +112,7 @@ def run(
         robot.set_speed(0, 0)
         call(algorithm.end, robot)
     except BaseException:
-        # What went wrong is told; that the motors cannot be stopped any more would only hide it.
+        # A second error while the motors are stopped would only hide the first one.
         with suppress(KhepTwinError):
             robot.set_speed(0, 0)
         raise
@@ -120,13 +120,13 @@ def run(
 
 
 def call(place: Callable[..., Any], *given: Any) -> Any:
-    """Calls a user's function, or a place of a controller; what fails in it is told by place, as one line.
+    """Call a user's function or a controller's method; report its errors with file and line.
 
     Returns:
-        What it returns.
+        Its return value.
 
     Raises:
-        ControllerError: it failed.
+        ControllerError: It failed.
     """
     try:
         return place(*given)
@@ -140,10 +140,10 @@ def call(place: Callable[..., Any], *given: Any) -> Any:
 
 
 def _source_file(controller: Any) -> str:
-    """The file that defines a controller or one of its places; empty if none does."""
+    """Return the file that defines a controller or one of its methods; empty if none does."""
     try:
         return inspect.getsourcefile(defining(controller)) or ""
-    except TypeError:  # something callable that is written in no file
+    except TypeError:  # a callable that is not defined in a file
         return ""
 
 
@@ -152,21 +152,21 @@ def find_controller(
 ) -> AnyController:
     """Find a controller by its built-in name, or as FILE.py or FILE.py:NAME.
 
-    Without NAME, the file's `controller` is taken, or its only public function or subclass of `Controller`.
+    Without NAME, the file's `controller` is used, or its only public function or subclass of `Controller`.
 
     Args:
         name: Name of the controller, as typed.
-        adapt: Makes a controller of a function of another form, and returns others as they are.
+        adapt: Function that makes a controller of a function of another form, and returns others unchanged.
 
     Raises:
-        ControllerError: there is no such controller, or its file fails.
+        ControllerError: There is no such controller, or its file fails.
     """
     if name in BUILT_IN:
         return BUILT_IN[name]
     path, wanted = _file_and_name(name)
     if path is None:
         raise ControllerError(
-            f"{name}: no such controller; right is FILE.py, FILE.py:NAME or a built-in name; "
+            f"{name}: no such controller; expected FILE.py, FILE.py:NAME or a built-in name; "
             f"{choices(name, BUILT_IN)}"
         )
     offers = _offers_of(_module_of(path))
@@ -182,43 +182,43 @@ def find_controller(
 
 
 def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., Any]:
-    """A function as FILE.py or FILE.py:NAME.
+    """Find a function as FILE.py or FILE.py:NAME.
 
-    Without NAME, the file's `controller` is taken, or its only public function.
+    Without NAME, the file's `controller` is used, or its only public function.
 
     Args:
-        name: as typed.
-        taking: in words what its parameters are.
-        n_parameters: how many they are.
+        name: Name as typed.
+        taking: Description of its parameters.
+        n_parameters: Number of its parameters.
 
     Raises:
-        ControllerError: there is no such function, or its file fails.
+        ControllerError: There is no such function, or its file fails.
     """
     path, wanted = _file_and_name(name)
     if path is None:
-        raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
+        raise ControllerError(f"{name}: no such function; expected FILE.py or FILE.py:NAME")
     functions = _functions_of(_offers_of(_module_of(path)))
     wanted, found = _chosen(path, wanted, functions, "controller", taking)
     if len(inspect.signature(found).parameters) != n_parameters:
-        raise ControllerError(f"{path}: {wanted!r} takes {inspect.signature(found)}; right are {taking}")
+        raise ControllerError(f"{path}: {wanted!r} takes {inspect.signature(found)}; expected {taking}")
     return found
 
 
 def find_after(name: str, controller: AnyController) -> Callable[..., Any]:
-    """A function that is called with each run, as FILE.py or FILE.py:NAME.
+    """Find a function that is called with each run, as FILE.py or FILE.py:NAME.
 
-    Without NAME, the file's `after` is taken, or its only public function.
+    Without NAME, the file's `after` is used, or its only public function.
 
     Args:
-        name: as typed.
-        controller: of the runs; if the same file defines both, they share its variables.
+        name: Name as typed.
+        controller: Controller of the runs; if the same file defines both, they share its variables.
 
     Raises:
-        ControllerError: there is no such function, or its file fails.
+        ControllerError: There is no such function, or its file fails.
     """
     path, wanted = _file_and_name(name)
     if path is None:
-        raise ControllerError(f"{name}: no such function; right is FILE.py or FILE.py:NAME")
+        raise ControllerError(f"{name}: no such function; expected FILE.py or FILE.py:NAME")
     module = inspect.getmodule(defining(controller))
     same = module is not None and Path(module.__file__ or "") == path.absolute()
     functions = _functions_of(_offers_of(module if module is not None and same else _module_of(path)))
@@ -232,11 +232,11 @@ def call_after(function: Callable[..., Any], run: Any) -> Any:
     """Call a user's function after a run: with the run, or with those of its variables that it names.
 
     Args:
-        function: of one parameter for the run, or of parameters that have the names of the run's variables.
-        run: of a series.
+        function: Function of the run, or of parameters that have the names of the run's variables.
+        run: Run of a series.
 
     Raises:
-        ControllerError: it failed, or takes something else.
+        ControllerError: It failed, or has other parameters.
     """
     parameters = inspect.signature(function).parameters.values()
     wanted = [each.name for each in parameters if each.kind is not each.KEYWORD_ONLY]
@@ -253,13 +253,13 @@ def call_after(function: Callable[..., Any], run: Any) -> Any:
 
 
 def _file_and_name(typed: str) -> tuple[Path | None, str]:
-    """FILE.py[:NAME] in its parts; no file for what is none."""
+    """Split FILE.py[:NAME] in its parts; the file is None if it is not a Python file."""
     path, _, name = typed.partition(":")
     return (Path(path) if path.endswith(".py") else None), name
 
 
 def _chosen(path: Path, wanted: str, offers: Mapping[str, Any], usual: str, taking: str) -> tuple[str, Any]:
-    """What a user's file offers by a name; without one by the usual name, or the only thing there is."""
+    """Return an object of a user's file by its name, else the usual one or the only one, and its name."""
     if not wanted:
         wanted = usual if usual in offers or len(offers) != 1 else next(iter(offers))
     if wanted not in offers:
@@ -274,22 +274,22 @@ def _functions_of(offers: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
 
 
 def _plain(path: Path, name: str, function: Callable[[Any], Any], taking: str) -> Callable[[Any], Any]:
-    """A user's function, if it is called with one thing and returns."""
+    """Return a user's function; raise a `ControllerError` unless it has one parameter and returns."""
     if len(inspect.signature(function).parameters) != 1:
         takes = inspect.signature(function)
-        raise ControllerError(f"{path}: {name!r} takes {takes}; right is one {taking}")
+        raise ControllerError(f"{path}: {name!r} takes {takes}; expected one {taking}")
     return _returning(path, name, function, "each cycle" if taking == "robot" else "after each run")
 
 
 def _returning(path: Path, name: str, function: Callable[..., Any], when: str) -> Callable[..., Any]:
-    """Return a user's function, if it is one that returns."""
+    """Return a user's function; raise a `ControllerError` for a generator or coroutine."""
     if inspect.isgeneratorfunction(function) or inspect.iscoroutinefunction(function):
-        raise ControllerError(f"{path}: {name!r} is no plain function; right is one that returns {when}")
+        raise ControllerError(f"{path}: {name!r} is no plain function; expected one that returns {when}")
     return function
 
 
 def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
-    """An object of a user's class."""
+    """Return an object of a user's class."""
     try:
         return kind()
     except BaseException as error:
@@ -300,7 +300,7 @@ def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
 
 
 def _offers_of(module: ModuleType) -> dict[str, Any]:
-    """The public functions and controllers that a file defines itself."""
+    """Return the public functions and controllers that a file defines itself."""
     return {
         name: offer
         for name, offer in vars(module).items()
@@ -311,26 +311,26 @@ def _offers_of(module: ModuleType) -> dict[str, Any]:
 
 
 def _module_of(path: Path) -> ModuleType:
-    """A user's file, run as a module."""
+    """Run a user's file as a module and return it."""
     if not path.is_file():
         odd = "this is no regular file; expected the name of a file" if path.exists() else "no such file"
         raise ControllerError(f"{path}: {odd}")
     name = f"khep_twin_controller_{path.stem}"
-    # An absolute name, as the module keeps it wherever its controller goes.
+    # An absolute name stays valid if the controller changes the folder.
     loader = ReadOnceLoader(name, str(path.absolute()))
     spec = importlib.util.spec_from_file_location(name, path, loader=loader)
     if spec is None or spec.loader is None:
         raise ControllerError(f"{path}: cannot be loaded as Python")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    # What lies beside a program can be imported by it, as when Python runs it.
+    # A program can import modules beside it, as when Python runs it.
     folder = str(path.parent.resolve())
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:
         spec.loader.exec_module(module)
     except BaseException as error:
-        # A user's file may fail in any way; the place and the reason are told.
+        # A user's file may fail in any way; report place and reason.
         if is_interruption(error):
             raise
         raise ControllerError(f"{path}{_line_in(error, path)}: {in_a_line(error)}") from error
@@ -338,7 +338,7 @@ def _module_of(path: Path) -> ModuleType:
 
 
 def _line_in(error: BaseException, path: Path) -> str:
-    """Where in the file an error arose, as ":LINE"."""
+    """Return the line of a file in which an error arose, as ":LINE"."""
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
     trace, line = error.__traceback__, ""

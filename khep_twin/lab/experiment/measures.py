@@ -1,8 +1,8 @@
-"""What a run is measured by.
+"""Metrics of a run.
 
-What the host has said and heard is there on every port, robot or twin. Where the world itself is at hand, a
-twin in this process, there is the truth as well. Numbers that depend on how many readings a host takes, such
-as a share of them, are the same on any port that answers alike; times are the port's own.
+Metrics of the host's exchanges are available on every port, robot or twin, those of the ground truth only for
+a twin in this process. Metrics that depend on how many readings a host takes, such as a share of them, are
+the same on any port that answers alike; times are the port's own.
 """
 
 import math
@@ -21,7 +21,7 @@ from khep_twin.sensing import calibration
 from khep_twin.world import World
 
 CELL = 0.05
-"""Side of the cells that coverage counts [m]: about as wide as the robot."""
+"""Side of a coverage cell [m]: about the robot's diameter."""
 
 UNITS = {
     "fitness": "",
@@ -40,11 +40,11 @@ UNITS = {
     "light_gained": "counts",
     "coverage": "of the floor",
 }
-"""Unit of each number, by its name; those of the truth begin with the distance."""
+"""Unit of each metric by its name; those of the ground truth begin with the distance."""
 
 
 class Heard:
-    """What a host tells its robot and hears from it in one run."""
+    """Metrics of the exchanges between a host and its robot in one run."""
 
     def __init__(self) -> None:
         self._speed = (0, 0)
@@ -54,7 +54,7 @@ class Heard:
         self._cycles: list[tuple[float, float]] = []
 
     def __call__(self, request: str, reply: str) -> None:
-        """Takes one exchange of the line."""
+        """Add one exchange of the line."""
         if (speed := _numbers(request, "D", 2)) and reply == "d":
             self._speed = speed[0], speed[1]
         elif request == "N" and (counts := _numbers(reply, "n", 8)):
@@ -64,13 +64,13 @@ class Heard:
             self._lights.append(counts)
 
     def end_cycle(self) -> None:
-        """Ends a cycle of the controller: that is when its fitness counts."""
+        """End a cycle of the controller, at which its fitness is computed."""
         left, right = self._speed
         nearest = max(self._proximity or (0,)) / units.COUNTS_LIMIT
         self._cycles.append((obstacle_avoidance(left, right, nearest), (left + right) / 2))
 
     def numbers(self) -> dict[str, float]:
-        """The run in numbers; those of sensors that were not asked for are left out."""
+        """Return the metrics by name; those of sensors that were not read are left out."""
         found: dict[str, float] = {}
         if self._cycles:
             each_fitness, each_speed = zip(*self._cycles, strict=True)
@@ -87,11 +87,11 @@ class Heard:
 
 
 class Truth:
-    """A tap that sees one run of one robot as it was.
+    """Tap that records the ground truth of one run of one robot.
 
     Args:
-        world: that is watched from now on.
-        index: which robot.
+        world: World to record from now on.
+        index: Index of the robot.
     """
 
     def __init__(self, world: World, index: int) -> None:
@@ -104,7 +104,7 @@ class Truth:
         self.sample(world)
 
     def sample(self, world: World) -> None:
-        """Notes where the robot is and what it senses."""
+        """Record the robot's pose and sensor values."""
         if self._times_ns and self._times_ns[-1] == world.time_ns:
             return
         robot = world.robots[self._index]
@@ -113,21 +113,21 @@ class Truth:
         self._counts.append(robot.registers[self._columns])  # a copy
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Nothing: the host has heard it."""
+        """Ignore bytes: `Heard` counts them."""
 
     def act(self, time_ns: int, robot: int, act: HostAct) -> None:
-        """Nothing: what it leads to is seen."""
+        """Ignore acts: their effect is recorded."""
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Nothing."""
+        """Ignore events."""
 
     def end(self) -> None:
-        """Ends the watch with what is there now."""
+        """Record the last sample and remove the tap."""
         self._world.taps.remove(self)
         self.sample(self._world)
 
     def numbers(self) -> dict[str, float]:
-        """The run in numbers."""
+        """Return the metrics by name."""
         times_s, pose = np.array(self._times_ns) / 1e9, np.array(self._poses)
         proximity, ambient = np.hsplit(np.array(self._counts), 2)
         playpen = self._world.playpen
@@ -150,12 +150,12 @@ class Truth:
 
 
 def coverage(places: statistics.Floats, playpen: Playpen, radius: float) -> float:
-    """Part of the floor's cells that a robot's centre has been in, of those it can stand in the middle of.
+    """Return the share of cells that a robot's centre visited, of those with room for it in their middle.
 
     Args:
-        places: of the centre (n, 2) [m].
-        playpen: in which it was.
-        radius: of the robot [m].
+        places: Positions of the centre (n, 2) [m].
+        playpen: Playpen of the robot.
+        radius: Radius of the robot [m].
     """
     xs, ys = (np.array(each) / 1e3 for each in zip(*playpen.arena.corners, strict=True))
     counts = [max(1, math.ceil(float(np.ptp(each)) / CELL - 1e-9)) for each in (xs, ys)]
@@ -171,7 +171,7 @@ def coverage(places: statistics.Floats, playpen: Playpen, radius: float) -> floa
 
 
 def _numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
-    """A line's numbers; None for another line, or one that came garbled."""
+    """Return a line's numbers, None for another or a garbled line."""
     head, *fields = line.split(",")
     if head != letter or len(fields) != count:
         return None

@@ -1,4 +1,4 @@
-"""Several hosts on one world in lock-step: each a blocking script in a thread of its own, one at a time.
+"""Several hosts on one world in lockstep: each a blocking script in a thread of its own, one at a time.
 
     from khep_twin.lab.experiment.multi_robot import run_together
 
@@ -7,9 +7,9 @@
 
     run_together("two-robots.toml", [follow, flee], TwinOptions(seed=1))
 
-A script runs until it waits for simulated time; then the one that waits for the earliest time goes on, of two
-for the same time that of the robot with the lower number. So the order never depends on the machine, and the
-same scripts and seed give the same run, bit for bit.
+A script runs until it waits for simulated time; then the script with the earliest time resumes, of equal ones
+that with the lower robot number. The order does not depend on the machine, and the same scripts and seed give
+the same run, bit for bit.
 """
 
 import threading
@@ -31,20 +31,20 @@ TIMEOUT = 1.0
 def run_together(
     playpen: str | Path | Playpen, scripts: Sequence[Callable[[Khepera], Any]], options: TwinOptions
 ) -> list[Any]:
-    """Runs a script for each robot of a playpen, all on one world; returns what they return.
+    """Run a script for each robot of a playpen, all on one world; return their results.
 
     Args:
-        playpen: with as many robots as there are scripts.
-        scripts: in the order of the robots; each is given its robot and blocks as it likes.
-        options: of the twin.
+        playpen: Playpen with as many robots as there are scripts.
+        scripts: Scripts in the order of the robots; each is called with its robot and may block.
+        options: Options of the twin.
 
     Raises:
-        PortError: there are more or fewer scripts than robots.
-        Exception: what the first script that failed has raised, once all have ended.
+        PortError: There are more or fewer scripts than robots.
+        Exception: Exception of the first script that failed, once all have ended.
     """
     with open_twin(playpen, replace(options, robot=None)) as twin:
         if len(scripts) != len(twin.robots):
-            raise PortError(f"{len(scripts)} scripts for {len(twin.robots)} robots; right is one for each")
+            raise PortError(f"{len(scripts)} scripts for {len(twin.robots)} robots; expected one for each")
         seats = [_Seat(twin, index, script) for index, script in enumerate(scripts)]
         for seat in seats:
             seat.start()
@@ -59,14 +59,14 @@ def run_together(
 
 
 class _Seat:
-    """One script, its thread, and the time that it waits for.
+    """A script, its thread, and the time that it waits for.
 
     Attributes:
-        index: of its robot.
-        goal_ns: until when it waits [ns].
-        done: whether it has ended.
-        result: what it has returned.
-        error: what it has raised.
+        index: Index of its robot.
+        goal_ns: Time that it waits for [ns].
+        done: True if it has ended.
+        result: Return value of the script.
+        error: Exception of the script, None without.
     """
 
     def __init__(self, twin: Twin, index: int, script: Callable[[Khepera], Any]) -> None:
@@ -81,16 +81,16 @@ class _Seat:
         self._thread = threading.Thread(target=self._run, name=f"khepera{index}", daemon=True)
 
     def start(self) -> None:
-        """Makes the thread, which waits for its turn."""
+        """Start the thread, which waits for its turn."""
         self._thread.start()
 
     def go_on(self) -> None:
-        """Lets the script run until it waits again or ends."""
+        """Run the script until it waits again or ends."""
         self._turn.release()
         self._pause.acquire()
 
     def wait_until(self, time_ns: int) -> None:
-        """Called by the script's thread: gives the turn away until it is that time."""
+        """Block the script's thread until the world has reached this time [ns]."""
         self.goal_ns = time_ns
         self._pause.release()
         self._turn.acquire()
@@ -100,7 +100,7 @@ class _Seat:
         try:
             with self._robot:
                 self.result = self._script(self._robot)
-        except BaseException as error:  # told by run_together, to whoever called it
+        except BaseException as error:  # raised again by run_together
             self.error = error
         finally:
             self.done = True
@@ -108,16 +108,16 @@ class _Seat:
 
 
 class _View(Twin):
-    """A shared twin as one of its scripts sees it: to let time pass is to wait for one's turn."""
+    """View of a shared twin for one script: advancing time means waiting for its turn."""
 
     def __init__(self, twin: Twin, index: int, seat: _Seat) -> None:
         super().__init__(twin.world, (twin.robots[index],), twin.options)
         self._seat = seat
 
     def advance_to(self, time_ns: int) -> None:
-        """Waits until the world has come to this time."""
+        """Wait until the world has reached this time [ns]."""
         if time_ns > self.world.time_ns:
             self._seat.wait_until(time_ns)
 
     def close(self) -> None:
-        """The world goes on for the others."""
+        """Do nothing, as the world goes on for the other scripts."""

@@ -1,7 +1,7 @@
-"""Repeating a run from its log alone: the same world, the same acts of its hosts at the same times.
+"""Repetition of a run from its log alone: the same world, the same acts of its hosts at the same times.
 
-The world is rebuilt from the log's attachments, calibrations included, and its hosts' acts are carried out as
-they stand there. Then every sample's state and every line of the transcript must be the recorded one.
+The world is rebuilt from the log's attachments, calibrations included, and its hosts' acts are repeated.
+Every sample's state and every line of the transcript must equal the recorded one.
 """
 
 import json
@@ -35,15 +35,15 @@ from khep_twin.world import SAMPLE_NS, World
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a log tells of a run that is to be repeated.
+    """Recorded run to be repeated.
 
     Attributes:
-        path: of the log.
-        label: what it says of itself.
-        acts: time of the world [ns], robot and what its host did, in order.
-        states: hash of each sample.
-        lines: the transcripts by robot.
-        torn: whether the end of the run may be missing.
+        path: Path of the log.
+        label: Metadata and attachments of the log.
+        acts: World time [ns], robot index and act of its host, in order.
+        states: Hash of each sample.
+        lines: Transcripts by robot.
+        torn: True if the end of the run may be missing.
     """
 
     path: Path
@@ -61,13 +61,13 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Difference:
-    """Where a repeated run left the recorded one.
+    """First difference between a repeated run and the recorded one.
 
     Attributes:
-        time_ns: of the difference [ns].
-        channel: on which it was seen.
-        recorded: what the log has.
-        repeated: what came now.
+        time_ns: Time of the difference [ns].
+        channel: Channel of the difference.
+        recorded: Recorded value.
+        repeated: Repeated value.
     """
 
     time_ns: int
@@ -77,10 +77,10 @@ class Difference:
 
 
 def read_recorded(path: Path) -> Recorded:
-    """What a log tells of a run.
+    """Read a recorded run from a log.
 
     Raises:
-        LogError: there is no log, it is not whole, or it does not hold what a repetition needs.
+        LogError: There is no log, it is not whole, or it lacks what a repetition needs.
     """
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(("/wire", "/serial", "/state")))
     states: list[int] = []
@@ -100,12 +100,12 @@ def read_recorded(path: Path) -> Recorded:
         if time_ns > last_ns:
             wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
             raise Misfit(f"something at {time_ns / NS_PER_S:.2f} s", wish).at(path, "/wire and /serial")
-    # Of several robots the acts of one time are in the order of the robots, which do not hear each other.
+    # Robots do not interact on their lines, so acts at the same time may be in the order of the robots.
     return Recorded(path, label, sorted(acts, key=lambda each: each[0]), states, lines, recovered)
 
 
 _OVERTIME_NS = 10 * NS_PER_S
-"""So long after the last state something may have happened, at most [ns]."""
+"""Longest time from the last state to any act or line [ns]."""
 
 _Decoded = TypeVar("_Decoded")
 
@@ -116,7 +116,7 @@ def _decoded(
     topic: str,
     decode: Callable[[bytes], _Decoded],
 ) -> Iterator[tuple[int, _Decoded]]:
-    """Times [ns] and contents of a channel's messages."""
+    """Yield times [ns] and contents of a channel's messages."""
     for time_ns, data in found.get(topic, ()):
         try:
             yield time_ns, decode(data)
@@ -125,7 +125,7 @@ def _decoded(
 
 
 def elsewhere(recorded: Recorded) -> list[str]:
-    """What differs between where a log was made and here, a line each."""
+    """Return the differences between the versions of a log and those installed, a line each."""
     here = versions()
     made = recorded.label.metadata
     return [
@@ -136,15 +136,15 @@ def elsewhere(recorded: Recorded) -> list[str]:
 
 
 def check(recorded: Recorded) -> None:
-    """Refuses a log that has nothing to compare a run with.
+    """Raise a `LogError` if a log has no states to compare a run with.
 
     Raises:
-        LogError: it is such a log.
+        LogError: The log has no states.
     """
     if not recorded.states:
         made = recorded.label.metadata.get("khep_twin", "an unknown version")
         reason = (
-            "it was made at a real robot; right is --port, with one to send the same to"
+            "it was made at a real robot; expected --port, with a port to send the same to"
             if "through" in recorded.label.metadata
             else f"it has no states to compare, as logs of khep_twin {__version__} have; this is of {made}"
         )
@@ -152,10 +152,10 @@ def check(recorded: Recorded) -> None:
 
 
 def repeat(recorded: Recorded, progress: Callable[[float], None] | None = None) -> Difference | None:
-    """Runs again what a log tells and compares; returns the first difference, None if there is none.
+    """Repeat a run and compare it with its log; return the first difference, None without.
 
     Raises:
-        LogError: the log does not hold what a repetition needs.
+        LogError: The log lacks what a repetition needs.
     """
     check(recorded)
     try:
@@ -168,7 +168,7 @@ def repeat(recorded: Recorded, progress: Callable[[float], None] | None = None) 
 
 
 def _twin(recorded: Recorded) -> Twin:
-    """The twin of a log, made of nothing but what is attached to it."""
+    """Open the twin of a log from its attachments alone."""
     path, attached = recorded.path, recorded.label.attachments
     for name in ("playpen.toml", "configuration.json"):
         if name not in attached:
@@ -185,7 +185,7 @@ def _twin(recorded: Recorded) -> Twin:
 
 
 def _options(path: Path, text: str) -> TwinOptions:
-    """The options of a log's twin."""
+    """Return the options of a log's twin."""
     known = [each.name for each in fields(TwinOptions)]
     try:
         settings: object = json.loads(text)
@@ -193,7 +193,7 @@ def _options(path: Path, text: str) -> TwinOptions:
             raise Misfit(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
         if unknown := [key for key in cast(dict[str, Any], settings) if key not in known]:
             raise Misfit(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
-        # A log writes no file but its reader's own.
+        # A repeated run must not write the log named in the options.
         wanted = {**cast(dict[str, Any], settings), "log": None}
         return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
     except Misfit as misfit:
@@ -214,7 +214,7 @@ _OPTIONS = TypeAdapter(TwinOptions)
 
 
 def _calibrated(recorded: Recorded, playpen: Playpen, folder: Path) -> Playpen:
-    """The playpen, its robots' calibrations taken from the log and not from this machine."""
+    """Return the playpen with its robots' calibrations from the log instead of this machine."""
     robots = list(playpen.robots)
     for index, robot in enumerate(robots):
         name = f"khepera{index}.toml"
@@ -246,9 +246,9 @@ def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | Non
 
 
 def _act(twin: Twin, index: int, act: HostAct) -> None:
-    """Does to a robot's line what its host has done."""
+    """Repeat an act of a host on its robot's line."""
     robot = twin.world.robots[index]
-    # What has arrived is of no use any more; that it is taken away changes nothing for the robot.
+    # Discard unread bytes; that changes nothing for the robot.
     robot.uart.tx.read(twin.world.time_ns)
     match act.kind:
         case Act.SEND:
@@ -270,10 +270,10 @@ def _act(twin: Twin, index: int, act: HostAct) -> None:
 
 
 class _Watch:
-    """A tap that compares each sample with the recorded one and keeps the transcript.
+    """Tap that compares each sample with the recorded one and keeps the transcript.
 
     Attributes:
-        difference: the first one between states.
+        difference: First difference between states.
     """
 
     def __init__(self, world: World, recorded: Recorded) -> None:
@@ -285,7 +285,7 @@ class _Watch:
         self._transcript = Transcript(self, self._names)
 
     def sample(self, world: World) -> None:
-        """Compares the state."""
+        """Compare the state."""
         place = world.time_ns // SAMPLE_NS
         if self.difference is None and place < len(self._recorded):
             registers = (each for robot in world.robots for each in boards(robot))
@@ -295,23 +295,23 @@ class _Watch:
                 self.difference = Difference(world.time_ns, "/state", _hexadecimal(before), _hexadecimal(now))
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Keeps bytes of the transcript."""
+        """Add bytes to the transcript."""
         self._transcript.hear(time_ns, robot, to_robot, data)
         if not to_robot:
             self._answers.hear(time_ns, robot, data)
 
     def act(self, time_ns: int, robot: int, act: HostAct) -> None:
-        """Nothing: the acts are the recorded ones."""
+        """Ignore acts: they are the recorded ones."""
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Nothing: what is told follows from the state."""
+        """Ignore events: they follow from the state."""
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
-        """Takes whole lines from the transcript."""
+        """Add whole lines of the transcript."""
         self._lines[topic] += map(read_line, messages)
 
     def lines(self, recorded: Recorded) -> list[Difference]:
-        """The first difference of each robot's transcript."""
+        """Return the first difference of each robot's transcript."""
         self._transcript.write()
         if not recorded.torn:
             self._transcript.write_rests(recorded.end_ns)
@@ -325,7 +325,7 @@ class _Watch:
                 ):
                     continue
                 time_ns = min(line.time_ns for line in (old, new) if line is not None)
-                # Beyond the last sample nobody knows when the run ended.
+                # After the last sample the end of the run is unknown.
                 if time_ns <= until_ns or (old is not None and self.difference is None and not recorded.torn):
                     found.append(Difference(time_ns, topic, _told(old), _told(new)))
                 break

@@ -1,7 +1,7 @@
-"""Sending a log's host bytes to another port at their times, and comparing the replies.
+"""Replay of a log's host bytes to another port at their times, and comparison of the replies.
 
-That is how a twin and a robot are compared, or twins with other parameters. The bytes are sent as they were,
-whatever comes back: a host that steered by what it read does not steer here.
+It compares a twin with a robot, or twins with other parameters. The bytes are sent as recorded, whatever the
+replies: the loop through the host is open.
 """
 
 # pyserial is not typed.
@@ -25,22 +25,22 @@ from khep_twin.log.decoding import Misfit, shown
 from khep_twin.log.transcript import text_of
 
 MEASURED = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position"}
-"""Replies whose values are compared one by one."""
+"""Letters of the replies whose values are compared one by one."""
 
 _LAST_WAIT = 0.5
 _SLICE = 0.01
 _WINDOW = 8
-"""How many replies may be lost or come in between before two transcripts are out of step."""
+"""Number of lost or additional replies beyond which two transcripts are out of step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Letter:
-    """Replies to one command.
+    """Comparison of the replies to one command.
 
     Attributes:
-        compared: how many pairs there were.
-        different: how many of them differ.
-        differences: of the values, new less recorded (pairs, values); empty where nothing is measured.
+        compared: Number of pairs.
+        different: Number of pairs that differ.
+        differences: Differences of the values, new less recorded (pairs, values); empty without values.
     """
 
     compared: int
@@ -50,14 +50,14 @@ class Letter:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """How the replies of a port differ from those of a log.
+    """Comparison of a port's replies with those of a log.
 
     Attributes:
-        robot: of the log.
-        letters: by the first letter of the replies.
-        missing: recorded replies without a counterpart.
-        more: replies without a counterpart in the log.
-        first: the first recorded reply that differs or is missing, and what came instead.
+        robot: Name of the robot in the log.
+        letters: Comparisons by the first letter of the replies.
+        missing: Number of recorded replies without a counterpart.
+        more: Number of replies without a counterpart in the log.
+        first: First recorded reply that differs or is missing, and the reply instead.
     """
 
     robot: str
@@ -68,11 +68,11 @@ class Comparison:
 
     @property
     def identical(self) -> bool:
-        """Whether every reply is the recorded one."""
+        """True if every reply is the recorded one."""
         return self.first is None and not self.more
 
     def text(self) -> str:
-        """The comparison as lines."""
+        """Return the comparison as lines of text."""
         compared = sum(each.compared for each in self.letters.values())
         different = sum(each.different for each in self.letters.values())
         lines = [
@@ -95,16 +95,16 @@ class Comparison:
 
 
 def resend(recorded: Recorded, url: str, progress: Callable[[float], None] | None = None) -> Comparison:
-    """Sends a log's host bytes to a port and compares the replies.
+    """Send a log's host bytes to a port and compare the replies.
 
     Args:
-        recorded: the log; of several robots the first that had a host.
-        url: of the port.
-        progress: is told which part of the run is done, 0 to 1.
+        recorded: Recorded run; of several robots the first with a host is used.
+        url: URL of the port.
+        progress: Called with the completed part of the run, 0 to 1.
 
     Raises:
-        LogError: the log has no bytes of a host.
-        PortError: the port cannot be opened or went away.
+        LogError: The log has no bytes of a host.
+        PortError: The port cannot be opened or was lost.
     """
     robots = {index for _, index, act in recorded.acts if act.kind == Act.SEND}
     if not robots:
@@ -118,25 +118,25 @@ def resend(recorded: Recorded, url: str, progress: Callable[[float], None] | Non
 
 
 def _baud(recorded: Recorded, acts: Sequence[HostAct]) -> int:
-    """The speed that the host began with."""
+    """Return the host's baud rate at the start."""
     known = [act.host.baud for act in acts if act.host is not None and act.host.baud]
     if known:
         return known[0]
     text = recorded.label.metadata.get("baud", "9600")
     if not re.fullmatch("[1-9][0-9]{0,8}", text):
-        raise Misfit(f"baud = {shown(text)}", "a whole number").at(recorded.path, "metadata")
+        raise Misfit(f"baud = {shown(text)}", "an integer").at(recorded.path, "metadata")
     return int(text)
 
 
 def _send(
     acts: Sequence[HostAct], url: str, baud: int, last_ns: int, progress: Callable[[float], None] | None
 ) -> list[str]:
-    """Carries out the acts at their times; returns the replies."""
+    """Repeat the acts at their times; return the replies."""
     came = b""
-    # A robot that is silent at the end, too, is what the comparison tells.
+    # A robot that stays silent at the end is reported by the comparison.
     with closing(Khepera(url, timeout=0, baudrate=baud)) as khepera:
         port = khepera.port
-        # A port that waits for its host loses nothing, and each look at it would cost time.
+        # A simulated port loses nothing, and each read would take time.
         simulated = hasattr(port, "time_ns")
         start = khepera.time
         end = HostAct(Act.HANG_UP, max(last_ns, acts[-1].at_ns) + int(_LAST_WAIT * NS_PER_S))
@@ -174,7 +174,7 @@ def _compared(robot: str, recorded: Sequence[Line], came: Sequence[str]) -> Comp
 
 
 def _paired(recorded: Sequence[Line], came: Sequence[str]) -> tuple[list[tuple[Line, str]], int]:
-    """Each recorded reply with the one that came for it, empty for none; and how many came besides."""
+    """Return each recorded reply with its counterpart, empty for none, and the number of other replies."""
     pairs: list[tuple[Line, str]] = []
     place, more = 0, 0
     for index, line in enumerate(recorded):
@@ -198,7 +198,7 @@ def _paired(recorded: Sequence[Line], came: Sequence[str]) -> tuple[list[tuple[L
 
 
 def _difference(before: str, now: str) -> list[int]:
-    """The values of a reply less those recorded; empty where they are no such numbers."""
+    """Return the values of a reply less those recorded; empty if they do not match."""
     try:
         old, new = ([int(field) for field in text.split(",")[1:]] for text in (before, now))
     except ValueError:

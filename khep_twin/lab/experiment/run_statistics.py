@@ -1,7 +1,7 @@
-"""A run in numbers: ways, turns, nearness, collisions, light and slip, from the arrays of its log.
+"""Statistics of a run: distance, turns, nearness, collisions, light and slip, from the arrays of its log.
 
-All functions are pure. A sample stands for the time until the next one. Ways are measured in steps of 1 mm,
-so that neither a pulse more or less of a counter nor the trembling of a body at rest adds up to a drive.
+All functions are pure. A sample holds until the next one. Path lengths are measured in steps of 1 mm, so that
+the jitter of a counter or of a body at rest does not add up.
 """
 
 import math
@@ -18,26 +18,26 @@ from khep_twin.units import PULSE_LENGTH, WHEEL_BASE
 Floats = NDArray[np.float64]
 
 NEAR_COUNTS = 100
-"""Proximity above this is near something [counts]."""
+"""Proximity above which something is near [counts]."""
 
 TOUCHING = 0.001
-"""A robot's edge nearer than this to something fixed touches it [m]."""
+"""Distance between a robot's edge and a fixed object below which they touch [m]."""
 
 SAME_CONTACT_S = 0.1
-"""Contacts with less time between them are one collision [s]."""
+"""Shortest time between two collisions [s]; contacts in between count as one."""
 
 _STEP = 0.001
-"""In which ways are measured [m]."""
+"""Step of path lengths [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stretches:
-    """When something held.
+    """Time intervals in which a condition held.
 
     Attributes:
-        times_s: begin and end of each stretch (n, 2) [s].
-        total_s: time in which it held [s].
-        share: of the whole time, 0 to 1.
+        times_s: Begin and end of each interval (n, 2) [s].
+        total_s: Time in which the condition held [s].
+        share: Share of the whole time, 0 to 1.
     """
 
     times_s: Floats
@@ -46,20 +46,20 @@ class Stretches:
 
     @property
     def longest_s(self) -> float:
-        """The longest stretch [s]."""
+        """Longest interval [s]."""
         return float(np.diff(self.times_s, axis=1).max(initial=0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Where a robot got to.
+    """Motion of a robot.
 
     Attributes:
-        duration_s: from the first sample to the last [s].
-        distance: along its way [m].
-        top_speed: between two samples [m/s].
-        left_turn: all that it turned counter-clockwise [rad].
-        right_turn: all that it turned clockwise [rad].
+        duration_s: Time from the first sample to the last [s].
+        distance: Path length [m].
+        top_speed: Highest speed between two samples [m/s].
+        left_turn: Sum of counter-clockwise turns [rad].
+        right_turn: Sum of clockwise turns [rad].
     """
 
     duration_s: float
@@ -70,19 +70,19 @@ class Motion:
 
     @property
     def mean_speed(self) -> float:
-        """Over the whole time, standing included [m/s]; 0 for no time."""
+        """Mean speed over the whole time, standing included [m/s]; 0 for no time."""
         return self.distance / self.duration_s if self.duration_s else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """What the wheels' counters say, against the truth.
+    """Difference between odometry and ground truth.
 
     Attributes:
-        distance: along the way as the counters have it [m].
-        end: how far from the true end theirs is [m].
-        heading: largest difference of heading, positive where the counters are ahead counter-clockwise [rad].
-        heading_s: when that was [s].
+        distance: Path length by odometry [m].
+        end: Distance between the odometry's end and the true one [m].
+        heading: Largest heading error, positive where odometry is ahead counter-clockwise [rad].
+        heading_s: Time of the largest heading error [s].
     """
 
     distance: float
@@ -93,13 +93,13 @@ class Slip:
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """What came in from lamps.
+    """Light received from lamps.
 
     Attributes:
-        mean: depth below the dark level, over all sensors and samples [counts].
-        brightest: deepest reading below the dark level [counts].
-        sensor: whose reading that was, in the order of O.
-        time_s: when [s].
+        mean: Mean depth below the dark level, over all sensors and samples [counts].
+        brightest: Largest depth below the dark level [counts].
+        sensor: Index of the sensor with that reading, in the order of O.
+        time_s: Time of that reading [s].
     """
 
     mean: float
@@ -109,12 +109,12 @@ class Light:
 
 
 def stretches(times_s: Floats, holds: NDArray[np.bool_], gap_s: float = 0.0) -> Stretches:
-    """When a condition held.
+    """Return the time intervals in which a condition held.
 
     Args:
-        times_s: of the samples, rising (n,) [s].
-        holds: whether it held then (n,).
-        gap_s: stretches with less between them count as one; the total is without the gaps.
+        times_s: Times of the samples, rising (n,) [s].
+        holds: True where the condition holds (n,).
+        gap_s: Gap below which intervals are joined [s]; the total is without the gaps.
     """
     turns = np.diff(holds[:-1].astype(np.int8), prepend=0, append=0)
     spans = np.column_stack([times_s[np.flatnonzero(turns > 0)], times_s[np.flatnonzero(turns < 0)]])
@@ -128,11 +128,11 @@ def stretches(times_s: Floats, holds: NDArray[np.bool_], gap_s: float = 0.0) -> 
 
 
 def motion(times_s: Floats, pose: Floats) -> Motion:
-    """A robot's way.
+    """Return the motion of a robot.
 
     Args:
-        times_s: of the samples, rising, at least one (n,) [s].
-        pose: x, y [m] and heading [rad] (n, 3).
+        times_s: Times of the samples, rising, at least one (n,) [s].
+        pose: Poses, x, y [m] and heading [rad] (n, 3).
     """
     steps = np.hypot(*np.diff(pose[:, :2], axis=0).T)
     spans_s = np.diff(times_s)
@@ -148,7 +148,7 @@ def motion(times_s: Floats, pose: Floats) -> Motion:
 
 
 def way(places: Floats) -> float:
-    """Length of a way [m] through places (n, 2) [m], in steps of 1 mm."""
+    """Return the length of a path [m] through points (n, 2) [m], in steps of 1 mm."""
     if not len(places):
         return 0.0
     total = 0.0
@@ -161,11 +161,11 @@ def way(places: Floats) -> float:
 
 
 def reckoned(pulses: NDArray[np.int64], start: Floats) -> Floats:
-    """Where a robot is by its counters: x, y [m] and heading [rad], not wrapped (n, 3).
+    """Return a robot's pose by odometry: x, y [m] and heading [rad], not wrapped (n, 3).
 
     Args:
-        pulses: left and right counters (n, 2) [pulses].
-        start: pose at the first sample (3,).
+        pulses: Left and right counters (n, 2) [pulses].
+        start: Pose at the first sample (3,).
     """
     left, right = (pulses - pulses[0]).T * PULSE_LENGTH
     heading = start[2] + (right - left) / WHEEL_BASE
@@ -177,7 +177,7 @@ def reckoned(pulses: NDArray[np.int64], start: Floats) -> Floats:
 
 
 def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64]) -> Slip:
-    """The counters against the truth, over at least one sample."""
+    """Return the difference between odometry and ground truth over at least one sample."""
     told = reckoned(pulses, pose[0])
     ahead = told[:, 2] - np.unwrap(pose[:, 2])
     worst = int(np.argmax(np.abs(ahead)))
@@ -186,18 +186,18 @@ def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64]) -> Slip:
 
 
 def near(times_s: Floats, proximity: NDArray[np.int64]) -> Stretches:
-    """When any sensor had something before it; proximity (n, 8) [counts]."""
+    """Return the intervals in which any sensor detects something; proximity (n, 8) [counts]."""
     return stretches(times_s, np.max(proximity, axis=1, initial=0) > NEAR_COUNTS)
 
 
 def collisions(times_s: Floats, pose: Floats, playpen: Playpen, radius: float) -> Stretches:
-    """When a robot of this radius [m] touched walls or fixed objects."""
+    """Return the intervals in which a robot of this radius [m] touches walls or fixed objects."""
     touching = clearance(pose[:, :2], playpen) - radius < TOUCHING
     return stretches(times_s, touching, SAME_CONTACT_S)
 
 
 def clearance(places: Floats, playpen: Playpen) -> Floats:
-    """From places (n, 2) [m] to the nearest wall or fixed object [m] (n,); below 0 within one."""
+    """Return distances from points (n, 2) [m] to walls and fixed objects (n,) [m]; below 0 within one."""
     arena = playpen.arena
     shapes: list[Footprint] = list(walls_around(arena.corners, arena.wall_thickness_mm))
     shapes += [shape for wall in playpen.walls for shape in wall.footprints]
@@ -209,12 +209,12 @@ def clearance(places: Floats, playpen: Playpen) -> Floats:
 
 
 def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> Light:
-    """What lamps gave over at least one sample.
+    """Return the light received from lamps over at least one sample.
 
     Args:
-        times_s: of the samples (n,) [s].
-        ambient: (n, 8) [counts].
-        dark: level of each sensor in the dark (8,) [counts].
+        times_s: Times of the samples (n,) [s].
+        ambient: Ambient readings (n, 8) [counts].
+        dark: Dark level of each sensor (8,) [counts].
     """
     depth = dark - ambient
     row, sensor = (int(place) for place in np.unravel_index(np.argmax(depth), depth.shape))
@@ -222,7 +222,7 @@ def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> Light:
 
 
 def _away(places: Floats, shape: Footprint) -> Floats:
-    """From places [m] to a shape [m] (n,); below 0 within it."""
+    """Return distances from points [m] to a shape (n,) [m]; below 0 within it."""
     dx, dy = places[:, 0] - shape.x_mm / 1000, places[:, 1] - shape.y_mm / 1000
     if not isinstance(shape, Rectangle):
         return np.hypot(dx, dy) - shape.radius_mm / 1000

@@ -1,4 +1,4 @@
-"""A series: the same controller run after run, on a robot or on twins, each run with its numbers.
+"""Series of runs of one controller, on a robot or on twins, with the metrics of each run.
 
     from khep_twin.lab.experiment.series import OneRobot, Plan, run_series
 
@@ -6,8 +6,8 @@
         for run in run_series(braitenberg, OneRobot(robot), Plan(runs=20, cycles=500)):
             print(run.number, run.numbers["fitness"])
 
-On one robot each run goes on from where the robot stands, on any port alike. On new twins each run begins
-anew, at a start and with a seed of its own, so that it does not depend on the others.
+On one robot, on any port, each run starts where the robot stands. On new twins each run has its own start and
+seed, so that it does not depend on the others.
 """
 
 import math
@@ -28,18 +28,18 @@ from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 _LOOK = 0.1
-"""In a pause, how often is looked whether the series is to end [s]."""
+"""Interval in a pause at which `stop` is called [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a series goes.
+    """Number and length of the runs of a series.
 
     Attributes:
-        runs: how many.
-        cycles: calls of the controller in each, None for no limit.
-        seconds: longest time of each in the port's own time [s], None for no limit.
-        pause: between runs, in the port's own time [s].
+        runs: Number of runs.
+        cycles: Calls of the controller per run, None for no limit.
+        seconds: Longest time of a run in the port's own time [s], None for no limit.
+        pause: Pause between runs in the port's own time [s].
     """
 
     runs: int = 1
@@ -48,19 +48,19 @@ class Plan:
     pause: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuses what is no series.
+        """Check the values.
 
         Raises:
-            ControllerError: it is none.
+            ControllerError: A value is out of its range, or a run has no end.
         """
         if self.runs < 1 or (self.cycles is not None and self.cycles < 1):
-            raise ControllerError(f"{self.runs} runs of {self.cycles} cycles; right are numbers above 0")
+            raise ControllerError(f"{self.runs} runs of {self.cycles} cycles; expected numbers above 0")
         if self.cycles is None and self.seconds is None:
-            raise ControllerError("a run needs an end; right is a number of cycles or of seconds")
+            raise ControllerError("a run needs an end; expected a number of cycles or of seconds")
         if self.seconds is not None and not 0 < self.seconds < math.inf:
-            raise ControllerError(f"runs of {self.seconds} s; right is a time above 0")
+            raise ControllerError(f"runs of {self.seconds} s; expected a time above 0")
         if not 0 <= self.pause < math.inf:
-            raise ControllerError(f"a pause of {self.pause} s; right is 0 or more")
+            raise ControllerError(f"a pause of {self.pause} s; expected 0 or more")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +68,12 @@ class Run:
     """One run of a series.
 
     Attributes:
-        number: from 1.
-        start: where it began, None for where the robot happened to stand.
-        cycles: how often the controller was called.
-        duration: how long it took in the port's own time [s].
-        numbers: what it is measured by (`khep_twin.lab.experiment.measures`), by name.
-        variables: the controller's, as of the run's end.
+        number: Number of the run, from 1.
+        start: Start pose, None if the robot started where it stood.
+        cycles: Number of calls of the controller.
+        duration: Duration in the port's own time [s].
+        numbers: Metrics by name (`khep_twin.lab.experiment.measures`).
+        variables: Variables of the controller at the run's end.
     """
 
     number: int
@@ -84,7 +84,7 @@ class Run:
     variables: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def line(self, runs: int) -> str:
-        """Tell the run in a line, as one of so many."""
+        """Return the run as a line of text, as one of `runs`."""
         told = f"{self.cycles} cycles in {self.duration:.1f} s"
         if runs == 1:
             return told
@@ -94,19 +94,19 @@ class Run:
 
 
 def numbered(path: Path, number: int) -> Path:
-    """The name of a run's own file: NAME-001.SUFFIX."""
+    """Return the name of a run's own file: NAME-001.SUFFIX."""
     return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
 
 
 class Bench(Protocol):
-    """Where the robots of a series come from."""
+    """Source of the robots of a series."""
 
     def first(self, kept: int, controller: AnyController) -> int:
-        """Number of the run that a series with so many runs begins at, to go on as if it had not ended."""
+        """Return the number of the run at which a series with `kept` runs resumes."""
         ...
 
     def sessions(self, numbers: range) -> Iterator["Session"]:
-        """The robots for these runs, in their order."""
+        """Yield the robots for these runs, in their order."""
         ...
 
     def hold(self) -> None:
@@ -116,12 +116,12 @@ class Bench(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """A robot, and the runs that it does.
+    """A robot and its runs.
 
     Attributes:
-        numbers: of the runs.
-        opened: gives the robot.
-        start: where each run begins, None for where the robot happens to stand.
+        numbers: Numbers of the runs.
+        opened: Context manager that gives the robot.
+        start: Start pose of each run, None to start where the robot stands.
     """
 
     numbers: range
@@ -130,29 +130,29 @@ class Session:
 
 
 class OneRobot:
-    """One robot for all runs, which goes on from where it stands.
+    """One robot for all runs; each starts where the robot stands.
 
     Args:
-        robot: on any port.
-        record: starts the log of a twin in this process, before the first run.
+        robot: Robot on any port.
+        record: Called before the first run to start the log of a twin in this process.
     """
 
     def __init__(self, robot: Khepera, record: Callable[[Twin], None] | None = None) -> None:
         self._robot, self._record = robot, record
 
     def first(self, kept: int, controller: AnyController) -> int:
-        """A robot goes on; a twin in this process comes to the same place by doing it all again."""
+        """Return the next run for a robot, 1 for a twin in this process, which repeats the kept runs."""
         return kept + 1 if twin_of(self._robot) is None else 1
 
     def sessions(self, numbers: range) -> Iterator[Session]:
-        """All runs with the robot."""
+        """Yield one session with all runs."""
         twin = twin_of(self._robot)
         if self._record is not None and twin is not None:
             self._record(twin)
         yield Session(numbers, nullcontext(self._robot))
 
     def hold(self) -> None:
-        """Stop its motors, from another thread."""
+        """Stop the robot's motors, from another thread."""
         self._robot.hold()
 
 
@@ -160,13 +160,13 @@ class NewTwins:
     """A new twin for each run, in this process.
 
     Args:
-        playpen: of all of them.
-        options: run n has its seed + n - 1.
-        starts: of the runs, in turn.
-        record: starts the log of a run's twin.
+        playpen: Playpen of all twins.
+        options: Options of the twins; run n has its seed + n - 1.
+        starts: Start poses, used in turn.
+        record: Called to start the log of a run's twin.
 
     Raises:
-        ControllerError: there is no start.
+        ControllerError: There is no start.
     """
 
     def __init__(
@@ -182,11 +182,11 @@ class NewTwins:
         self._robot: Khepera | None = None
 
     def first(self, kept: int, controller: AnyController) -> int:
-        """The last run again, to see that it comes out the same; all of them for what may have learned."""
+        """Return the last kept run, which is repeated as a check; 1 for a `Controller`, which may learn."""
         return 1 if isinstance(controller, Controller) else max(1, kept)
 
     def sessions(self, numbers: range) -> Iterator[Session]:
-        """Each run with a twin of its own."""
+        """Yield a session with a new twin for each run."""
         for number in numbers:
             start = self._starts[(number - 1) % len(self._starts)]
             yield Session(range(number, number + 1), self._twin(number, start), start)
@@ -217,21 +217,21 @@ def run_series(
     stop: Callable[[], bool] | None = None,
     broken_off: Callable[[Run], None] | None = None,
 ) -> Generator[Run]:
-    """Runs a controller again and again and yields each run that was not broken off.
+    """Run a controller repeatedly; yield each complete run.
 
     Args:
-        controller: what drives the robot.
-        bench: where it comes from.
-        plan: how the series goes.
-        first: number of the first run, of a series that goes on.
-        before: is told the number of each run before it, after the pause: the time to put a robot right.
-        progress: is told after each cycle which part of the series is done, 0 to 1.
-        stop: is asked before each cycle whether to end early; a run that was broken off is not yielded.
-        broken_off: is told of the run that `stop` has broken off, as far as it came.
+        controller: Controller of the robot.
+        bench: Source of the robots.
+        plan: Number and length of the runs.
+        first: Number of the first run, of a resumed series.
+        before: Called with each run's number before it, after the pause, e.g. to place a robot by hand.
+        progress: Called after each cycle with the completed part of the series, 0 to 1.
+        stop: Called before each cycle; returns whether to end early. An aborted run is not yielded.
+        broken_off: Called with the incomplete run that `stop` aborted.
 
     Raises:
-        ControllerError: the controller failed, or lets no time pass.
-        KhepTwinError: the port failed.
+        ControllerError: The controller failed, or lets no time pass.
+        KhepTwinError: The port failed.
     """
     algorithm = as_controller(controller)
     for session in bench.sessions(range(first, plan.runs + 1)):
@@ -251,7 +251,7 @@ def run_series(
                         break
                     yield run
             except BaseException:
-                # What went wrong is told; that this fails then, too, would only hide it.
+                # A second error while the controller stops would only hide the first one.
                 with suppress(KhepTwinError):
                     experiment.call(algorithm.stop, robot)
                 raise
@@ -268,7 +268,7 @@ def _run(
     stop: Callable[[], bool] | None,
     broken_off: Callable[[Run], None] | None,
 ) -> Run | None:
-    """One run; None if it was broken off, which `broken_off` is told."""
+    """Return one run; None if it was aborted, with which `broken_off` is called."""
     heard, truth = Heard(), _truth_of(robot)
     began, done = robot.time, 0
 
@@ -312,7 +312,7 @@ def _run(
 
 
 def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> None:
-    """Waits in the port's own time [s], or until the series is to end."""
+    """Wait for a duration in the port's own time [s], or until the series is to end."""
     left = duration
     while left > 0 and not (stop is not None and stop()):
         robot.sleep(min(left, _LOOK))
@@ -320,18 +320,18 @@ def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> 
 
 
 def _truth_of(robot: Khepera) -> Truth | None:
-    """Watches the world of a robot, if it is a twin in this process."""
+    """Start recording the ground truth of a robot, if it is a twin in this process."""
     twin = twin_of(robot)
     return None if twin is None else Truth(twin.world, twin.robot.index)
 
 
 def _tell(robot: Khepera, text: str) -> None:
-    """Notes something in the log of a twin in this process."""
+    """Write an event to the log of a twin in this process."""
     twin = twin_of(robot)
     if twin is not None:
         twin.world.tell(twin.robot.index, text)
 
 
 def twin_of(robot: Khepera) -> Twin | None:
-    """The twin in this process behind a port, None without."""
+    """Return the twin in this process behind a port, None without."""
     return getattr(robot.port, "twin", None)

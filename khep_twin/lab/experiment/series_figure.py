@@ -1,4 +1,4 @@
-"""Pictures of series: what each run is measured by, run after run, with mean and confidence beside it."""
+"""Figures of series: metrics over the runs, with mean and confidence interval."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -18,24 +18,24 @@ from khep_twin.lab.experiment.series_files import Row
 from khep_twin.lab.experiment.series_statistics import summary, values
 
 _SHOWN = ("fitness", "distance_m", "collisions", "near_share", "light_gained", "coverage")
-"""Drawn where nothing else is wanted."""
+"""Columns drawn by default."""
 
 _COLOURS = ("#2f6fb0", "#c2452d", "#3f8f4f", "#8a5fa8", "#b8862b", "#4a4a4a")
 _WIDTH, _HEIGHT = 3.9, 2.5
 
 
 def shown(names: Sequence[str]) -> list[str]:
-    """Which of these columns are drawn where nothing else is wanted."""
+    """Return those of these columns that are drawn by default."""
     return [name for name in _SHOWN if name in names] or list(names[:6])
 
 
 def draw(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence[str]) -> Figure:
-    """Draws columns of one series or several, a panel each.
+    """Draw columns of one series or several, a panel each.
 
     Args:
-        labels: what to call the series.
-        series: their rows.
-        names: of the columns.
+        labels: Labels of the series.
+        series: Rows of each series.
+        names: Names of the columns.
     """
     across = min(len(names), 2 if len(names) < 5 else 3)
     down = math.ceil(len(names) / across)

@@ -1,12 +1,12 @@
-"""The folder of a series: each run is in it as soon as it has ended.
+"""Folder of a series; each run is saved as soon as it has ended.
 
-    series.json    settings and all runs so far; what a series goes on from
+    series.json    settings and all runs so far, from which a series is resumed
     runs.csv       a row for each run: start, cycles, time, numbers, and the controller's single variables
     runs.parquet   the same, with units as metadata of the columns
     runs.mat       the same for Matlab, a column each
     run-001.mat    all variables of run 1 as of its end, arrays too, for Matlab's `load`
 
-Nothing of the machine or the hour is in them: the same series gives the same bytes.
+The files depend on neither machine nor time: the same series gives the same bytes.
 """
 
 # scipy and pyarrow are not typed.
@@ -29,39 +29,39 @@ from khep_twin.lab.experiment.measures import UNITS
 from khep_twin.lab.experiment.series import Run
 
 Row = Mapping[str, int | float | str | bool]
-"""One run as the tables have it: values by the names of their columns."""
+"""A run as a table row: values by column name."""
 
 _INDEX = "series.json"
 _SINGLE = (bool, int, float, str)
 _NAME_LIMIT = 63
-"""Longest name of a variable that Matlab takes."""
+"""Longest variable name in Matlab [characters]."""
 
 _OWN = {"run": "", "start_x_mm": "mm", "start_y_mm": "mm", "start_heading_deg": "degrees", "cycles": ""}
 _UNITS = {**_OWN, "duration_s": "s", **UNITS}
 
 
 class SeriesFolder:
-    """A folder in the making, or one to go on with.
+    """Folder of a new or a resumed series.
 
     Args:
-        path: of the folder.
-        settings: of the series, by name: what has to be the same for it to go on.
-        resume: whether to go on with what is there.
+        path: Path of the folder.
+        settings: Settings of the series by name, which must be the same to resume it.
+        resume: If true, resume the series in the folder.
 
     Attributes:
-        path: of the folder.
-        rows: of the runs so far.
+        path: Path of the folder.
+        rows: Rows of the runs so far.
 
     Raises:
-        ControllerError: it cannot be made, there is a series in it already, or with `resume` another one.
-        KhepTwinError: it cannot be written.
+        ControllerError: It cannot be made, has a series already, or with `resume` another one.
+        KhepTwinError: It cannot be written.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, Any], *, resume: bool = False) -> None:
         self.path = path
         self._place = path.absolute()  # a controller may go to another folder
         self.rows: list[Row] = []
-        # As they come back from the file.
+        # Round trip through JSON, to compare with settings read from the file.
         self._settings: dict[str, Any] = json.loads(json.dumps(dict(settings)))
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -72,25 +72,23 @@ class SeriesFolder:
             if self.rows and not resume:
                 raise ControllerError(
                     f"{path}: has a series of {len(self.rows)} runs already",
-                    "; right is --resume, or another folder",
+                    "; expected --resume, or another folder",
                 )
             if resume:
                 self._compare(before)
         elif resume:
-            raise ControllerError(
-                f"{path}: holds no series to go on with; right is a folder that --save made"
-            )
+            raise ControllerError(f"{path}: no series to resume; expected a folder that --save made")
         self._write()
 
     def keep(self, run: Run) -> bool:
-        """Keeps a run; one that is there already has to be the same.
+        """Save a run; a repeated run must equal the saved one.
 
         Returns:
-            Whether it is new.
+            True if the run is new.
 
         Raises:
-            ControllerError: it came out otherwise than before.
-            KhepTwinError: it cannot be written.
+            ControllerError: A repeated run differs from the saved one.
+            KhepTwinError: It cannot be written.
         """
         row = row_of(run)
         if run.number <= len(self.rows):
@@ -98,9 +96,9 @@ class SeriesFolder:
             for name in columns([before, row]):
                 if json.dumps(before.get(name)) != json.dumps(row.get(name)):
                     raise ControllerError(
-                        f"{self.path}: run {run.number}, done again, came out with {name} {row.get(name)}, "
-                        f"before {before.get(name)}; a series can go on if its controller draws on no chance "
-                        "or time of its own, and learns from run to run as a Controller only"
+                        f"{self.path}: run {run.number}, repeated, has {name} {row.get(name)}, before "
+                        f"{before.get(name)}; expected the same: to be resumed, a controller must use no "
+                        "random numbers or clock of its own, and keep what it learns as a Controller"
                     )
             return False
         self.rows.append(row)
@@ -109,18 +107,18 @@ class SeriesFolder:
         return True
 
     def _compare(self, before: Mapping[str, Any]) -> None:
-        """Refuses settings that are not those of the series."""
+        """Raise a `ControllerError` if settings differ from those of the series."""
         for key in sorted({*before, *self._settings}):
             was, now = before.get(key), self._settings.get(key)
             if was != now:
                 was, now = _where_they_differ(was, now)
                 raise ControllerError(
-                    f"{self.path}: was made with another {key.replace('_', ' ')}: {was}, now {now}; right is "
+                    f"{self.path}: was made with another {key.replace('_', ' ')}: {was}, now {now}; expected "
                     "the same, or another folder"
                 )
 
     def _write(self) -> None:
-        """Writes all but the runs' own files; first what a series goes on from."""
+        """Write all but the runs' own files, series.json first."""
         text = json.dumps({"settings": self._settings, "runs": self.rows}, indent=1)
         write_whole(self._place / _INDEX, text.encode("utf-8") + b"\n")
         for suffix, data in tables(self.rows).items() if self.rows else ():
@@ -128,10 +126,10 @@ class SeriesFolder:
 
 
 def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
-    """The settings and the runs of a folder.
+    """Read the settings and the runs of a folder.
 
     Raises:
-        ControllerError: there is no series in it.
+        ControllerError: There is no series in it.
     """
     file = path / _INDEX
     try:
@@ -141,11 +139,11 @@ def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
         for number, row in enumerate(rows, 1):
             plain = {type(value) for value in row.values()} <= {*_SINGLE}
             if row["run"] != number or not plain:
-                raise ValueError(f"what should be run {number} is none")
+                raise ValueError(f"runs: entry {number} is not run {number}")
     except OSError as error:
         raise ControllerError(f"{file}: cannot be read: {error.strerror}") from error
     except (ValueError, TypeError, LookupError, RecursionError) as error:
-        raise ControllerError(f"{file}: no series of khep_twin: {error}") from error
+        raise ControllerError(f"{file}: not a series of khep_twin: {error}") from error
     return settings, rows
 
 
@@ -158,7 +156,7 @@ def tables(rows: Sequence[Row]) -> dict[str, bytes]:
 
 
 def row_of(run: Run) -> Row:
-    """A run as a row of the tables."""
+    """Return a run as a row of the tables."""
     row: dict[str, Any] = {"run": run.number}
     if run.start is not None:
         row |= {
@@ -174,7 +172,7 @@ def row_of(run: Run) -> Row:
 
 
 def columns(rows: Sequence[Row]) -> list[str]:
-    """Names of the columns that these rows have, the known ones first."""
+    """Return the names of the columns of these rows, the known ones first."""
     there = {name for row in rows for name in row}
     return [name for name in _UNITS if name in there] + sorted(there - {*_UNITS})
 
@@ -204,7 +202,7 @@ def _parquet(rows: Sequence[Row], names: Sequence[str]) -> bytes:
 
 
 def _alike(values: Sequence[Any]) -> list[Any]:
-    """A column's values as one type: what is not all of one kind becomes text."""
+    """Return a column's values as one type; mixed types become text."""
     there = [value for value in values if value is not None]
     kinds = [kind for kind in (bool, int, float, str) if any(type(value) is kind for value in there)]
     if len(kinds) <= 1:
@@ -214,7 +212,7 @@ def _alike(values: Sequence[Any]) -> list[Any]:
 
 
 def _mat(values: Mapping[str, Any], what: str) -> bytes:
-    """Variables as the bytes of a MAT file."""
+    """Return variables as the bytes of a MAT file."""
     named: dict[str, Any] = {}
     for name, value in values.items():
         named[_identifier(name, named)] = np.asarray(value)
@@ -222,7 +220,7 @@ def _mat(values: Mapping[str, Any], what: str) -> bytes:
 
 
 def _identifier(name: str, taken: Mapping[str, Any]) -> str:
-    """A name as Matlab takes it, and none that is taken."""
+    """Return a name as a Matlab identifier that is not taken."""
     plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name)
     plain = (plain if plain[:1].isalpha() else f"v{plain}")[:_NAME_LIMIT]
     found, number = plain, 1
@@ -233,7 +231,7 @@ def _identifier(name: str, taken: Mapping[str, Any]) -> str:
 
 
 def _where_they_differ(one: Any, other: Any) -> tuple[str, str]:
-    """Two settings in short; of texts with several lines, the first line that differs."""
+    """Return two settings shortened; of texts with several lines, the first line that differs."""
     if isinstance(one, str) and isinstance(other, str):
         pairs = zip_longest(one.splitlines(), other.splitlines(), fillvalue="nothing")
         one, other = next((pair for pair in pairs if pair[0] != pair[1]), (one, other))

@@ -1,4 +1,4 @@
-"""Series in numbers: mean, spread and confidence of what their runs are measured by, and how two differ."""
+"""Statistics of series: mean, spread and confidence interval of metrics, and differences of two series."""
 
 # scipy is not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
@@ -17,21 +17,21 @@ from khep_twin.lab.experiment.series_files import Row, columns
 CONFIDENCE = 0.95
 
 NOT_MEASURED = {"run", "start_x_mm", "start_y_mm", "start_heading_deg", "cycles"}
-"""Columns that say what a run was and not how it went."""
+"""Columns that are settings of a run instead of results."""
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One number over the runs of a series.
+    """Summary of a column over the runs of a series.
 
     Attributes:
-        count: runs that have it.
-        mean: of them.
-        spread: standard deviation from run to run; not a number with a single run.
-        within: the mean lies so far to either side with 95 % confidence, by Student's t for runs that are
-            independent and normally distributed (assumed).
-        low: smallest.
-        high: largest.
+        count: Number of runs that have it.
+        mean: Mean value.
+        spread: Standard deviation from run to run; NaN with a single run.
+        within: Half of the mean's 95 % confidence interval, by Student's t for independent, normally
+            distributed runs (assumed).
+        low: Smallest value.
+        high: Largest value.
     """
 
     count: int
@@ -44,11 +44,11 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How much larger the mean of one series is than that of another.
+    """Difference between the means of two series.
 
     Attributes:
-        mean: the difference.
-        within: so far to either side with 95 % confidence, by Welch's t for spreads of their own.
+        mean: Difference of the means.
+        within: Half of its 95 % confidence interval, by Welch's t for unequal variances.
     """
 
     mean: float
@@ -56,12 +56,12 @@ class Difference:
 
     @property
     def clear(self) -> bool:
-        """Whether 0 lies outside."""
+        """True if 0 lies outside the confidence interval."""
         return abs(self.mean) > self.within
 
 
 def summary(values: Sequence[float]) -> Summary:
-    """The summary of at least one value."""
+    """Return the summary of at least one value."""
     count, mean = len(values), math.fsum(values) / len(values)
     spread = float(np.std(values, ddof=1)) if count > 1 else math.nan
     return Summary(
@@ -70,7 +70,7 @@ def summary(values: Sequence[float]) -> Summary:
 
 
 def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
-    """How much larger the mean of the values after is."""
+    """Return the mean of the values after less that before."""
     one, other = summary(before), summary(after)
     parts = [each.spread**2 / each.count for each in (one, other)]
     error = math.sqrt(sum(parts))
@@ -90,20 +90,20 @@ def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
 
 
 def values(rows: Sequence[Row], name: str) -> list[float]:
-    """A column's finite numbers, of the runs that have it."""
+    """Return a column's finite numbers, of the runs that have it."""
     there = [row[name] for row in rows if name in row]
     return [float(value) for value in there if isinstance(value, int | float) and math.isfinite(value)]
 
 
 def measured(series: Sequence[Sequence[Row]], wanted: Sequence[str] | None = None) -> list[str]:
-    """Names of the columns that are numbers.
+    """Return the names of the numeric columns.
 
     Args:
-        series: rows of one series or several.
-        wanted: only these, in their order.
+        series: Rows of one series or several.
+        wanted: Names of the only columns to return, in their order.
 
     Raises:
-        ControllerError: there is no such column.
+        ControllerError: There is no such column.
     """
     there = [
         name
@@ -112,12 +112,12 @@ def measured(series: Sequence[Sequence[Row]], wanted: Sequence[str] | None = Non
     ]
     for name in wanted or ():
         if name not in there:
-            raise ControllerError(f"column {name}: is no number of these runs; {choices(name, there)}")
+            raise ControllerError(f"column {name}: not a number in these runs; {choices(name, there)}")
     return there if wanted is None else list(dict.fromkeys(wanted))
 
 
 def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence[str]) -> str:
-    """Series as text: a line for each number of each series, and for each difference to the first one."""
+    """Return series as text: a line for each column of each series, and each difference to the first."""
     head = ("", "series", "runs", "mean", "+- 95 %", "spread", "least", "most")
     lines: list[tuple[str, ...]] = [head]
     for name in names:
@@ -150,7 +150,7 @@ def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequenc
 
 
 def _within(error: float, freedom: float) -> float:
-    """Half of the confidence interval of a mean with this standard error."""
+    """Return half of the confidence interval of a mean with this standard error."""
     if math.isnan(error) or not freedom > 0:
         return math.nan
     return float(student.ppf((1 + CONFIDENCE) / 2, freedom)) * error

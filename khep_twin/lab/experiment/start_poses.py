@@ -1,4 +1,4 @@
-"""The setting of a series of runs: where each starts, and which lamps there are."""
+"""Start poses and lighting of a series of runs."""
 
 import math
 import re
@@ -13,7 +13,7 @@ from khep_twin.playpen.parts import LightingMode
 from khep_twin.randomness import stream
 
 LIGHTINGS = (*get_args(LightingMode), "off")
-"""What lamps can be made to do."""
+"""Lighting modes, and "off"."""
 
 _TRIES = 1000
 _GRID_LIMIT = 1000
@@ -21,12 +21,12 @@ _GRID_LIMIT = 1000
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a robot begins a run.
+    """Pose of a robot at the start of a run.
 
     Attributes:
-        x_mm: of its centre [mm].
-        y_mm: likewise.
-        heading_deg: where it looks, counter-clockwise from x [degrees].
+        x_mm: Position of its centre along x [mm].
+        y_mm: Position of its centre along y [mm].
+        heading_deg: Heading, counter-clockwise from x [degrees].
     """
 
     x_mm: float
@@ -34,23 +34,23 @@ class Start:
     heading_deg: float
 
     def __str__(self) -> str:
-        """As it is written on the command line."""
+        """Return the pose as written on the command line."""
         return f"{self.x_mm:g},{self.y_mm:g},{self.heading_deg:g}"
 
 
 def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed: int) -> list[Start]:
-    """The starts that words describe; runs take them in turn.
+    """Return the start poses that command-line words describe; runs use them in turn.
 
     Args:
-        wishes: each X,Y,HEADING [mm, degrees], or grid:COLUMNSxROWS with @HEADING at will, or `random` for
-            one drawn for each run, or `playpen` for the playpen's own: all of its spots, if it has some.
-        playpen: with room for them.
-        robot: whose starts they are.
-        runs: how many there are.
-        seed: of what is drawn.
+        wishes: Words, each X,Y,HEADING [mm, degrees], or grid:COLUMNSxROWS with an optional @HEADING, or
+            `random` for a random pose per run, or `playpen` for the playpen's own: all of its spots, if any.
+        playpen: Playpen with room for them.
+        robot: Index of the robot.
+        runs: Number of runs.
+        seed: Seed of the random poses.
 
     Raises:
-        PlaypenError: a wish is none of these, there is no room, or there is no such robot.
+        PlaypenError: A word is none of these, there is no room, or there is no such robot.
     """
     if not 0 <= robot < len(playpen.robots):
         among = choices(robot, range(len(playpen.robots)))
@@ -69,7 +69,7 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
 
 
 def own_starts(playpen: Playpen, robot: int) -> list[Start]:
-    """Where the playpen has a robot: at its place, or at each of its spots."""
+    """Return the playpen's poses of a robot: its place, or each of its spots."""
     entry = playpen.robots[robot]
     spots = {spot.name: spot for spot in playpen.spots}
     places = [spots[name] for name in entry.spots] or [entry]
@@ -77,7 +77,7 @@ def own_starts(playpen: Playpen, robot: int) -> list[Start]:
 
 
 def at_start(playpen: Playpen, robot: int, start: Start) -> Playpen:
-    """The playpen with a robot there."""
+    """Return the playpen with a robot at a start pose."""
     place = {"x_mm": start.x_mm, "y_mm": start.y_mm, "heading_deg": start.heading_deg, "spots": ()}
     robots = list(playpen.robots)
     robots[robot] = robots[robot].model_copy(update=place)
@@ -85,10 +85,10 @@ def at_start(playpen: Playpen, robot: int, start: Start) -> Playpen:
 
 
 def lit(playpen: Playpen, lighting: str | None) -> Playpen:
-    """The playpen with its lamps on all, at random, in sequence, or off; as it is for None.
+    """Return the playpen with its lamps on all, at random, in sequence, or off; unchanged for None.
 
     Raises:
-        PlaypenError: that is no lighting.
+        PlaypenError: The lighting is unknown.
     """
     if lighting is None:
         return playpen
@@ -101,20 +101,20 @@ def lit(playpen: Playpen, lighting: str | None) -> Playpen:
 
 
 def without_nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Playpen:
-    """The playpen without the lamp that is nearest to a place, the first of equally near ones.
+    """Return the playpen without the lamp nearest to a point, the first of equally near ones.
 
     Raises:
-        PlaypenError: it has no lamp.
+        PlaypenError: The playpen has no lamp.
     """
     nearest = nearest_lamp(playpen, x_mm, y_mm)
     return playpen.model_copy(update={"lamps": tuple(lamp for lamp in playpen.lamps if lamp is not nearest)})
 
 
 def nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Lamp:
-    """Return the lamp that is nearest to a place, the first of equally near ones.
+    """Return the lamp nearest to a point, the first of equally near ones.
 
     Raises:
-        PlaypenError: the playpen has no lamp.
+        PlaypenError: The playpen has no lamp.
     """
     if not playpen.lamps:
         raise PlaypenError(f"{playpen.name}: no lamp is left; expected one to take away or move")
@@ -122,7 +122,7 @@ def nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Lamp:
 
 
 def numbers(text: str, count: int) -> list[float] | None:
-    """So many finite numbers with commas between them; None if it is anything else."""
+    """Return `count` finite numbers separated by commas, None for anything else."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
@@ -134,7 +134,7 @@ def _single(wish: str, playpen: Playpen, robot: int) -> Start:
     values = numbers(wish, 3)
     if values is None:
         raise PlaypenError(
-            f"start {wish!r}: right is X,Y,HEADING in mm and degrees, such as 100,200,90, or "
+            f"start {wish!r}; expected X,Y,HEADING in mm and degrees, such as 100,200,90, or "
             "grid:COLUMNSxROWS, random or playpen"
         )
     start = Start(*values)
@@ -144,12 +144,12 @@ def _single(wish: str, playpen: Playpen, robot: int) -> Start:
 
 
 def _grid(wish: str, playpen: Playpen, robot: int) -> list[Start]:
-    """The middles of a grid's cells, row by row from below; those without room are left out."""
+    """Return the middles of a grid's cells, row by row from below; those without room are left out."""
     parts = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", wish)
     columns, rows = (int(parts[1]), int(parts[2])) if parts else (0, 0)
     if parts is None or not 1 <= columns * rows <= _GRID_LIMIT:
         raise PlaypenError(
-            f"start {wish!r}: right is grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as grid:3x2@90, "
+            f"start {wish!r}; expected grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as grid:3x2@90, "
             f"of up to {_GRID_LIMIT} places"
         )
     (left, right), (low, high) = _extent(playpen)
@@ -185,7 +185,7 @@ def _drawn(playpen: Playpen, robot: int, count: int, seed: int) -> list[Start]:
 
 
 def _extent(playpen: Playpen) -> tuple[tuple[float, float], tuple[float, float]]:
-    """From where to where the arena reaches along x and y [mm]."""
+    """Return the limits of the arena along x and y [mm]."""
     xs, ys = zip(*playpen.arena.corners, strict=True)
     return (min(xs), max(xs)), (min(ys), max(ys))
 

@@ -1,8 +1,8 @@
-"""Driving a robot by hand: a loop that tells it what the keys want and asks what it senses.
+"""Teleoperation: a loop that drives a robot by keys and reads its sensors.
 
-It has a dead-man's switch. A terminal tells that a key is pressed, and again and again while it is held, but
-never that it is released; so each press lets the robot drive for a moment only. The loop has a thread of its
-own: where the terminal hangs, no key comes through, and the motors stop.
+It has a dead-man's switch. A terminal reports that a key is pressed, and repeats it while it is held, but
+never that it is released; so each press drives the robot for a moment only. The loop runs in a thread of its
+own: if the terminal hangs, no key arrives and the motors stop.
 """
 
 import threading
@@ -18,32 +18,32 @@ from khep_twin.host.commands import Command
 from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, N_SENSORS
 
 FIRST_HOLD = 0.7
-"""The first press drives for so long [s]: most keyboards wait 0.25 to 0.66 s before they repeat a key."""
+"""Driving time of a first press [s]: most keyboards wait 0.25 to 0.66 s before they repeat a key."""
 
 REPEAT_HOLD = 0.25
-"""Each repeat drives on for so long [s]: keys are repeated each 0.03 to 0.1 s, later over a slow network."""
+"""Driving time of each repeat [s]: keys are repeated each 0.03 to 0.1 s, later over a slow network."""
 
 FASTEST = 40
 """Highest speed by hand [pulses/10 ms]: 320 mm/s."""
 
 TIMEOUT = 0.6
-"""Longest wait for a silent robot [s]."""
+"""Longest wait for a reply [s]."""
 
 _CYCLE = 0.05
-"""The robot is asked no more often than this [s]."""
+"""Shortest cycle of the loop [s]."""
 
 _SUPPLY_EVERY = 5.0
-"""The supply voltage is asked for no more often than this [s]."""
+"""Shortest time between two readings of the supply voltage [s]."""
 
 _REST = Speeds(0, 0)
 _NOTHING = SensorCounts(*(0,) * N_SENSORS)
 
 _LEDS = ((0, 0), (1, 0), (0, 1), (1, 1))
-"""Lateral and frontal LED, one after the other."""
+"""States of the lateral and the frontal LED, in the order of switching."""
 
 
 class Way(Enum):
-    """Where to drive: factors of the left and right wheel's speed. Turns go at half the speed."""
+    """Direction of driving: factors of the left and right wheel's speed. Turns go at half the speed."""
 
     STOP = (0.0, 0.0)
     FORWARD = (1.0, 1.0)
@@ -52,24 +52,24 @@ class Way(Enum):
     RIGHT = (0.5, -0.5)
 
     def speeds(self, speed: int) -> Speeds:
-        """Of the wheels [pulses/10 ms]; a wheel that turns does so with at least 1."""
+        """Return the wheels' speeds [pulses/10 ms]; a wheel that turns does so with at least 1."""
         left, right = (_away_from_zero(factor * speed) for factor in self.value)
         return Speeds(left, right)
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What is to be seen of a robot that is driven by hand.
+    """State of a robot that is driven by hand.
 
     Attributes:
-        speed: chosen for the wheels [pulses/10 ms].
-        way: where it drives.
-        measured: speeds of the wheels [pulses/10 ms].
-        proximity: counts.
-        ambient: counts.
-        leds: lateral and frontal, 0 off or 1 on, as last sent.
-        supply: voltage, if the robot tells it [V].
-        lost: replies that were missing or wrong.
+        speed: Speed chosen for the wheels [pulses/10 ms].
+        way: Direction of driving.
+        measured: Measured speeds of the wheels [pulses/10 ms].
+        proximity: Proximity readings [counts].
+        ambient: Ambient readings [counts].
+        leds: Lateral and frontal LED, 0 off or 1 on, as last sent.
+        supply: Supply voltage [V], None if the robot does not report it.
+        lost: Number of missing or wrong replies.
     """
 
     speed: int
@@ -83,29 +83,29 @@ class View:
 
 
 class DeadManSwitch:
-    """Lets a key drive for a moment, and longer only while it is repeated."""
+    """Dead-man's switch: a key drives for a moment, and longer only while it is repeated."""
 
     def __init__(self) -> None:
         self._way = Way.STOP
         self._until = 0.0
 
     def press(self, way: Way, now: float) -> None:
-        """A key is pressed or repeated at this time [s]."""
+        """Press or repeat a key at this time [s]."""
         repeated = way is self.way(now)
         self._way, self._until = way, now + (REPEAT_HOLD if repeated else FIRST_HOLD)
 
     def way(self, now: float) -> Way:
-        """Where to drive at this time [s]."""
+        """Return the direction of driving at this time [s]."""
         return self._way if now < self._until else Way.STOP
 
 
 class Teleoperation:
-    """A robot that is driven by hand.
+    """Teleoperation of a robot.
 
     Args:
-        robot: that is driven, by the thread that calls `run` only.
-        speed: to begin with [pulses/10 ms].
-        now: the clock on the wall [s].
+        robot: Robot to drive, used only by the thread that calls `run`.
+        speed: Initial speed [pulses/10 ms].
+        now: Wall clock [s].
     """
 
     def __init__(self, robot: Khepera, speed: int, now: Callable[[], float] = time.monotonic) -> None:
@@ -125,22 +125,22 @@ class Teleoperation:
 
     @property
     def view(self) -> View:
-        """What was seen last."""
+        """Latest state."""
         with self._lock:
             return self._view
 
     def press(self, way: Way) -> None:
-        """A key for a way is pressed or repeated; STOP stops."""
+        """Press or repeat the key of a direction; STOP stops."""
         with self._lock:
             self._switch.press(way, self._now())
         self._wake.set()
 
     def choose(self, speed: int) -> None:
-        """Sets the speed, 1 to FASTEST [pulses/10 ms]."""
+        """Set the speed, 1 to FASTEST [pulses/10 ms]."""
         self._change(speed=min(max(speed, 1), FASTEST))
 
     def switch_leds(self) -> None:
-        """None, lateral, frontal, both, none."""
+        """Switch the LEDs to the next state: none, lateral, frontal, both, none."""
         with self._lock:
             self._leds = _LEDS[(_LEDS.index(self._leds) + 1) % len(_LEDS)]
         self._wake.set()
@@ -148,10 +148,10 @@ class Teleoperation:
     # The robot's thread --------------------------------------------------------------------------------
 
     def run(self, stop: Callable[[], bool]) -> None:
-        """Drives until `stop` says so, and stops the motors.
+        """Drive until `stop` returns true, then stop the motors.
 
         Raises:
-            PortError: the line is lost.
+            PortError: The line is lost.
         """
         simulated = hasattr(self._robot.port, "time_ns")
         try:
@@ -161,17 +161,17 @@ class Teleoperation:
                 self._wake.wait(max(_CYCLE - (self._now() - start), 0.0))
                 self._wake.clear()
                 if simulated:
-                    # Its time passes only while somebody waits for it: as much as on the wall.
+                    # Simulated time advances only while the host waits: keep it level with the wall clock.
                     lag = (self._now() - start) - (self._robot.time - start_there)
                     self._robot.sleep(lag) if lag > 0 else time.sleep(-lag)
         finally:
             self._robot.set_speed(0, 0)
 
     def cycle(self) -> None:
-        """Tells the robot what the keys want, and asks what it senses.
+        """Send what the keys demand and read the sensors.
 
         Raises:
-            PortError: the line is lost; or nothing came through for the second time running.
+            PortError: The line is lost, or two cycles in a row got no reply.
         """
         with self._lock:
             way, leds, view = self._switch.way(self._now()), self._leds, self._view
@@ -184,7 +184,7 @@ class Teleoperation:
                 *orders, commands.proximity(), commands.ambient(), commands.speed()
             )
         except (PortTimeout, ProtocolError):
-            # What has been carried out is not known: next time all is sent again.
+            # The robot may have missed any command: send all again.
             self._sent = self._sent_leds = None
             self._change(lost=view.lost + 1)
             if self._failed:
@@ -198,7 +198,7 @@ class Teleoperation:
             self._ask_for_supply()
 
     def _ask_for_supply(self) -> None:
-        """Channel 0 of the converter is half the supply voltage; a robot that refuses is not asked again."""
+        """Read the supply voltage, twice that of channel 0 of the converter; give up if it is refused."""
         self._supply_at = self._now() + _SUPPLY_EVERY
         try:
             counts = self._robot.converter(0)
@@ -213,5 +213,5 @@ class Teleoperation:
 
 
 def _away_from_zero(value: float) -> int:
-    """Rounded to the whole number that is no nearer to 0."""
+    """Round to the nearest integer, halves away from 0."""
     return int(value + 0.5) if value >= 0 else -int(-value + 0.5)

@@ -1,4 +1,4 @@
-"""What was said on a serial line, in numbers: commands, replies, and how long they took."""
+"""Statistics of a serial line: commands, replies and reply times."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,15 +11,15 @@ _REFUSALS = ("z,", "Command not found")
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """A serial line's transcript in numbers.
+    """Statistics of a serial line's transcript.
 
     Attributes:
-        commands: how often each was given, by letter or word, the most frequent first.
-        replies: how many were answered.
-        refused: how many of these with a refusal.
-        unanswered: commands without a reply; tools, which answer at length, are not reckoned.
-        mean_s: from a command's end to its reply's end [s]; 0 without replies.
-        longest_s: likewise.
+        commands: Number of commands by letter or word, the most frequent first.
+        replies: Number of replies.
+        refused: Number of refusals among the replies.
+        unanswered: Number of commands without a reply; tools, which answer at length, are not counted.
+        mean_s: Mean time from a command's end to its reply's end [s]; 0 without replies.
+        longest_s: Longest time from a command's end to its reply's end [s].
     """
 
     commands: Mapping[str, int]
@@ -31,15 +31,15 @@ class Wire:
 
     @property
     def count(self) -> int:
-        """Of all commands."""
+        """Number of all commands."""
         return sum(self.commands.values())
 
 
 def wire(lines: Sequence[Line]) -> Wire:
-    """A transcript in numbers; a reply belongs to the oldest open command of its letter.
+    """Return the statistics of a transcript; a reply belongs to the oldest open command of its letter.
 
     Args:
-        lines: of host and robot, in order of time.
+        lines: Lines of host and robot, in order of time.
     """
     commands: Counter[str] = Counter()
     open_commands: list[tuple[str, int]] = []
@@ -54,7 +54,7 @@ def wire(lines: Sequence[Line]) -> Wire:
             continue
         refusal = line.text.startswith(_REFUSALS)
         letters = [letter for letter, _ in open_commands]
-        # A refusal answers what is next, and commands before the one that is answered stay without.
+        # A refusal answers the oldest command; commands before an answered one stay unanswered.
         place = 0 if refusal and letters else _find(letters, line.text)
         if place is None:
             continue
@@ -69,12 +69,12 @@ def wire(lines: Sequence[Line]) -> Wire:
 
 
 def _name(text: str) -> str:
-    """A command's letter or a tool's word."""
+    """Return a command's letter or a tool's word."""
     head = text.strip().split(",")[0].split(" ")[0]
     return head[:12] or "?"
 
 
 def _find(letters: list[str], text: str) -> int | None:
-    """Which open command a reply is to, None if to none."""
+    """Return the index of the open command that a reply answers, None without."""
     letter, _, _ = text.partition(",")
     return letters.index(letter) if letter in letters else None

@@ -1,4 +1,4 @@
-"""A picture of a fit over the data that it was made from."""
+"""Figure of a fit over its data."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -27,14 +27,14 @@ _ROW, _MARGIN, _DRIVE = 1.75, 0.85, 2.6
 
 
 def draw_fit(tests: Measured, found: Calibration) -> Figure | None:
-    """Sensor tests and drives with fixed duties as dots, and as lines what the fitted twin does.
+    """Draw sensor tests and drives with fixed duties as dots, and the fitted twin as lines.
 
     Args:
-        tests: that were fitted.
-        found: by the fit.
+        tests: Fitted tests.
+        found: Fitted calibration.
 
     Returns:
-        The picture; None where nothing but measured drives was fitted.
+        The figure; None if only measured drives were fitted.
     """
     kinds: dict[tuple[str, str], list[SensorData]] = {}
     for data in (*tests.objects, *tests.lamps):
@@ -57,7 +57,7 @@ def draw_fit(tests: Measured, found: Calibration) -> Figure | None:
 def _draw_sensors(
     part: SubFigure, what: str, motion: str, runs: Sequence[SensorData], found: Calibration
 ) -> None:
-    """Eight panels, one for each sensor."""
+    """Draw eight panels, one for each sensor."""
     panels: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).ravel())
     for index, data in enumerate(runs):
         colour, model = _COLOURS[index % len(_COLOURS)], modelled(data, found)
@@ -74,7 +74,7 @@ def _draw_sensors(
 
 
 def _draw_speeds(part: SubFigure, drive: DutyDrive, found: Calibration) -> None:
-    """What the robot's wheels did with fixed duties."""
+    """Draw the speeds of the wheels with fixed duties."""
     axes = part.subplots(1, 1)
     measured, twin = drive.speeds(drive.values), driven(drive, found)
     order = np.argsort(drive.times, kind="stable")

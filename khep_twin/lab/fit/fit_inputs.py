@@ -1,12 +1,12 @@
-"""What a person has measured of recorded tests, in words, and what the tests are with it.
+"""Recorded tests with measurements given as words on the command line.
 
-straight.mcap=998mm             a straight drive, so long by the ruler
+straight.mcap=998mm             a straight drive, of this length by the ruler
 spin.mcap=5turns                turns on the spot, counter-clockwise
 steps.mcap=duty                 a drive with fixed duties on open floor
-wall.csv=wall@22mm              a sensor test: a flat wall ahead, so far from the robot's edge at the start
+wall.csv=wall@22mm              a sensor test: a flat wall ahead, at this distance from the robot's edge
 can.csv=cylinder:27mm@15mm      a cylinder of that radius ahead
 lamp.csv=lamp:2W@150mm          a lamp of that power ahead, its filament 15 mm above the floor,
-lamp.csv=lamp:2W:60mm@150mm     or so high
+lamp.csv=lamp:2W:60mm@150mm     or at this height
 """
 
 import math
@@ -30,13 +30,13 @@ from khep_twin.units import BODY_RADIUS, BULB_RADIUS, PULSES_PER_TURN, SENSOR_HE
 Floats = NDArray[np.float64]
 
 FILAMENT_MM = 15.0
-"""How high a lamp's filament is, where nothing is said of it: as a playpen's lamps [mm]."""
+"""Default height of a lamp's filament [mm]: as a playpen's lamps."""
 
 FASTEST_TURN = 8
 """Fastest turn [pulses/10 ms]: beyond it a robot turns by 2.8 degrees while its sensors are read once."""
 
 _LAG = 0.01
-"""Readings are so much younger than the counters of their row [s]: N comes some 20 ms after H at 9600 baud,
+"""Time by which readings are younger than their row's counters [s]: N comes some 20 ms after H at 9600 baud,
 and its values are up to 20 ms old."""
 
 _NUMBER = r"(\d{1,6}(?:\.\d{1,6})?)"
@@ -48,22 +48,22 @@ _WORDS = re.compile(
     rf"|lamp:(?P<power>{_NUMBER})W(?::(?P<height>{_NUMBER})mm)?@(?P<lamp>{_NUMBER})mm)"
 )
 _WISH = (
-    "right is a file and what was measured, such as straight.mcap=998mm, spin.mcap=5turns, steps.mcap=duty, "
+    "expected a file and a measurement, such as straight.mcap=998mm, spin.mcap=5turns, steps.mcap=duty, "
     "run.csv=wall@22mm, run.csv=cylinder:27mm@15mm or run.csv=lamp:2W@150mm"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class SensorData:
-    """A sensor test before an object that stood straight ahead at its start.
+    """Sensor test with an object that stood straight ahead at its start.
 
     Attributes:
-        name: what to call it.
-        run: what was gathered.
-        distance: from the robot's edge to the object's nearest point, at the start [m].
-        radius: of the cylinder, or 0 for a wall [m].
-        power: of the lamp [W]; None for a wall or a cylinder.
-        height: of the lamp's filament above the floor [m].
+        name: Name in messages.
+        run: Recorded data.
+        distance: Distance from the robot's edge to the object's nearest point at the start [m].
+        radius: Radius of the cylinder, 0 for a wall [m].
+        power: Power of the lamp [W]; None for a wall or a cylinder.
+        height: Height of the lamp's filament above the floor [m].
     """
 
     name: str
@@ -74,39 +74,39 @@ class SensorData:
     height: float = FILAMENT_MM / 1e3
 
     def table(self, wheels: WheelCalibration) -> Table:
-        """Where the object was in each row, and what was read."""
+        """Return the readings with the object's distance and bearing in each row."""
         away, bearings = self._object(wheels, self.radius)
         if self.radius == 0:
-            # Of a wall the nearest point is straight ahead of where the robot looked at the start.
+            # A wall's nearest point lies in the direction of the robot's initial heading.
             x, _, heading = self._poses(wheels).T
             away, bearings = BODY_RADIUS + self.distance - x, -heading
         return Table(away - self.radius - BODY_RADIUS, bearings, self.counts, self.radius)
 
     def lamp_table(self, wheels: WheelCalibration) -> LampTable:
-        """Where the lamp was in each row, and what was read."""
+        """Return the readings with the lamp's position in each row."""
         away, bearings = self._object(wheels, BULB_RADIUS)
         height = np.full(len(away), self.height - SENSOR_HEIGHT)
         places = np.column_stack([away * np.cos(bearings), away * np.sin(bearings), height])
         pulse = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
-        # A straight way turns nowhere, and of a turn the speed is known.
+        # A straight drive does not turn, and the speed of a turn is known.
         speed = self.run.test.speed if self.run.test.motion == "rotational" else None
         turning = 2 * (speed or 0) * 100 * pulse / wheels.base_mm
         return LampTable(places, self.counts, self.power or 0.0, turning)
 
     @property
     def counts(self) -> Floats:
-        """What was read (n, 8)."""
+        """Readings of the sensors (n, 8) [counts]."""
         return self.run.dv[:, 2:].astype(np.float64)
 
     def _object(self, wheels: WheelCalibration, radius: float) -> tuple[Floats, Floats]:
-        """How far off the object's centre was from the robot's [m], and at which bearing [rad], per row."""
+        """Return distance [m] and bearing [rad] of the object's centre from the robot's, per row."""
         x, y, heading = self._poses(wheels).T
         ahead = BODY_RADIUS + self.distance + radius - x
         bearings = np.arctan2(-y, ahead) - heading
         return np.hypot(ahead, y), np.angle(np.exp(1j * bearings))
 
     def _poses(self, wheels: WheelCalibration) -> Floats:
-        """Of the robot when its sensors were read, by its counters: x, y [m], heading [rad] (n, 3)."""
+        """Return the robot's poses at the readings by odometry: x, y [m], heading [rad] (n, 3)."""
         ways = self.run.dv[:, :2] * (2 * math.pi * wheels.radius_mm / 1e3 / PULSES_PER_TURN)
         times = self.run.times
         if len(times) > 1 and np.isfinite(times).all() and (np.diff(times) > 0).all():
@@ -120,13 +120,13 @@ class SensorData:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Tests, sorted by what they tell of.
+    """Tests sorted by the part that they calibrate.
 
     Attributes:
-        wheels: drives that were measured.
-        motors: drives with fixed duties.
-        objects: sensor tests before walls and cylinders.
-        lamps: sensor tests in the light of lamps.
+        wheels: Measured drives.
+        motors: Drives with fixed duties.
+        objects: Sensor tests with walls and cylinders.
+        lamps: Sensor tests with lamps.
     """
 
     wheels: tuple[Drive, ...] = ()
@@ -136,19 +136,19 @@ class Measured:
 
 
 def measured(words: list[str]) -> Measured:
-    """Reads the files that words name, as in this module's head.
+    """Read the files that command-line words name, see this module's docstring.
 
     Raises:
-        FitError: the words are wrong, or do not fit the file.
-        LogError: a log cannot be read.
-        SensorTestError: a sensor test cannot be read.
+        FitError: The words are wrong, or do not fit the file.
+        LogError: A log cannot be read.
+        SensorTestError: A sensor test cannot be read.
     """
     files: set[Path] = set()
     tests: list[Drive | DutyDrive | SensorData] = []
     for text in words:
         file = Path(text.rpartition("=")[0]).resolve()
         if file in files:
-            raise FitError(f"{text}: this file is given twice; right is each test once")
+            raise FitError(f"{text}: this file is given twice; expected each test once")
         files.add(file)
         tests.append(_test(text))
     sensors = [test for test in tests if isinstance(test, SensorData)]
@@ -163,7 +163,7 @@ def measured(words: list[str]) -> Measured:
 def _test(text: str) -> Drive | DutyDrive | SensorData:
     parts = _WORDS.fullmatch(text)
     if parts is None:
-        raise FitError(f"{text}: {_WISH}")
+        raise FitError(f"{text}; {_WISH}")
     path = Path(parts["file"])
     if parts["duty"]:
         return read_drive(path)
@@ -174,21 +174,21 @@ def _test(text: str) -> Drive | DutyDrive | SensorData:
     run = load(path, "light" if parts["lamp"] else "proximity")
     what = "light" if parts["lamp"] else "proximity"
     if run.test.what != what:
-        raise FitError(f"{text}: a test of {run.test.what}; right is one of {what}")
+        raise FitError(f"{text}: a test of {run.test.what}; expected one of {what}")
     speed = run.test.speed
     if run.test.motion == "rotational" and (speed is None or speed > FASTEST_TURN):
         turned = "an unknown speed" if speed is None else f"speed {speed}"
         raise FitError(
-            f"{text}: turned at {turned}, where readings lag by degrees; right is a turn with "
+            f"{text}: turned at {turned}, where readings lag by degrees; expected a turn with "
             f"`khep-twin sense --speed 1`, and up to {FASTEST_TURN}"
         )
     if parts["lamp"]:
         if not float(parts["power"]):
-            raise FitError(f"{text}: a lamp of 0 W; right is its power")
+            raise FitError(f"{text}: a lamp of 0 W; expected a power above 0")
         height = float(parts["height"] or FILAMENT_MM) / 1e3
         return SensorData(text, run, float(parts["lamp"]) / 1e3, power=float(parts["power"]), height=height)
     if parts["cylinder"]:
         if not float(parts["radius"]):
-            raise FitError(f"{text}: a cylinder of radius 0; right is its radius")
+            raise FitError(f"{text}: a cylinder of radius 0; expected a radius above 0")
         return SensorData(text, run, float(parts["cylinder"]) / 1e3, radius=float(parts["radius"]) / 1e3)
     return SensorData(text, run, float(parts["wall"]) / 1e3)

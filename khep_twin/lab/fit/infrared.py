@@ -1,8 +1,8 @@
-"""What an infrared sensor sees of a wall or a cylinder, worked out in the plane instead of traced in a scene.
+"""Planar model of an infrared sensor before a wall or a cylinder, without a traced scene.
 
-The same optics as `khep_twin.sensors`, for many places at once: to fit a calibration to what a robot has
-measured, and to compare both. Bearings and distances are those of a test bench: a robot that turns on the
-spot, in front of an object whose nearest point is so far from the robot's edge.
+The optics are those of `khep_twin.sensors`, for many poses at once: to fit a calibration to measurements, and
+to compare both. Bearings and distances are those of a test bench: a robot turns on the spot in front of an
+object; the distance is from its edge to the object's nearest point.
 """
 
 from dataclasses import dataclass
@@ -19,19 +19,19 @@ Floats = NDArray[np.float64]
 
 
 TANGENTS: Floats = (np.arange(9) + 0.5) / 9 * 2 - 1
-"""Of the angles off a sensor's axis of the rays of assets/khepera.xml."""
+"""Tangents of the angles between a sensor's axis and the rays of assets/khepera.xml."""
 
 PEAK_DEG = 6
-"""On axis is the mean so near to the bearing of the peak."""
+"""Largest angle from the peak of readings that count as on axis [degrees]."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the rays of one sensor meet, in many places.
+    """Hits of one sensor's rays at many poses.
 
     Attributes:
-        lengths: of the rays (n_places, n_rays) [m]; inf for a ray that meets nothing.
-        incidences: cosine between ray and surface normal (n_places, n_rays), 0 for such a ray.
+        lengths: Lengths of the rays (n_places, n_rays) [m]; inf for a ray that hits nothing.
+        incidences: Cosines between ray and surface normal (n_places, n_rays), 0 for such a ray.
     """
 
     lengths: Floats
@@ -40,13 +40,13 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """A robot's sensor on a test bench.
+    """Sensor of a robot on a test bench.
 
     Attributes:
-        position: of the sensor's face on the robot, x forward and y left (2,) [m].
-        heading: where it looks, counter-clockwise from straight ahead [rad].
-        tangents: of the rays' angles off its axis, to the right positive (n_rays,).
-        radius: of the robot [m].
+        position: Position of the sensor's face on the robot, x forward and y left (2,) [m].
+        heading: Heading of the sensor, counter-clockwise from straight ahead [rad].
+        tangents: Tangents of the rays' angles off its axis, to the right positive (n_rays,).
+        radius: Radius of the robot [m].
     """
 
     position: tuple[float, float]
@@ -55,7 +55,7 @@ class Bench:
     radius: float
 
     def wall(self, distances: Floats, bearings: Floats) -> View:
-        """A wall whose nearest point is so far off the robot's edge [m], at bearings ccw [rad]."""
+        """Return the view of a wall at distances from the robot's edge [m] and bearings, ccw [rad]."""
         towards, directions = self._towards(bearings), self._directions()
         cosines = towards @ directions.T
         away = self.radius + distances - towards @ np.array(self.position)
@@ -64,7 +64,7 @@ class Bench:
         return View(lengths, np.where(met, cosines, 0))
 
     def cylinder(self, distances: Floats, bearings: Floats, radius: float) -> View:
-        """An upright cylinder of a radius [m], likewise."""
+        """Return the view of an upright cylinder of a radius [m], likewise."""
         towards, directions = self._towards(bearings), self._directions()
         centres = towards * (self.radius + distances + radius)[:, None] - np.array(self.position)
         along = centres @ directions.T
@@ -84,13 +84,13 @@ class Bench:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Readings of a robot that was turned in front of an object.
+    """Readings of a robot in front of an object.
 
     Attributes:
-        distances: robot's edge to object (n,) [m].
-        bearings: of the object, counter-clockwise from ahead (n,) [rad].
-        counts: (n, 8).
-        radius: of the cylinder [m]; 0 for a wall.
+        distances: Distances from the robot's edge to the object (n,) [m].
+        bearings: Bearings of the object, counter-clockwise from ahead (n,) [rad].
+        counts: Readings of the sensors (n, 8) [counts].
+        radius: Radius of the cylinder [m]; 0 for a wall.
     """
 
     distances: Floats
@@ -99,18 +99,18 @@ class Table:
     radius: float
 
     def view(self, sensor: int, heading: float) -> View:
-        """What a sensor with a heading [rad] saw."""
+        """Return the view of a sensor with a heading [rad]."""
         bench = Bench(SENSOR_POSITIONS[sensor], heading, TANGENTS, BODY_RADIUS)
         if self.radius:
             return bench.cylinder(self.distances, self.bearings, self.radius)
         return bench.wall(self.distances, self.bearings)
 
     def peak(self, counts: Floats) -> float:
-        """Bearing around which readings (n,) lie [rad]."""
+        """Return the bearing around which readings (n,) are centred [rad]."""
         return float(np.angle((counts * np.exp(1j * self.bearings)).sum()))
 
     def on_axis(self, sensor: int) -> Floats:
-        """Matrix that takes readings (n,) to their means near the peak, one per distance."""
+        """Return the matrix that maps readings (n,) to their means near the peak, one per distance."""
         aside = np.angle(np.exp(1j * (self.bearings - self.peak(self.counts[:, sensor]))))
         near = np.abs(aside) <= np.radians(PEAK_DEG)
         rows = [near & (self.distances == distance) for distance in np.unique(self.distances)]
@@ -119,7 +119,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """What a calibration says of one sensor."""
+    """Calibration of one sensor's optics."""
 
     gain_counts_mm2: float
     threshold_counts: float
@@ -129,7 +129,7 @@ class Optics:
 
     @classmethod
     def of(cls, calibration: ProximityCalibration, sensor: int) -> Self:
-        """That of one sensor of a calibration."""
+        """Return the optics of one sensor of a calibration."""
         return cls(
             calibration.gain_counts_mm2[sensor],
             calibration.threshold_counts[sensor],
@@ -146,20 +146,20 @@ def proximity(
     reflectance: float = 1.0,
     limit_counts: int = COUNTS_LIMIT,
 ) -> Floats:
-    """Counts of a quiet sensor, not rounded (n_places,).
+    """Return the counts of a sensor without noise, not rounded (n_places,).
 
     Args:
-        view: what it sees.
-        tangents: of its rays.
-        optics: of the sensor.
-        reflectance: of what it sees.
-        limit_counts: its highest reading.
+        view: Hits of its rays.
+        tangents: Tangents of its rays' angles.
+        optics: Optics of the sensor.
+        reflectance: Reflectance of the object.
+        limit_counts: Highest reading [counts].
     """
     return np.clip(level(view, tangents, optics, reflectance), 0, limit_counts)
 
 
 def level(view: View, tangents: Floats, optics: Optics, reflectance: float = 1.0) -> Floats:
-    """What `proximity` is before it is cut off at both ends (n_places,) [counts]."""
+    """Return `proximity` before it is clipped (n_places,) [counts]."""
     weights = np.array(lobe_weights(tangents, optics.lobe_exponent))
     lit = weights * np.where(view.incidences > 0, view.incidences, 0) ** optics.incidence_exponent
     lit = np.where(view.incidences > 0, lit, 0)

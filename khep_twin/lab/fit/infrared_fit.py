@@ -1,12 +1,11 @@
-"""The infrared sensors of one robot, from readings in front of a wall or a cylinder.
+"""Fit of one robot's infrared sensors to readings in front of a wall or a cylinder.
 
-Gain and threshold of each sensor by least squares, the shape of its optics taken from another calibration. A
-reading that is cut off at either end still tells something: what is compared is the mean that a noisy sensor
-would give there,
+Gain and threshold of each sensor are found by least squares, the shape of its optics is taken from another
+calibration. A clipped reading still carries information: it is compared with the mean of a noisy sensor,
 
     E[clip(x + s z, 0, limit)],  z normal,
 
-with level x and the calibration's noise s, by how well the reading tells it.
+with level x and the calibration's noise s, weighted by the reading's precision.
 """
 
 # scipy is not typed.
@@ -26,26 +25,26 @@ from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import N_SENSORS, Sensor
 
 _LEAST_READINGS = 10
-"""Readings that are cut off at neither end, without which a sensor is refused."""
+"""Least number of unclipped readings to fit a sensor."""
 
 _WISH = "readings at several distances between 10 and 40 mm"
 
 _BLUR = 8.0
-"""What a reading may be off by without noise [counts], as no robot is quite where one thinks (assumed)."""
+"""Error of a reading beside its noise, from the uncertain pose of the robot [counts] (assumed)."""
 
 _WIDEST = 0.15
-"""Half the confidence interval of a gain, relative, beyond which the readings do not tell it."""
+"""Largest half of a gain's confidence interval, relative, for which a fit is accepted."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFit:
-    """One sensor found.
+    """Fit of one sensor.
 
     Attributes:
-        optics: of it.
-        gain_interval: half the width of the gain's 95 % confidence interval, relative.
-        threshold_interval: that of the threshold's [counts].
-        rms: of what is left [counts].
+        optics: Fitted optics.
+        gain_interval: Half of the gain's 95 % confidence interval, relative.
+        threshold_interval: Half of the threshold's 95 % confidence interval [counts].
+        rms: Root mean square of the residuals [counts].
     """
 
     optics: Optics
@@ -55,16 +54,16 @@ class SensorFit:
 
 
 def fit_infrared(tables: Sequence[Table], start: Calibration) -> list[SensorFit]:
-    """Finds the gains and thresholds with which the readings were made, one fit a sensor.
+    """Fit gain and threshold of each sensor to the readings.
 
     Raises:
-        FitError: the readings cannot tell a sensor's gain.
+        FitError: The readings do not determine a sensor's gain.
     """
     return [_fit_sensor(tables, sensor, start) for sensor in range(N_SENSORS)]
 
 
 def fitted(start: Calibration, fits: Sequence[SensorFit]) -> Calibration:
-    """A calibration with what was found."""
+    """Return a calibration with the fitted values."""
     found = {
         "gain_counts_mm2": tuple(round(fit.optics.gain_counts_mm2) for fit in fits),
         "threshold_counts": tuple(round(fit.optics.threshold_counts, 1) for fit in fits),
@@ -73,7 +72,7 @@ def fitted(start: Calibration, fits: Sequence[SensorFit]) -> Calibration:
 
 
 def expected(levels: Floats, noise: float, limit: float) -> Floats:
-    """Mean reading of a sensor with noise that is cut off at 0 and at a limit."""
+    """Return the mean reading of a noisy sensor that is clipped to 0 and a limit."""
     if noise <= 0:
         return np.clip(levels, 0, limit)
     low, high = -levels / noise, (limit - levels) / noise
@@ -81,7 +80,7 @@ def expected(levels: Floats, noise: float, limit: float) -> Floats:
 
 
 def deviation(levels: Floats, noise: float, limit: float) -> Floats:
-    """Standard deviation of such a reading: little where it is cut off."""
+    """Return the standard deviation of such a reading, which is small where it is clipped."""
     if noise <= 0:
         return np.zeros_like(levels)
     low, high = -levels / noise, (limit - levels) / noise
@@ -104,8 +103,8 @@ def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> Sen
     told = int(((counts > noise) & (counts < limit - noise)).sum())
     if told < _LEAST_READINGS:
         raise FitError(
-            f"{name}: the gain cannot be told: {told} readings are neither 0 nor saturated; right are "
-            f"{_LEAST_READINGS} and more such {_WISH}"
+            f"{name}: the gain cannot be determined: {told} readings are neither 0 nor saturated; expected "
+            f"at least {_LEAST_READINGS} such {_WISH}"
         )
 
     def levels(x: Floats) -> Floats:
@@ -122,7 +121,7 @@ def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> Sen
         Parameter(f"{name}: gain", gain, gain / 4, _WIDEST * gain, " counts mm2"),
         Parameter(f"{name}: threshold", before.threshold_counts, 100, 300, " counts"),
     ]
-    # A few readings beside the rest, such as those taken while somebody walked by, shall not count for much.
+    # A robust loss limits the influence of outliers, such as readings while someone walks by.
     first = estimate(left, parameters, _WISH, "soft_l1", 3 * max(noise, _BLUR))
     weights = 1 / np.hypot(deviation(levels(np.array(first.values)), noise, limit), _BLUR)
     found = estimate(left, parameters, _WISH, "soft_l1", 3.0, unit_variance=True)

@@ -1,7 +1,7 @@
-"""The receivers of one robot, from readings of a lamp: where each looks, how wide, how strongly.
+"""Fit of one robot's light receivers to readings of a lamp: heading, lobe width and gain of each.
 
-The law is that of `khep_twin.sensing.ambient`, for many places of a lamp at once. All eight receivers are
-fitted together, for they share what the dark and the brightest light read, and the diffuse part.
+The model is that of `khep_twin.sensing.ambient`, for many positions of a lamp at once. All eight receivers
+are fitted together, as they share the dark level, the brightest level and the diffuse part.
 """
 
 import math
@@ -19,7 +19,7 @@ from khep_twin.units import N_SENSORS, SCAN_NS, SENSOR_POSITIONS, Sensor
 Floats = NDArray[np.float64]
 
 _LEAST_LIGHT = 40.0
-"""Counts below the dark level that a lamp must have made somewhere for a receiver to be fitted."""
+"""Least depth of a reading below the dark level to fit a receiver [counts]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +27,10 @@ class LampTable:
     """Readings of a lamp around a robot.
 
     Attributes:
-        places: of the filament from the robot's centre: forward, left, and above the sensors (n, 3) [m].
-        counts: (n, 8).
-        power: of the lamp [W].
-        turning: how fast the robot turned at most [rad/s].
+        places: Filament positions from the robot's centre: forward, left, and above the sensors (n, 3) [m].
+        counts: Readings of the receivers (n, 8) [counts].
+        power: Power of the lamp [W].
+        turning: Fastest turn of the robot [rad/s].
     """
 
     places: Floats
@@ -41,13 +41,13 @@ class LampTable:
 
 @dataclass(frozen=True, slots=True)
 class LampFit:
-    """Receivers found.
+    """Fit of the receivers.
 
     Attributes:
-        ambient: their calibration.
-        gain_intervals: half the widths of the gains' 95 % confidence intervals, relative (8,).
-        heading_intervals: of the headings' [deg] (8,).
-        rms: of what is left [counts].
+        ambient: Fitted calibration.
+        gain_intervals: Halves of the gains' 95 % confidence intervals, relative (8,).
+        heading_intervals: Halves of the headings' 95 % confidence intervals (8,) [deg].
+        rms: Root mean square of the residuals [counts].
     """
 
     ambient: AmbientCalibration
@@ -57,7 +57,7 @@ class LampFit:
 
 
 def ambient_counts(table: LampTable, channel: int, calibration: AmbientCalibration) -> Floats:
-    """What a quiet receiver with a lamp in full sight reads, not rounded (n,)."""
+    """Return the readings of a receiver without noise and with a lamp in full sight, not rounded (n,)."""
     ambient = calibration
     return _counts(
         table,
@@ -73,22 +73,22 @@ def ambient_counts(table: LampTable, channel: int, calibration: AmbientCalibrati
 
 
 def fit_lamps(tables: Sequence[LampTable], start: Calibration) -> LampFit:
-    """Finds the receivers with which the readings were made.
+    """Fit the receivers to the readings.
 
     Raises:
-        FitError: the readings cannot tell a receiver's heading, gain or lobe, or what they share.
+        FitError: The readings do not determine a receiver's heading, gain or lobe, or the shared values.
     """
     before = start.ambient
     counts = np.concatenate([table.counts for table in tables])
     for sensor in Sensor:
         if np.ptp(counts[:, sensor]) < _LEAST_LIGHT:
             raise FitError(
-                f"{_name(sensor)}: the gain for lamps cannot be told: its readings differ by less than "
-                f"{_LEAST_LIGHT:.0f} counts; right is a turn of 360 degrees in a lamp's light"
+                f"{_name(sensor)}: the gain for lamps cannot be determined: its readings differ by less than "
+                f"{_LEAST_LIGHT:.0f} counts; expected a turn of 360 degrees in a lamp's light"
             )
     shared = [
         Parameter("dark level", before.dark_counts, 20, 20, " counts", 0, 1023),
-        # Nothing may have saturated; then the level of the brightest light stays what it was.
+        # Without saturated readings the level of the brightest light stays as it was.
         Parameter("diffuse part", before.diffuse, 0.1, 0.1, "", 0, 1),
     ]
     saturated = (counts < before.floor_counts + 4 * before.noise_counts).sum() >= N_SENSORS
@@ -133,7 +133,7 @@ def fit_lamps(tables: Sequence[LampTable], start: Calibration) -> LampFit:
         "floor_counts": round(floor, 1),
         "diffuse": round(diffuse, 3),
     }
-    # How old a reading is cannot be told within a scan: it lies evenly between its beginning and its end.
+    # The age of a reading within a scan is unknown: it is uniform between the scan's beginning and end.
     lag = CONFIDENCE * SCAN_NS * 1e-9 / math.sqrt(12)
     blurred = math.degrees(lag * max(table.turning for table in tables))
     return LampFit(
@@ -151,7 +151,7 @@ def _counts(
     levels: tuple[float, float, float],
     offset_mm: float,
 ) -> Floats:
-    """The law: receiver is heading [deg], gain, exponent; levels are dark, brightest, diffuse part."""
+    """Return counts; receiver is heading [deg], gain, exponent; levels are dark, brightest, diffuse part."""
     (heading_deg, gain, exponent), (dark, floor, diffuse) = receiver, levels
     ways = table.places - np.array([*SENSOR_POSITIONS[channel], 0.0])
     distances = np.sqrt((ways**2).sum(axis=1))

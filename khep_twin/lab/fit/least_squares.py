@@ -1,4 +1,4 @@
-"""Least squares with confidence intervals, and a refusal of data that cannot tell a parameter."""
+"""Least squares with confidence intervals; data that do not determine a parameter are refused."""
 
 # scipy is not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
@@ -20,21 +20,21 @@ CONFIDENCE = 1.96
 """Standard deviations in half of a 95 % confidence interval."""
 
 _UNTOLD = 1e-9
-"""Of the best-told combination of parameters: one that is told so little is not told at all."""
+"""Smallest singular value that determines a combination of parameters, relative to the largest."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Something to be found.
+    """Parameter to be fitted.
 
     Attributes:
-        name: what to call it in messages.
-        start: where the search begins.
-        scale: by how much it may sensibly differ from there.
-        widest: half a confidence interval beyond which the data do not tell it.
-        unit: of all three, for messages.
-        low: least value.
-        high: largest value.
+        name: Name in messages.
+        start: Initial value.
+        scale: Typical difference from the initial value.
+        widest: Largest half of the confidence interval that is accepted.
+        unit: Unit of these values, for messages.
+        low: Lower bound.
+        high: Upper bound.
     """
 
     name: str
@@ -48,12 +48,12 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What was found.
+    """Fitted parameters.
 
     Attributes:
-        values: of the parameters, in order.
-        intervals: half the width of each one's 95 % confidence interval.
-        rms: root mean square of what is left.
+        values: Values of the parameters, in order.
+        intervals: Halves of their 95 % confidence intervals.
+        rms: Root mean square of the residuals.
     """
 
     values: tuple[float, ...]
@@ -70,20 +70,20 @@ def estimate(
     step: float = 1e-4,
     unit_variance: bool = False,
 ) -> Estimate:
-    """Finds the parameters that leave the least over.
+    """Fit parameters by least squares.
 
     Args:
-        residuals: what parameters (n,) leave over (m,).
-        parameters: to be found.
-        wish: which data would tell them, for messages.
-        loss: of scipy's least_squares; "soft_l1" lets a few wild readings count less.
-        f_scale: residual from which on a reading counts as wild.
-        unit_variance: whether residuals are told in their own standard deviations; then what is left is taken
-            as noise only where it is more than that.
-        step: in each parameter's scale, over which slopes are taken.
+        residuals: Function of the parameters (n,) that returns the residuals (m,).
+        parameters: Parameters to fit.
+        wish: Data that would determine them, for messages.
+        loss: Loss of scipy's least_squares; "soft_l1" reduces the weight of outliers.
+        f_scale: Residual from which on a reading counts as an outlier.
+        unit_variance: If true, residuals are in units of their own standard deviation, and the noise is
+            estimated from their root mean square only if that is larger.
+        step: Step of the numeric derivatives, in each parameter's scale.
 
     Raises:
-        FitError: the data cannot tell a parameter.
+        FitError: The data do not determine a parameter.
     """
     scales = np.array([parameter.scale for parameter in parameters])
     start = np.array([parameter.start for parameter in parameters])
@@ -112,16 +112,16 @@ def estimate(
     for parameter, interval in zip(parameters, intervals, strict=True):
         if not interval <= parameter.widest:
             raise FitError(
-                f"{parameter.name}: cannot be told better than to +-{interval:.3g}{parameter.unit}; "
-                f"right are {wish}"
+                f"{parameter.name}: can be determined to +-{interval:.3g}{parameter.unit} only; "
+                f"expected {wish}"
             )
     return Estimate(tuple((start + found.x * scales).tolist()), tuple(intervals.tolist()), rms)
 
 
 def _variances(slopes: Floats, parameters: Sequence[Parameter], wish: str) -> Floats:
-    """Of the parameters, for residuals of variance 1."""
+    """Return the variances of the parameters, for residuals of variance 1."""
     _, strengths, ways = np.linalg.svd(slopes, full_matrices=False)
     if not strengths[-1] > _UNTOLD * strengths[0]:
         worst = parameters[int(np.abs(ways[-1]).argmax())]
-        raise FitError(f"{worst.name}: cannot be told at all; right are {wish}")
+        raise FitError(f"{worst.name}: cannot be determined; expected {wish}")
     return ((ways / strengths[:, None]) ** 2).sum(axis=0)

@@ -1,8 +1,8 @@
-"""Motors of one robot, from recorded drives with a fixed duty (command P): by driving the twin likewise.
+"""Fit of one robot's motors to recorded drives with fixed duties (command P), by simulating them.
 
-The host's lines of a log are sent to a twin at their times, and what the twin answers to E and H is compared
-with what the robot did. The speed that a duty leads to tells the no-load speed, how soon it is reached the
-stall torque. The controllers of D and C hide both, so a log with P is asked for.
+The host's lines of a log are sent to a twin at their times, and its answers to E and H are compared with the
+robot's. The steady speed at a duty determines the no-load speed, the rise time the stall torque. The
+controllers of D and C hide both, so the log must contain P.
 """
 
 import re
@@ -31,24 +31,24 @@ Floats = NDArray[np.float64]
 
 _WISH = "steps of duty (P) of up to 50 and of half a second and more, with E or H asked all the while"
 _HIGHEST_DUTY = 50
-"""Beyond it tyres slip, and what they do then tells little of the motors (measured on the twin)."""
+"""Largest duty; beyond it tyres slip and hide the motors' behaviour (measured on the twin)."""
 
 _LEAST_ANSWERS = 20
 _FIELD = 'version = 1\nname = "field"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
 _STEP = 0.1
-"""Of a parameter's scale, over which slopes are taken: tyres that slip make rough ones."""
+"""Step of the numeric derivatives in each parameter's scale; it is large, as slipping tyres add noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class DutyDrive:
-    """A recorded drive on open floor, from rest.
+    """Recorded drive on open floor, from rest.
 
     Attributes:
-        name: what to call it.
-        sent: the host's lines and when the robot had them [ns].
-        times_ns: of those that were E or H (n,) [ns].
-        ways: whether it was H (n,).
-        values: what the robot answered, left and right (n, 2).
+        name: Name in messages.
+        sent: Times at which the robot received the host's lines [ns], and the lines.
+        times_ns: Times of those that were E or H (n,) [ns].
+        ways: True where it was H (n,).
+        values: Answers of the robot, left and right (n, 2).
     """
 
     name: str
@@ -58,26 +58,26 @@ class DutyDrive:
     values: NDArray[np.int64]
 
     def speeds(self, values: NDArray[Any]) -> Floats:
-        """What answers tell of the speed: E as it is, H by how far the wheels have gone on (m, 2)."""
+        """Return speeds from the answers: E as it is, H by its difference to the one before (m, 2)."""
         ticks = np.diff(self.times_ns[self.ways]) / TICK_NS
         gone = np.diff(values[self.ways], axis=0) / ticks[:, None]
         return np.concatenate([values[~self.ways], gone])
 
     @property
     def times(self) -> Floats:
-        """Of the rows of `speeds` (m,) [s]."""
+        """Times of the rows of `speeds` (m,) [s]."""
         return np.concatenate([self.times_ns[~self.ways], self.times_ns[self.ways][1:]]) / 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class MotorFit:
-    """Motors found.
+    """Fit of the motors.
 
     Attributes:
-        motors: their calibration.
-        speed_interval: half the width of the no-load speed's 95 % confidence interval [rad/s].
-        torque_interval: that of the stall torque's [N m].
-        rms: of what is left of the speeds [pulses/10 ms].
+        motors: Fitted calibration.
+        speed_interval: Half of the no-load speed's 95 % confidence interval [rad/s].
+        torque_interval: Half of the stall torque's 95 % confidence interval [N m].
+        rms: Root mean square of the speeds' residuals [pulses/10 ms].
     """
 
     motors: MotorCalibration
@@ -87,31 +87,33 @@ class MotorFit:
 
 
 def read_drive(log: Path) -> DutyDrive:
-    """The drive of a log with one robot.
+    """Read the drive of a log with one robot.
 
     Raises:
-        LogError: there is no log.
-        FitError: it holds no steps of duty, or too few replies.
+        LogError: There is no log.
+        FitError: It holds no steps of duty, or too few replies.
     """
     robots = read(log).robots
     if len(robots) != 1:
-        raise FitError(f"{log}: {len(robots)} robots; right is a log of one")
+        raise FitError(f"{log}: {len(robots)} robots; expected a log of one")
     (track,) = robots.values()
     sent = tuple((line.time_ns, line.text) for line in track.serial if line.name == "host")
     asked = [(time_ns, text) for time_ns, text in sent if text in ("E", "H")]
     answers = [values for line in track.serial if (values := _values(line))]
     duties = [text for _, text in sent if text.startswith("P,")]
     if not duties:
-        raise FitError(f"{log}: the motors cannot be told: no drive with a fixed duty; right are {_WISH}")
+        raise FitError(
+            f"{log}: the motors cannot be determined: no drive with a fixed duty; expected {_WISH}"
+        )
     if too_high := next((text for text in duties if _highest(text) > _HIGHEST_DUTY), ""):
-        raise FitError(f"{log}: {too_high}: with such a duty the tyres slip; right are {_WISH}")
+        raise FitError(f"{log}: {too_high}: the tyres slip at this duty; expected {_WISH}")
     if len(answers) < _LEAST_ANSWERS:
         raise FitError(
-            f"{log}: the motors cannot be told: {len(answers)} answers to E and H; right are "
-            f"{_LEAST_ANSWERS} and more, as of {_WISH}"
+            f"{log}: the motors cannot be determined: {len(answers)} answers to E and H; expected "
+            f"at least {_LEAST_ANSWERS}, from {_WISH}"
         )
     if [text.lower() for _, text in asked] != [letter for letter, *_ in answers]:
-        raise FitError(f"{log}: some E or H were not answered; right is a drive with none lost")
+        raise FitError(f"{log}: some E or H were not answered; expected a drive with none lost")
     return DutyDrive(
         str(log),
         sent,
@@ -122,14 +124,14 @@ def read_drive(log: Path) -> DutyDrive:
 
 
 def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
-    """Finds the motors that the drives were made with.
+    """Fit the motors to the drives.
 
     Args:
-        drives: to be met.
-        start: the rest of the robot.
+        drives: Recorded drives.
+        start: Calibration of the rest of the robot, and initial values.
 
     Raises:
-        FitError: the drives cannot tell a parameter.
+        FitError: The drives do not determine a parameter.
     """
     measured = np.concatenate([drive.speeds(drive.values) for drive in drives])
     begin = start.motors
@@ -154,13 +156,13 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
 
 
 def driven(drive: DutyDrive, robot: Calibration) -> Floats:
-    """Speeds of a twin of a robot on a drive, as `DutyDrive.speeds` gives the robot's (m, 2)."""
+    """Return the speeds of a robot's twin on a drive, as `DutyDrive.speeds` gives the robot's (m, 2)."""
     with TemporaryDirectory(prefix="khep-twin-") as folder:
         file = Path(folder) / "robot.toml"
         file.write_text(dump(robot), encoding="utf-8")
         place = f"[[robot]]\nx_mm = 5000\ny_mm = 5000\nheading_deg = 0\ncalibration = '{file}'\n"
         world = World(playpen.parse(_FIELD + place, "field"), noise=False, unpaced=True)
-    # Proximity is of no interest here, and takes half of the time.
+    # Proximity is not needed here and takes half of the time.
     world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
     axles = [int(world.model.joint(f"khepera0/{side}_axle").qposadr[0]) for side in ("left", "right")]
     waiting = deque(drive.sent)
@@ -172,8 +174,8 @@ def driven(drive: DutyDrive, robot: Calibration) -> Floats:
             world.advance_to(max(time_ns, world.time_ns))
             world.robots[0].send(text.encode("latin-1") + b"\n")
         world.advance_to((tick + 1) * TICK_NS)
-    # The board knows of its wheels what the last tick has counted. Whole pulses are what it says, but parts
-    # of them are what a search can go by.
+    # The board reads the counters of the last tick. It rounds to whole pulses, but the fit needs a smooth
+    # function.
     pulses = np.array(angles) * (PULSES_PER_TURN / (2 * np.pi))
     ticks = drive.times_ns // TICK_NS
     gone = pulses[ticks] - pulses[np.maximum(ticks - 1, 0)]
@@ -181,7 +183,7 @@ def driven(drive: DutyDrive, robot: Calibration) -> Floats:
 
 
 def _values(line: Line) -> tuple[str, int, int] | None:
-    """A robot's answer to E or H; None for anything else, and for noise."""
+    """Return a robot's answer to E or H, None for anything else and for garbled lines."""
     letter, *fields = line.text.split(",")
     if line.name != "robot" or letter not in ("e", "h") or len(fields) != 2:
         return None
@@ -192,5 +194,5 @@ def _values(line: Line) -> tuple[str, int, int] | None:
 
 
 def _highest(command: str) -> int:
-    """The larger duty of a command P."""
+    """Return the larger duty of a command P."""
     return max(abs(int(field)) for field in re.findall(r"-?\d+", command))

@@ -1,4 +1,4 @@
-"""One robot's calibration from recorded tests: what the tests tell is fitted, the rest stays as it was."""
+"""Calibration of one robot from recorded tests; parts without a test stay as they were."""
 
 import re
 from collections.abc import Iterator
@@ -22,11 +22,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RobotFit:
-    """A robot found.
+    """Fit of a robot.
 
     Attributes:
-        calibration: of it.
-        lines: what was found, with 95 % confidence intervals, in words.
+        calibration: Fitted calibration.
+        lines: Fitted values with 95 % confidence intervals, as text.
     """
 
     calibration: Calibration
@@ -34,14 +34,14 @@ class RobotFit:
 
 
 def fit_robot(tests: Measured, start: Calibration) -> RobotFit:
-    """Fits all that the tests tell of.
+    """Fit the parts of a robot that have tests.
 
     Args:
-        tests: what was measured.
-        start: calibration that the rest is taken from.
+        tests: Measured tests.
+        start: Calibration of the other parts.
 
     Raises:
-        FitError: the tests cannot tell a parameter.
+        FitError: The tests do not determine a parameter.
     """
     found, lines = start, list[str]()
     if tests.wheels:
@@ -60,7 +60,7 @@ def fit_robot(tests: Measured, start: Calibration) -> RobotFit:
             f"stall torque   {torque * 1e3:.2f} mN m +- {motors.torque_interval * 1e3:.2f} (95 %)",
         ]
         if not tests.wheels:
-            lines.append("               with wheels as in --start; measured ones tell the torque better")
+            lines.append("               with wheels as in --start; measured wheels improve the torque")
     if tests.objects:
         fits = fit_infrared([each.table(found.wheels) for each in tests.objects], found)
         found = fitted(found, fits)
@@ -88,7 +88,7 @@ def fit_robot(tests: Measured, start: Calibration) -> RobotFit:
 
 
 def met(tests: Measured, found: Calibration) -> Iterator[str]:
-    """How well a calibration meets each of some tests, in words."""
+    """Yield the residuals of a calibration in each test, as text."""
     for drive in tests.wheels:
         left = left_over(drive, found.wheels.radius_mm / 1e3, found.wheels.base_mm / 1e3)
         off = f"{np.degrees(left):+.2f} degrees" if drive.distance is None else f"{left * 1e3:+.2f} mm"
@@ -99,9 +99,9 @@ def met(tests: Measured, found: Calibration) -> Iterator[str]:
     for data in (*tests.objects, *tests.lamps):
         left, noise = modelled(data, found) - data.counts, _noise(data, found)
         words = f"{data.name}: {_rms(left):.1f} counts rms, of which the sensors' noise is {_rms(noise):.1f}"
-        # Beside the noise there is what no model meets: 8 counts, or as much as the noise.
+        # Allow a model error of 8 counts, or as much as the noise.
         beyond = _rms(left) > 2 * np.hypot(_rms(noise), 8)
-        yield words + ("; is this what stood there, and so far away?" if beyond else "")
+        yield words + ("; check the object and its distance" if beyond else "")
 
 
 def _rms(values: Floats) -> float:
@@ -109,14 +109,14 @@ def _rms(values: Floats) -> float:
 
 
 def _noise(data: SensorData, found: Calibration) -> Floats:
-    """Standard deviation of each reading (n, 8), or of all of them."""
+    """Return the standard deviation of each reading (n, 8), or of all readings."""
     if data.power is not None:
         return np.array(found.ambient.noise_counts)
     return deviation(_levels(data, found), found.proximity.noise_counts, found.proximity.limit_counts)
 
 
 def modelled(data: SensorData, found: Calibration) -> Floats:
-    """What a robot with this calibration reads in a sensor test, on average (n, 8)."""
+    """Return the mean readings of a robot with a calibration in a sensor test (n, 8)."""
     if data.power is not None:
         lamp = data.lamp_table(found.wheels)
         return np.column_stack([ambient_counts(lamp, channel, found.ambient) for channel in range(N_SENSORS)])
@@ -124,7 +124,7 @@ def modelled(data: SensorData, found: Calibration) -> Floats:
 
 
 def _levels(data: SensorData, found: Calibration) -> Floats:
-    """What proximity would be without noise and uncut (n, 8)."""
+    """Return proximity without noise and clipping (n, 8)."""
     table, proximity = data.table(found.wheels), found.proximity
     columns = [
         level(
@@ -138,6 +138,6 @@ def _levels(data: SensorData, found: Calibration) -> Floats:
 
 
 def named(found: Calibration, stem: str, tests: int) -> Calibration:
-    """A calibration with a name made of a file's, and where it comes from."""
+    """Return a calibration with a name made of a file's and with its source."""
     name = re.sub("[^A-Za-z0-9_-]", "-", stem)[:64] or "robot"
     return found.model_copy(update={"name": name, "source": f"{found.source}; fitted to {tests} tests"})

@@ -1,11 +1,11 @@
-"""Logs as tables for other programs: CSV for everyone, Parquet for data frames, MAT for Matlab.
+"""Export of logs as tables: CSV, Parquet for data frames, and MAT for Matlab.
 
-    .csv      one table: time_s and a column for each value, a row for each time at which something was told
+    .csv      one table: time_s and a column for each value, a row for each time of a message
     .parquet  the same table, with unit and channel as metadata of each column
     .mat      a matrix for each channel with its own times: proximity, proximity_time_s, proximity_columns;
               transcript and events as cells
 
-Where channels have times of their own, as in logs of real robots, a table's cells stay empty between them.
+If channels have times of their own, as in logs of real robots, a table's cells stay empty between them.
 The same log gives the same bytes.
 """
 
@@ -36,10 +36,10 @@ from khep_twin.log.reader import Recording, Series, read_pieces
 SUFFIXES = (".csv", ".parquet", ".mat")
 
 MAT_BYTES = 512 << 20
-"""Most bytes of numbers and text in a MAT file, which is made in memory, in several times as much."""
+"""Largest size of numbers and text in a MAT file [bytes]; it is built in memory, in several times as much."""
 
 LINE_BYTES = 100
-"""Bytes that a line of the transcript counts as."""
+"""Assumed size of a line of the transcript [bytes]."""
 
 _SIDES = ("left", "right")
 _SENSORS = tuple(name.replace(" ", "_") for name in SENSORS)
@@ -73,18 +73,18 @@ _KNOWN: dict[str, tuple[tuple[str, str], ...]] = {
 
 _LAST = ("lamps", "registers")
 _UNASKED = ("registers",)
-"""Exported only where it is chosen: most of it stands in other channels, too."""
+"""Channels exported only if chosen, as most of their values are in other channels, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of a robot, or the lamps.
+    """Channel of a robot, or the lamps.
 
     Attributes:
-        name: e.g. "proximity".
-        topic: its topic in the log, e.g. "/khepera0/proximity".
-        columns: their names and units.
-        series: times (n,) [ns] and values (n, columns).
+        name: Name, e.g. "proximity".
+        topic: Topic in the log, e.g. "/khepera0/proximity".
+        columns: Names and units of the columns.
+        series: Times (n,) [ns] and values (n, columns).
     """
 
     name: str
@@ -94,21 +94,21 @@ class Channel:
 
 
 def checked_suffix(path: Path) -> str:
-    """A file's suffix in small letters, if it is one of ours.
+    """Return a file's suffix in lower case.
 
     Raises:
-        LogError: it is not.
+        LogError: The suffix is not in `SUFFIXES`.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise LogError(f"{path}: right is a name that ends in .csv, .parquet or .mat")
+        raise LogError(f"{path}; expected a name that ends in .csv, .parquet or .mat")
     return path.suffix.lower()
 
 
 def chosen_robot(recording: Recording, robot: str | None) -> str:
-    """The robot of a name, the first one without.
+    """Return the name of the chosen robot, by default the first one.
 
     Raises:
-        LogError: the log has no such robot.
+        LogError: The log has no such robot.
     """
     names = recording.label.robots
     if robot is not None and robot not in names:
@@ -117,15 +117,15 @@ def chosen_robot(recording: Recording, robot: str | None) -> str:
 
 
 def chosen_channels(recording: Recording, robot: str, names: Sequence[str] | None) -> list[Channel]:
-    """What a log has of a robot, and of the lamps.
+    """Return channels of a robot and of the lamps.
 
     Args:
-        recording: the log.
-        robot: its name.
-        names: of the channels wanted, in their order; without, all but the registers.
+        recording: Recording of the log.
+        robot: Name of the robot.
+        names: Names of the channels, in their order; by default all but the registers.
 
     Raises:
-        LogError: the log has no such channel.
+        LogError: The log has no such channel.
     """
     found: dict[str, Channel] = {}
     for topic, series in recording.series.items():
@@ -156,7 +156,7 @@ def write_table(
         channels: Columns of the table, as `chosen_channels` found them; their series are not used.
         kind: Suffix ".csv" or ".parquet".
         file: File that is written, open for reading, too.
-        progress: Takes the share that is done, 0 to 1.
+        progress: Called with the completed part, 0 to 1.
 
     Raises:
         LogError: The log is not whole.
@@ -223,7 +223,7 @@ def matrices(
 def write_transcript(
     log: Path, robot: str, file: BinaryIO, progress: Callable[[float], None] | None = None
 ) -> int:
-    """Write what was said on a robot's line as a CSV file, piece by piece; return the number of lines.
+    """Write the transcript of a robot's line as a CSV file, piece by piece; return the number of lines.
 
     Raises:
         LogError: The log is not whole.
@@ -241,7 +241,7 @@ def write_transcript(
 
 
 def _columns(name: str, count: int) -> tuple[tuple[str, str], ...]:
-    """Names and units of a channel's columns."""
+    """Return the names and units of a channel's columns."""
     known = _KNOWN.get(name, ())
     if len(known) == count:
         return known
@@ -251,23 +251,23 @@ def _columns(name: str, count: int) -> tuple[tuple[str, str], ...]:
 
 
 def _identifier(name: str) -> str:
-    """A name as Matlab takes it."""
+    """Return a name as a Matlab identifier."""
     words = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return (words if words[:1].isalpha() else f"c{words}")[:20]
 
 
 def _rows(times_ns: NDArray[np.int64], channel: Channel) -> NDArray[np.int64]:
-    """For each time the channel's row (n,), -1 without; of several at one time the last."""
+    """Return the channel's row for each time (n,), -1 without; of several at one time the last."""
     rows = np.full(len(times_ns), -1)
     rows[np.searchsorted(times_ns, channel.series.times_ns)] = np.arange(len(channel.series.times_ns))
     return rows
 
 
 def _part(log: Path, channel: Channel, piece: Recording) -> Channel:
-    """Return a channel with what a piece of the log has of it.
+    """Return a channel with its series in a piece of the log.
 
     Raises:
-        LogError: It has rows of another length there than at its begin.
+        LogError: Its rows have another length there than at its begin.
     """
     series = piece.series.get(channel.topic, Series(np.zeros(0, np.int64), channel.series.values[:0]))
     if series.values.shape[1:] != channel.series.values.shape[1:]:
@@ -279,18 +279,18 @@ def _part(log: Path, channel: Channel, piece: Recording) -> Channel:
 
 
 def _is_whole(channel: Channel) -> bool:
-    """Tell if all values are whole numbers."""
+    """Return whether all values are integers."""
     values = channel.series.values
     return bool(np.isfinite(values).all() and np.array_equal(np.rint(values), values))
 
 
 class _Csv:
-    """A CSV file that is written piece by piece.
+    """CSV file that is written piece by piece.
 
     Args:
         file: File.
         channels: Channels that make its columns.
-        fractional: Names of those that are not whole numbers.
+        fractional: Names of the channels that are not integers.
     """
 
     def __init__(self, file: BinaryIO, channels: Sequence[Channel], fractional: Collection[str]) -> None:
@@ -299,7 +299,7 @@ class _Csv:
         file.write(f"{head}\n".encode())
 
     def write(self, times_ns: NDArray[np.int64], channels: Sequence[Channel]) -> None:
-        """Write rows: those times, and what the channels have then."""
+        """Write a row for each time with the values of the channels."""
         columns: list[list[str]] = [[repr(time_ns / 1e9) for time_ns in times_ns.tolist()]]
         for channel in channels:
             rows = _rows(times_ns, channel).tolist()
@@ -313,7 +313,7 @@ class _Csv:
 
 
 class _Parquet:
-    """A Parquet file that is written piece by piece, each a group of rows; arguments as for `_Csv`."""
+    """Parquet file that is written piece by piece, each a row group; arguments as for `_Csv`."""
 
     def __init__(self, file: BinaryIO, channels: Sequence[Channel], fractional: Collection[str]) -> None:
         import pyarrow as arrow
@@ -329,7 +329,7 @@ class _Parquet:
         self._writer: Any = parquet.ParquetWriter(file, self._schema)
 
     def write(self, times_ns: NDArray[np.int64], channels: Sequence[Channel]) -> None:
-        """Write rows: those times, and what the channels have then."""
+        """Write a row for each time with the values of the channels."""
         import pyarrow as arrow
 
         columns: list[Any] = [arrow.array(times_ns / 1e9)]
@@ -346,13 +346,13 @@ class _Parquet:
 
 
 def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[Any]:
-    """Return a channel's values, as whole numbers if they all are."""
+    """Return a channel's values, as integers unless it is fractional."""
     values = channel.series.values
     return values if channel.name in fractional else values.astype(np.int64)
 
 
 def _cells(texts: Sequence[str]) -> NDArray[np.object_]:
-    """Texts as a column of cells."""
+    """Return texts as a column of cells."""
     cells = np.empty((len(texts), 1), object)
     cells[:, 0] = texts
     return cells

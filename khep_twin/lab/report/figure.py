@@ -1,4 +1,4 @@
-"""A report's pictures: eight sensors and two wheels over time, red where the robot touched something."""
+"""Figures of a report: eight sensors and two wheels over time, red during contact."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -22,10 +22,10 @@ from khep_twin.log.reader import Series
 from khep_twin.units import COUNTS_LIMIT, speed
 
 POINT_LIMIT = 2000
-"""Of a curve; of more, the lowest and the highest of each of so many stretches are drawn."""
+"""Most points of a curve; longer ones are drawn as the extremes of so many intervals."""
 
 SENSOR_HEIGHT, WHEEL_HEIGHT = 4.9, 2.9
-"""Of the pictures [inch]."""
+"""Heights of the figures [inch]."""
 
 _PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
 _SPEED, _SETPOINT, _CONTACT = "#2f7d5b", "#2b2f36", "#c2452d"
@@ -33,18 +33,18 @@ _MARK_LIMIT = 300
 
 
 WIDTH = 7.1
-"""Likewise: a page's text."""
+"""Width of the figures and of a page's text [inch]."""
 
 
 def sheet(width: float, height: float) -> Figure:
-    """An empty picture or page [inch]."""
+    """Return an empty figure or page of a size [inch]."""
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
 def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Proximity and ambient light, a strip for each sensor, from a corner at the lower left on [inch]."""
+    """Draw proximity and ambient light, a strip for each sensor; the corner is the lower left [inch]."""
     kinds = (
         ("proximity", robot.proximity, _PROXIMITY, (0, COUNTS_LIMIT)),
         ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _highest(robot.ambient)))),
@@ -74,7 +74,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
 
 
 def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Both wheels' speeds with their setpoints, from a corner at the lower left on [inch]."""
+    """Draw both wheels' speeds with their setpoints; the corner is the lower left [inch]."""
     grid = _within(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
     cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
     for side, name in enumerate(("left", "right")):
@@ -116,7 +116,7 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] 
 def _within(
     figure: Figure, corner: tuple[float, float], height: float, *, left: float, right: float
 ) -> dict[str, float]:
-    """Where a picture's axes lie on a figure, with room for what stands around them [inch]."""
+    """Return the edges of axes on a figure, with margins for labels [inch]."""
     whole_width, whole_height = figure.get_size_inches().tolist()
     x, y = corner
     return {
@@ -128,7 +128,7 @@ def _within(
 
 
 def _draw_strip(axes: Axes, series: Series, sensor: int, colour: str, dark: float | None) -> None:
-    """One sensor: proximity filled from below, ambient light as deep as it goes below the dark level."""
+    """Draw one sensor: proximity filled from below, ambient light from the dark level."""
     times_s, values = _thinned(series.times_ns / 1e9, series.values[:, sensor])
     level = 0.0 if dark is None else dark
     axes.fill_between(times_s, values, level, color=colour, alpha=0.4, lw=0)
@@ -137,7 +137,7 @@ def _draw_strip(axes: Axes, series: Series, sensor: int, colour: str, dark: floa
 
 
 def _thinned(times_s: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """A curve of many points as one that looks the same."""
+    """Return a curve of many points as one of fewer points that looks the same."""
     if len(values) <= 2 * POINT_LIMIT:
         return times_s, values
     bounds = np.linspace(0, len(values), POINT_LIMIT + 1).astype(int)[:-1]
@@ -153,7 +153,7 @@ def _mark_contact(axes: Axes, robot: RobotReport) -> None:
 
 
 def _times(robot: RobotReport) -> tuple[float, float]:
-    """From the run's start to the last value."""
+    """Return the times of the run's start and the last value [s]."""
     all_series = (robot.proximity, robot.ambient, robot.speed)
     last_s = max((float(each.times_ns[-1]) / 1e9 for each in all_series if each is not None), default=0.0)
     return 0.0, last_s or 1.0

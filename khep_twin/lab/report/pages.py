@@ -1,6 +1,6 @@
-"""A report as a page: HTML in one file, with pictures within and without scripts, or PDF.
+"""Pages of a report in HTML, in one file with embedded figures and without scripts.
 
-Both are made for A4 and hold the same. The same report gives the same bytes.
+HTML and PDF are laid out for A4 and have the same content. The same report gives the same bytes.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -28,13 +28,13 @@ from khep_twin.lab.report.report import Report, RobotReport
 from khep_twin.lab.report.rows import DEFINITIONS, Row
 
 Draw = Callable[[Figure, RobotReport, tuple[float, float]], None]
-"""Draws a robot's picture onto a figure, from a corner at the lower left on [inch]."""
+"""Function that draws a robot's picture onto a figure; the corner is the lower left [inch]."""
 
 EVENT_LIMIT = 40
-"""Most events on a page; of more, the first ones."""
+"""Most events on a page; later ones are left out."""
 
 DPI = 200
-"""Of the pictures."""
+"""Resolution of the figures [dots per inch]."""
 
 _PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
@@ -67,8 +67,8 @@ $body
 
 
 def html(report: Report) -> bytes:
-    """A report as a page for browsers, in one file."""
-    parts = [_image(draw_map(report), "Ways over the playpen", "map")] if report.playpen is not None else []
+    """Return a report as an HTML page in one file."""
+    parts = [_image(draw_map(report), "Paths in the playpen", "map")] if report.playpen is not None else []
     for robot in report.robots:
         parts += [f"<h2>{escape(robot.name)}</h2>", _table(robot.rows)]
         if robot.missing:
@@ -85,10 +85,10 @@ def html(report: Report) -> bytes:
 
 
 def draw_map(report: Report) -> Figure:
-    """The playpen with the ways of the robots.
+    """Draw the playpen with the robots' paths.
 
     Raises:
-        ValueError: the log has no playpen.
+        ValueError: The log has no playpen.
     """
     if report.playpen is None:
         raise ValueError("a report without a playpen has no map")
@@ -96,14 +96,14 @@ def draw_map(report: Report) -> Figure:
 
 
 def listed(events: Sequence[Row]) -> tuple[Row, ...]:
-    """Events, of very many the first ones and how many more there are."""
+    """Return the first events, and a row with the number of those left out."""
     if len(events) <= EVENT_LIMIT:
         return tuple(events)
     return (*events[:EVENT_LIMIT], ("…", f"and {len(events) - EVENT_LIMIT} more"))
 
 
 def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
-    """What is drawn of a robot, how high [inch], and what it is; only what the log has."""
+    """Return drawing function, height [inch] and name of each picture for which the log has data."""
     found: list[tuple[Draw, float, str]] = []
     if robot.proximity is not None or robot.ambient is not None:
         found.append((draw_sensors, SENSOR_HEIGHT, "Sensors"))
@@ -120,7 +120,7 @@ def _drawn(draw: Draw, height: float, robot: RobotReport) -> Figure:
 
 
 def _image(figure: Figure, text: str, kind: str = "curves") -> str:
-    # As PNG, which word processors take with copy and paste.
+    # PNG can be copied and pasted to word processors.
     data = b64encode(drawing.picture(figure, "png", DPI)).decode("ascii")
     return f'<img class="{kind}" alt="{escape(text)}" src="data:image/png;base64,{data}">'
 

@@ -1,4 +1,4 @@
-"""A report as PDF: the same as in HTML, set more simply. The same report gives the same bytes."""
+"""PDF pages of a report, with the content of the HTML in a simpler layout; reproducible to the byte."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -37,7 +37,7 @@ _MAP_HEIGHT = 4.7
 
 
 def pdf(report: Report) -> bytes:
-    """A report as the bytes of a PDF file."""
+    """Return a report as the bytes of a PDF file."""
     with matplotlib.style.context(STYLE):
         pages = _Pages()
         pages.text(report.title, _TITLE)
@@ -65,10 +65,10 @@ def pdf(report: Report) -> bytes:
 
 
 class _Pages:
-    """Pages that are filled from their top down.
+    """Pages filled from top to bottom.
 
     Attributes:
-        figures: the pages.
+        figures: Figures, one per page.
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class _Pages:
         self._left = 0.0
 
     def room(self, height: float) -> float:
-        """Takes a strip of the page, or of a new one; returns where its lower edge is [inch]."""
+        """Reserve a strip of the page, or of a new one; return the position of its lower edge [inch]."""
         if not self.figures or self._left < height:
             self.figures.append(sheet(*_PAGE))
             self._left = _PAGE[1] - 2 * _END
@@ -84,13 +84,13 @@ class _Pages:
         return _END + self._left
 
     def text(self, text: str, size: float) -> None:
-        """Writes a paragraph."""
+        """Write a paragraph."""
         lines = _lines(text, size, WIDTH)
         bottom = self.room((len(lines) + 0.5) * _line_height(size))
         self._write(_SIDE, bottom + 0.5 * _line_height(size), lines, size)
 
     def heading(self, text: str, keep: float) -> None:
-        """Writes a heading with a line below, on a page with room for so much of what follows [inch]."""
+        """Write a heading with a line below, on a page with `keep` [inch] of room after it."""
         if self._left < 0.42 + keep:
             self._left = 0.0
         bottom = self.room(0.42)
@@ -98,7 +98,7 @@ class _Pages:
         self._rule(bottom + 0.05, INK, 0.8)
 
     def table(self, rows: Sequence[Row], size: float) -> None:
-        """Writes names and values, a thin line below each."""
+        """Write names and values, with a thin line below each."""
         for name, value in rows:
             names, values = _lines(name, size, _NAMES - 0.1), _lines(value, size, WIDTH - _NAMES)
             count = max(len(names), len(values))
@@ -109,7 +109,7 @@ class _Pages:
         self.room(min(0.1, max(self._left, 0.0)))
 
     def picture(self, png: bytes) -> None:
-        """Puts a picture in the middle of the page."""
+        """Draw a picture, centred on the page."""
         pixels = matplotlib.image.imread(BytesIO(png), format="png")
         rows, columns = pixels.shape[:2]
         height = min(_MAP_HEIGHT, WIDTH * rows / columns)
@@ -132,11 +132,11 @@ class _Pages:
 
 
 def _line_height(size: float) -> float:
-    """Of type of a size in points [inch]."""
+    """Return the line height [inch] of text of a size in points."""
     return 1.3 * size / 72
 
 
 def _lines(text: str, size: float, width: float) -> list[str]:
-    """A text cut into lines that fit a width [inch]."""
-    # A letter of the font is 0.56 of its size wide in the mean of such texts, with some to spare.
+    """Wrap a text to lines that fit a width [inch]."""
+    # The mean width of a letter in such texts is 0.56 of the font size, with some margin.
     return textwrap.wrap(text, int(width * 72 / (0.56 * size))) or [""]

@@ -1,8 +1,8 @@
-"""What there is to say about a run, from its log: the words and numbers of a report, without its looks.
+"""Contents of a report on a run, from its log; the layout is separate.
 
-A report has a map with all robots' ways, and for each robot its numbers, its sensors and its wheels over
-time. Of a real robot's log, which has no truth, there is what the host has asked for, and a line says what is
-missing.
+A report has a map with all robots' paths, and for each robot its statistics, its sensors and its wheels over
+time. A real robot's log has no ground truth: the report shows what the host has read, and a line lists what
+is missing.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.units import BODY_RADIUS
 
 USUAL_DARK_COUNTS = 500
-"""What a sensor reads in the dark, where the log has no calibration [counts]."""
+"""Default dark level of a sensor, if the log has no calibration [counts]."""
 
 
 _UNSET = ("None", "()")
@@ -37,17 +37,17 @@ _UNSET = ("None", "()")
 
 @dataclass(frozen=True, slots=True)
 class RobotReport:
-    """One robot's part.
+    """Part of a report on one robot.
 
     Attributes:
-        name: of the robot.
-        rows: its numbers.
-        missing: what the log does not have, in one sentence; empty where nothing is missing.
-        proximity: counts over time, None without.
-        ambient: likewise.
-        speed: left, right, setpoint left, setpoint right [pulses/10 ms], None without.
-        dark: level of ambient light in the dark [counts].
-        contact: when it touched something (n, 2) [s].
+        name: Name of the robot.
+        rows: Statistics of the robot.
+        missing: Sentence on what the log lacks; empty if nothing is missing.
+        proximity: Proximity over time [counts], None without.
+        ambient: Ambient light over time [counts], None without.
+        speed: Speeds left, right, setpoints left, right over time [pulses/10 ms], None without.
+        dark: Dark level of ambient light [counts].
+        contact: Intervals of contact (n, 2) [s].
     """
 
     name: str
@@ -62,15 +62,15 @@ class RobotReport:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A whole report.
+    """Report on a run.
 
     Attributes:
-        title: of the page.
-        playpen: the map, None where the log has none.
-        tracks: the robots' ways.
-        robots: their parts.
-        events: faults and notes: when and whose, and what.
-        settings: versions, seed and what else was set.
+        title: Title of the page.
+        playpen: Playpen of the map, None if the log has none.
+        tracks: Paths of the robots.
+        robots: Parts on each robot.
+        events: Faults and notes: time and robot, and text.
+        settings: Versions, seed and other settings.
     """
 
     title: str
@@ -82,14 +82,14 @@ class Report:
 
 
 def report(recording: Recording, source: str) -> Report:
-    """What there is to say about a log.
+    """Return the report on a log.
 
     Args:
-        recording: the log.
-        source: what to call its file in messages.
+        recording: Recording of the log.
+        source: Name of its file in messages.
 
     Raises:
-        LogError: what is attached to the log cannot be used.
+        LogError: An attachment of the log cannot be used.
     """
     facts = recording.label.metadata
     attachments = recording.label.attachments
@@ -142,7 +142,7 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
     if ambient is not None:
         rows += light_rows(ambient, USUAL_DARK_COUNTS if dark is None else dark)
     rows += wire_rows(lines, _duration_s(recording))
-    there = {"place and way": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
+    there = {"pose": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
     absent = [what for what, series in there.items() if series is None]
     if playpen is None or pose is None:
         absent += ["collisions"]
@@ -158,7 +158,7 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
 
 
 def _series(recording: Recording, topic: str, width: int) -> Series | None:
-    """A channel; None where there is none, or another one of this name."""
+    """Return a channel, None if it is missing or has another shape."""
     series = recording.series.get(topic)
     if series is None or series.values.shape[1:] != (width,):
         return None
@@ -167,7 +167,7 @@ def _series(recording: Recording, topic: str, width: int) -> Series | None:
 
 
 def _duration_s(recording: Recording) -> float:
-    """Up to the last that was recorded, from the run's start at 0."""
+    """Return the time of the last message [s]; the run starts at 0."""
     last_ns = [int(series.times_ns[-1]) for series in recording.series.values()]
     last_ns += [lines[-1].time_ns for lines in recording.lines.values() if lines]
     return max(last_ns, default=0) / 1e9

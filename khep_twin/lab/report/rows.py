@@ -1,4 +1,4 @@
-"""The numbers of a report as words: what each is called, its value with unit and sensible digits."""
+"""Statistics of a report as text rows: name, and value with unit and rounded digits."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -14,10 +14,10 @@ from khep_twin.log.channels import Line
 from khep_twin.log.reader import Series
 
 Row = tuple[str, str]
-"""What it is, and the value with its unit."""
+"""Name, and value with its unit."""
 
 DEFINITIONS: tuple[Row, ...] = (
-    ("Distance", "length of the centre's way, measured in steps of 1 mm; its mean speed includes standing"),
+    ("Distance", "path length of the centre, measured in steps of 1 mm; its mean speed includes standing"),
     ("Largest speed", "between two samples, 20 ms apart"),
     ("Turned", "sum of all turns to either side; net is their difference, positive counter-clockwise"),
     ("Near something", f"any of the eight sensors reads a proximity above {NEAR_COUNTS} counts"),
@@ -26,10 +26,10 @@ DEFINITIONS: tuple[Row, ...] = (
         "the robot's round body is nearer than 1 mm to a wall or a fixed object, as the playpen has them; "
         "contacts less than 0.1 s apart are one. Turrets, other robots and movable objects are left out",
     ),
-    ("Light gained", "how far a reading of ambient light lies below the dark level; lamps lower it"),
+    ("Light gained", "depth of an ambient light reading below the dark level; lamps lower it"),
     (
         "By counters",
-        "way and heading reckoned from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels; "
+        "path and heading computed from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels; "
         "slip, and wheels of another size, make them differ from the truth",
     ),
     ("Reply time", "from the last byte of a command to the last byte of its reply"),
@@ -38,7 +38,7 @@ DEFINITIONS: tuple[Row, ...] = (
 
 
 def motion_rows(pose: Series) -> Iterator[Row]:
-    """Where a robot got to."""
+    """Yield the rows on a robot's motion."""
     found = statistics.motion(pose.times_ns / 1e9, pose.values.astype(np.float64))
     yield "Distance", _length(found.distance)
     yield "Mean speed", f"{1000 * found.mean_speed:.1f} mm/s"
@@ -49,7 +49,7 @@ def motion_rows(pose: Series) -> Iterator[Row]:
 
 
 def collision_rows(found: Stretches) -> Iterator[Row]:
-    """How often a robot ran into something."""
+    """Yield the row on a robot's collisions."""
     words = "none"
     if len(found.times_s):
         first_s = found.times_s[0, 0]
@@ -58,13 +58,13 @@ def collision_rows(found: Stretches) -> Iterator[Row]:
 
 
 def near_rows(found: Stretches) -> Iterator[Row]:
-    """How long something was before a sensor."""
+    """Yield the row on the time in which a sensor detected something."""
     words = f"{found.total_s:.1f} s, {100 * found.share:.0f} % of the time"
     yield "Near something", f"{words}; longest {found.longest_s:.1f} s"
 
 
 def slip_rows(pose: Series, registers: Series) -> Iterator[Row]:
-    """The wheels' counters against the truth."""
+    """Yield the rows on the difference between odometry and ground truth."""
     pulses = registers.values[:, [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]].astype(np.int64)
     times_s, truth = pose.times_ns / 1e9, pose.values.astype(np.float64)
     found = statistics.slip(times_s, truth, pulses)
@@ -77,7 +77,7 @@ def slip_rows(pose: Series, registers: Series) -> Iterator[Row]:
 
 
 def light_rows(ambient: Series, dark: float) -> Iterator[Row]:
-    """What came in from lamps, below a dark level [counts]."""
+    """Yield the rows on the light received from lamps, below a dark level [counts]."""
     levels = np.full(8, float(dark))
     found = statistics.light(ambient.times_ns / 1e9, ambient.values.astype(np.int64), levels)
     yield "Light gained", f"{found.mean:.1f} counts in the mean of all sensors"
@@ -88,7 +88,7 @@ def light_rows(ambient: Series, dark: float) -> Iterator[Row]:
 
 
 def wire_rows(lines: Sequence[Line], duration_s: float) -> Iterator[Row]:
-    """What was said on the serial line."""
+    """Yield the rows on the serial line."""
     found = wire(lines)
     if not found.count:
         yield "Commands", "none"

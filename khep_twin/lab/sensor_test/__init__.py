@@ -1,1 +1,1 @@
-"""Sensor tests: readings while a robot is turned or moved."""
+"""Sensor tests: readings while a robot turns or drives."""

@@ -1,8 +1,8 @@
-"""Pictures of sensor tests: all eight sensors laid out like the robot, or one alone; several runs laid over.
+"""Figures of sensor tests: all eight sensors laid out as on the robot, or one alone, of one run or several.
 
 A straight drive counts down to its end, which is 0 cm at the right; a turn is shown in degrees, positive
 counter-clockwise. Several runs are thin lines, with their mean and a band of one standard deviation to either
-side, over the part of the way that all of them cover.
+side, over the part of the path that all of them cover.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -27,29 +27,29 @@ from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun
 from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
 
 AMBIENT_LIMIT = 525
-"""Top of the axis of ambient counts; in the dark a sensor reads about 500."""
+"""Upper limit of the axis of ambient light [counts]; in the dark a sensor reads about 500."""
 
 _GRID_POINTS = 400
 _RUN, _MEAN = "#2f6fb0", "#c2452d"
 _CELLS = ((1, 0), (0, 0), (0, 1), (0, 2), (0, 3), (1, 3), (2, 2), (2, 1))
-"""Row and column of each sensor's axes, in the manual's order; the robot looks up."""
+"""Row and column of each sensor's axes, in the manual's order; the robot's front is up."""
 
-_UNITS = {"linear": "way left to the end [cm]", "rotational": "turned counter-clockwise [degrees]"}
+_UNITS = {"linear": "distance to the end [cm]", "rotational": "turned counter-clockwise [degrees]"}
 
 
 def draw(
     runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 0, grid: bool = False
 ) -> Figure:
-    """Draws one run or several of the same kind.
+    """Draw one run or several of the same kind.
 
     Args:
-        runs: what to draw, at least one.
-        sensor: the only one to draw, e.g. "left 10"; without, all eight.
-        y_min: where the axis of counts begins.
-        grid: whether there are lines behind.
+        runs: Runs to draw, at least one.
+        sensor: Name of a single sensor, e.g. "left 10"; by default all eight.
+        y_min: Lower limit of the axis of counts.
+        grid: If true, draw grid lines.
 
     Raises:
-        SensorTestError: there is no such sensor, the runs do not go together, or nothing is to be seen.
+        SensorTestError: There is no such sensor, the runs differ in kind, or there is nothing to draw.
     """
     check(runs, sensor=sensor, y_min=y_min)
     with matplotlib.style.context(STYLE):
@@ -72,28 +72,28 @@ def draw(
 
 
 def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 0) -> None:
-    """Refuses what `draw` could not draw.
+    """Check arguments of `draw`.
 
     Raises:
-        SensorTestError: as `draw` tells.
+        SensorTestError: See `draw`.
     """
     if sensor is not None and sensor not in SENSORS:
         raise SensorTestError(f"sensor = {sensor}: no such sensor; {choices(sensor, SENSORS)}")
     kinds = list(dict.fromkeys(f"{run.test.what}, {run.test.motion}" for run in runs))
     if len(kinds) != 1:
         raise SensorTestError(
-            f"runs of {' and of '.join(kinds) or 'no kind'}: right are runs of one kind in a picture"
+            f"runs of {' and of '.join(kinds) or 'no kind'}; expected runs of one kind in a figure"
         )
     if any(not len(run.dv) for run in runs):
-        raise SensorTestError("a run without rows; right are runs that have gathered something")
+        raise SensorTestError("a run without rows; expected runs with rows")
     if not 0 <= y_min < _limit(runs[0]):
-        raise SensorTestError(f"y-min = {y_min}: right is 0 to {_limit(runs[0]) - 1} for {runs[0].test.what}")
+        raise SensorTestError(f"y-min = {y_min}; expected 0 to {_limit(runs[0]) - 1} for {runs[0].test.what}")
     if len(runs) > 1:
         _common(runs)
 
 
 def places(run: SensorRun) -> NDArray[np.float64]:
-    """Where on the picture's x axis the rows are (n,): the way left to the end [cm], or turned [degrees]."""
+    """Return the rows' x values in the figure (n,): distance to the end [cm] or angle turned [degrees]."""
     if run.test.motion == "rotational":
         return run.travelled
     return abs(run.test.amount) - run.travelled * np.sign(run.test.amount)
@@ -102,13 +102,13 @@ def places(run: SensorRun) -> NDArray[np.float64]:
 def mean_and_spread(
     runs: Sequence[SensorRun],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Several runs as one, over the places that all of them cover.
+    """Return mean and spread of several runs, over the places that all of them cover.
 
     Returns:
-        Places (m,) as `places` has them, mean counts (m, 8), and standard deviations (m, 8) of a sample.
+        Places (m,) as of `places`, mean counts (m, 8), and sample standard deviations (m, 8).
 
     Raises:
-        SensorTestError: there are no such places.
+        SensorTestError: There are no such places.
     """
     x = np.linspace(*_common(runs), _GRID_POINTS)
     counts = np.empty((len(runs), len(x), len(SENSORS)))
@@ -123,7 +123,7 @@ def _common(runs: Sequence[SensorRun]) -> tuple[float, float]:
     low = max(float(places(run).min()) for run in runs)
     high = min(float(places(run).max()) for run in runs)
     if not low < high:
-        raise SensorTestError("the runs have no part of the way in common; right are runs over the same way")
+        raise SensorTestError("the runs have no part of the path in common; expected runs over the same path")
     return low, high
 
 
@@ -158,7 +158,7 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
 
 
 def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int, grid: bool) -> None:
-    """One sensor's counts over the way."""
+    """Draw one sensor's counts over the path."""
     alone = len(runs) == 1
     for number, run in enumerate(runs):
         axes.plot(
@@ -187,7 +187,7 @@ def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int,
         axes.xaxis.set_major_locator(
             MultipleLocator(next(s for s in (15, 30, 90, 180) if high - low <= 4 * s))
         )
-    # Readings at either end of the scale are not to vanish in the frame.
+    # A margin keeps readings at the limits clear of the frame.
     margin = 0.02 * (_limit(runs[0]) - y_min)
     axes.set_ylim(y_min - margin, _limit(runs[0]) + margin)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
@@ -198,7 +198,7 @@ def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int,
 
 
 def _draw_robot(axes: Axes) -> None:
-    """Which sensor is where, seen from above with the front up."""
+    """Draw the robot with its sensors, seen from above with the front up."""
     axes.set_axis_off()
     axes.set(aspect="equal", xlim=(-0.07, 0.07), ylim=(-0.035, 0.036))
     axes.add_patch(Circle((0, 0), BODY_RADIUS, facecolor="#eef2ee", edgecolor=INK, lw=0.9))
@@ -207,7 +207,7 @@ def _draw_robot(axes: Axes) -> None:
         axes.add_patch(Rectangle(corner, WHEEL_WIDTH, 2 * WHEEL_RADIUS, facecolor=INK, lw=0))
     for name, (forward, left) in zip(SENSORS, SENSOR_POSITIONS, strict=True):
         axes.add_patch(Circle((-left, forward), 0.0016, facecolor=_RUN, lw=0))
-        # Names of those at the side stand beside them, those of the others before and behind.
+        # Put the names beside lateral sensors, and before or behind the others.
         if abs(left) > 0.012:
             axes.text(-1.22 * left, 1.4 * forward, name, ha="right" if left > 0 else "left", va="center")
         else:
@@ -217,7 +217,7 @@ def _draw_robot(axes: Axes) -> None:
 
 
 def _facts(runs: Sequence[SensorRun]) -> list[str]:
-    """What was tested, in few words."""
+    """Return the test in a few words."""
     test = runs[0].test
     amounts = _span([round(run.test.amount, 1) for run in runs])
     speeds = [run.test.speed for run in runs if run.test.speed is not None]
@@ -226,7 +226,7 @@ def _facts(runs: Sequence[SensorRun]) -> list[str]:
 
 
 def _description(runs: Sequence[SensorRun]) -> list[str]:
-    """The same and the runs' own text, if they share it, in short lines."""
+    """Return the test and the runs' text, if they share it, as short lines."""
     text = runs[0].text if len({run.text for run in runs}) == 1 else ""
     return [*_facts(runs), *textwrap.wrap(text, 26, max_lines=5, placeholder=" …")]
 

@@ -1,10 +1,10 @@
-"""Files of sensor tests: CSV for everyone, MAT as the Khepera Toolbox has it, MCAP for rerun.
+"""Files of sensor tests: CSV, MAT as of the Khepera Toolbox, MCAP for rerun.
 
-    .csv    lines "# key: value", then a table with a row for each look
-    .mat    `dv` (n, 10) and `dlgstr`, with which the toolbox's own programs get along; the test beside them
+    .csv    lines "# key: value", then a table with a row for each reading
+    .mat    `dv` (n, 10) and `dlgstr`, as the toolbox's own programs need; the test in further variables
     .mcap   /khepera0/proximity or /khepera0/ambient and /khepera0/position; the test as metadata "run"
 
-The same run gives the same bytes. All three give the whole run back.
+The same run gives the same bytes. All three formats hold the whole run.
 """
 
 # scipy is not typed.
@@ -41,15 +41,15 @@ _TOPICS: dict[What, str] = {"proximity": "proximity", "light": "ambient"}
 
 
 def save(path: Path, run: SensorRun) -> None:
-    """Writes a run as CSV, MAT or MCAP, by the file's suffix.
+    """Write a run as CSV, MAT or MCAP, by the file's suffix.
 
     Raises:
-        SensorTestError: the suffix is another one, or the run has no rows, or no times for a log.
-        KhepTwinError: the file cannot be written.
+        SensorTestError: The suffix is another one, or the run has no rows, or no times for a log.
+        KhepTwinError: The file cannot be written.
     """
     kind = checked_suffix(path)
     if not len(run.dv):
-        raise SensorTestError(f"{path}: the test has gathered nothing; right is a run with rows")
+        raise SensorTestError(f"{path}: the test has no rows; expected a run with rows")
     if kind == ".csv":
         write_whole(path, _csv(run).encode("utf-8"))
     elif kind == ".mat":
@@ -59,14 +59,14 @@ def save(path: Path, run: SensorRun) -> None:
 
 
 def load(path: Path, what: What | None = None) -> SensorRun:
-    """Reads a run that `save` has written, or a MAT file of the Khepera Toolbox.
+    """Read a run that `save` has written, or a MAT file of the Khepera Toolbox.
 
     Args:
-        path: of the file.
-        what: the sensors told in a MAT file that says nothing of it; without, proximity.
+        path: Path of the file.
+        what: Quantity of the readings in a MAT file that does not state it; by default proximity.
 
     Raises:
-        SensorTestError: there is no such file, or it holds no sensor test.
+        SensorTestError: There is no such file, or it holds no sensor test.
     """
     kind = checked_suffix(path)
     try:
@@ -74,7 +74,7 @@ def load(path: Path, what: What | None = None) -> SensorRun:
     except OSError as error:
         raise SensorTestError(f"{path}: cannot be read: {error.strerror}") from error
     if not data:
-        raise SensorTestError(f"{path}: is empty; right is a file with a sensor test")
+        raise SensorTestError(f"{path}: is empty; expected a file with a sensor test")
     try:
         if kind == ".csv":
             return _from_csv(data)
@@ -84,18 +84,18 @@ def load(path: Path, what: What | None = None) -> SensorRun:
 
 
 def checked_suffix(path: Path) -> str:
-    """A file's suffix in small letters, if it is one of ours.
+    """Return a file's suffix in lower case.
 
     Raises:
-        SensorTestError: it is not.
+        SensorTestError: The suffix is not in `SUFFIXES`.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise SensorTestError(f"{path}: right is a name that ends in .csv, .mat or .mcap")
+        raise SensorTestError(f"{path}; expected a name that ends in .csv, .mat or .mcap")
     return path.suffix.lower()
 
 
 def facts(test: SensorTest) -> dict[str, str]:
-    """A test as words."""
+    """Return a test as texts by key."""
     motion = {"linear_cm": test.linear_cm, "rotate_deg": test.rotate_deg}
     profile = {"speed": test.speed, "acceleration": test.acceleration}
     return {
@@ -108,21 +108,21 @@ def facts(test: SensorTest) -> dict[str, str]:
 
 
 def _test(words: Mapping[str, str]) -> SensorTest:
-    """A test from its words."""
+    """Return a test from texts by key."""
 
     def number(key: str) -> float | None:
         return None if key not in words else _number(key, words[key], float)
 
     def whole(key: str) -> int:
         if key not in words:
-            raise SensorTestError(f"{key} is missing; right is a whole number")
+            raise SensorTestError(f"{key}: missing; expected an integer")
         return _number(key, words[key], int)
 
     what = words.get("what")
     if what is None:
-        raise SensorTestError("what is missing; right is proximity or light")
+        raise SensorTestError("what: missing; expected proximity or light")
     if what != "proximity" and what != "light":
-        raise SensorTestError(f"what = {shown(what)}: right is proximity or light")
+        raise SensorTestError(f"what = {shown(what)}; expected proximity or light")
     test = SensorTest(
         what,
         number("linear_cm"),
@@ -132,7 +132,7 @@ def _test(words: Mapping[str, str]) -> SensorTest:
         bool(whole("return_to_zero")),
     )
     if words.get("motion") != test.motion:
-        raise SensorTestError(f"motion = {shown(words.get('motion', ''))}: right is {test.motion} here")
+        raise SensorTestError(f"motion = {shown(words.get('motion', ''))}; expected {test.motion} here")
     return test
 
 
@@ -142,8 +142,8 @@ def _number(name: str, text: str, kind: type[Any]) -> Any:
             raise ValueError
         return kind(text)
     except ValueError:
-        wish = "a whole number" if kind is int else "a number"
-        raise SensorTestError(f"{name} = {text[:40]!r}: right is {wish}") from None
+        wish = "an integer" if kind is int else "a number"
+        raise SensorTestError(f"{name} = {text[:40]!r}; expected {wish}") from None
 
 
 def _csv(run: SensorRun) -> str:
@@ -160,18 +160,18 @@ def _from_csv(data: bytes) -> SensorRun:
     try:
         lines = data.decode("utf-8-sig").replace("\r\n", "\n").split("\n")
     except UnicodeDecodeError:
-        raise SensorTestError("is no text; right is a table that khep-twin sense has written") from None
+        raise SensorTestError("not a text file; expected a table that khep-twin sense has written") from None
     if lines[0].rstrip(",") != _TITLE:
-        raise SensorTestError(f"line 1: {lines[0][:40]!r}: right is {_TITLE!r}")
+        raise SensorTestError(f"line 1: {lines[0][:40]!r}; expected {_TITLE!r}")
     if lines[-1]:
-        raise SensorTestError(f"line {len(lines)}: is not whole; right is a line feed at its end")
+        raise SensorTestError(f"line {len(lines)}: incomplete; expected a line feed at its end")
     words: dict[str, str] = {}
     text: list[str] = []
     head = list(takewhile(lambda line: line.startswith("#"), lines[1:]))
     for number, line in enumerate(head, 2):
         parts = re.fullmatch("# ([a-z_]+): ?(.*)", line, re.DOTALL)
         if parts is None:
-            raise SensorTestError(f"line {number}: {line[:40]!r}: right is '# key: value'")
+            raise SensorTestError(f"line {number}: {line[:40]!r}; expected '# key: value'")
         if parts[1] == "text":
             text.append(parts[2])
         else:
@@ -179,34 +179,34 @@ def _from_csv(data: bytes) -> SensorRun:
     columns = ["time_s", *_COLUMNS]
     place = 1 + len(head)
     if lines[place].split(",") != columns:
-        raise SensorTestError(f"line {place + 1}: {lines[place][:40]!r}: right is {','.join(columns)}")
+        raise SensorTestError(f"line {place + 1}: {lines[place][:40]!r}; expected {','.join(columns)}")
     times: list[float] = []
     rows: list[list[int]] = []
     for number, line in enumerate(lines[place + 1 : -1], place + 2):
         fields = line.split(",")
         if len(fields) != len(columns):
-            raise SensorTestError(f"line {number}: {len(fields)} fields; right are {len(columns)}")
+            raise SensorTestError(f"line {number}: {len(fields)} fields; expected {len(columns)}")
         times.append(_number(f"line {number}: time_s", fields[0], float))
         if not math.isfinite(times[-1]) and fields[0] != "nan":
             raise SensorTestError(
-                f"line {number}: time_s = {fields[0][:40]}: right is a time, or nan in all rows"
+                f"line {number}: time_s = {fields[0][:40]}; expected a time, or nan in all rows"
             )
         counts = zip(_COLUMNS, fields[1:], strict=True)
         rows.append([_count(f"line {number}: {name}", field) for name, field in counts])
         if any(not 0 <= count <= COUNTS_LIMIT for count in rows[-1][2:]):
             raise SensorTestError(
-                f"line {number}: counts beyond 0 to {COUNTS_LIMIT}, which N and O cannot tell"
+                f"line {number}: a count out of range; expected 0 to {COUNTS_LIMIT}, as of N and O"
             )
     if 0 < sum(map(math.isnan, times)) < len(times):
-        raise SensorTestError("time_s is nan in some rows; right is a time in each, or nan in all")
+        raise SensorTestError("time_s: nan in some rows; expected a time in each, or nan in all")
     if not rows:
-        raise SensorTestError(f"line {len(lines)}: no rows; right is one for each look")
+        raise SensorTestError(f"line {len(lines)}: no rows; expected one for each reading")
     return SensorRun(_test(words), np.array(rows, np.int64), np.array(times, np.float64), "\n".join(text))
 
 
 def _count(name: str, text: str) -> int:
     if not re.fullmatch("-?[0-9]{1,10}", text):
-        raise SensorTestError(f"{name} = {text[:40]!r}: right is a whole number")
+        raise SensorTestError(f"{name} = {text[:40]!r}; expected an integer")
     return int(text)
 
 
@@ -226,7 +226,7 @@ def _mat(run: SensorRun) -> bytes:
 
 def _write_log(path: Path, run: SensorRun) -> None:
     if not np.isfinite(run.times).all():
-        raise SensorTestError(f"{path}: the rows have no times, which a log needs; right is .csv or .mat")
+        raise SensorTestError(f"{path}: the rows have no times, which a log needs; expected .csv or .mat")
     times_ns = np.rint(run.times * 1e9).astype(np.int64)
     topic = _TOPICS[run.test.what]
     log = LogFile(path, lambda: int(times_ns[-1]))
@@ -246,16 +246,16 @@ def _from_log(path: Path) -> SensorRun:
     except LogError as error:
         raise SensorTestError(str(error).removeprefix(f"{path}: ")) from error
     if "what" not in label.metadata:
-        raise SensorTestError("a log, but of no sensor test; right is one that khep-twin sense has written")
+        raise SensorTestError("not a log of a sensor test; expected one that khep-twin sense has written")
     test = _test(label.metadata)
     parts: list[NDArray[np.int64]] = []
     times: list[NDArray[np.int64]] = []
     for name, width in (("position", 2), (_TOPICS[test.what], 8)):
         topic = f"/{_ROBOT}/{name}"
         if topic not in arrays or arrays[topic][1].shape[1] != width:
-            raise SensorTestError(f"{topic} is missing; right are messages of {width} values")
+            raise SensorTestError(f"{topic}: missing; expected messages of {width} values")
         times.append(arrays[topic][0])
         parts.append(arrays[topic][1].astype(np.int64))
     if not np.array_equal(times[0], times[1]):
-        raise SensorTestError("positions and counts have other times; right is one of each for every look")
+        raise SensorTestError("positions and counts differ in time; expected one of each for every reading")
     return SensorRun(test, np.hstack(parts), times[0] / 1e9, label.metadata.get("text", ""))

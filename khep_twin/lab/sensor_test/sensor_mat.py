@@ -1,7 +1,7 @@
-"""Sensor tests from MAT files, the Khepera Toolbox's own among them.
+"""Sensor tests from MAT files, including those of the Khepera Toolbox.
 
-The toolbox wrote `dv` and `dlgstr` and nothing of the test: how far the robot went, and whether it drove
-straight or turned, is then told from its counters.
+The toolbox wrote `dv` and `dlgstr` but not the test: distance and kind of motion are then derived from the
+counters.
 """
 
 import math
@@ -22,14 +22,14 @@ from khep_twin.lab.sensor_test.sensor_test import (
 
 
 def read_mat(data: bytes, what: What | None) -> SensorRun:
-    """A run from the bytes of a MAT file, Matlab 4 to 7.2.
+    """Read a run from the bytes of a MAT file, Matlab 4 to 7.2.
 
     Args:
-        data: the file.
-        what: the sensors told, in a file that says nothing of it; without, proximity.
+        data: Bytes of the file.
+        what: Quantity of the readings in a file that does not state it; by default proximity.
 
     Raises:
-        SensorTestError: they hold no sensor test.
+        SensorTestError: The bytes hold no sensor test.
     """
     try:
         values = read_variables(data)
@@ -38,7 +38,7 @@ def read_mat(data: bytes, what: What | None) -> SensorRun:
     dv = _matrix(values)
     times = _numbers(values, "times").reshape(-1) if "times" in values else np.full(len(dv), np.nan)
     if len(times) != len(dv):
-        raise SensorTestError(f"times: {len(times)} values; right are {len(dv)}, as many as rows in dv")
+        raise SensorTestError(f"times: {len(times)} values; expected {len(dv)}, as many as rows in dv")
     return SensorRun(_test(values, dv, what), dv, times, _text(values, "dlgstr"))
 
 
@@ -46,19 +46,19 @@ def _matrix(values: Mapping[str, Variable]) -> NDArray[np.int64]:
     dv = _numbers(values, "dv")
     if dv.ndim != 2 or dv.shape[1] != 10 or not len(dv):
         shape = " x ".join(map(str, dv.shape))
-        raise SensorTestError(f"dv: is {shape}; right are rows of 10, two counters and eight sensors")
-    # Not the other way round: comparing what is not a number is false.
+        raise SensorTestError(f"dv: is {shape}; expected rows of 10, two counters and eight sensors")
+    # Negated, as comparisons with NaN are false.
     wrong = ~((np.abs(dv) < 2**31) & (dv == np.round(dv)))
     if wrong.any():
         row, column = (int(place[0]) for place in np.nonzero(wrong))
-        raise SensorTestError(f"dv({row + 1},{column + 1}) = {dv[row, column]}: right is a whole number")
+        raise SensorTestError(f"dv({row + 1},{column + 1}) = {dv[row, column]}; expected an integer")
     return dv.astype(np.int64)
 
 
 def _test(values: Mapping[str, Variable], dv: NDArray[np.int64], what: What | None) -> SensorTest:
     told = _text(values, "what") or what or "proximity"
     if told != "proximity" and told != "light":
-        raise SensorTestError(f"what = {told[:40]!r}: right is proximity or light")
+        raise SensorTestError(f"what = {told[:40]!r}; expected proximity or light")
     motions = [name for name in ("linear_cm", "rotate_deg") if name in values]
     if not motions:
         return _guessed(told, dv)
@@ -72,10 +72,10 @@ def _test(values: Mapping[str, Variable], dv: NDArray[np.int64], what: What | No
 
 
 def _guessed(what: What, dv: NDArray[np.int64]) -> SensorTest:
-    """The test that the counters tell of."""
+    """Return the test derived from the counters."""
     left, right = (int(count) for count in dv[-1, :2])
     if left == right == 0:
-        raise SensorTestError("dv: the counters end at 0; right is a robot that has moved")
+        raise SensorTestError("dv: the counters end at 0; expected a robot that has moved")
     if left * right < 0:
         turn = round((right - left) / 2 / PULSES_PER_DEGREE, 2)
         return SensorTest(what, None, math.copysign(min(max(abs(turn), 15.0), 360.0), turn), None, None)
@@ -86,29 +86,29 @@ def _guessed(what: What, dv: NDArray[np.int64]) -> SensorTest:
 def _numbers(values: Mapping[str, Variable], name: str) -> NDArray[np.float64]:
     value = values.get(name)
     if not isinstance(value, np.ndarray):
-        raise SensorTestError(f"{name} is missing or no real numbers; right is a matrix of them")
+        raise SensorTestError(f"{name}: missing or not real numbers; expected a matrix of them")
     return value.astype(np.float64)
 
 
 def _number(values: Mapping[str, Variable], name: str) -> float:
     value = _numbers(values, name)
     if value.size != 1:
-        raise SensorTestError(f"{name}: {value.size} values; right is one")
+        raise SensorTestError(f"{name}: {value.size} values; expected one")
     return float(value.reshape(-1)[0])
 
 
 def _whole(values: Mapping[str, Variable], name: str) -> int:
     value = _number(values, name)
     if not value.is_integer():
-        raise SensorTestError(f"{name} = {value:g}: right is a whole number")
+        raise SensorTestError(f"{name} = {value:g}; expected an integer")
     return int(value)
 
 
 def _text(values: Mapping[str, Variable], name: str) -> str:
-    """A char matrix as lines; of characters that no text has, a space is left."""
+    """Return a char matrix as lines; unprintable characters become spaces."""
     rows = values.get(name, ())
     if not isinstance(rows, tuple):
-        raise SensorTestError(f"{name}: is no text; right is a char matrix")
+        raise SensorTestError(f"{name}: not a text; expected a char matrix")
     # Matlab fills the rows of a matrix up with spaces.
     text = "\n".join(row.rstrip() for row in rows) if len(rows) > 1 else "".join(rows)
     text = text.replace("\r\n", "\n").replace("\r", "\n")

@@ -1,10 +1,10 @@
-"""Sensor tests: a robot drives straight or turns on the spot, and its eight sensors are read on the way.
+"""Sensor tests: a robot drives straight or turns on the spot while its eight sensors are read.
 
-    dv = (left, right position counter, left 90, left 45, ... back left), a row for each look
+    dv = (left, right position counter, left 90, left 45, ... back left), a row for each reading
 
-A look is a reply to H and one to N or O. The counters are as old as the second of the two takes, some 20 ms
-at 9600 baud: at speed 20 that is 3 mm, at speed 4 half a millimetre. A wheel that slips, as both do at a
-wall, counts on: the counters tell how far the wheels went.
+A reading is a reply to H and one to N or O. The counters are older by the time of the second, some 20 ms at
+9600 baud: at speed 20 that is 3 mm, at speed 4 half a millimetre. A wheel that slips, as both do at a wall,
+counts on: the counters measure the wheels' motion.
 """
 
 import math
@@ -21,47 +21,47 @@ from khep_twin.host import Khepera
 from khep_twin.units import PULSE_LENGTH, WHEEL_BASE, Sensor
 
 What = Literal["proximity", "light"]
-"""Which of its values the sensors tell."""
+"""Quantity that the sensors measure."""
 
 SENSORS = tuple(sensor.name.lower().replace("_", " ") for sensor in Sensor)
 """Names of the sensors, in the manual's order."""
 
 DEFAULT_SPEED, DEFAULT_ACCELERATION = 20, 64
-"""Of command J after a reset (manual, appendix A)."""
+"""Values of command J after a reset (manual, appendix A)."""
 
 PAUSE = 5.0
-"""Before the way back [s], as the Khepera Toolbox has it."""
+"""Pause before the return [s], as in the Khepera Toolbox."""
 
 STILL = 2.0
-"""A wheel that comes no nearer to its target for so long is blocked [s]."""
+"""Time without progress to its target after which a wheel is blocked [s]."""
 
 PULSES_PER_CM = 0.01 / PULSE_LENGTH
 PULSES_PER_DEGREE = math.radians(1) * WHEEL_BASE / 2 / PULSE_LENGTH
 
 _SHAKE_PULSES = 2
-"""A wheel that comes nearer by no more only shakes."""
+"""Largest change of a wheel's distance to its target that counts as no progress [pulses]."""
 
 _SEEN_COUNTS = 50
-"""Proximity counts that no sensor idles at: the noise of the idle converter ends far below."""
+"""Proximity below which nothing is detected [counts]: the noise of the idle converter ends far below."""
 
 _LIT_COUNTS = 40
-"""Ambient counts that differ by less do so by noise and from sensor to sensor."""
+"""Smallest difference of ambient counts due to a lamp; smaller ones are noise and sensor tolerance."""
 
 _NEAR_PULSES = 10
-"""From here on the robot is asked whether it is on target; asking all the way would cost rows."""
+"""Distance to the target from which on the robot's status is read; reading it always would cost rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorTest:
-    """What is driven, and what is read on the way; one of `linear_cm` and `rotate_deg` is given.
+    """Motion and readings of a test; one of `linear_cm` and `rotate_deg` is given.
 
     Attributes:
-        what: "proximity" or "light".
-        linear_cm: straight on, 5 to 60, or backwards, -5 to -60 [cm].
-        rotate_deg: on the spot, 15 to 360 counter-clockwise, or -15 to -360 [degrees].
-        speed: of command J, 1 to 127 [pulses/10 ms]; None in data that does not tell it.
-        acceleration: of command J, 1 to 255 [3.125 mm/s^2]; None likewise.
-        return_to_zero: whether the robot drives back afterwards.
+        what: Quantity to read, "proximity" or "light".
+        linear_cm: Distance straight on, 5 to 60, or backwards, -5 to -60 [cm].
+        rotate_deg: Turn on the spot, 15 to 360 counter-clockwise, or -15 to -360 [degrees].
+        speed: Speed of command J, 1 to 127 [pulses/10 ms]; None if unknown.
+        acceleration: Acceleration of command J, 1 to 255 [3.125 mm/s^2]; None if unknown.
+        return_to_zero: True if the robot drives back afterwards.
     """
 
     what: What = "proximity"
@@ -72,46 +72,46 @@ class SensorTest:
     return_to_zero: bool = False
 
     def __post_init__(self) -> None:
-        """Refuses what is no test.
+        """Check the values.
 
         Raises:
-            SensorTestError: a value is out of its range, or there is not one motion.
+            SensorTestError: A value is out of its range, or there is not one motion.
         """
         if self.what not in ("proximity", "light"):
-            raise SensorTestError(f"what = {self.what}: right is proximity or light")
+            raise SensorTestError(f"what = {self.what}; expected proximity or light")
         if (self.linear_cm is None) == (self.rotate_deg is None):
             given = "none" if self.linear_cm is None else "both"
-            raise SensorTestError(f"linear and rotate: {given} is given; right is one of them")
+            raise SensorTestError(f"linear and rotate: {given} given; expected one of them")
         if self.linear_cm is not None and not 5 <= abs(self.linear_cm) <= 60:
             raise SensorTestError(
-                f"linear = {self.linear_cm:g} cm: right is 5 to 60, or -5 to -60 to drive backwards"
+                f"linear = {self.linear_cm:g} cm; expected 5 to 60, or -5 to -60 to drive backwards"
             )
         if self.rotate_deg is not None and not 15 <= abs(self.rotate_deg) <= 360:
             raise SensorTestError(
-                f"rotate = {self.rotate_deg:g} degrees: right is 15 to 360, or -15 to -360 for clockwise"
+                f"rotate = {self.rotate_deg:g} degrees; expected 15 to 360, or -15 to -360 for clockwise"
             )
         for name, value, limit in (("speed", self.speed, 127), ("acceleration", self.acceleration, 255)):
             if value is not None and not 1 <= value <= limit:
-                raise SensorTestError(f"{name} = {value}: right is a whole number from 1 to {limit}")
+                raise SensorTestError(f"{name} = {value}; expected an integer from 1 to {limit}")
 
     @property
     def motion(self) -> Literal["linear", "rotational"]:
-        """Which kind of motion it is."""
+        """Kind of motion."""
         return "rotational" if self.linear_cm is None else "linear"
 
     @property
     def amount(self) -> float:
-        """How far it goes, [cm] or [degrees] by the kind of motion."""
+        """Distance [cm] or angle [degrees], by the kind of motion."""
         return (self.rotate_deg or 0.0) if self.linear_cm is None else self.linear_cm
 
     @property
     def unit(self) -> Literal["cm", "degrees"]:
-        """Of `amount`."""
+        """Unit of `amount`."""
         return "degrees" if self.linear_cm is None else "cm"
 
     @property
     def target(self) -> tuple[int, int]:
-        """Where the left and the right wheel go [pulses]."""
+        """Targets of the left and the right wheel [pulses]."""
         if self.linear_cm is not None:
             straight = round(self.linear_cm * PULSES_PER_CM)
             return straight, straight
@@ -121,14 +121,14 @@ class SensorTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorRun:
-    """What a test has gathered.
+    """Data of a test.
 
     Attributes:
-        test: that was driven.
-        dv: left and right position counter [pulses] and the eight sensors in the manual's order [counts]
-            (n, 10), as the Khepera Toolbox calls and orders it.
-        times: of the rows since the start (n,) [s].
-        text: a description, the toolbox's dlgstr.
+        test: Settings of the test.
+        dv: Left and right position counter [pulses] and the eight sensors in the manual's order [counts]
+            (n, 10), named and ordered as in the Khepera Toolbox.
+        times: Times of the rows since the start (n,) [s].
+        text: Description, the toolbox's dlgstr.
     """
 
     test: SensorTest
@@ -137,20 +137,20 @@ class SensorRun:
     text: str = ""
 
     def __post_init__(self) -> None:
-        """Refuses what no test gathers.
+        """Check the values.
 
         Raises:
-            ValueError: the shapes are not (n, 10) and (n,).
-            SensorTestError: the text has characters that not every file can hold.
+            ValueError: The shapes are not (n, 10) and (n,).
+            SensorTestError: The text has characters that not every file can hold.
         """
         if self.dv.shape != (len(self.times), 10) or self.times.ndim != 1:
             raise ValueError(f"shapes {self.dv.shape} and {self.times.shape} are not (n, 10) and (n,)")
         if wrong := next((each for each in self.text if not each.isprintable() and each not in "\n\t"), ""):
-            raise SensorTestError(f"text: has the character {wrong!r}; right is plain text in lines")
+            raise SensorTestError(f"text: has the character {wrong!r}; expected plain text in lines")
 
     @property
     def travelled(self) -> NDArray[np.float64]:
-        """How far the robot was from its start in each row (n,), by its counters [cm or degrees]."""
+        """Distance from the start in each row (n,), by the counters [cm or degrees]."""
         left, right = self.dv[:, 0], self.dv[:, 1]
         if self.test.motion == "linear":
             return (left + right) / 2 / PULSES_PER_CM
@@ -158,7 +158,7 @@ class SensorRun:
 
     @property
     def warning(self) -> str:
-        """A sentence if the sensors have seen nothing on the way, else empty."""
+        """Warning if the sensors have detected nothing, else empty."""
         counts = self.dv[:, 2:]
         if not counts.size:
             return ""
@@ -177,10 +177,10 @@ class SensorRun:
 
 
 class BrokenOffError(SensorTestError):
-    """A test that did not come to its end.
+    """Error that ended a test early.
 
     Attributes:
-        run: what was gathered until then.
+        run: Data until then.
     """
 
     def __init__(self, message: str, run: SensorRun) -> None:
@@ -189,10 +189,10 @@ class BrokenOffError(SensorTestError):
 
 
 class InterruptedTest(KeyboardInterrupt):
-    """Ctrl-C in the middle of a test.
+    """Ctrl-C during a test.
 
     Attributes:
-        run: what was gathered until then.
+        run: Data until then.
     """
 
     def __init__(self, run: SensorRun) -> None:
@@ -208,19 +208,19 @@ def sense(
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> SensorRun:
-    """Drives a test. The motors stand afterwards, whatever happened.
+    """Run a test. The motors are stopped afterwards, even after an error.
 
     Args:
-        robot: what is driven; its position counters begin at 0.
-        test: what to drive.
-        text: a description to keep with the data.
-        progress: is told which part of the way is done, 0 to 1.
-        stop: is asked before each look whether to end early, with the rows so far.
+        robot: Robot to drive; its position counters are set to 0.
+        test: Settings of the test.
+        text: Description to keep with the data.
+        progress: Called with the completed part of the path, 0 to 1.
+        stop: Called before each reading; returns whether to end early, with the rows so far.
 
     Raises:
-        BrokenOffError: a wheel is blocked, or the port failed; its `run` has the rows so far.
+        BrokenOffError: A wheel is blocked, or the port failed; its `run` has the rows so far.
         InterruptedTest: Ctrl-C was pressed; likewise.
-        SensorTestError: the text cannot be kept.
+        SensorTestError: The text cannot be kept.
     """
     gathered = _Gathered(robot, test, text, progress)
     gathered.run()
@@ -233,7 +233,7 @@ def sense(
             _go_back(robot, asked)
         _rest(robot)
     except BaseException as error:
-        # What went wrong is told; that the motors cannot be stopped any more would only hide it.
+        # A second error while the motors are stopped would only hide the first one.
         with suppress(KhepTwinError):
             _rest(robot)
         if isinstance(error, KhepTwinError):
@@ -246,7 +246,7 @@ def sense(
 
 @dataclass(slots=True)
 class _Gathered:
-    """Rows in the making."""
+    """Rows of a running test."""
 
     robot: Khepera
     test: SensorTest
@@ -257,10 +257,10 @@ class _Gathered:
     start: float | None = None
 
     def look(self, position: tuple[int, int]) -> None:
-        """Adds a row, for counters that were read just now."""
+        """Add a row, for counters that were read just now."""
         if self.start is None:
             self.start = self.robot.time
-        # Whole nanoseconds: what is written to a log comes back the same.
+        # Whole nanoseconds survive a log unchanged.
         time = round(self.robot.time - self.start, 9)
         values = self.robot.proximity() if self.test.what == "proximity" else self.robot.ambient()
         self.times.append(time)
@@ -270,13 +270,13 @@ class _Gathered:
             self.progress(min(done, 1.0))
 
     def run(self) -> SensorRun:
-        """What there is so far."""
+        """Return the data so far."""
         dv = np.array(self.rows, np.int64).reshape(len(self.rows), 10)
         return SensorRun(self.test, dv, np.array(self.times, np.float64), self.text)
 
     @property
     def so_far(self) -> str:
-        """How far it came, in words."""
+        """Sentence on the progress of the test."""
         travelled = self.run().travelled[-1] if self.rows else 0.0
         return f"the test broke off after {travelled:.1f} of {self.test.amount:g} {self.test.unit}"
 
@@ -287,10 +287,10 @@ def _drive(
     look: Callable[[tuple[int, int]], None] | None,
     stop: Callable[[], bool],
 ) -> bool:
-    """Sends the wheels to a target and looks around until they are there; whether they are.
+    """Send the wheels to a target and read the sensors until they are there; return whether they are.
 
     Raises:
-        SensorTestError: a wheel does not move any more.
+        SensorTestError: A wheel is blocked.
     """
     robot.set_target(*target)
     nearest, since = [math.inf, math.inf], [robot.time] * 2
@@ -314,7 +314,7 @@ def _drive(
             if not status[wheel].on_target and robot.time - since[wheel] > STILL:
                 raise SensorTestError(
                     f"the {name} wheel came no nearer for {STILL:g} s, {position[wheel]} of {target[wheel]} "
-                    "pulses; right is a free way"
+                    "pulses; expected a free path"
                 )
     return False
 
@@ -330,6 +330,6 @@ def _go_back(robot: Khepera, stop: Callable[[], bool]) -> None:
 
 
 def _rest(robot: Khepera) -> None:
-    """Stops the motors and gives command J its values after a reset."""
+    """Stop the motors and set command J's values to those of a reset."""
     robot.set_speed(0, 0)
     robot.configure_profile(DEFAULT_SPEED, DEFAULT_ACCELERATION, DEFAULT_SPEED, DEFAULT_ACCELERATION)

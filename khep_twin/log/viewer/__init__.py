@@ -1,1 +1,1 @@
-"""Logs in rerun: recordings, stills, and runs that go on."""
+"""Logs in rerun: recordings, stills, and running simulations."""

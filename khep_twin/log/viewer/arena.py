@@ -1,6 +1,6 @@
-"""What the arena shows besides the scene: rays of the sensors, ways, the lamps' light, and events.
+"""Additions to the scene in the arena view: rays of the sensors, paths, the lamps' light, and events.
 
-The log has poses and readings. How far a ray goes is found in the log's own scene, as the rangefinders do.
+The log has poses and readings. Lengths of rays are computed in the log's own scene, as by the rangefinders.
 """
 
 # rerun's and MuJoCo's types are partly unknown.
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 REACH = 0.06
-"""Longest ray that is drawn [m]: a little more than a sensor sees."""
+"""Longest ray that is drawn [m]: a little more than a sensor's range."""
 
 TRAIL_POINTS = 20_000
-"""Most points of a way; of more, evenly many are left out."""
+"""Most points of a path; longer ones are thinned out evenly."""
 
 LABELS = 6
-"""Most events whose texts stand in the arena; of more, a text is seen under the mouse only."""
+"""Most events with permanent texts in the arena; with more, a text is shown on hovering only."""
 
 _RAYS = 5
 _UNLIT_RAY, _NOTHING, _NEAR = (190, 190, 185, 255), np.array((150, 150, 150)), np.array((228, 30, 20))
@@ -47,18 +47,18 @@ _HALF_GLOW = 3e-4
 
 _GLOW_PIXELS = 200
 _STATES = 32
-"""Most combinations of lamps whose light is worked out."""
+"""Most combinations of lamps whose light is computed."""
 
 
 class Rays:
-    """How far the sensors of a log's robots see, found in the log's scene.
+    """Rays of the sensors of a log's robots, cast in the log's scene.
 
     Args:
-        label: of the log, with its scene.
-        source: what to call the log in messages.
+        label: Label of the log, with its scene.
+        source: Name of the log in messages.
 
     Raises:
-        LogError: the scene cannot be used.
+        LogError: The scene cannot be used.
     """
 
     def __init__(self, label: "Label", source: object) -> None:
@@ -70,13 +70,13 @@ class Rays:
         }
 
     def chunks(self, robot: str, track: Samples, poses: Poses, timeline: str) -> "list[Chunk]":
-        """Rays at the times of samples, coloured by the reading and as long as what they see.
+        """Return rays at the times of samples, coloured by the reading and ending at the first hit.
 
         Args:
-            robot: its name.
-            track: its samples.
-            poses: of all bodies at the times of those samples, or of more.
-            timeline: name of the recording's simulated time.
+            robot: Name of the robot.
+            track: Samples of the robot.
+            poses: Poses of all bodies at the times of those samples, or of more.
+            timeline: Name of the recording's simulated time.
         """
         import rerun as rr
         from rerun.chunk import Chunk
@@ -104,11 +104,11 @@ class Rays:
         return [_in_frame(place, f"{robot}/base"), moving]
 
     def _starts(self, robot: str) -> Floats:
-        """Return where the sensors are in the robot's frame (8, 3) [m]."""
+        """Return the positions of the sensors in the robot's frame (8, 3) [m]."""
         return np.array([self._model.camera(f"{robot}/{sensor.name.lower()}").pos for sensor in Sensor])
 
     def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return where rays end in the robot's frame (n, 8, rays, 3) [m], and which of them hit something."""
+        """Return the ends of rays in the robot's frame (n, 8, rays, 3) [m], and which of them hit."""
         model, data = self._model, self._data
         base = model.body(f"{robot}/base").id
         own = model.body_rootid == base
@@ -141,13 +141,13 @@ class Rays:
 
 
 def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None = None) -> "list[Chunk]":
-    """Return the way of a robot as one short line for each time, on the floor.
+    """Return the path of a robot as one short line for each time, on the floor.
 
     Args:
-        robot: its name.
-        poses: where it was.
-        timeline: name of the recording's simulated time.
-        before: where it was last, of a log that comes in pieces.
+        robot: Name of the robot.
+        poses: Poses of the robot.
+        timeline: Name of the recording's simulated time.
+        before: Last position in the piece before, of a log that comes in pieces.
     """
     import rerun as rr
     from rerun.chunk import Chunk
@@ -157,7 +157,7 @@ def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None 
         return []
     thin = slice(None, None, -(-len(found) // TRAIL_POINTS))
     points, times_ns = np.array(found[thin, :3]), poses.times_ns[thin]
-    points[:, 2] = 0.0015  # just above what is painted on the floor
+    points[:, 2] = 0.0015  # just above the patches painted on the floor
     if before is not None:
         points, times_ns = np.vstack((before[:3] * (1, 1, 0) + (0, 0, 0.0015), points)), times_ns
     else:
@@ -178,16 +178,16 @@ def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None 
 
 
 def trail(robot: str) -> str:
-    """Return where in a recording a robot's way is."""
+    """Return the entity path of a robot's trail in a recording."""
     return f"/trails/{robot}"
 
 
 EVENTS = "/event_marks"
-"""Where in a recording the arena's marks of events are."""
+"""Entity path of the arena's marks of events in a recording."""
 
 
 def event_chunks(label: "Label", gathered: Gatherer, timeline: str) -> "list[Chunk]":
-    """Return marks of events: in the arena where the robot was, in the curves at 0."""
+    """Return marks of events: in the arena at the robot's position, in the curves at 0."""
     import rerun as rr
     from rerun.chunk import Chunk
 
@@ -214,14 +214,14 @@ def event_chunks(label: "Label", gathered: Gatherer, timeline: str) -> "list[Chu
 
 
 class Light:
-    """The lamps' light on the floor, as it changes.
+    """Light of the lamps on the floor, as it changes.
 
     Args:
-        label: of the log, with its playpen.
-        source: what to call the log in messages.
+        label: Label of the log, with its playpen.
+        source: Name of the log in messages.
 
     Raises:
-        LogError: the playpen cannot be used.
+        LogError: The playpen cannot be used.
     """
 
     def __init__(self, label: "Label", source: object) -> None:
@@ -233,7 +233,7 @@ class Light:
         self._steady &= self._playpen.lighting.mode == "all"
 
     def chunks(self, gathered: Gatherer, timeline: str) -> "Iterator[Chunk]":
-        """Yield the floor for each combination of lamps that is new, and when each is to be seen."""
+        """Yield the floor for each new combination of lamps, and the times at which each is shown."""
         import rerun as rr
         from rerun.chunk import Chunk
 
@@ -253,19 +253,19 @@ class Light:
                 place = self._states[state] = f"/light/{len(self._states)}"
                 yield _in_frame(place, "world")
                 yield Chunk.from_columns(place, [], _lit_floor(self._playpen, state))
-            # Of lamps that are switched in more ways, the first one is shown.
+            # If lamps are switched in more combinations than that, the first one is shown.
             shown.append(self._states.get(state, "/light/0"))
         if powers is None:
             return
         times = rr.TimeColumn(timeline, duration=times_ns[changed].astype("timedelta64[ns]"))
         for place in self._states.values():
-            # Light that is not to be seen has no size.
+            # Hidden light has no size.
             poses = rr.InstancePoses3D.columns(scales=[(float(each == place),) * 3 for each in shown])
             yield Chunk.from_columns(place, [times], poses)
 
 
 def _lit_floor(playpen: playpens.Playpen, state: Sequence[bool]) -> Any:
-    """Return the floor in the light of those lamps that are on, as columns."""
+    """Return the floor in the light of the lamps that are on, as columns."""
     import rerun as rr
 
     width_mm, height_mm = playpen.arena.width_mm, playpen.arena.height_mm
@@ -290,13 +290,13 @@ def _lit_floor(playpen: playpens.Playpen, state: Sequence[bool]) -> Any:
 
 
 def _subject(text: str, robots: Sequence[str]) -> str:
-    """Return the robot that an event tells of, the first one for events of the world."""
+    """Return the robot that an event is about, the first one for events of the world."""
     found = re.match(r"\[([^\]]*)\]", text)
     return found[1] if found is not None and found[1] in robots else robots[0]
 
 
 def _in_frame(place: str, frame: str) -> "Chunk":
-    """Return the frame of coordinates of something, for good."""
+    """Return the static coordinate frame of an entity."""
     import rerun as rr
     from rerun.chunk import Chunk
 

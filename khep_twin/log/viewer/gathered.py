@@ -1,4 +1,4 @@
-"""What views are made of, picked out of a log while rerun reads it."""
+"""Data for views, collected from a log while rerun reads it."""
 
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -18,13 +18,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """What the panel shows of one robot.
+    """Samples of one robot for its panel.
 
     Attributes:
-        times_ns: of the samples (n,) [ns].
-        proximity: counts (n, 8).
-        ambient: counts (n, 8).
-        speed: left, right and more (n, 2 and more) [pulses/10 ms].
+        times_ns: Times of the samples (n,) [ns].
+        proximity: Counts (n, 8).
+        ambient: Counts (n, 8).
+        speed: Speeds left, right and more (n, 2 and more) [pulses/10 ms].
     """
 
     times_ns: NDArray[np.int64]
@@ -33,25 +33,25 @@ class Samples:
     speed: Floats
 
     def thinned(self, every: int) -> "Samples":
-        """Return one sample of so many."""
+        """Return every `every`-th sample."""
         some = slice(None, None, every)
         return Samples(self.times_ns[some], self.proximity[some], self.ambient[some], self.speed[some])
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Where bodies were.
+    """Poses of bodies over time.
 
     Attributes:
-        times_ns: of the poses, rising (n,) [ns].
-        bodies: x, y, z [m] and quaternion x, y, z, w by name, each (n, 7).
+        times_ns: Times of the poses, rising (n,) [ns].
+        bodies: Positions x, y, z [m] and quaternions x, y, z, w by name, each (n, 7).
     """
 
     times_ns: NDArray[np.int64]
     bodies: Mapping[str, Floats]
 
     def rows_at(self, times_ns: NDArray[np.int64]) -> NDArray[np.intp] | None:
-        """Return the rows at these times; None if there is none for one of them."""
+        """Return the rows at these times; None if a time has none."""
         rows = np.searchsorted(self.times_ns, times_ns)
         if len(rows) and (rows[-1] >= len(self.times_ns) or (self.times_ns[rows] != times_ns).any()):
             return None
@@ -62,7 +62,7 @@ _POSE = ("Transform3D:child_frame", "Transform3D:translation", "Transform3D:quat
 
 
 class Gatherer:
-    """Samples, poses and events, picked out of a log while rerun reads it; reading twice takes longer."""
+    """Collector of samples, poses and events from a log while rerun reads it; reading twice takes longer."""
 
     def __init__(self) -> None:
         self._rows: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
@@ -70,14 +70,14 @@ class Gatherer:
         self._events: list[tuple[int, str]] = []
 
     def passing(self, chunks: "Iterable[Chunk]", timeline: str) -> "Iterator[Chunk]":
-        """Let the chunks of a log pass on, and note what is in them."""
+        """Pass on the chunks of a log, and note their content."""
         for chunk in chunks:
             if not chunk.is_static:
                 self._note(chunk, timeline)
             yield chunk
 
     def samples(self, robot: str) -> Samples | None:
-        """Return those of a robot; None if there are none, or not for each time."""
+        """Return the samples of a robot; None if there are none, or not for each time."""
         parts = [self._rows.get(f"/{robot}/{topic}", []) for topic in ("proximity", "ambient", "speed")]
         if not all(parts):
             return None
@@ -87,7 +87,7 @@ class Gatherer:
         return Samples(series[0][0], *(values for _, values in series))
 
     def poses(self) -> Poses | None:
-        """Return where all bodies were; None if nothing is known of it."""
+        """Return the poses of all bodies; None if there are none."""
         found = {name: _joined(parts) for name, parts in self._poses.items()}
         if not found:
             return None
@@ -96,12 +96,12 @@ class Gatherer:
         return Poses(times_ns, whole)
 
     def lamps(self) -> tuple[NDArray[np.int64], Floats | None]:
-        """Return times (n,) [ns] and powers (n, lamps) [W]; None where they are always the same."""
+        """Return times (n,) [ns] and powers (n, lamps) [W]; None if they never change."""
         parts = self._rows.get("/lamps")
         return _joined(parts) if parts else (np.zeros(0, np.int64), None)
 
     def events(self) -> tuple[NDArray[np.int64], list[str]]:
-        """Return times [ns] and texts of the notes."""
+        """Return times [ns] and texts of the events."""
         found = sorted(self._events, key=lambda event: event[0])
         return np.array([time_ns for time_ns, _ in found], np.int64), [text for _, text in found]
 

@@ -1,4 +1,4 @@
-"""How rerun arranges a log, or several beside each other: arena, robots from above, curves, transcripts."""
+"""Layout of one or several logs in rerun: arena, robots from above, curves, transcripts."""
 
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Colour = tuple[int, int, int]
 
 TIMELINE = "message_log_time"
-"""What rerun calls the simulated time of a log's messages."""
+"""Name that rerun gives to the simulated time of a log's messages."""
 
 _WARM: list[Colour] = [(228, 87, 46), (242, 159, 5), (244, 211, 94)]
 _COLD: list[Colour] = [(64, 224, 208), (77, 171, 247), (92, 124, 250)]
@@ -29,7 +29,7 @@ _SENSORS = {
     sensor.name.lower().replace("_", " "): colour
     for sensor, colour in zip(Sensor, [*_WARM, *_COLD, *_VIOLET], strict=True)
 }
-"""Curves of the sensors: left ones warm, right ones cold, those at the back violet."""
+"""Colours of the sensors' curves: left ones warm, right ones cold, those at the back violet."""
 
 _SETPOINT: Colour = (235, 235, 235)
 _WHEELS: dict[str, Colour] = {
@@ -46,15 +46,15 @@ _LEGEND_SHARE, _END_SHARE = 0.16, 0.02
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A log and where in a recording it is.
+    """A log and its place in a recording.
 
     Attributes:
-        label: what the log says of itself.
-        name: to be read above it; empty where it is the only one.
-        place: the path below which its entities are, such as "/run"; empty where it is the only one.
-        frame: of the arena's coordinates; empty for rerun's own choice, where it is the only one.
-        end_ns: where its curves end [ns]; beside others, where the longest ends.
-        last_s: of a run that goes on, so much is in the curves [s]; None for all of it.
+        label: Label of the log.
+        name: Title above it; empty for a single log.
+        place: Path below which its entities are, such as "/run"; empty for a single log.
+        frame: Frame of the arena's coordinates; empty for rerun's default, for a single log.
+        end_ns: End of its curves [ns]; for several logs, the end of the longest.
+        last_s: Length of the curves of a run that goes on [s]; None for all of it.
     """
 
     label: Label
@@ -66,7 +66,7 @@ class Shown:
 
 
 def layout(shown: Sequence[Shown]) -> "rrb.Blueprint":
-    """One log's parts around each other, or several logs in a column each, from left to right."""
+    """Return the layout: the views of one log around each other, or a column for each of several logs."""
     import rerun.blueprint as rrb
 
     following = any(log.last_s is not None for log in shown)
@@ -89,7 +89,7 @@ def _alone(log: Shown) -> "rrb.Container":
 
 
 def _column(log: Shown) -> "rrb.Container":
-    """A log among others: what is beside each other is alike."""
+    """Return the column of one log of several, with the same views in the same rows."""
     import rerun.blueprint as rrb
 
     arena = _arena(log)
@@ -98,7 +98,7 @@ def _column(log: Shown) -> "rrb.Container":
 
 
 def _arena(log: Shown) -> "list[rrb.Spatial3DView]":
-    """None for a real robot: nobody knows where it was."""
+    """Return the arena's view; none for a real robot, whose position is unknown."""
     import rerun as rr
     import rerun.blueprint as rrb
 
@@ -188,7 +188,7 @@ def _plot(
     lines = rr.SeriesLines.from_fields(
         names=list(curves),
         colors=list(curves.values()),
-        # What a wheel does is a band, what it shall do a thin white line on it.
+        # The speed of a wheel is a band, its setpoint a thin white line on it.
         widths=[4.0 if curve in ("left", "right") else 1.0 for curve in curves],
         visible_series=[only in curve for curve in curves],
     )
@@ -216,7 +216,7 @@ def _plot(
 
 
 def _eye(label: Label) -> "rrb.EyeControls3D":
-    """Looks at the arena's middle from before and above, from as far as its size asks."""
+    """Return a view of the arena's middle from before and above, at a distance that fits its size."""
     import rerun.blueprint as rrb
 
     arena = playpen_of(label.attachments, "log").arena

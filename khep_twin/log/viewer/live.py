@@ -1,8 +1,8 @@
-"""Looking at a run while it goes on: the log that it writes is followed and handed to rerun's viewer.
+"""Live view of a run: the log that it writes is followed and passed to rerun's viewer.
 
-The run does nothing for it, so that it is not slowed. What comes is therefore as old as the log's last
-write: half a second for `serve`, five simulated seconds for a run in lock-step. Each piece is dealt out over
-the time that it took to come, in steps of 40 ms, so that the picture flows and does not jump.
+The run has no work with it and is not slowed. The view is therefore as old as the log's last write: half a
+second for `serve`, five simulated seconds for a run in lock-step. Each piece is shown over the time that it
+took to arrive, in steps of 40 ms, so that the picture moves smoothly.
 """
 
 # rerun's types are partly unknown.
@@ -39,19 +39,19 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 SAMPLE_NS = NS_PER_S // 25
-"""Of each channel one sample in so much simulated time is shown [ns]; transcripts and notes are whole."""
+"""Simulated time for which one sample of each channel is shown [ns]; transcripts and events are complete."""
 
 STEP = 0.04
-"""The viewer is handed something new so often at most [s of wall time]."""
+"""Shortest time between updates of the viewer [s of wall time]."""
 
 LONGEST_STRETCH = 0.5
-"""Over so much wall time a piece of the log is dealt out at most [s]."""
+"""Longest wall time over which a piece of the log is shown [s]."""
 
 SHARE = 0.25
-"""Of one processor core this takes at most, on average; with many robots the steps become longer."""
+"""Largest share of one processor core that is used, on average; with many robots the steps become longer."""
 
 LAST_S = 60.0
-"""Of a run that goes on the curves show so much [s]."""
+"""Length of the curves of a run that goes on [s]."""
 
 _TEXTS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
 _UNSEEN = re.compile("|".join(UNSEEN))
@@ -60,18 +60,18 @@ _CHUNK_ID = b"rerun:id"
 
 
 def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Callable[[str], None]) -> None:
-    """Shows a run that goes on until the viewer is closed or `stop` says so.
+    """Show a run that goes on until the viewer is closed or `stop` returns True.
 
     Args:
-        path: of the log that the run writes, NAME.mcap or NAME.mcap.part.
-        web: where the viewer is to be had in a browser; None opens a window.
-        stop: asked now and then whether to end.
-        tell: takes what somebody should know, such as that the run has ended.
+        path: Path of the log that the run writes, NAME.mcap or NAME.mcap.part.
+        web: Settings of the viewer in a browser; None opens a window.
+        stop: Function called now and then that returns whether to end.
+        tell: Function that takes messages for the user, such as that the run has ended.
 
     Raises:
-        LogError: there is no such log, it is finished or no log, or the viewer fails.
+        LogError: There is no such log, it is finished or no log, or the viewer fails.
     """
-    # A window that is closed is no trouble to tell of, though the line to it is cut.
+    # Closing the window is no error to report, though it cuts the connection.
     os.environ.setdefault("RUST_LOG", "off")
     import rerun as rr
 
@@ -93,11 +93,11 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
                 if log.finished:
                     tell(f"the run has ended; look at the whole of it: {command('view', log.path)}")
             except LogError as error:
-                tell(str(error))  # what there is can still be looked at
+                tell(str(error))  # the data so far can still be viewed
             try:
                 viewer.wait(stop)
             finally:
-                with suppress(RuntimeError):  # the line is cut where the window was closed
+                with suppress(RuntimeError):  # the connection is cut if the window was closed
                     recording.disconnect()
 
 
@@ -107,16 +107,16 @@ def follow(
     stop: Callable[[], bool],
     first: Sequence[Message] = (),
 ) -> None:
-    """Hands a log to rerun while it grows, until it is finished or `stop` says so.
+    """Pass a log to rerun while it grows, until it is finished or `stop` returns True.
 
     Args:
-        log: that grows.
-        recording: of rerun.
-        stop: asked now and then whether to end.
-        first: what was read of it already.
+        log: Growing log.
+        recording: Recording of rerun.
+        stop: Function called now and then that returns whether to end.
+        first: Messages that were read of it already.
 
     Raises:
-        LogError: it turns out to be no log of khep_twin, or its run has ended without finishing it.
+        LogError: It turns out to be no log of khep_twin, or its run has ended without finishing it.
     """
     import rerun as rr
 
@@ -142,7 +142,7 @@ def follow(
 
 
 def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
-    """The log as soon as its run has begun it, for run and view may be started together; None if stopped."""
+    """Open the log as soon as its run has begun it, as both may be started together; None if stopped."""
     deadline = time.monotonic() + _PATIENCE
     while not stop():
         try:
@@ -152,18 +152,18 @@ def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
             if not path.parent.is_dir() or time.monotonic() > deadline:
                 raise LogError(
                     f"{path}: no run writes this log, there is no {part}; "
-                    f"right is the --log of a run or serve that goes on"
+                    f"expected the --log of a run or serve that goes on"
                 ) from error
             time.sleep(0.1)
     return None
 
 
 class _Translator:
-    """Makes rerun's chunks of a log's messages, by rerun's own reader, so that they are those of a replay.
+    """Translator of a log's messages to rerun's chunks by rerun's own reader, the same as for a replay.
 
     Args:
-        folder: for pieces of the log: the reader takes files.
-        source: the log.
+        folder: Folder for pieces of the log: the reader takes files.
+        source: The log.
     """
 
     def __init__(self, folder: Path, source: Path) -> None:
@@ -176,7 +176,7 @@ class _Translator:
         self._last: dict[str, NDArray[np.float64]] = {}
 
     def translate(self, messages: Sequence[Message], label: Label) -> "tuple[list[Chunk], list[Chunk]]":
-        """What stands for good, and what has times."""
+        """Return the static chunks, and those with times."""
         from rerun.chunk import McapReader
 
         by_topic = self._thinned(messages)
@@ -203,7 +203,7 @@ class _Translator:
         return standing, passing
 
     def _added(self, gatherer: Gatherer, label: Label) -> "Iterator[Chunk]":
-        """Yield what is shown of a piece besides what it holds itself."""
+        """Yield the chunks that are shown of a piece in addition to its own."""
         poses = gatherer.poses()
         if poses is not None and self._rays is None:
             self._rays, self._light = Rays(label, self._source), Light(label, self._source)
@@ -220,7 +220,7 @@ class _Translator:
         yield from event_chunks(label, gatherer, TIMELINE)
 
     def _thinned(self, messages: Sequence[Message]) -> dict[str, list[Message]]:
-        """What is shown, by topic: of samples the first in each SAMPLE_NS."""
+        """Return the shown messages by topic: of samples the first in each SAMPLE_NS."""
         kept: defaultdict[str, list[Message]] = defaultdict(list)
         for message in messages:
             if _UNSEEN.search(message.topic):
@@ -235,7 +235,7 @@ class _Translator:
 
 
 class _Dealer:
-    """Deals out what comes in pieces over the time until the next piece."""
+    """Queue that spreads the data of a piece over the time until the next one."""
 
     def __init__(self) -> None:
         self._pending: list[tuple[Any, NDArray[np.int64]]] = []
@@ -246,7 +246,7 @@ class _Dealer:
         self._looked = 0.0
 
     def take(self, chunks: "Sequence[Chunk]", now: float, at_once: bool) -> None:
-        """Takes a piece that came now [s]; `at_once` if there is so much of it that nobody shall wait."""
+        """Add a piece that came now [s]; `at_once` if there is too much of it to spread it."""
         waited = 0.0 if at_once or self._taken is None else now - self._taken
         stretch = min(waited, LONGEST_STRETCH)
         self._taken, self._until = now, now + stretch
@@ -259,10 +259,10 @@ class _Dealer:
             self._pending.append((batch.replace_schema_metadata(facts), times_ns))
 
     def due(self, now: float) -> "list[Chunk]":
-        """What is to be shown by now [s]."""
+        """Return the chunks to be shown by now [s]."""
         from rerun.chunk import Chunk
 
-        # As much of what is left as the time since the last look is of the time that is left.
+        # The part of the rest that corresponds to the time since the last call.
         left = self._until - self._looked
         part = 1.0 if now >= self._until else (now - self._looked) / left
         self._looked = now
@@ -279,7 +279,7 @@ class _Dealer:
         return due
 
     def empty(self) -> bool:
-        """Whether all is dealt out."""
+        """True if everything is passed on."""
         return not self._pending
 
 

@@ -1,4 +1,4 @@
-"""rerun's viewer as a process beside this one: a window, or a page for a browser, for this machine only."""
+"""Viewer of rerun as a separate process: a window, or a page for a browser, for this machine only."""
 
 import os
 import signal
@@ -20,13 +20,13 @@ from khep_twin.errors import LogError
 from khep_twin.signals import clear_at_end, undisturbed
 
 HERE = "127.0.0.1"
-"""rerun takes data and serves pages on all of a machine's addresses, if it is not told otherwise."""
+"""Address for data and pages; by default, rerun listens on all of a machine's addresses."""
 
 _PATIENCE = 30.0
 """Longest wait for the viewer to listen [s]."""
 
 _TURN = 0.05
-"""Between two looks at the viewer's process [s]."""
+"""Interval of checks of the viewer's process [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +34,8 @@ class Web:
     """The viewer as a page for a browser.
 
     Attributes:
-        tell: takes the page's address.
-        browser: whether to open it in one.
+        tell: Function that takes the page's address.
+        browser: True to open it in a browser.
     """
 
     tell: Callable[[str], None]
@@ -46,7 +46,7 @@ class Viewer:
     """A running viewer.
 
     Attributes:
-        address: of where it takes data, for rerun's `connect_grpc`.
+        address: Address where it takes data, for rerun's `connect_grpc`.
     """
 
     def __init__(self, subject: str, process: "subprocess.Popen[bytes]", said: IO[bytes], port: int) -> None:
@@ -54,14 +54,14 @@ class Viewer:
         self.address = f"rerun+http://{HERE}:{port}/proxy"
 
     def closed(self) -> bool:
-        """Whether it has ended, well or not."""
+        """Return whether it has ended, with or without an error."""
         return self._process.poll() is not None
 
     def open(self) -> bool:
-        """Whether it still runs.
+        """Return whether it still runs.
 
         Raises:
-            LogError: it failed.
+            LogError: It failed.
         """
         code = self._process.poll()
         if code:
@@ -73,19 +73,19 @@ class Viewer:
         return code is None
 
     def wait(self, stop: Callable[[], bool]) -> None:
-        """Until its window is closed, or `stop` says so.
+        """Wait until its window is closed, or `stop` returns True.
 
         Raises:
-            LogError: it failed.
+            LogError: It failed.
         """
         while not stop() and self.open():
             time.sleep(_TURN)
 
     def wait_for(self, port: int, stop: Callable[[], bool]) -> None:
-        """Until it listens at a port, or `stop` says so.
+        """Wait until it listens at a port, or `stop` returns True.
 
         Raises:
-            LogError: it failed, or does not listen.
+            LogError: It failed, or does not listen.
         """
         deadline = time.monotonic() + _PATIENCE
         while not stop() and self.open():
@@ -103,16 +103,16 @@ def open_viewer(
     recording: Path | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Generator[Viewer, None, None]:
-    """Opens the viewer on a recording, or on what will be sent to it, and ends it in the end.
+    """Open the viewer on a recording, or on data sent to it later, and end it on exit.
 
     Args:
-        subject: what is looked at, for messages.
-        web: where the viewer is to be had in a browser; None opens a window.
-        recording: of rerun, a file; None for data that is sent.
-        stop: asked now and then whether to end.
+        subject: Name of the viewed log in messages.
+        web: Settings of the viewer in a browser; None opens a window.
+        recording: Recording of rerun, a file; None for data that is sent.
+        stop: Function called now and then that returns whether to end.
 
     Raises:
-        LogError: there is no screen, or it does not start.
+        LogError: There is no screen, or it does not start.
     """
     if web is None and not _screen():
         raise LogError(f"{subject}: there is no screen to open a window on; {_wish(subject)}")
@@ -120,7 +120,7 @@ def open_viewer(
     command = [sys.executable, "-m", "rerun", *([] if recording is None else [str(recording)])]
     command += ["--bind", HERE, "--port", str(port), "--server-memory-limit", "50%"]
     command += ["--expect-data-soon"] if web is None else ["--serve-web", "--web-viewer-port", str(page)]
-    # What it says goes into a file: a pipe that nobody reads would stop it.
+    # Its output goes to a file: a pipe that is not read would block it.
     with tempfile.TemporaryFile() as said:
         with undisturbed():
             process = subprocess.Popen(
@@ -133,7 +133,7 @@ def open_viewer(
                 viewer.wait_for(page, stop)
                 address = f"http://{HERE}:{page}/?url={quote(viewer.address, safe='')}"
                 web.tell(address)
-                if web.browser and _screen():  # one in a terminal could show nothing
+                if web.browser and _screen():  # a browser in a terminal cannot show it
                     webbrowser.open(address)
             elif recording is None:
                 viewer.wait_for(port, stop)
@@ -144,7 +144,7 @@ def open_viewer(
 
 
 def free_ports(count: int) -> Sequence[int]:
-    """So many ports of this machine on which nobody listens."""
+    """Return free ports of this machine."""
     listeners = [socket.create_server((HERE, 0)) for _ in range(count)]
     ports = [int(listener.getsockname()[1]) for listener in listeners]
     for listener in listeners:
@@ -153,7 +153,7 @@ def free_ports(count: int) -> Sequence[int]:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Ends the viewer with what it has started: rerun's command is a script around its program."""
+    """End the viewer and its child processes: rerun's command is a script around its program."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, number)
@@ -168,4 +168,4 @@ def _screen() -> bool:
 
 def _wish(subject: str) -> str:
     stem = Path(subject).stem
-    return f"right here is a browser, --web, or a recording, --save {stem}.rrd, to open where there is one"
+    return f"expected --web, for a browser, or --save {stem}.rrd, for a recording to open elsewhere"

@@ -1,7 +1,7 @@
-"""Looking at logs in rerun: arena, curves and transcript on one time axis, several logs side by side.
+"""View of finished logs in rerun: arena, curves and transcript on one time axis, several logs side by side.
 
-rerun reads a log by itself. What is added here is a layout made for this robot, and time as seconds of the
-run instead of dates in 1970; both go into a rerun recording, which is kept or shown.
+rerun reads logs by itself. This module adds a layout made for this robot, and time as seconds of the run
+instead of dates in 1970; both go into a rerun recording, which is saved or shown.
 """
 
 # rerun and pyarrow are not typed, or in part.
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 Progress = Callable[[float], None] | None
-"""Takes the share that is done, 0 to 1."""
+"""Function that takes the share that is done, 0 to 1."""
 
 Bar = Callable[[], AbstractContextManager[Progress]]
-"""Makes a context in which progress is shown."""
+"""Function that makes a context in which progress is shown."""
 
 UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
-"""Topics, as patterns, that no view shows: they are for programs, or said by the views themselves."""
+"""Topics, as patterns, that no view shows: data for programs, or contained in the views themselves."""
 
 PICTURES = 10_000
 """Most pictures of bars and rays of a run; a longer one has fewer than ten a second."""
@@ -53,17 +53,17 @@ def view(
     stop: Callable[[], bool] = lambda: False,
     bar: Bar = nullcontext,
 ) -> None:
-    """Shows logs in rerun's viewer until its window is closed, or saves them as one rerun recording.
+    """Show logs in rerun's viewer until its window is closed, or save them as one rerun recording.
 
     Args:
-        paths: of finished logs, from left to right.
-        save: of the recording, by custom NAME.rrd; None opens the viewer.
-        web: where the viewer is to be had in a browser; None opens a window.
-        stop: asked now and then whether to end.
-        bar: Shows how far it is, as `cli_progress.progress` does.
+        paths: Paths of finished logs, from left to right.
+        save: Path of the recording, by convention NAME.rrd; None opens the viewer.
+        web: Settings of the viewer in a browser; None opens a window.
+        stop: Function called now and then that returns whether to end.
+        bar: Function that makes a progress bar, such as `cli_progress.progress`.
 
     Raises:
-        LogError: a log cannot be read, the recording cannot be written, or no window opens.
+        LogError: A log cannot be read, the recording cannot be written, or no window opens.
     """
     if save is not None:
         _save(paths, save, bar)
@@ -75,16 +75,16 @@ def view(
 def view_still(
     paths: Sequence[Path], target: Path, at_s: float | None = None, bar: Bar = nullcontext
 ) -> None:
-    """Writes what the viewer shows of logs at a time, as PNG, without a screen.
+    """Write a still of logs in the viewer at a time as PNG, without a screen.
 
     Args:
-        paths: of finished logs, from left to right.
-        target: the PNG file.
-        at_s: simulated time [s]; None for the end, where the whole run is seen.
-        bar: Shows how far it is, as `cli_progress.progress` does.
+        paths: Paths of finished logs, from left to right.
+        target: Path of the PNG file.
+        at_s: Simulated time [s]; None for the end, where the whole run is seen.
+        bar: Function that makes a progress bar, such as `cli_progress.progress`.
 
     Raises:
-        LogError: a log cannot be read, or the viewer cannot be had.
+        LogError: A log cannot be read, or the viewer is not available.
     """
     with _saved(paths, bar) as recording:
         end_s = max(map(read_end_ns, paths)) / NS_PER_S
@@ -92,7 +92,7 @@ def view_still(
 
 
 def standing_chunks(label: Label) -> "list[Chunk]":
-    """What is added to a log's own chunks and is there at all times."""
+    """Return the static chunks that are added to a log's own."""
     chunks: list[Chunk] = []
     for robot in label.robots:
         if "playpen.toml" in label.attachments:
@@ -101,7 +101,7 @@ def standing_chunks(label: Label) -> "list[Chunk]":
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """The files' names without ending; where two are alike, with their folders, else with numbers."""
+    """Return the files' names without suffix; equal ones with their folders, or else with numbers."""
     stems = [path.stem for path in paths]
     names = [
         stem if stems.count(stem) == 1 else f"{path.resolve().parent.name}/{stem}"
@@ -116,7 +116,7 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _checked(path: Path, copy: Path, progress: Progress) -> Label:
-    """Copy what is shown of a log that is what it should be; return what it says of itself."""
+    """Check a log and copy its shown parts; return its label."""
     label, moves = None, False
     with copy.open("xb") as file:
         writer = Copy(file, interval_ns(read_end_ns(path)), UNSEEN)
@@ -135,7 +135,7 @@ def _checked(path: Path, copy: Path, progress: Progress) -> Label:
 
 @contextmanager
 def _saved(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
-    """A recording as long as it is looked at."""
+    """Provide a temporary recording."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         recording = Path(folder) / f"{paths[0].stem}.rrd"
         _save(paths, recording, bar)
@@ -145,7 +145,7 @@ def _saved(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
 def _save(paths: Sequence[Path], save: Path, bar: Bar) -> None:
     if save.is_dir() or any(is_same(save, path) for path in paths):
         what = "a directory" if save.is_dir() else "the log itself"
-        raise LogError(f"{save}: this is {what}; right is the name of a file, such as {paths[0].stem}.rrd")
+        raise LogError(f"{save}: this is {what}; expected the name of a file, such as {paths[0].stem}.rrd")
     # Each log is read twice: to be checked and copied, and by rerun.
     count = 2 * len(paths)
     try:
@@ -161,14 +161,14 @@ def _save(paths: Sequence[Path], save: Path, bar: Bar) -> None:
 
 
 def _share_of(progress: Progress, number: int, count: int) -> Progress:
-    """Return what takes the progress of one of `count` parts."""
+    """Return a function that takes the progress of one of `count` parts."""
     return None if progress is None else lambda share: progress((number + share) / count)
 
 
 def _recording(
     paths: Sequence[Path], copies: Sequence[Path], labels: Sequence[Label], shares: Sequence[Progress]
 ) -> bytes:
-    """The logs and their layout as rerun has them in a file.
+    """Return the logs and their layout as the bytes of a rerun file.
 
     Made in memory, because rerun itself may wait for ever for a disk that is full.
     """
@@ -196,7 +196,7 @@ def _recording(
 
 
 def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> "Generator[Chunk, None, None]":
-    """All that is shown of a log."""
+    """Yield all shown chunks of a log."""
     from rerun.chunk import McapReader
 
     gatherer, end_ns = Gatherer(), read_end_ns(path)
@@ -229,7 +229,7 @@ def _last_ns(chunk: "Chunk") -> int:
 
 
 def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":
-    """The chunks of a log below its place, with frames of coordinates of its own."""
+    """Yield the chunks of a log below its place, with coordinate frames of its own."""
     import pyarrow as pa
     from rerun.chunk import Chunk
 

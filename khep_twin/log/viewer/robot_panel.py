@@ -1,4 +1,4 @@
-"""The toolbox's khepbase as a panel of rerun: the robot from above, with bars for what it senses and does.
+"""The toolbox's khepbase as a panel of rerun: the robot from above, with bars for its sensors and wheels.
 
 At each sensor a pair of bars, proximity (0 to 1023) and ambient light (0 to 500, as counted: long in the
 dark); beside each wheel a bar of its speed (0 to 20 pulses/10 ms, downwards when it drives backwards), by
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 SAMPLES_PER_PICTURE = 5
-"""Of the log's samples of 20 ms so many make one picture: ten a second are enough for the eye."""
+"""Samples of the log, 20 ms apart, per picture: ten a second are enough for the eye."""
 
 _BODY = BODIES["khepera1"]
 _BAR = 0.012
-"""Of a bar at its full value [m]."""
+"""Length of a bar at its full value [m]."""
 
 _HALF_WIDTH = 0.0014
 _LINE = _HALF_WIDTH / 4
 _LINES = _LINE * np.array((-3, -1, 1, 3))
-"""Radius of the lines that a bar is made of, and where they are [m]."""
+"""Radius of the lines that a bar is made of, and their positions [m]."""
 
 # Pictures have y downwards: ahead is up, left is left.
 _FEET = np.array([(-left, -forward) for forward, left in _BODY.sensor_positions]) * 1.35
@@ -43,17 +43,17 @@ _LEGEND = 0.037
 
 
 def panel(robot: str) -> str:
-    """Where in a recording a robot's panel is."""
+    """Return the entity path of a robot's panel in a recording."""
     return f"/{robot}/khepbase"
 
 
 def panel_chunks(robot: str, track: Samples, timeline: str) -> "list[Chunk]":
-    """The bars of one robot's panel.
+    """Return the bars of one robot's panel.
 
     Args:
-        robot: its name.
-        track: what was recorded of it.
-        timeline: name of the recording's simulated time.
+        robot: Name of the robot.
+        track: Samples of the robot.
+        timeline: Name of the recording's simulated time.
     """
     import rerun as rr
     from rerun.chunk import Chunk
@@ -71,7 +71,7 @@ def panel_chunks(robot: str, track: Samples, timeline: str) -> "list[Chunk]":
 
 
 def outline_chunks(robot: str) -> "list[Chunk]":
-    """What of one robot's panel stands still."""
+    """Return the static parts of one robot's panel."""
     import rerun as rr
 
     wheels = [_box(side * WHEEL_BASE / 2, 0.0, 0.0015, WHEEL_RADIUS) for side in (-1, 1)]
@@ -103,7 +103,7 @@ def _filled(name: str, values: Floats) -> Floats:
 
 
 def _standing(place: str, columns: Any) -> "Chunk":
-    """Something that is there at all times."""
+    """Return a static chunk."""
     from rerun.chunk import Chunk
 
     return Chunk.from_columns(place, [], columns)

@@ -1,4 +1,4 @@
-"""A still of a log as rerun shows it, without a screen."""
+"""Stills of logs in rerun, without a screen."""
 
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -22,29 +22,29 @@ _PATIENCE = 30.0
 """Longest wait for the viewer to have opened a recording [s]."""
 
 _PAINTING = 1.0
-"""After that its pictures settle [s]."""
+"""Time after that until its pictures are stable [s]."""
 
 _WIDTH = 1600
-"""Of a still [pixels]."""
+"""Width of a still [pixels]."""
 
 
 def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
-    """Writes what rerun's viewer shows of a recording at a time.
+    """Write a still of a recording in rerun's viewer at a time.
 
     Args:
-        recording: of rerun, a file.
-        timeline: on which the time is.
-        at_s: the time [s].
-        target: the PNG file.
+        recording: Recording of rerun, a file.
+        timeline: Timeline of the time.
+        at_s: Time [s].
+        target: Path of the PNG file.
 
     Raises:
-        LogError: the viewer does not start or does not answer.
+        LogError: The viewer does not start or does not answer.
     """
     import rerun.experimental as rx
 
-    # Unless somebody wants to know more, the viewer keeps what it does to itself.
+    # The viewer's output is hidden by default.
     os.environ.setdefault("RUST_LOG", "error")
-    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # it complains where there is none
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # it warns if it is unset
     program = Path(sys.executable).with_name("rerun")
     try:
         viewer = rx.ViewerClient.spawn(

@@ -1,4 +1,4 @@
-"""Copies of logs for rerun: what is shown of them, with fewer samples where they are long, in large chunks.
+"""Copies of logs for rerun: their shown parts, with fewer samples if they are long, in large chunks.
 
 rerun takes some 10 kB for each channel in each chunk of a file, and `serve` begins a chunk every half second:
 a log of a day took more than 23 GB of memory (measured).
@@ -17,17 +17,17 @@ from khep_twin.log.content import Entry
 from khep_twin.log.reader import Label
 
 SAMPLES = 180_000
-"""Most samples of a channel that are shown: an hour at 50 a second."""
+"""Most shown samples of a channel: an hour at 50 a second."""
 
 _SAMPLE_NS = 20_000_000
 """Interval of a run's samples in its log [ns]."""
 
 _LINES = 2
-"""Lines of the transcript that are shown where others are left out: a command and its reply."""
+"""Lines of the transcript that are kept per interval of a thinned log: a command and its reply."""
 
 
 def interval_ns(end_ns: int) -> int:
-    """Return the interval of the samples that are shown of a log that ends at a time [ns]; 0 for all."""
+    """Return the interval of the shown samples of a log that ends at a time [ns]; 0 for all."""
     # A run of an hour ends some moments later.
     every = math.ceil(end_ns / (SAMPLES * _SAMPLE_NS) - 0.01)
     return every * _SAMPLE_NS if every > 1 else 0
@@ -67,11 +67,11 @@ class Copy:
         self._channels: dict[str, _Channel | None] = {}
 
     def add(self, entries: Iterable[Entry], definition: Callable[[str], str | bytes | None]) -> None:
-        """Copy what is shown of a piece of the log.
+        """Copy the shown parts of a piece of the log.
 
         Args:
             entries: Messages, none earlier than those added before.
-            definition: Gives the definition of a message type; None for one that rerun does not show.
+            definition: Function that returns a message type's definition; None if rerun does not show it.
         """
         for topic, found in groupby(sorted(entries, key=attrgetter("topic", "time_ns")), attrgetter("topic")):
             messages = list(found)
@@ -87,7 +87,7 @@ class Copy:
             )
 
     def finish(self, label: Label) -> None:
-        """Complete the copy with what the log says of itself."""
+        """Complete the copy with the log's metadata and attachments."""
         for name, text in label.attachments.items():
             self._writer.attach(name, text)
         self._writer.describe("run", label.metadata)

@@ -1,11 +1,11 @@
-"""`casting` for screening: the same questions, asked of a plane instead of MuJoCo.
+"""`raycast` for screening: the same queries of a plane instead of MuJoCo.
 
-The robot is a disc on two wheels, what stands around it are upright boxes and cylinders with their heights.
-Its way is worked out in `planar_motion`, what its sensors see in `planar_rays` and `planar_shadows`, as by
-MuJoCo for upright things and a robot that does not tilt. This source runs as it stands and compiled.
+The robot is a disc on two wheels, among upright boxes and cylinders with heights. `motion` moves it,
+`rays` and `shadows` compute what its sensors see, as MuJoCo does for upright things and a robot without tilt.
+This source runs interpreted and compiled.
 
-Nothing is left out for being far off. But for each thing a distance is kept that it surely is away, less the
-way since; things are looked at in that order, and no longer than they can matter.
+No thing is left out for its distance. But for each a lower bound of its distance is kept, less the distance
+moved since; things are tested in that order, only as long as they can matter.
 """
 
 import math
@@ -42,28 +42,28 @@ FEW, MANY, LENGTH_AND_NORMAL = raycast.FEW, raycast.MANY, raycast.LENGTH_AND_NOR
 decide = raycast.decide
 
 _ROUNDING = 1e-9
-"""What is so much farther off than all rays have met cannot be met [m]."""
+"""Margin for rounding beyond the farthest hit of a ray [m]."""
 
 
 def step(scene: Scene) -> None:
-    """One step of the way."""
+    """Advance the motion by one step."""
     motion.step(scene)
 
 
 def heading(qpos: Sequence[float], pose: int) -> tuple[float, float]:
-    """As `raycast.heading`."""
+    """Return the same as `raycast.heading`."""
     angle = qpos[pose + HEADING]
     return math.cos(angle), math.sin(angle)
 
 
 def body_frame(scene: Scene) -> Sequence[float]:
-    """As `raycast.body_frame`."""
+    """Return the same as `raycast.body_frame`."""
     c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
     return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
 
 def position(scene: Scene, channel: int) -> tuple[float, float, float]:
-    """As `raycast.position`."""
+    """Return the same as `raycast.position`."""
     last, mounts = scene.robot.last, scene.robot.mounts
     c, s = last[HEADING_COSINE], last[HEADING_SINE]
     ahead, left = mounts[channel, 0], mounts[channel, 1]
@@ -71,7 +71,7 @@ def position(scene: Scene, channel: int) -> tuple[float, float, float]:
 
 
 def sensor_frame(scene: Scene, channel: int) -> Sequence[float]:
-    """As `raycast.sensor_frame`."""
+    """Return the same as `raycast.sensor_frame`."""
     last, mounts = scene.robot.last, scene.robot.mounts
     c, s = last[HEADING_COSINE], last[HEADING_SINE]
     x = c * mounts[channel, 2] - s * mounts[channel, 3]
@@ -82,7 +82,7 @@ def sensor_frame(scene: Scene, channel: int) -> Sequence[float]:
 def direction(
     scene: Scene, frame: Sequence[float], channel: int, ray: int, aside: float
 ) -> tuple[float, float, float]:
-    """As `raycast.direction`."""
+    """Return the same as `raycast.direction`."""
     c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
     ways, n_wide = scene.robot.ways, len(scene.robot.hits)
     ahead, left = ways[channel, ray], ways[channel, n_wide + ray]
@@ -90,13 +90,13 @@ def direction(
 
 
 def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int:
-    """As `raycast.rays`, but none where nothing can be near enough to count."""
+    """Cast the same rays as `raycast.rays`, but none if nothing can be near enough to count."""
     robot, things, order = scene.robot, scene.things, scene.order
     away = robot.mounts[channel, 4] + robot.last[MOVED]
     gain, offset = near.gain[channel] * near.brightest, near.offset[channel]
     n = len(order)
     if level < 0:
-        # As far off as this nothing passes the threshold; a little less, for rounding.
+        # At this distance nothing passes the threshold; a margin is left for rounding.
         if n == 0:
             return 0
         least = max(things[order[0], DISTANCE] - away, 0.0) + offset
@@ -130,7 +130,7 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
         if least > farthest:
             break
         if least > next_look:
-            # All that is left is farther off than this.
+            # All remaining things are farther away than this.
             light = planar_rays.most(robot, near.weights[channel], offset, least)
             if gain * light * 1.000001 <= -level:
                 return 0
@@ -179,7 +179,7 @@ def _within(
     reach: float,
     away: float,
 ) -> bool:
-    """Whether anything is within reach [m] and the cone of a sensor; sure if it says no."""
+    """Return whether anything is within reach [m] and in a sensor's cone; False is certain."""
     things = scene.things
     for i in range(len(scene.order)):
         thing = scene.order[i]
@@ -194,14 +194,14 @@ def _within(
 
 
 def surfaces(scene: Scene, channel: int, directions: Any, cutoff: float, found: Any) -> None:
-    """As `raycast.surfaces`: what `rays` has hit with the same rays."""
+    """Fill in the same as `raycast.surfaces`, from what `rays` has hit."""
     for ray in range(len(found)):
         hit = scene.robot.hits[ray]
         found[ray] = scene.things[hit >> 2, REFLECTANCE] if hit >= 0 else 0.0
 
 
 def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: float) -> bool:
-    """As `raycast.stopped`."""
+    """Return the same as `raycast.stopped`."""
     return shadows.stopped(scene, position(scene, channel), (x, y, z), glass)
 
 
@@ -215,7 +215,7 @@ def blocked(
     cutoff: float,
     glass: float,
 ) -> float:
-    """As `raycast.blocked`."""
+    """Return the same as `raycast.blocked`."""
     n_few, n_points = scene.robot.n_few, len(scene.robot.points)
     first, last = (0, n_few) if disc == FEW else (n_few, n_points)
     return shadows.blocked(scene, position(scene, channel), first, last, left, up, way, glass)

@@ -1,6 +1,6 @@
-"""The episode in a plane compiled by numba, as `compiled` has it in MuJoCo.
+"""The episode in a plane compiled by numba; `rollout.compiled` is its counterpart in MuJoCo.
 
-Only imported where numba is installed.
+Imported only where numba is installed.
 """
 
 # numba is not typed.
@@ -33,7 +33,7 @@ _CASTING = _copy(
     planar_rays=_copy(rays),
     shadows=_copy(shadows),
 )
-# A controller is called by its address here as there.
+# Here, too, a controller is called by its address.
 setattr(_CASTING, "decide", compiled_casting.decide)  # noqa: B010
 _EPISODE = _copy(
     episode,

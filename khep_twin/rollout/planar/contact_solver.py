@@ -1,12 +1,13 @@
-"""How a robot moves in a plane when its tyres slip or things push it.
+"""Contact impulses by warm-started projected Gauss-Seidel: slipping tyres and things that push the robot.
 
-A tyre slips beyond its share of friction x load, along or across; what the robot weighs on the support behind
-it while it speeds up, its tyres do not carry. Things push along the line to the disc's centre, with friction
-across. All pushes of a substep are found together, one after the other and again, each with what the others
-leave of the robot's speed. Left out: tilt, hopping tyres, soft contacts.
+A tyre slips beyond its share of friction x load, along or across; the load on the rear support during an
+acceleration is taken off the tyres. Things push along the line to the disc's centre, with friction across.
+All impulses of a substep are solved together, in repeated rounds.
+
+Left out: tilt, hopping tyres, soft contacts.
 """
 
-# Speeds that depend on each other in a loop are more than type checkers can follow.
+# Type checkers cannot infer speeds that depend on each other in a loop.
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import math
@@ -31,23 +32,23 @@ from khep_twin.rollout.planar.plane import (
 )
 
 _ROUNDS = 8
-"""Of the solver in each 2.5 ms at most; it begins with what it found before."""
+"""Most rounds of the solver in each 2.5 ms; it starts from the last impulses."""
 
 _SETTLED = 1e-6
-"""The solver stops when a round changes no speed by more [m/s]."""
+"""Change of speed in a round below which the solver stops [m/s]."""
 
 _GRIPS = 1e-5
-"""A tyre that slips less than this does not [m/s]."""
+"""Slip below which a tyre counts as gripping [m/s]."""
 
 _NEAR = 1e-4
-"""What is so near is touched, or about to be [m]."""
+"""Distance within which a thing counts as touched [m]."""
 
 _PASSES = 4
-"""Things push the disc out one after the other; between two of them that takes turns."""
+"""Passes that push the disc out of things one by one; between two things it takes several."""
 
 
 def slide(plane: Plane) -> None:
-    """One step in which tyres may slip and things may push."""
+    """Advance by one step in which tyres may slip and things may push."""
     robot, things = plane.robot, plane.things
     joints, speeds, grips, h = robot.joints, robot.speeds, robot.grips, robot.substep
     x: float = joints[X]
@@ -92,7 +93,7 @@ def slide(plane: Plane) -> None:
             change_left: float = -(forward - half * spin - left) * tyre
             change_right: float = -(forward + half * spin - right) * tyre
             change_aside: float = -aside * robot.mass
-            # Each tyre pushes along and across, no more than it grips in all.
+            # Each tyre's impulse along and across is limited by its grip.
             new_left, new_right = grip_left + change_left, grip_right + change_right
             new_aside = grip_aside + change_aside
             most = max(robot.grip * h - robot.relief * lightness * abs(grip_left + grip_right), 0.0)
@@ -144,7 +145,7 @@ def slide(plane: Plane) -> None:
         heading += turn
         slip = abs(forward - half * spin - left) + abs(forward + half * spin - right) + abs(aside)
         slips = count > 0 or slip > _GRIPS
-        # The body's speed stays as it is while the body turns.
+        # The body's velocity is constant in space while the body turns.
         turn_c, turn_s = flat.turned(turn)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
         forward, aside = forward * turn_c + aside * turn_s, aside * turn_c - forward * turn_s
@@ -160,7 +161,7 @@ def slide(plane: Plane) -> None:
 
 
 def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) -> int:
-    """Fills in what is within reach of a place [m], normals in the robot's frame; returns how much."""
+    """Fill in the contacts within reach of a point [m], normals in the robot's frame; return their number."""
     robot, things, count = plane.robot, plane.things, 0
     dx, dy = x - robot.last[ANCHOR_X], y - robot.last[ANCHOR_Y]
     moved = math.sqrt(dx * dx + dy * dy)
@@ -182,7 +183,7 @@ def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) 
 
 
 def _out(plane: Plane, x: float, y: float) -> tuple[float, float]:
-    """A place pushed out of all things that the disc would be in."""
+    """Return a position pushed out of all things that the disc overlaps."""
     robot, things = plane.robot, plane.things
     for _ in range(_PASSES):
         dx, dy = x - robot.last[ANCHOR_X], y - robot.last[ANCHOR_Y]

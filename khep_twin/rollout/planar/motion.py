@@ -1,13 +1,13 @@
-"""How a robot moves in a plane: two motors, and tyres that grip.
+"""Motion of a robot in a plane: two motors, and tyres that grip.
 
-All constants are those of the scene that `playpen_to_mjcf` makes. Motion is worked out as by MuJoCo's
-implicit integrator, in substeps of 2.5 ms, however many of them are taken at once:
+All constants are those of the scene that `playpen_to_mjcf` makes. Motion is integrated as by MuJoCo's
+implicit integrator, in substeps of 2.5 ms, for any number of them per step:
 
     J w' = K (V - K w) / R - r F          each wheel, w its speed, F the force of its tyre on the floor
     m v' = F_left + F_right + walls       and likewise about the vertical axis
 
-While tyres grip, both wheels and the body are two first-order lags, for going and for turning, and nothing
-has to be solved. `planar_pushes` does the rest.
+While tyres grip, both wheels and the body are two first-order lags, for translation and rotation, and nothing
+has to be solved. `contact_solver` does the rest.
 """
 
 import math
@@ -34,11 +34,11 @@ from khep_twin.rollout.planar.plane import (
 )
 
 _ANCHORED = 0.02
-"""Distances to all things are measured anew when the robot has moved so far [m]."""
+"""Distance moved after which distances to all things are measured again [m]."""
 
 
 def step(plane: Plane) -> None:
-    """One step, of all its substeps, with the motors' voltages as they are."""
+    """Advance by one step, of all its substeps, at the present motor voltages."""
     robot = plane.robot
     joints, speeds, last = robot.joints, robot.speeds, robot.last
     x, y, heading = joints[X], joints[Y], joints[HEADING]
@@ -55,7 +55,7 @@ def step(plane: Plane) -> None:
     going, turning = (left + right) / 2, (right - left) / 2
     going_aim, turning_aim = (left_aim + right_aim) / 2, (right_aim - left_aim) / 2
     n, h = robot.n_substeps, robot.substep
-    # The first substep needs the most force of the tyres.
+    # The first substep needs the largest tyre force.
     speeding = (going_aim - going) * (1 - robot.going) / h
     swinging = (turning_aim - turning) * (1 - robot.turning) / h
     per_turn = 2 / robot.track
@@ -73,7 +73,7 @@ def step(plane: Plane) -> None:
     for _ in range(n):
         going = going_aim + (going - going_aim) * robot.going
         turning = turning_aim + (turning - turning_aim) * robot.turning
-        # Places move on with the new speeds along the old heading, as MuJoCo's do.
+        # Positions are integrated with the new speeds along the old heading, as in MuJoCo.
         x += h * going * c
         y += h * going * s
         left_way += going - turning
@@ -91,12 +91,12 @@ def step(plane: Plane) -> None:
 
 
 def measure(plane: Plane) -> None:
-    """Makes the place of the last view the anchor, with the distances to all things from it."""
+    """Make the position of the last step's start the anchor; measure and sort the distances from it."""
     last, order, things = plane.robot.last, plane.order, plane.things
     x, y = last[CENTRE_X], last[CENTRE_Y]
     last[ANCHOR_X], last[ANCHOR_Y], last[MOVED] = x, y, 0.0
     for i in range(len(order)):
-        # Few change their places.
+        # Insertion sort, as few change their order.
         thing, k = order[i], i
         distance = flat.distance_to(things, thing, x, y)
         things[thing, DISTANCE] = distance
@@ -107,7 +107,7 @@ def measure(plane: Plane) -> None:
 
 
 def _clear(plane: Plane, x: float, y: float, reach: float) -> bool:
-    """Whether nothing that can be touched is within reach of a place [m]."""
+    """Return whether nothing that can be touched is within reach of a position [m]."""
     things, moved = plane.things, plane.robot.last[MOVED]
     for i in range(len(plane.order)):
         if things[plane.order[i], DISTANCE] - moved > reach:

@@ -1,8 +1,8 @@
-"""The plane of a playpen: its robot's constants and what stands around, taken from the scene for MuJoCo.
+"""Plane of a playpen: the robot's constants and the things around it, taken from MuJoCo's scene.
 
     ground = Ground(playpen.load("looping-maze"), planar=True)
 
-Nothing here is fitted: masses, inertias, friction, motors, places and heights are those of that scene.
+Nothing here is fitted: masses, inertias, friction, motors, positions and heights are those of that scene.
 """
 
 # numba is not typed.
@@ -30,25 +30,25 @@ from khep_twin.rollout.planar.plane import Plane, Robot
 from khep_twin.sensing import optics, raycast
 
 N_CONTACTS = 8
-"""So many things can push the robot at once: more than there is room for around it."""
+"""Most things that push the robot at once: more than fit around it."""
 
 WIDE = 8
-"""Room for rays is for a multiple of this, as processors work on so many at once; the last go nowhere."""
+"""Rays are padded to a multiple of this, for vector instructions; the padding has no direction."""
 
 _PREFIX = "khepera0/"
 _NAME = "in a plane"
 
 LIVE = ("joints", "speeds", "ctrl", "force")
-"""Fields of `Robot` that the episode knows."""
+"""Fields of `Robot` that the episode works on."""
 
 ROOM = (*LIVE, "grips", "last", "contacts")
-"""Fields of `Robot` that begin anew with each life."""
+"""Fields of `Robot` that are reset at the start of each episode."""
 
 Floats = NDArray[np.float64]
 
 
 def as_record(numbers: Any) -> Any:
-    """A named tuple as a record of the same fields: one address to hand on in compiled code."""
+    """Return a named tuple as a record of the same fields: one address to pass in compiled code."""
     values = [np.asarray(value) for value in numbers]
     kinds = [
         (name, np.int64 if value.dtype.kind == "i" else value.dtype, value.shape)
@@ -61,17 +61,17 @@ def as_record(numbers: Any) -> Any:
 
 
 class Outline:
-    """What a plane needs to know of a scene; threads may share it.
+    """Constants of a plane, from a scene; threads may share it.
 
     `PLACES` are the first five numbers of `episode.Wiring`.
 
     Args:
-        playpen: with one robot.
-        model: the scene that it makes.
-        step_ns: of the plane [ns].
+        playpen: Playpen with one robot.
+        model: Model of its scene.
+        step_ns: Step of the plane [ns].
 
     Raises:
-        PlaypenError: it has what a plane cannot have.
+        PlaypenError: The playpen has a feature that a plane does not support.
     """
 
     PLACES = (flat.LEFT_ANGLE, flat.RIGHT_ANGLE, 0, 1, flat.X)
@@ -81,7 +81,7 @@ class Outline:
             for number, item in enumerate(items, 1):
                 if item.movable:
                     raise PlaypenError(
-                        f"{playpen.name}: {name} {number} is movable; right are fixed ones in the plane, "
+                        f"{playpen.name}: {name} {number} is movable; expected fixed ones in the plane, "
                         "where nothing is pushed"
                     )
         robot = playpen.robots[0]
@@ -106,22 +106,22 @@ class Outline:
         wide = np.zeros((len(cameras), 2, -(-n_rays // WIDE) * WIDE))
         wide[:, :, :n_rays] = ways.transpose(0, 2, 1)
         self.ways = wide.reshape(len(cameras), -1)
-        # To the inside of a cone: left of its rightmost ray, right of its leftmost.
+        # Towards the inside of a cone: left of its rightmost ray, right of its leftmost.
         left, right = ways[:, 0], ways[:, -1]
         self.cones = np.column_stack([-right[:, 1], right[:, 0], left[:, 1], -left[:, 0]])
 
 
 class PlanarRoom:
-    """Room for one life in a plane, in arrays or, for plain Python, in what that is quick with.
+    """State of one episode in a plane, in arrays or, for plain Python, in the faster memoryviews.
 
     Args:
-        outline: of the plane.
-        compiled: whether it is for compiled code.
+        outline: Constants of the plane.
+        compiled: Whether the state is for compiled code.
 
     Attributes:
-        scene: as its robot's sensors see it.
-        live: the numbers that the episode knows.
-        advance: `episode.advance` on it.
+        scene: Scene as the robot's sensors see it.
+        live: Arrays that the episode works on.
+        advance: Function `episode.advance` for this state.
     """
 
     def __init__(self, outline: Outline, compiled: bool) -> None:
@@ -179,16 +179,16 @@ class PlanarRoom:
         self.live: Live = joints, speeds, ctrl, force, joints[: flat.HEADING], none
 
     def put(self, start: Start | None) -> None:
-        """Puts the robot down at rest, in its place or elsewhere [mm, deg]; nothing is left of what was."""
+        """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
         x_mm, y_mm, heading_deg = start or self._outline.place
         x, y, heading = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
         for array in self._room.values():
             array[:] = 0
         self._room["joints"][:3] = x, y, heading
-        # Far from anywhere: the first step measures all distances.
+        # An infinite distance makes the first step measure all distances.
         self._room["last"][flat.ANCHOR_X] = np.inf
         self._things[:, flat.ALONG] = self._things[:, flat.ACROSS] = 0
-        # Nearly in order, which is soon put right.
+        # Nearly sorted, which speeds up the first measurement.
         things = self._things
         away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
         self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
@@ -201,18 +201,18 @@ class PlanarRoom:
 
     @property
     def joints(self) -> Floats:
-        """All places, as a copy."""
+        """Copy of the joint positions."""
         return self._room["joints"].copy()
 
     @property
     def warning(self) -> str:
-        """There is none in a plane."""
+        """Name of a warning; empty, as there is none in a plane."""
         return ""
 
 
 @cache
 def _plain_episode() -> ModuleType:
-    """The episode in a plane, as it stands."""
+    """Return the episode in a plane, uncompiled."""
     return another_copy(
         episode,
         {"raycast": planar_casting, "optics": another_copy(optics, {"raycast": planar_casting}, _NAME)},
@@ -221,7 +221,7 @@ def _plain_episode() -> ModuleType:
 
 
 def _chassis(model: mujoco.MjModel, step_ns: int) -> dict[str, float | int]:
-    """The robot's constants, from the scene."""
+    """Return the robot's constants, from the scene."""
     base = model.body(f"{_PREFIX}base").id
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -239,10 +239,10 @@ def _chassis(model: mujoco.MjModel, step_ns: int) -> dict[str, float | int]:
     track, h = left - right, units.STEP_NS * 1e-9
     resistance, constant = model.actuator_gainprm[model.actuator(f"{_PREFIX}left_motor").id, :2].tolist()
     stall, damping = constant / resistance, constant * constant / resistance
-    # Of each of both wheels; the body weighs on them as if it were at their rims.
+    # Inertia at each wheel, with the body's mass or inertia as if at the rims.
     going = mass / 2 * wheel * wheel + spin
     swinging = 2 * inertia / (track * track) * wheel * wheel + spin
-    # What speeds up weighs on the support behind it: the mass at its height, and the wheels that turn faster.
+    # Load on the rear support per acceleration: the mass at its height, and the wheels' spin.
     height = float(data.subtree_com[base, 2])
     arm = abs(float(model.geom(f"{_PREFIX}front_support").pos[0]))
     weight = mass * abs(float(model.opt.gravity[2]))
@@ -268,7 +268,7 @@ def _chassis(model: mujoco.MjModel, step_ns: int) -> dict[str, float | int]:
 
 
 def _span(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
-    """Lowest and highest height of an upright geom [m]."""
+    """Return the lowest and highest height of an upright geom [m]."""
     kind, size = model.geom_type[geom], model.geom_size[geom]
     half = size[2] if kind == mujoco.mjtGeom.mjGEOM_BOX else size[1]
     at = float(model.geom_pos[geom, 2])
@@ -276,7 +276,7 @@ def _span(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
 
 
 def _thing(model: mujoco.MjModel, geom: int) -> list[float]:
-    """A row of `Plane.things`."""
+    """Return a row of `Plane.things`."""
     x, y, _ = model.geom_pos[geom].tolist()
     w, _, _, z = model.geom_quat[geom].tolist()
     angle, size = 2 * math.atan2(z, w), model.geom_size[geom].tolist()
@@ -285,21 +285,21 @@ def _thing(model: mujoco.MjModel, geom: int) -> list[float]:
 
 
 def _mount(model: mujoco.MjModel, camera: int) -> list[float]:
-    """A row of `Scene.mounts`."""
+    """Return a row of `Robot.mounts`."""
     x, y, _ = model.cam_pos[camera].tolist()
     ahead = _ahead(model, camera)
     return [x, y, *ahead, math.hypot(x, y)]
 
 
 def _ahead(model: mujoco.MjModel, camera: int) -> tuple[float, float]:
-    """Where a camera looks, in the robot's frame."""
+    """Return the direction of a camera in the robot's frame."""
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.cam_quat[camera])
     return -float(turn[2]), -float(turn[5])
 
 
 def _ways(model: mujoco.MjModel, camera: int, n_rays: int) -> Floats:
-    """Where a sensor's rays go in the robot's frame, left to right (n_rays, 2)."""
+    """Return the directions of a sensor's rays in the robot's frame, left to right (n_rays, 2)."""
     c, s = _ahead(model, camera)
     width, height = model.cam_resolution[camera].tolist()
     focal_length = height / 2 / math.tan(math.radians(float(model.cam_fovy[camera])) / 2)

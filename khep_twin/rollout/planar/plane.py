@@ -1,4 +1,4 @@
-"""The plane of screening: a robot's numbers, the things around it, and how far off those are."""
+"""Data of a plane: a robot's numbers, the things around it, and distances to them."""
 
 import math
 from typing import Any, NamedTuple
@@ -8,62 +8,63 @@ CENTRE_X, CENTRE_Y, COSINE, SINE, LENGTH, WIDTH, BOTTOM, TOP = 0, 1, 2, 3, 4, 5,
 A cylinder has its radius as length, and a width below 0."""
 
 TOUCHED, SEEN, REFLECTANCE, DISTANCE, ALONG, ACROSS = 8, 9, 10, 11, 12, 13
-"""More columns: 1 for what the body can touch, 1 for what rays can hit, infrared reflectance, how far it is
-from the anchor [m], and how it pushed the body in the last substep, along and across [N s]."""
+"""More columns: 1 if the body can touch it, 1 if rays can hit it, infrared reflectance, distance from the
+anchor [m], and its impulse on the body in the last substep, along and across [N s]."""
 N_COLUMNS = 14
 
 HEADING_COSINE, HEADING_SINE, MOVED, ANCHOR_X, ANCHOR_Y, SLIPS = 2, 3, 4, 5, 6, 7
-"""Places in `Robot.last`, behind CENTRE_X and CENTRE_Y: the pose at the start of the last step, how far off
-the anchor that is, the anchor [m], and whether a tyre slips or something is touched."""
+"""Indices in `Robot.last`, behind CENTRE_X and CENTRE_Y: the pose at the start of the last step, its distance
+from the anchor, the anchor [m], and whether a tyre slips or something is touched."""
 N_LAST = 8
 
 X, Y, HEADING, LEFT_ANGLE, RIGHT_ANGLE = 0, 1, 2, 3, 4
-"""Places in `Robot.joints` [m, rad]; `Robot.speeds` has the speeds forwards, to the left, of turning, and of
-the wheels [m/s, rad/s]."""
+"""Indices in `Robot.joints` [m, rad]; `Robot.speeds` has the speeds forwards, to the left, of rotation, and
+of the wheels [m/s, rad/s]."""
 N_JOINTS = 5
 
 
 class Robot(NamedTuple):
-    """A robot as the plane has it. Compiled code has a record of the same fields: one address to hand on.
+    """A robot in a plane. Compiled code uses a record of the same fields: one address to pass on.
 
     Attributes:
-        substep: of its motion [s].
-        n_substeps: in each step.
-        radius: of its body [m].
-        track: between its wheels [m].
-        wheel: their radius [m].
-        mass: of the whole robot [kg].
-        inertia: likewise, about the vertical axis [kg m^2].
-        spin: inertia of a wheel and its rotor [kg m^2].
-        stall: torque per voltage of a motor [N m/V].
-        damping: torque lost per speed of a wheel [N m s].
-        free_speed: of a tyre per voltage, without load [m/s/V].
-        going: what is left of the lag behind the free speed after a substep, going straight.
-        turning: likewise, turning in place.
-        grip: most force of a tyre while the robot does not speed up [N].
-        relief: how much of that is lost per acceleration [N s^2/m].
-        friction: of the body on things.
-        height: of the sensors above the floor [m].
-        mounts: x forward, y left, cosine and sine of where it looks, distance from the robot's centre, of
-            each sensor (8, 5) [m].
-        ways: of all rays in the robot's frame, first x forward of each, then y left (8, 2 n_wide); behind
-            the last, up to n_wide, there are some that go nowhere.
-        cones: unit vectors across the edges of each sensor's cone, to its inside, right then left (8, 4).
-        looks: room for the ways of a sensor's rays in the plane, first all x, then all y (2 n_wide,).
-        hits: room for what they hit, four times its number and which of its faces, ahead, behind, left or
+        substep: Substep of the motion [s].
+        n_substeps: Substeps in each step.
+        radius: Radius of the body [m].
+        track: Distance between the wheels [m].
+        wheel: Radius of the wheels [m].
+        mass: Mass of the whole robot [kg].
+        inertia: Inertia of the whole robot about the vertical axis [kg m^2].
+        spin: Inertia of a wheel and its rotor [kg m^2].
+        stall: Stall torque of a motor per voltage [N m/V].
+        damping: Torque lost per speed of a wheel [N m s].
+        free_speed: Speed of a tyre per voltage, without load [m/s/V].
+        going: Part of the lag behind the free speed left after a substep, driving straight.
+        turning: Part of the lag left after a substep, turning in place.
+        grip: Largest force of a tyre without acceleration [N].
+        relief: Loss of that force per acceleration [N s^2/m].
+        friction: Friction of the body on things.
+        height: Height of the sensors above the floor [m].
+        mounts: Mount of each sensor: x forward, y left, cosine and sine of its direction, distance from the
+            robot's centre (8, 5) [m].
+        ways: Directions of all rays in the robot's frame, first all x forward, then all y left
+            (8, 2 n_wide), padded with zeros up to n_wide.
+        cones: Unit normals of the edges of each sensor's cone, to its inside, right then left (8, 4).
+        looks: Buffer for the directions of a sensor's rays in the plane, first all x, then all y
+            (2 n_wide,).
+        hits: Buffer for what the rays hit, four times its number plus the face, ahead, behind, left or
             right; below 0 for nothing (n_wide,).
-        lengths: room for how far off that is, infinite for nothing (n_wide,) [m].
-        shares: room for how much light these send back at most (n_wide,) [1/m^2].
-        n_few: of the points of a bulb that are the few.
-        points: of a bulb, few and then many (n_points, 2).
-        hidden: room for which of these are (n_points,).
-        contacts: room for what is touched: normal, way left and which it is (n_contacts, 4).
-        joints: N_JOINTS numbers, live.
-        speeds: likewise.
-        ctrl: voltages (2,) [V].
-        force: torques of the motors at the start of the step (2,) [N m].
-        grips: push of the tyres in the last substep: left, right, and of both to the left (3,) [N s].
-        last: N_LAST numbers.
+        lengths: Buffer for the lengths of the rays, infinite for nothing (n_wide,) [m].
+        shares: Buffer for upper bounds of the light that comes back (n_wide,) [1/m^2].
+        n_few: Number of the few points of a bulb.
+        points: Points of a bulb, few and then many (n_points, 2).
+        hidden: Buffer for which points are hidden (n_points,).
+        contacts: Buffer for contacts: normal, gap and index of the thing (n_contacts, 4).
+        joints: Joint positions, live (N_JOINTS,).
+        speeds: Joint speeds, live (N_JOINTS,).
+        ctrl: Motor voltages (2,) [V].
+        force: Motor torques at the start of the step (2,) [N m].
+        grips: Impulses of the tyres in the last substep: left, right, and of both to the left (3,) [N s].
+        last: State of the last step (N_LAST,).
     """
 
     substep: float
@@ -103,12 +104,12 @@ class Robot(NamedTuple):
 
 
 class Plane(NamedTuple):
-    """Where the robot and all things are.
+    """The robot and all things of a plane.
 
     Attributes:
-        things: that stand around (n, N_COLUMNS).
-        order: of the things, nearest to the anchor first (n,).
-        robot: with its sensors.
+        things: Things around the robot (n, N_COLUMNS).
+        order: Indices of the things, nearest to the anchor first (n,).
+        robot: Robot with its sensors.
     """
 
     things: Any
@@ -117,7 +118,7 @@ class Plane(NamedTuple):
 
 
 def distance_to(things: Any, thing: int, x: float, y: float) -> float:
-    """How far a thing is from a place [m], 0 within."""
+    """Return the distance of a thing from a point [m], 0 within."""
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
     length, width = things[thing, LENGTH], things[thing, WIDTH]
     if width < 0:
@@ -131,7 +132,7 @@ def distance_to(things: Any, thing: int, x: float, y: float) -> float:
 
 
 def nearest(things: Any, thing: int, x: float, y: float) -> tuple[float, float, float]:
-    """Unit vector from a thing to a place, and how far it is [m]; below 0 within, by the nearest way out."""
+    """Return the unit vector from a thing to a point, and the distance [m], negative within."""
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
     length, width = things[thing, LENGTH], things[thing, WIDTH]
     if width < 0:
@@ -154,7 +155,7 @@ def nearest(things: Any, thing: int, x: float, y: float) -> tuple[float, float, 
 
 
 def turned(angle: float) -> tuple[float, float]:
-    """Cosine and sine of a substep's turn [rad], to the last bits of a tenth of a radian."""
+    """Return cosine and sine of a substep's turn [rad], to the last bits of a tenth of a radian."""
     square = angle * angle
     cosine = 1 - square / 2 * (1 - square / 12 * (1 - square / 30 * (1 - square / 56)))
     return cosine, angle * (1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72))))

@@ -1,4 +1,4 @@
-"""How rays of a sensor meet upright boxes and cylinders in a plane, all of them side by side."""
+"""Intersections of a sensor's rays with upright boxes and cylinders in a plane, vectorized."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from khep_twin.rollout.planar.plane import (
 
 
 def in_cone(things: Any, thing: int, x: float, y: float, cone: tuple[float, float, float, float]) -> bool:
-    """Whether a thing reaches over both edges of a cone, given as unit vectors to its inside."""
+    """Return whether a thing reaches into a cone; its edges are given as unit normals to its inside."""
     right_x, right_y, left_x, left_y = cone
     dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
     length, width = things[thing, LENGTH], things[thing, WIDTH]
@@ -32,7 +32,7 @@ def in_cone(things: Any, thing: int, x: float, y: float, cone: tuple[float, floa
 
 
 def meet_box(plane: Plane, thing: int, x: float, y: float) -> None:
-    """Where a sensor's rays meet a box, if that is nearer than what they have met."""
+    """Update a sensor's rays with their hits on a box, if nearer than their hits so far."""
     things, robot = plane.things, plane.robot
     looks, lengths, hits = robot.looks, robot.lengths, robot.hits
     n_wide = len(hits)
@@ -40,20 +40,20 @@ def meet_box(plane: Plane, thing: int, x: float, y: float) -> None:
     length, width = things[thing, LENGTH], things[thing, WIDTH]
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
     along, across = dx * c + dy * s, dy * c - dx * s
-    # Of its faces a place sees at most one at an end and one at a side. These look so:
+    # From a point at most one end face and one side face are visible, with these normals:
     end, side = math.copysign(1.0, along), math.copysign(1.0, across)
     end_x, end_y, side_x, side_y = end * c, end * s, -side * s, side * c
     an_end, a_side = 4 * thing + (0 if end > 0 else 1), 4 * thing + (2 if side > 0 else 3)
     along, across = abs(along), abs(across)
     before_end, before_side = along - length, across - width
     if before_end <= 0 and before_side <= 0:
-        # From inside, which does not happen but for rounding, it stands at the nearer face.
+        # A point inside, possible only by rounding, counts as on the nearer face.
         before_end, before_side = (0.0, -1.0) if before_end > before_side else (-1.0, 0.0)
-    # The same for all rays, and nothing skipped: compiled, they go side by side.
+    # No branch skips a ray, so that the compiled loop is vectorized.
     for ray in range(n_wide):
         way_x, way_y = looks[ray], looks[n_wide + ray]
         to_end, to_side = -(way_x * end_x + way_y * end_y), -(way_x * side_x + way_y * side_y)
-        # Whether it comes to the line of a face where that is.
+        # Test whether the ray crosses the face within its extent.
         at_end, at_side = across * to_end - before_end * to_side, along * to_side - before_side * to_end
         by_end = (to_end > 0) & (before_end >= 0) & (abs(at_end) <= width * to_end)
         by_side = (to_side > 0) & (before_side >= 0) & (abs(at_side) <= length * to_side)
@@ -66,13 +66,13 @@ def meet_box(plane: Plane, thing: int, x: float, y: float) -> None:
 
 
 def meet_circle(plane: Plane, thing: int, x: float, y: float) -> None:
-    """Where a sensor's rays meet a cylinder, if that is nearer than what they have met."""
+    """Update a sensor's rays with their hits on a cylinder, if nearer than their hits so far."""
     things, robot = plane.things, plane.robot
     looks, lengths, hits = robot.looks, robot.lengths, robot.hits
     n_wide = len(hits)
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
     outside = dx * dx + dy * dy - things[thing, LENGTH] * things[thing, LENGTH]
-    # From inside, which does not happen but for rounding, it sees the far side.
+    # From inside, possible only by rounding, the far side is hit.
     sign, least = (1.0, 0.0) if outside > 0 else (-1.0, -math.inf)
     for ray in range(n_wide):
         towards = -(dx * looks[ray] + dy * looks[n_wide + ray])
@@ -84,7 +84,7 @@ def meet_circle(plane: Plane, thing: int, x: float, y: float) -> None:
 
 
 def most(robot: Robot, weights: Sequence[float], offset: float, rest: float) -> float:
-    """How much light comes back at most [1/m^2]: all is met head-on, and at `rest` [m] what else there is."""
+    """Return an upper bound of the light coming back [1/m^2]: all hits head-on, all else at `rest` [m]."""
     for ray in range(len(robot.shares)):
         path = min(robot.lengths[ray], rest) + offset
         robot.shares[ray] = 1 / (path * path)

@@ -1,4 +1,4 @@
-"""What hides a lamp from a sensor in a plane: upright things with their heights, and the floor."""
+"""Occlusion of a lamp from a sensor in a plane, by upright things with heights and by the floor."""
 
 import math
 from typing import Any
@@ -19,7 +19,7 @@ Vector = tuple[float, float, float]
 
 
 def stopped(plane: Plane, place: Vector, way: Vector, glass: float) -> bool:
-    """Whether anything stops light on a way from a place [m] before a part of it."""
+    """Return whether anything stops light on a path from a point [m] before the fraction `glass` of it."""
     (at_x, at_y, at_z), (x, y, z) = place, way
     if z < 0 and -at_z / z < glass:
         return True
@@ -42,17 +42,17 @@ def blocked(
     way: Vector,
     glass: float,
 ) -> float:
-    """Which part of some of a bulb's points is hidden from a place.
+    """Return the fraction of some of a bulb's points that is hidden from a point.
 
     Args:
-        plane: with these points.
-        place: of the sensor [m].
-        first: of these points.
-        last: the one behind them.
-        left: from the middle of the bulb to its edge, as seen from there [m].
-        up: likewise.
-        way: to its middle [m].
-        glass: part of the way at which the bulb begins.
+        plane: Plane with these points.
+        place: Position of the sensor [m].
+        first: Index of the first point.
+        last: Index behind the last point.
+        left: Vector from the bulb's middle to its left edge, as seen from there [m].
+        up: Vector from the bulb's middle to its upper edge, as seen from there [m].
+        way: Vector to the bulb's middle [m].
+        glass: Fraction of the path at which the bulb begins.
     """
     points, hidden, things = plane.robot.points, plane.robot.hidden, plane.things
     at_x, at_y, at_z = place
@@ -61,7 +61,7 @@ def blocked(
         z = points[point, 0] * left[2] + points[point, 1] * up[2] + way[2]
         hidden[point] = z < 0 and -at_z / z < glass  # by the floor
         hits += hidden[point]
-    # Light comes from within this of the line to the middle of the bulb.
+    # Largest distance of the light from the line to the bulb's middle.
     broad = math.sqrt(left[0] * left[0] + left[1] * left[1]) + math.sqrt(up[0] * up[0] + up[1] * up[1])
     length = math.sqrt(way[0] * way[0] + way[1] * way[1])
     for thing in range(len(things)):
@@ -92,7 +92,7 @@ def _beside(
     length: float,
     broad: float,
 ) -> bool:
-    """Whether a thing surely is beside, behind or beyond a way of some length and half a breadth [m]."""
+    """Return True if a thing is surely beside, behind or beyond a path of a length and half width [m]."""
     dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
     half, width = things[thing, LENGTH], things[thing, WIDTH]
     if width < 0:
@@ -118,7 +118,7 @@ def _stops(
     way_z: float,
     glass: float,
 ) -> bool:
-    """Whether a thing stops light on a way [m] before a part of it."""
+    """Return whether a thing stops light on a path [m] before the fraction `glass` of it."""
     flat = way_x * way_x + way_y * way_y
     length, width = things[thing, LENGTH], things[thing, WIDTH]
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
@@ -144,7 +144,7 @@ def _stops(
 
 
 def _crossing(at: float, way: float, low: float, high: float) -> tuple[float, float]:
-    """Parts of a way at which it goes in and out between two planes; out before in for never."""
+    """Return the fractions of a path at entry and exit between two planes; exit before entry for never."""
     if way == 0:
         return (-math.inf, math.inf) if low <= at <= high else (math.inf, -math.inf)
     one, other = (low - at) / way, (high - at) / way

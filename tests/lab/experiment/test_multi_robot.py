@@ -105,5 +105,5 @@ def test_a_script_that_fails_is_told_when_the_others_have_ended() -> None:
 
 
 def test_there_is_a_script_for_each_robot() -> None:
-    with pytest.raises(PortError, match="1 scripts for 2 robots; right is one for each"):
+    with pytest.raises(PortError, match="1 scripts for 2 robots; expected one for each"):
         run_together(TWO, [chase], TwinOptions())

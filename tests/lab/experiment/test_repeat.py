@@ -275,7 +275,7 @@ def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> No
         done = khep_twin("repeat", path)
         assert (done.returncode, done.stdout) == (1, ""), done
         assert len(done.stderr.splitlines()) == 1, done
-    with pytest.raises(LogError, match="made at a real robot; right is --port"):
+    with pytest.raises(LogError, match="made at a real robot; expected --port"):
         again(tmp_path / "robot.mcap")
     assert not (tmp_path / "trap.mcap").exists()
 

@@ -146,11 +146,11 @@ def test_where_a_series_goes_on() -> None:
 @pytest.mark.parametrize(
     ("given", "line"),
     [
-        ({"runs": 0, "cycles": 1}, "0 runs of 1 cycles; right are numbers above 0"),
-        ({"cycles": 0}, "right are numbers above 0"),
+        ({"runs": 0, "cycles": 1}, "0 runs of 1 cycles; expected numbers above 0"),
+        ({"cycles": 0}, "expected numbers above 0"),
         ({}, "a run needs an end"),
-        ({"seconds": float("nan")}, "runs of nan s; right is a time above 0"),
-        ({"seconds": 1, "pause": -1}, "a pause of -1 s; right is 0 or more"),
+        ({"seconds": float("nan")}, "runs of nan s; expected a time above 0"),
+        ({"seconds": 1, "pause": -1}, "a pause of -1 s; expected 0 or more"),
         ({"seconds": 1, "pause": float("inf")}, "a pause of inf s"),
     ],
 )

@@ -120,14 +120,14 @@ def test_a_run_that_is_there_has_to_come_out_the_same(tmp_path: Path) -> None:
     folder = SeriesFolder(tmp_path, SETTINGS, resume=True)
     assert (tmp_path / "runs.csv").exists()
     assert not folder.keep(run(1, luck=3))
-    with pytest.raises(ControllerError, match="run 1, done again, came out with luck 4, before 3; a series"):
+    with pytest.raises(ControllerError, match="run 1, repeated, has luck 4, before 3; expected the same"):
         folder.keep(run(1, luck=4))
 
 
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ({"seed": 2}, "another seed: 1, now 2; right is the same, or another folder"),
+        ({"seed": 2}, "another seed: 1, now 2; expected the same, or another folder"),
         ({"playpen": "a\nx\nc"}, "another playpen: b, now x;"),
         ({"playpen": "a\nb\nc\nd"}, "another playpen: nothing, now d;"),
         ({"cycles": 5}, "another cycles: none, now 5;"),
@@ -143,7 +143,7 @@ def test_another_series_does_not_go_on_in_its_place(
         SeriesFolder(tmp_path, SETTINGS | change, resume=True)
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
-    with pytest.raises(ControllerError, match="has a series of 1 runs already; right is --resume"):
+    with pytest.raises(ControllerError, match="has a series of 1 runs already; expected --resume"):
         SeriesFolder(tmp_path, SETTINGS)
     assert before == {path: path.read_bytes() for path in tmp_path.iterdir()}
 
@@ -171,7 +171,7 @@ def test_a_series_of_no_runs_is_begun_anew(tmp_path: Path) -> None:
 def test_what_is_no_series_is_one_line_and_stays(text: str, tmp_path: Path) -> None:
     (tmp_path / "series.json").write_text(text)
     for resume in (False, True):
-        with pytest.raises(ControllerError, match=r"series.json: no series of khep_twin: ") as caught:
+        with pytest.raises(ControllerError, match=r"series.json: not a series of khep_twin: ") as caught:
             SeriesFolder(tmp_path, SETTINGS, resume=resume)
         assert "\n" not in str(caught.value)
     assert (tmp_path / "series.json").read_text() == text
@@ -181,6 +181,6 @@ def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ControllerError, match="file: no folder can be made here: File exists"):
         SeriesFolder(tmp_path / "file", SETTINGS)
-    with pytest.raises(ControllerError, match="holds no series to go on with"):
+    with pytest.raises(ControllerError, match="no series to resume"):
         SeriesFolder(tmp_path, SETTINGS, resume=True)
     assert json.loads((SeriesFolder(tmp_path, SETTINGS).path / "series.json").read_text())["runs"] == []

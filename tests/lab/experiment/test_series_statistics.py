@@ -54,7 +54,7 @@ def test_columns_are_numbers_that_were_measured() -> None:
     assert measured([ROWS, OTHERS]) == ["fitness", "learned"]
     assert measured([ROWS], ["learned", "learned"]) == ["learned"]
     assert values(OTHERS, "odd") == []
-    with pytest.raises(ControllerError, match=r"column fitnes: is no number of these runs; did you mean 'fi"):
+    with pytest.raises(ControllerError, match=r"column fitnes: not a number in these runs; did you mean 'fi"):
         measured([ROWS], ["fitnes"])
 
 

@@ -80,12 +80,12 @@ spots = ["right", "left"]
         ("455,300,0", "start 455,300,0: "),
         ("5,5,0", "start 5,5,0: robot 1 at (5, 5) overlaps the left wall"),
         ("9e9,0,0", "start 9e9,0,0: "),
-        ("1,2", "start '1,2': right is X,Y,HEADING"),
-        ("1,2,nan", "start '1,2,nan': right is"),
-        ("somewhere", "start 'somewhere': right is"),
-        ("grid:0x3", "start 'grid:0x3': right is grid:COLUMNSxROWS"),
+        ("1,2", "start '1,2'; expected X,Y,HEADING"),
+        ("1,2,nan", "start '1,2,nan'; expected"),
+        ("somewhere", "start 'somewhere'; expected"),
+        ("grid:0x3", "start 'grid:0x3'; expected grid:COLUMNSxROWS"),
         ("grid:999x999", "of up to 1000 places"),
-        ("grid:1x1@x", "right is grid:"),
+        ("grid:1x1@x", "expected grid:"),
     ],
 )
 def test_a_start_that_cannot_be_is_told_in_one_line(wish: str, line: str) -> None:

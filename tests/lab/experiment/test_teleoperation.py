@@ -153,7 +153,7 @@ def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
 
 
 def test_a_small_terminal_is_told_how_large_it_must_be() -> None:
-    assert draw(View(5), "port", 60, 24) == ["64 x 18 characters are needed, 60 x 24 are here; q ends"]
-    assert draw(View(5), "port", 80, 5) == ["64 x 18 characters are needed, 80 x 5 are here; q ends"]
-    assert draw(View(5), "port", 9, 5) == ["64 x 18 "]
+    assert draw(View(5), "port", 60, 24) == ["60 x 24 characters; expected at least 64 x 18; q ends"]
+    assert draw(View(5), "port", 80, 5) == ["80 x 5 characters; expected at least 64 x 18; q ends"]
+    assert draw(View(5), "port", 9, 5) == ["9 x 5 ch"]
     assert draw(View(5), "port", 0, 0) == [""]

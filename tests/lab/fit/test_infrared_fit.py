@@ -102,7 +102,7 @@ def test_without_noise_the_gains_are_exact() -> None:
 def test_readings_that_are_all_saturated_or_0_are_refused_by_sensor(distances_mm: list[float]) -> None:
     table = bench(distances_mm)
     ahead = np.abs(table.bearings) < 0.3
-    with pytest.raises(FitError, match=r"left 90: the gain cannot be told: \d+ readings"):
+    with pytest.raises(FitError, match=r"left 90: the gain cannot be determined: \d+ readings"):
         fit_infrared(
             [Table(table.distances[ahead], table.bearings[ahead], table.counts[ahead], 0.0)], KHEPERA1
         )

@@ -113,7 +113,7 @@ def test_hidden_receivers_are_found_from_two_turns() -> None:
 
 def test_readings_in_the_dark_are_refused_by_receiver() -> None:
     table = LampTable(places(np.full(180, 0.15), BEARINGS), np.full((180, 8), 470.0), 2.0)
-    with pytest.raises(FitError, match="left 90: the gain for lamps cannot be told"):
+    with pytest.raises(FitError, match="left 90: the gain for lamps cannot be determined"):
         fit_lamps([table], KHEPERA1)
 
 

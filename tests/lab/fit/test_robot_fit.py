@@ -164,8 +164,8 @@ def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
 @pytest.mark.parametrize(
     ("kept", "message"),
     [
-        (["spin.mcap"], "the wheels' radius cannot be told"),
-        (["straight.mcap"], "the wheel base cannot be told"),
+        (["spin.mcap"], "the wheels' radius cannot be determined"),
+        (["straight.mcap"], "the wheel base cannot be determined"),
     ],
 )
 def test_without_a_ruler_wheels_are_refused(
@@ -184,16 +184,16 @@ def test_one_distance_far_away_tells_no_gain(
     path = bench.turn("far.csv", bench.robot(700), SensorTest("proximity", rotate_deg=360, speed=8))
     done = fit(f"{path}=wall@272mm")
     assert done.returncode == 1
-    assert "left 90: the gain cannot be told: 0 readings are neither 0 nor saturated" in done.stderr
+    assert "left 90: the gain cannot be determined: 0 readings are neither 0 nor saturated" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("word", "message"),
     [
-        ("a.csv", "a.csv: right is a file and what was measured"),
-        ("a.csv=wall", "right is a file and what was measured"),
-        ("a.csv=wall@-5mm", "right is a file and what was measured"),
-        ("a.csv=lamp@5mm", "right is a file and what was measured"),
+        ("a.csv", "a.csv; expected a file and a measurement"),
+        ("a.csv=wall", "expected a file and a measurement"),
+        ("a.csv=wall@-5mm", "expected a file and a measurement"),
+        ("a.csv=lamp@5mm", "expected a file and a measurement"),
         ("nowhere.csv=wall@5mm", "nowhere.csv: cannot be read: No such file or directory"),
         ("nowhere.mcap=duty", "nowhere.mcap: cannot be read: No such file or directory"),
     ],
@@ -207,17 +207,17 @@ def test_wrong_words_are_told_in_one_line(word: str, message: str) -> None:
 
 def test_a_test_of_light_is_no_test_of_a_wall(recorded: tuple[list[str], list[str], Path]) -> None:
     lamp = next(word for word in recorded[0] if "lamp0" in word).split("=")[0]
-    with pytest.raises(FitError, match="a test of light; right is one of proximity"):
+    with pytest.raises(FitError, match="a test of light; expected one of proximity"):
         measured([f"{lamp}=wall@20mm"])
 
 
 def test_a_drive_with_a_high_duty_or_none_tells_no_motors(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.steps("high.mcap", 60, 0)
-    with pytest.raises(FitError, match="P,60,60: with such a duty the tyres slip"):
+    with pytest.raises(FitError, match="P,60,60: the tyres slip at this duty"):
         read_drive(tmp_path / "high.mcap")
     bench.steps("none.mcap")
-    with pytest.raises(FitError, match="the motors cannot be told: no drive with a fixed duty"):
+    with pytest.raises(FitError, match="the motors cannot be determined: no drive with a fixed duty"):
         read_drive(tmp_path / "none.mcap")
 
 
@@ -268,12 +268,10 @@ def test_a_wrong_distance_is_asked_about(recorded: tuple[list[str], list[str], P
     walls = [word for word in recorded[0] if "wall" in word]
     done = fit(*walls[:3], walls[3].replace("25mm", "19mm"), walls[4])
     assert done.returncode == 0
-    asked = [
-        line for line in done.stdout.splitlines() if "is this what stood there, and so far away?" in line
-    ]
+    asked = [line for line in done.stdout.splitlines() if "check the object and its distance" in line]
     assert any("wall@19mm" in line for line in asked)
     right = fit(*walls)
-    assert "so far away" not in right.stdout
+    assert "check the object" not in right.stdout
 
 
 @pytest.mark.parametrize(

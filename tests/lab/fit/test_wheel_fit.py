@@ -87,11 +87,11 @@ STRAIGHT, SPIN = Drive("straight", 12500, 12500, distance=1.0), Drive("spin", -5
 @pytest.mark.parametrize(
     ("drives", "message"),
     [
-        ([STRAIGHT], "the wheel base cannot be told"),
-        ([SPIN], "the wheels' radius cannot be told"),
-        ([Drive("short", 100, 100, distance=0.01), SPIN], "the wheels' radius cannot be told"),
-        ([STRAIGHT, Drive("little", -100, 100, turned=0.2)], "the wheel base cannot be told"),
-        ([Drive("inches", 12500, 12500, distance=39.4), SPIN], "are no Khepera's"),
+        ([STRAIGHT], "the wheel base cannot be determined"),
+        ([SPIN], "the wheels' radius cannot be determined"),
+        ([Drive("short", 100, 100, distance=0.01), SPIN], "the wheels' radius cannot be determined"),
+        ([STRAIGHT, Drive("little", -100, 100, turned=0.2)], "the wheel base cannot be determined"),
+        ([Drive("inches", 12500, 12500, distance=39.4), SPIN], "are not a Khepera's"),
     ],
 )
 def test_drives_that_cannot_tell_are_refused_by_name(drives: list[Drive], message: str) -> None:

@@ -261,7 +261,7 @@ def test_wrong_words_are_told_with_the_choices(run: Path, tmp_path: Path) -> Non
     assert "--robot khepera7: not in this log; did you mean" in refusal(
         run, "-o", table, "--robot", "khepera7"
     )
-    assert "right is a name that ends in .csv, .parquet or .mat" in refusal(run, "-o", tmp_path / "x.txt")
+    assert "expected a name that ends in .csv, .parquet or .mat" in refusal(run, "-o", tmp_path / "x.txt")
     assert "nothing to write" in refusal(run)
     assert "named twice" in refusal(run, "-o", table, "--transcript", table)
     assert "there is no directory" in refusal(run, "-o", tmp_path / "none" / "x.csv")

@@ -111,7 +111,7 @@ def test_the_page_is_well_formed_and_whole(log: Path, tmp_path: Path) -> None:
     assert page.headings == ["khepera0", "khepera1", *HEADINGS]
     assert page.words[2] == "Run in the playpen both"
     assert page.pictures == [
-        "Ways over the playpen",
+        "Paths in the playpen",
         *(f"{what} of khepera{index} over time" for index in (0, 1) for what in ("Sensors", "Wheel speeds")),
     ]
     assert {"seed", "mujoco", "('dead:left@1',)"} < set(page.words)
@@ -158,7 +158,7 @@ def test_a_real_robots_log_tells_what_is_missing(line: Callable[..., Path], tmp_
     real = line((True, b"N\n"), (False, b"n,0,0,500,0,0,0,0,0\r\n"), (True, b"E\n"), (False, b"e,1,-2\r\n"))
     (robot,) = report(read_series(real), "log").robots
     assert robot.missing == (
-        "Not in this log: place and way, ambient light, collisions, the wheels' counters and slip. "
+        "Not in this log: pose, ambient light, collisions, the wheels' counters and slip. "
         "Of a real robot it has what the host asked for, at the time of the reply."
     )
     page = Page(write(real, tmp_path / "real.html").decode("utf-8"))
@@ -196,7 +196,7 @@ def test_what_cannot_be_reported_is_one_line(log: Path, tmp_path: Path) -> None:
     foreign.write_bytes(b"\x89PNG\r\n\x1a\n")
     for path in (torn, foreign):
         assert "no whole log" in refusal(path, tmp_path / "x.html")
-    assert "right is a name that ends in .html or .pdf" in refusal(log, tmp_path / "x.doc")
+    assert "expected a name that ends in .html or .pdf" in refusal(log, tmp_path / "x.doc")
     assert "there is no directory" in refusal(log, tmp_path / "none" / "x.html")
     own = tmp_path / "log.html"
     own.write_bytes(log.read_bytes())

@@ -98,13 +98,13 @@ def test_mean_and_spread_are_those_of_the_runs_where_all_have_been() -> None:
 @pytest.mark.parametrize(
     ("runs", "options", "line"),
     [
-        ([run(LIGHT), run(TURN)], {}, "runs of light, rotational and of proximity, rotational: right are"),
-        ([run(LINEAR), run(TURN)], {}, "runs of proximity, linear and of proximity, rotational: right are"),
+        ([run(LIGHT), run(TURN)], {}, "runs of light, rotational and of proximity, rotational; expected"),
+        ([run(LINEAR), run(TURN)], {}, "runs of proximity, linear and of proximity, rotational; expected"),
         ([], {}, "runs of no kind"),
         ([run()], {"sensor": "left 9"}, "sensor = left 9: no such sensor; did you mean 'left 90'"),
-        ([run()], {"y_min": 1023}, "y-min = 1023: right is 0 to 1022 for proximity"),
-        ([run(LIGHT)], {"y_min": -1}, "y-min = -1: right is 0 to 524 for light"),
-        ([run(TURN), run(SensorTest(rotate_deg=-90))], {}, "the runs have no part of the way in common"),
+        ([run()], {"y_min": 1023}, "y-min = 1023; expected 0 to 1022 for proximity"),
+        ([run(LIGHT)], {"y_min": -1}, "y-min = -1; expected 0 to 524 for light"),
+        ([run(TURN), run(SensorTest(rotate_deg=-90))], {}, "the runs have no part of the path in common"),
         ([run(n=0)], {}, "a run without rows"),
     ],
 )

@@ -119,15 +119,15 @@ def test_a_damaged_file_is_refused_in_one_line_or_read(suffix: str, tmp_path: Pa
 @pytest.mark.parametrize(
     ("before", "after", "line"),
     [
-        ("# khep-twin: sensor test", "a,b", "line 1: 'a,b': right is '# khep-twin: sensor test'"),
-        ("# speed: 20", "# speed: fast", "speed = 'fast': right is a whole number"),
-        ("# speed: 20\n", "", "speed is missing; right is a whole number"),
-        ("# speed: 20", "# speed: 0", "speed = 0: right is a whole number from 1 to 127"),
-        ("# what: proximity", "# what: sound", "what = sound: right is proximity or light"),
-        ("# motion: rotational", "# motion: linear", "motion = linear: right is rotational here"),
-        (",left_90", ",left", "line 9: 'time_s,left_pulses,right_pulses,left,lef': right is"),
+        ("# khep-twin: sensor test", "a,b", "line 1: 'a,b'; expected '# khep-twin: sensor test'"),
+        ("# speed: 20", "# speed: fast", "speed = 'fast'; expected an integer"),
+        ("# speed: 20\n", "", "speed: missing; expected an integer"),
+        ("# speed: 20", "# speed: 0", "speed = 0; expected an integer from 1 to 127"),
+        ("# what: proximity", "# what: sound", "what = sound; expected proximity or light"),
+        ("# motion: rotational", "# motion: linear", "motion = linear; expected rotational here"),
+        (",left_90", ",left", "line 9: 'time_s,left_pulses,right_pulses,left,lef'; expected"),
         ("\n0.", "\n0x", "line 10: time_s = '0x"),
-        ("\n0.", "\n7,0.", "line 10: 12 fields; right are 11"),
+        ("\n0.", "\n7,0.", "line 10: 12 fields; expected 11"),
     ],
 )
 def test_a_mistake_in_a_table_is_told_by_line_and_field(
@@ -144,14 +144,14 @@ def test_a_mistake_in_a_table_is_told_by_line_and_field(
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({"x": 1.0}, "dv is missing or no real numbers"),
-        ({"dv": "text"}, "dv is missing or no real numbers"),
-        ({"dv": np.zeros((3, 9))}, "dv: is 3 x 9; right are rows of 10"),
+        ({"x": 1.0}, "dv: missing or not real numbers"),
+        ({"dv": "text"}, "dv: missing or not real numbers"),
+        ({"dv": np.zeros((3, 9))}, "dv: is 3 x 9; expected rows of 10"),
         ({"dv": np.zeros((3, 10))}, "dv: the counters end at 0"),
-        ({"dv": np.full((3, 10), 0.5)}, r"dv\(1,1\) = 0.5: right is a whole number"),
-        ({"dv": np.full((3, 10), np.nan)}, r"dv\(1,1\) = nan: right is a whole number"),
-        ({"dv": np.ones((3, 10)), "what": "sound"}, "what = 'sound': right is proximity or light"),
-        ({"dv": np.ones((3, 10)), "times": np.ones(2)}, "times: 2 values; right are 3"),
+        ({"dv": np.full((3, 10), 0.5)}, r"dv\(1,1\) = 0.5; expected an integer"),
+        ({"dv": np.full((3, 10), np.nan)}, r"dv\(1,1\) = nan; expected an integer"),
+        ({"dv": np.ones((3, 10)), "what": "sound"}, "what = 'sound'; expected proximity or light"),
+        ({"dv": np.ones((3, 10)), "times": np.ones(2)}, "times: 2 values; expected 3"),
     ],
 )
 def test_a_foreign_mat_file_is_told_by_variable(values: dict[str, Any], line: str, tmp_path: Path) -> None:
@@ -180,15 +180,15 @@ def test_missing_and_empty_files_and_runs_are_refused(suffix: str, tmp_path: Pat
     with pytest.raises(SensorTestError, match="cannot be read: No such file"):
         load(path)
     path.write_bytes(b"")
-    with pytest.raises(SensorTestError, match="is empty; right is a file with a sensor test"):
+    with pytest.raises(SensorTestError, match="is empty; expected a file with a sensor test"):
         load(path)
     nothing = SensorRun(TURN, np.zeros((0, 10), np.int64), np.zeros(0))
-    with pytest.raises(SensorTestError, match="gathered nothing"):
+    with pytest.raises(SensorTestError, match="the test has no rows"):
         save(path, nothing)
 
 
 def test_another_suffix_is_refused_and_a_file_that_is_no_log_is_not_replaced(tmp_path: Path) -> None:
-    with pytest.raises(SensorTestError, match=r"x\.txt: right is a name that ends in \.csv, \.mat or \.mcap"):
+    with pytest.raises(SensorTestError, match=r"x\.txt; expected a name that ends in \.csv, \.mat or \.mcap"):
         save(tmp_path / "x.txt", made_up(TURN))
     (tmp_path / "x.mcap").write_text("letters")
     with pytest.raises(LogError, match="this file is no log"):

@@ -132,14 +132,14 @@ def test_progress_rises_to_1() -> None:
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({"what": "lihgt", "linear_cm": 5}, "what = lihgt: right is proximity or light"),
-        ({}, "linear and rotate: none is given; right is one of them"),
-        ({"linear_cm": 5, "rotate_deg": 90}, "linear and rotate: both is given; right is one of them"),
-        ({"linear_cm": 4.9}, "linear = 4.9 cm: right is 5 to 60, or -5 to -60 to drive backwards"),
-        ({"linear_cm": math.nan}, "linear = nan cm: right is 5 to 60, or -5 to -60 to drive backwards"),
-        ({"rotate_deg": -361}, "rotate = -361 degrees: right is 15 to 360, or -15 to -360 for clockwise"),
-        ({"linear_cm": 5, "speed": 128}, "speed = 128: right is a whole number from 1 to 127"),
-        ({"linear_cm": 5, "acceleration": 0}, "acceleration = 0: right is a whole number from 1 to 255"),
+        ({"what": "lihgt", "linear_cm": 5}, "what = lihgt; expected proximity or light"),
+        ({}, "linear and rotate: none given; expected one of them"),
+        ({"linear_cm": 5, "rotate_deg": 90}, "linear and rotate: both given; expected one of them"),
+        ({"linear_cm": 4.9}, "linear = 4.9 cm; expected 5 to 60, or -5 to -60 to drive backwards"),
+        ({"linear_cm": math.nan}, "linear = nan cm; expected 5 to 60, or -5 to -60 to drive backwards"),
+        ({"rotate_deg": -361}, "rotate = -361 degrees; expected 15 to 360, or -15 to -360 for clockwise"),
+        ({"linear_cm": 5, "speed": 128}, "speed = 128; expected an integer from 1 to 127"),
+        ({"linear_cm": 5, "acceleration": 0}, "acceleration = 0; expected an integer from 1 to 255"),
     ],
 )
 def test_what_is_no_test_is_refused(values: dict[str, object], line: str) -> None:
