@@ -20,7 +20,7 @@ from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, life_row, wor
 from benchmarks.table import LEGEND, Table, measure, text
 from khep_twin import playpen, units
 from khep_twin.errors import KhepTwinError
-from khep_twin.rollout.life import Ground
+from khep_twin.rollout.life import EpisodeSetup
 
 PLAYPEN = "obstacles"
 PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
@@ -30,7 +30,7 @@ PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
 def main_job(part: float, rounds: int) -> Table:
     """Measure the bare loop, the whole twin with its line and log, and episodes without a line."""
     seconds, lives = max(round(30 * part), 1), 32 if part >= 1 else 8
-    ground = Ground(playpen.load(PLAYPEN))
+    ground = EpisodeSetup(playpen.load(PLAYPEN))
     with TemporaryDirectory() as folder:
         rows = [
             bare_row("bare mj_step, rangefinders (floor)", ground, seconds),
@@ -60,8 +60,8 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
     """
     scene = growth.twenty_blocks() if name == growth.TWENTY_BLOCKS else playpen.load(name)
     seconds, lives = max(round(20 * part), 1), 32 if part >= 1 else 8
-    fine, coarse = Ground(scene), Ground(scene, step_ns=4 * units.STEP_NS)
-    plane, long_s = Ground(scene, planar=True), 60 * part
+    fine, coarse = EpisodeSetup(scene), EpisodeSetup(scene, step_ns=4 * units.STEP_NS)
+    plane, long_s = EpisodeSetup(scene, planar=True), 60 * part
     rows = [
         bare_row("bare mj_step, rangefinders (floor)", fine, seconds),
         life_row("life, steps of 2.5 ms", fine, seconds),

@@ -18,7 +18,7 @@ from benchmarks.scale import bare_row, batch_row, life_row, world_row
 from benchmarks.table import COST, LEGEND, Row, Table, measure, text
 from khep_twin import playpen, playpen_to_mjcf
 from khep_twin.playpen import Arena, Block, Playpen, Robot
-from khep_twin.rollout.life import Ground
+from khep_twin.rollout.life import EpisodeSetup
 
 BLOCKS = (0, 20, 100, 1000)
 ROBOTS = (1, 2, 8)
@@ -85,16 +85,16 @@ def rays_per_sensor(n_rays: int) -> Generator[None]:
 
 def blocks_tables(seconds: float, rounds: int, numbers: Sequence[int] = BLOCKS) -> Iterator[Table]:
     """Measure an episode and the bare loop among increasing numbers of blocks."""
-    grounds = [(f"{number} blocks", Ground(field(number))) for number in numbers]
+    grounds = [(f"{number} blocks", EpisodeSetup(field(number))) for number in numbers]
     yield from _life_and_bare("blocks", grounds, seconds, rounds)
 
 
 def rays_tables(seconds: float, rounds: int, numbers: Sequence[int] = RAYS) -> Iterator[Table]:
     """Measure an episode and the bare loop among 20 blocks, with increasing numbers of rays."""
-    grounds: list[tuple[str, Ground]] = []
+    grounds: list[tuple[str, EpisodeSetup]] = []
     for number in numbers:
         with rays_per_sensor(number):
-            grounds.append((f"{number} ray{'s' * (number > 1)} per sensor", Ground(field(20))))
+            grounds.append((f"{number} ray{'s' * (number > 1)} per sensor", EpisodeSetup(field(20))))
     yield from _life_and_bare("rays", grounds, seconds, rounds)
 
 
@@ -108,7 +108,7 @@ def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -
 
 def lives_table(life_s: float, rounds: int, numbers: Sequence[int] = LIVES) -> Table:
     """Measure batches of increasing numbers of short episodes, on two threads."""
-    ground = Ground(playpen.load("default"))
+    ground = EpisodeSetup(playpen.load("default"))
     rows = [batch_row(f"{number} lives", ground, number, life_s, 2) for number in numbers]
     title = f"lives of {life_s:g} s in a batch, default, 2 threads"
     return measure(title, rows, rounds, unit=COST, cost=True)
@@ -130,7 +130,7 @@ def tables(part: float, rounds: int, most: int | None = None) -> Iterator[Table]
 
 
 def _life_and_bare(
-    what: str, grounds: Sequence[tuple[str, Ground]], seconds: float, rounds: int
+    what: str, grounds: Sequence[tuple[str, EpisodeSetup]], seconds: float, rounds: int
 ) -> Iterator[Table]:
     lives: list[Row] = [life_row(name, ground, seconds) for name, ground in grounds]
     bare: list[Row] = [bare_row(name, ground, seconds) for name, ground in grounds]

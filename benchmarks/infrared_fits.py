@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin.lab.fit.infrared import TANGENTS, Bench, Optics, Table, proximity
+from khep_twin.lab.fit.infrared import TANGENTS, Bench, MeasuredTable, Optics, proximity
 from khep_twin.units import N_SENSORS, SENSOR_HEADINGS
 
 Floats = NDArray[np.float64]
@@ -51,17 +51,17 @@ def reference() -> Path:
     return Path(folder)
 
 
-def sampled(folder: Path) -> list[Table]:
+def sampled(folder: Path) -> list[MeasuredTable]:
     """Return the readings of the sampled robot before a wall and a cylinder."""
-    tables: list[Table] = []
+    tables: list[MeasuredTable] = []
     for name, radius in (("wall", 0.0), ("round", CYLINDER_RADIUS)):
         rows = np.genfromtxt(folder / "data" / f"evorobot_{name}_samples.csv", delimiter=",", skip_header=1)
         bearings = SET_UP_BEARING - np.radians(rows[:, 1])
-        tables.append(Table(rows[:, 0] / 1e3, bearings, rows[:, 2:], radius))
+        tables.append(MeasuredTable(rows[:, 0] / 1e3, bearings, rows[:, 2:], radius))
     return tables
 
 
-def fit_sampled(tables: Sequence[Table], sensor: int, heading: float) -> tuple[float, Optics]:
+def fit_sampled(tables: Sequence[MeasuredTable], sensor: int, heading: float) -> tuple[float, Optics]:
     """Fit one sensor of the sampled robot: heading [rad] and optics, by all bearings, then those on axis."""
     axes = [table.on_axis(sensor) for table in tables]
 
@@ -97,7 +97,7 @@ class Residuals:
     peak: float
 
 
-def compare(table: Table, sensor: int, heading: float, optics: Optics) -> Residuals:
+def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -> Residuals:
     """Return the residuals of a model."""
     measured = table.counts[:, sensor]
     modelled = proximity(table.view(sensor, heading), TANGENTS, optics)

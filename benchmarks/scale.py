@@ -15,8 +15,8 @@ from khep_twin import playpen, units
 from khep_twin.board import kernel
 from khep_twin.playpen import Playpen
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.life import Ground, Life
-from khep_twin.rollout.minds import Driver, Floats, Network, Policy, Wander
+from khep_twin.rollout.life import Episode, EpisodeSetup
+from khep_twin.rollout.minds import Braitenberg, Driver, Floats, Network, Policy
 from khep_twin.world import World
 
 PLAYPENS = ("default", "obstacles", "looping-maze")
@@ -25,9 +25,9 @@ WHOLE = 1024 * 60
 """Simulated seconds of a generation: 1024 episodes of a minute."""
 
 
-def voltages(ground: Ground, seconds: float) -> list[tuple[float, float]]:
+def voltages(ground: EpisodeSetup, seconds: float) -> list[tuple[float, float]]:
     """Return the vehicle's motor voltages, tick by tick."""
-    life = Life(ground, Wander())
+    life = Episode(ground, Braitenberg())
     life.begin(1)
     found: list[tuple[float, float]] = []
     for _ in range(round(seconds * 1e9) // units.TICK_NS):
@@ -37,7 +37,7 @@ def voltages(ground: Ground, seconds: float) -> list[tuple[float, float]]:
     return found
 
 
-def bare_row(name: str, ground: Ground, seconds: float, *, sensors: bool = True) -> Row:
+def bare_row(name: str, ground: EpisodeSetup, seconds: float, *, sensors: bool = True) -> Row:
     """Return a row of a loop of mj_step alone."""
     driven = voltages(ground, seconds)
     model, steps = ground.model if sensors else ground.without_sensors, ground.wiring.steps_per_tick
@@ -52,11 +52,11 @@ def bare_row(name: str, ground: Ground, seconds: float, *, sensors: bool = True)
     return Row(name, seconds, timed(bare))
 
 
-def life_row(name: str, ground: Ground, seconds: float, *, compiled: bool = True) -> Row:
+def life_row(name: str, ground: EpisodeSetup, seconds: float, *, compiled: bool = True) -> Row:
     """Return a row of one episode, with its creation."""
 
     def live() -> None:
-        life = Life(ground, Wander(), compiled=compiled)
+        life = Episode(ground, Braitenberg(), compiled=compiled)
         life.begin(1)
         life.live(seconds)
 
@@ -78,7 +78,7 @@ def world_row(name: str, scene: Playpen, seconds: float) -> Row:
 
 
 def batch_row(
-    name: str, ground: Ground, lives: int, life_s: float, threads: int, driver: Driver | None = None
+    name: str, ground: EpisodeSetup, lives: int, life_s: float, threads: int, driver: Driver | None = None
 ) -> Row:
     """Return a row of a batch of episodes, each with its own genes if the controller is a network."""
     genes = random_genes(lives) if isinstance(driver, Network) else None
@@ -86,7 +86,9 @@ def batch_row(
         name,
         lives * life_s,
         timed(
-            lambda: rollout(ground, driver or Wander(), range(lives), life_s, genes=genes, threads=threads)
+            lambda: rollout(
+                ground, driver or Braitenberg(), range(lives), life_s, genes=genes, threads=threads
+            )
         ),
         generation,
     )
@@ -112,7 +114,7 @@ POLICY = Policy(lambda proximity, ambient, which: 10 - proximity[:, [3, 2]] / 10
 def main() -> None:
     for name in PLAYPENS:
         for step_ns in (units.STEP_NS, 2 * units.STEP_NS):
-            ground = Ground(playpen.load(name), step_ns=step_ns)
+            ground = EpisodeSetup(playpen.load(name), step_ns=step_ns)
             rows = [
                 bare_row("bare mj_step, rangefinders (floor)", ground, 20.0),
                 bare_row("bare mj_step, no sensors", ground, 20.0, sensors=False),

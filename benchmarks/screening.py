@@ -20,8 +20,8 @@ from benchmarks.scale import NETWORK, random_genes
 from khep_twin import playpen
 from khep_twin.playpen import Arena, Playpen, Robot
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.life import Ground, Life
-from khep_twin.rollout.minds import Driver, Hold, Network, Wander
+from khep_twin.rollout.life import Episode, EpisodeSetup
+from khep_twin.rollout.minds import Braitenberg, ConstantSpeed, Driver, Network
 from khep_twin.rollout.screening import best_first
 
 GENOMES, SEEDS, LIFE_S, ELITE = 200, 3, 30.0, 20
@@ -41,9 +41,9 @@ def scenes() -> dict[str, Playpen]:
     return {**shipped, TWENTY_BLOCKS: twenty_blocks()}
 
 
-def way(ground: Ground, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
+def way(ground: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
     """Return the poses of an episode at some times; without a driver speeds change at random every 0.5 s."""
-    life = Life(ground, driver or Hold())
+    life = Episode(ground, driver or ConstantSpeed())
     genes = random_genes(WAYS)[index] if isinstance(driver, Network) else ()
     robot = ground.entry
     start = (robot.x_mm, robot.y_mm, robot.heading_deg + 3.0 * index)
@@ -61,7 +61,7 @@ def way(ground: Ground, index: int, driver: Driver | None) -> list[tuple[float, 
 
 def ways(title: str, scene: Playpen, driver: Driver | None) -> None:
     """Print the distances between both."""
-    both = [Ground(scene), Ground(scene, planar=True)]
+    both = [EpisodeSetup(scene), EpisodeSetup(scene, planar=True)]
     found = np.array([[way(ground, index, driver) for ground in both] for index in range(WAYS)])
     off = found[:, 0] - found[:, 1]
     away_mm = np.hypot(off[..., 0], off[..., 1]) * 1e3
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for name, scene in scenes().items():
             ways(f"{name}, speeds by a list", scene, None)
         for name, scene in scenes().items():
-            ways(f"{name}, ROM's vehicle", scene, Wander())
+            ways(f"{name}, ROM's vehicle", scene, Braitenberg())
         for name, scene in scenes().items():
             ways(f"{name}, random networks", scene, NETWORK)
     if "ranks" in wanted:

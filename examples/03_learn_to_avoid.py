@@ -18,9 +18,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
-from khep_twin.drawing.map import Track, save
+from khep_twin.drawing.map import DrawnPath, save
 from khep_twin.drawing.map import draw as drawing
-from khep_twin.envs.trial import Course
+from khep_twin.envs.trial import TaskSetup
 from khep_twin.errors import pip_install
 
 try:
@@ -108,8 +108,8 @@ def draw_way(drive, file):
         seen, _, ended, late, info = robot.step(np.clip(drive(seen), -1, 1).astype(np.float32))
         over = ended or late
     time_s, *xy_mm = np.array(way).T
-    playpen = Course("ObstacleAvoidance").started(start["seed"])
-    save(drawing(playpen, [Track("khepera0", time_s, np.stack(xy_mm, axis=1))]), file)
+    playpen = TaskSetup("ObstacleAvoidance").started(start["seed"])
+    save(drawing(playpen, [DrawnPath("khepera0", time_s, np.stack(xy_mm, axis=1))]), file)
 
 
 options = argparse.ArgumentParser(description="A robot learns to avoid obstacles.")

@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin import playpen
-from khep_twin.drawing.map import Track, draw, save
+from khep_twin.drawing.map import DrawnPath, draw, save
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
 from khep_twin.lab.experiment import run_statistics
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.life import Ground, Life
+from khep_twin.rollout.life import Episode, EpisodeSetup
 from khep_twin.rollout.minds import Network
 from khep_twin.units import BODY_RADIUS
 
@@ -52,7 +52,7 @@ FULL_SPEED = NETWORK.top_speed * 0.008
 
 maze = playpen.load("looping-maze")
 starts = [(spot.x_mm, spot.y_mm, spot.heading_deg + turn) for turn in (0.0, 180.0) for spot in maze.spots]
-ground = Ground(maze, step_ns=5_000_000)
+ground = EpisodeSetup(maze, step_ns=5_000_000)
 
 
 def judge(genomes: np.ndarray, first_seed: int) -> np.ndarray:
@@ -91,7 +91,7 @@ if options.genome:
 tracks = []
 print("start            fitness  forwards    turning     laps  collisions  touching")
 for seed, start in enumerate(starts):
-    life = Life(Ground(maze), NETWORK)
+    life = Episode(EpisodeSetup(maze), NETWORK)
     life.begin(seed, start=start, genes=best)
     poses = [life.pose]
     for _ in range(round(options.check_seconds * 50)):
@@ -110,7 +110,7 @@ for seed, start in enumerate(starts):
         f"{(around[-1] - around[0]) / (2 * np.pi):7.1f}"
         f"{len(hits.times_s):12}{hits.total_s:8.2f} s"
     )
-    tracks.append(Track("khepera0", times, 1000 * way[:, :2]))
+    tracks.append(DrawnPath("khepera0", times, 1000 * way[:, :2]))
 
 if options.picture:
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -151,7 +151,7 @@ class Firmware:
                 return self._use(request)
 
     def _use(self, tool: Tool) -> bytes:
-        outcome = bios.use(tool, bios.Board(self._rom, self.running, tuple(self.turrets)))
+        outcome = bios.use(tool, bios.BoardState(self._rom, self.running, tuple(self.turrets)))
         if outcome.restart:
             return self.reset()
         self.baud = outcome.baud or self.baud

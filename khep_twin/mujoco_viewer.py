@@ -19,7 +19,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from khep_twin.board.uart import HostAct
+from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError
 from khep_twin.world import World
@@ -93,7 +93,7 @@ class MujocoViewer:
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Ignore bytes on a line."""
 
-    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
         """Ignore a host's action."""
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:

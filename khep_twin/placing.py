@@ -12,7 +12,7 @@ from typing import Any
 
 import mujoco
 
-from khep_twin.board.uart import Act, HostAct
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.checks import things
@@ -48,7 +48,7 @@ def put(
     if reason := no_room(as_it_stands(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
     place = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
-    world.act(index, HostAct(Act.PUT, world.time_ns, None, place))
+    world.act(index, HostEvent(HostEventKind.PUT, world.time_ns, None, place))
     model, data = world.model, world.data
     joint = model.joint(f"{world.robots[index].name}/pose")
     at, half = int(joint.qposadr[0]), math.radians(heading_deg) / 2
@@ -63,7 +63,7 @@ def put(
     world.tell(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
 
 
-def put_again(world: World, index: int, act: HostAct) -> None:
+def put_again(world: World, index: int, act: HostEvent) -> None:
     """Move a robot as recorded in a log."""
     place, rest = act.data[: _PLACE.size], act.data[_PLACE.size :]
     put(world, index, *_PLACE.unpack(place), afresh=rest == _AFRESH)
@@ -71,7 +71,7 @@ def put_again(world: World, index: int, act: HostAct) -> None:
 
 def scan(world: World) -> None:
     """Convert all sensors now, so that the boards hold current readings after something was moved."""
-    world.act(0, HostAct(Act.SCAN, world.time_ns))
+    world.act(0, HostEvent(HostEventKind.SCAN, world.time_ns))
     world.scan()
 
 

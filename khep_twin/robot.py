@@ -17,7 +17,7 @@ from khep_twin.board.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
 from khep_twin.board.protocol import LINE_ENDS
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
-from khep_twin.board.uart import Act, HostAct, LineSettings, Uart
+from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import Firmware
 from khep_twin.playpen import Lighting, Playpen
 from khep_twin.randomness import stream
@@ -35,7 +35,7 @@ _MOST_WARNINGS = 100
 """Most speeds of a host that are reported; a host may try millions."""
 
 
-class Stage(Protocol):
+class WorldContext(Protocol):
     """Interface of the world to its robots."""
 
     playpen: Playpen
@@ -52,7 +52,7 @@ class Stage(Protocol):
         """Log bytes on a line, the last of them at `time_ns`."""
         ...
 
-    def act(self, robot: int, act: HostAct) -> None:
+    def act(self, robot: int, act: HostEvent) -> None:
         """Log a host's action now."""
         ...
 
@@ -70,7 +70,7 @@ class Robot:
 
     def __init__(
         self,
-        stage: Stage,
+        stage: WorldContext,
         index: int,
         *,
         seed: int,
@@ -154,7 +154,7 @@ class Robot:
             robot accepts one stop bit as well as two.
         """
         if host != self._host:
-            self._stage.act(self.index, HostAct(Act.SET, self._stage.time_ns, host))
+            self._stage.act(self.index, HostEvent(HostEventKind.SET, self._stage.time_ns, host))
         self._host, baud = host, self._baud
         if host is None or host.baud == baud or (host.baud, baud) in self._warned:
             return ""
@@ -170,20 +170,20 @@ class Robot:
     def send(self, data: bytes, time_ns: int = 0) -> None:
         """Send bytes of the host, now or at a later time [ns]."""
         time_ns = max(time_ns, self._stage.time_ns)
-        self._stage.act(self.index, HostAct(Act.SEND, time_ns, self._host, data))
+        self._stage.act(self.index, HostEvent(HostEventKind.SEND, time_ns, self._host, data))
         if not self._unpaced:
             self.uart.rx.baud = (self._host and self._host.baud) or self._baud
         self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
 
     def take_back(self) -> None:
         """Drop the host's bytes that have not reached the robot yet."""
-        self._stage.act(self.index, HostAct(Act.TAKE_BACK, self._stage.time_ns, self._host))
+        self._stage.act(self.index, HostEvent(HostEventKind.TAKE_BACK, self._stage.time_ns, self._host))
         self.uart.rx.take_back(self._stage.time_ns)
 
     def hang_up(self) -> None:
         """Disconnect the host: execute its whole commands without replies, and drop an incomplete one."""
         time_ns = self._stage.time_ns
-        self._stage.act(self.index, HostAct(Act.HANG_UP, time_ns, self._host))
+        self._stage.act(self.index, HostEvent(HostEventKind.HANG_UP, time_ns, self._host))
         rx, tx = self.uart.rx, self.uart.tx
         if sent := rx.read(rx.arrival(len(rx)) or time_ns):
             self._stage.hear(time_ns, self.index, True, sent)

@@ -5,9 +5,9 @@ import struct
 from collections.abc import Sequence
 from typing import Any, cast
 
-from khep_twin.board.uart import Act, HostAct
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError, choices
-from khep_twin.files.toml_files import Table, check, frozen
+from khep_twin.files.toml_files import TomlTable, check, frozen
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.world import World
 
@@ -28,12 +28,12 @@ def switch(world: World, lamp: int, on: bool) -> None:
     names = world.lamps.names
     if not 0 <= lamp < len(names):
         raise PlaypenError(f"lamp = {lamp}: there is none; {choices(lamp, range(len(names)))}")
-    world.act(0, HostAct(Act.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
+    world.act(0, HostEvent(HostEventKind.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
     world.lamps.turn(lamp, on, world.time_ns)
     world.tell(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
 
 
-def switch_again(world: World, act: HostAct) -> None:
+def switch_again(world: World, act: HostEvent) -> None:
     """Switch a lamp as recorded in a log."""
     switch(world, *_SWITCH.unpack(act.data))
 
@@ -56,13 +56,13 @@ def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
     before = world.playpen
     bare = {"version": before.version, "name": before.name, "arena": before.arena.model_dump()}
     checked = check(Playpen, frozen(bare | wanted), before.name, PlaypenError)
-    world.act(0, HostAct(Act.RELIGHT, world.time_ns, None, json.dumps(wanted).encode("utf-8")))
+    world.act(0, HostEvent(HostEventKind.RELIGHT, world.time_ns, None, json.dumps(wanted).encode("utf-8")))
     world.relight(before.model_copy(update={"lamps": checked.lamps, "lighting": checked.lighting}))
     places = ", ".join(f"{lamp.power_w:g} W at ({lamp.x_mm:g}, {lamp.y_mm:g})" for lamp in checked.lamps)
     world.tell(None, f"the lamps are {places or 'gone'}; on: {lighting.mode}")
 
 
-def relight_again(world: World, act: HostAct) -> None:
+def relight_again(world: World, act: HostEvent) -> None:
     """Replace the lamps as recorded in a log.
 
     Raises:
@@ -78,7 +78,7 @@ def relight_again(world: World, act: HostAct) -> None:
     relight(world, checked.lamp, checked.lighting)
 
 
-class _Lamps(Table):
+class _Lamps(TomlTable):
     """Lamps and lighting of an action."""
 
     lamp: tuple[Lamp, ...]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board.fault_injection import Fault
-from khep_twin.board.uart import HostAct
+from khep_twin.board.uart import HostEvent
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Playpen, placed
@@ -32,7 +32,7 @@ _FASTEST = 1000.0
 """Highest speed of a joint in a playpen [m/s or rad/s]; beyond it the simulation has diverged."""
 
 
-class Tap(Protocol):
+class Observer(Protocol):
     """Observer of a world, such as a recorder."""
 
     def sample(self, world: "World") -> None:
@@ -43,7 +43,7 @@ class Tap(Protocol):
         """Observe bytes that crossed a robot's line, the last of them at `time_ns`."""
         ...
 
-    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
         """Observe an action of a robot's host on the line."""
         ...
 
@@ -89,7 +89,7 @@ class World:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(_keep_quiet)
         self.playpen = playpen = placed(playpen, stream(seed, "spots"))
-        self.taps: list[Tap] = []
+        self.taps: list[Observer] = []
         self._untold: list[tuple[int | None, str]] = []
         self.time_ns = 0
         self.spec = to_spec(playpen)
@@ -117,7 +117,7 @@ class World:
         self._limit = 1.0 + max(units.metres(playpen.arena.width_mm), units.metres(playpen.arena.height_mm))
         self._switch_on()
 
-    def add_tap(self, tap: Tap) -> None:
+    def add_tap(self, tap: Observer) -> None:
         """Add an observer; it receives the current state at once."""
         self.taps.append(tap)
         for robot, text in self._untold:
@@ -186,7 +186,7 @@ class World:
         for tap in self.taps:
             tap.wire(time_ns, robot, to_robot, data)
 
-    def act(self, robot: int, act: HostAct) -> None:
+    def act(self, robot: int, act: HostEvent) -> None:
         """Send a host's action to the taps."""
         for tap in self.taps:
             tap.act(self.time_ns, robot, act)

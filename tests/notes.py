@@ -1,6 +1,6 @@
 """A tap that keeps the events of a world."""
 
-from khep_twin.board.uart import HostAct
+from khep_twin.board.uart import HostEvent
 from khep_twin.world import World
 
 
@@ -16,7 +16,7 @@ class Notes:
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Nothing."""
 
-    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
         """Nothing."""
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:

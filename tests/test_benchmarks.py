@@ -17,7 +17,7 @@ from benchmarks.scale import bare_row, life_row, world_row
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
 from khep_twin import playpen
 from khep_twin.errors import KhepTwinError
-from khep_twin.rollout.life import Ground
+from khep_twin.rollout.life import EpisodeSetup
 from khep_twin.sensing.raycast import ray_slices
 from khep_twin.sensors import proximity_optics
 
@@ -113,7 +113,7 @@ def test_the_results_that_are_kept_can_be_read() -> None:
 def test_what_is_no_record_is_told_in_a_line(tmp_path: Path) -> None:
     for text_of_it in ("date = ", 'date = "today"', "\n".join(["[[table]]", 'title = "a"', "load = []"])):
         (tmp_path / "other.toml").write_text(text_of_it)
-        with pytest.raises(KhepTwinError, match="right is a file of --save"):
+        with pytest.raises(KhepTwinError, match="expected a file of --save"):
             record.read(tmp_path / "other.toml")
     with pytest.raises(KhepTwinError, match="cannot be read"):
         record.read(tmp_path / "none.toml")
@@ -124,15 +124,15 @@ def test_fields_grow_around_the_same_blocks() -> None:
     assert (len(small.blocks), len(large.blocks)) == (20, 100)
     assert large.blocks[:20] == small.blocks
     assert len(growth.field(20, 8).robots) == 8
-    with pytest.raises(ValueError, match="right are 4 in all"):
+    with pytest.raises(ValueError, match="expected 4 in all"):
         growth.field(4, 1, places=2)
 
 
 @pytest.mark.parametrize("n_rays", [1, 27])
 def test_cones_have_more_or_fewer_rays_over_the_same_angle(n_rays: int) -> None:
     with growth.rays_per_sensor(n_rays):
-        ground = Ground(playpen.load("default"))
-    (first, *_), usual = ray_slices(ground.model, "khepera0/"), Ground(playpen.load("default"))
+        ground = EpisodeSetup(playpen.load("default"))
+    (first, *_), usual = ray_slices(ground.model, "khepera0/"), EpisodeSetup(playpen.load("default"))
     assert first.stop - first.start == 4 * n_rays
     spans = [
         near.aside[0][-1] * n / max(n - 1, 1)
@@ -147,7 +147,7 @@ def test_cones_have_more_or_fewer_rays_over_the_same_angle(n_rays: int) -> None:
 
 def test_rows_run_what_they_name() -> None:
     scene = playpen.load("default")
-    ground = Ground(scene)
+    ground = EpisodeSetup(scene)
     rows = [
         life_row("plain", ground, 0.1, compiled=False),
         world_row("world", scene, 0.1),
@@ -193,7 +193,7 @@ def test_a_python_without_kheperax_is_told_in_a_line(monkeypatch: pytest.MonkeyP
     if importlib.util.find_spec("kheperax"):
         pytest.skip("Kheperax is installed here")
     assert peers.kheperax_python(None) is None
-    with pytest.raises(KhepTwinError, match="right is one that can import it"):
+    with pytest.raises(KhepTwinError, match="expected one that can import it"):
         peers.kheperax_python(sys.executable)
     with pytest.raises(KhepTwinError, match="no Python with Kheperax"):
         peers.kheperax_python("/nowhere/python")

@@ -27,7 +27,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.log.channels import Line
+from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import read_line
 
 MOST_LOST = {"serve": 1.0, "run": 5.0}
@@ -69,7 +69,7 @@ class Recovered:
     """Content of a recovered log: time of the last sample [s], and the robot's replies."""
 
     last_sample: float
-    replies: Sequence[Line]
+    replies: Sequence[TextLine]
     whole: bool
 
 

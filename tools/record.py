@@ -30,7 +30,7 @@ from khep_twin import playpen
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen_to_mjcf import to_mjcf
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.minds import Network, Wander
+from khep_twin.rollout.minds import Braitenberg, Network
 
 RECORD = Path(__file__).with_suffix(".json")
 SEEDS = (1, 2)
@@ -92,7 +92,7 @@ def rolled(name: str, planar: bool) -> list[str]:
     network = Network(hidden=(6,), recurrent=True, ambient=True)
     genes = np.random.default_rng(1).normal(size=(8, network.n_genes))
     hashes: list[str] = []
-    for controller, given in ((Wander(), None), (network, genes)):
+    for controller, given in ((Braitenberg(), None), (network, genes)):
         try:
             done = rollout(scene, controller, range(8), float(SECONDS), genes=given, planar=planar)
         except (KhepTwinError, ValueError):

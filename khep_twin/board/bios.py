@@ -12,7 +12,7 @@ from khep_twin.board.turrets import TurretKind
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class BoardState:
     """State of a board that the tools report.
 
     Attributes:
@@ -27,7 +27,7 @@ class Board:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ToolResult:
     """Reply and effects of a tool.
 
     Attributes:
@@ -66,11 +66,11 @@ COMMANDS: Mapping[str, str] = {
 """The protocol's commands and their descriptions, as `help` and `list` print them."""
 
 
-def use(tool: Tool, board: Board) -> Outcome:
+def use(tool: Tool, board: BoardState) -> ToolResult:
     """Execute a tool: its word and its arguments."""
     entry = _TOOLS.get(tool.word.decode("ascii"))
     if entry is None:
-        return Outcome(COMMAND_NOT_FOUND)
+        return ToolResult(COMMAND_NOT_FOUND)
     arguments = tuple(argument.decode("latin-1") for argument in tool.arguments)
     return entry[1](arguments, board)
 
@@ -89,9 +89,9 @@ def _lines(*lines: str) -> bytes:
     return b"".join(line.encode("ascii", "backslashreplace") + END for line in lines)
 
 
-def _help(arguments: tuple[str, ...], board: Board) -> Outcome:
+def _help(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     if not arguments:
-        return Outcome(
+        return ToolResult(
             _lines(
                 "help NAME tells more of a tool or command",
                 f"tools     {' '.join(_TOOLS)}",
@@ -100,62 +100,62 @@ def _help(arguments: tuple[str, ...], board: Board) -> Outcome:
         )
     name = arguments[0]
     text = COMMANDS.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
-    return Outcome(_lines(f"{name}  {text}") if text else refusal("No such item"))
+    return ToolResult(_lines(f"{name}  {text}") if text else refusal("No such item"))
 
 
-def _list(arguments: tuple[str, ...], board: Board) -> Outcome:
+def _list(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     tools = [f"TO  {name:8}  {text}  {board.rom.bios}" for name, (text, _) in _TOOLS.items()]
     functions = [f"FU  {name:8}  ROM function  {board.rom.bios}" for name in (DEMO, SELF_TEST)]
     commands = [f"PR  {name:8}  {text}  {board.rom.protocol}" for name, text in COMMANDS.items()]
-    return Outcome(_lines(*tools, *functions, *commands))
+    return ToolResult(_lines(*tools, *functions, *commands))
 
 
-def _k_team(arguments: tuple[str, ...], board: Board) -> Outcome:
-    return Outcome(_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
+def _k_team(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+    return ToolResult(_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
 
 
-def _net(arguments: tuple[str, ...], board: Board) -> Outcome:
+def _net(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     turrets = [
         f"{kind.number}  {kind.name}  {kind.description}  revision {kind.revision}" for kind in board.turrets
     ]
-    return Outcome(_lines(*(turrets or ["no intelligent turret"])))
+    return ToolResult(_lines(*(turrets or ["no intelligent turret"])))
 
 
-def _memory(arguments: tuple[str, ...], board: Board) -> Outcome:
-    return Outcome(_lines(f"RAM  {board.rom.memory} bytes", "used by loaded programs  0 bytes"))
+def _memory(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+    return ToolResult(_lines(f"RAM  {board.rom.memory} bytes", "used by loaded programs  0 bytes"))
 
 
-def _process(arguments: tuple[str, ...], board: Board) -> Outcome:
+def _process(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     processes = ["serial communication protocol", "motor controllers", "sensor scan"]
-    return Outcome(_lines(*processes, *([board.running] if board.running else [])))
+    return ToolResult(_lines(*processes, *([board.running] if board.running else [])))
 
 
-def _restart(arguments: tuple[str, ...], board: Board) -> Outcome:
-    return Outcome(restart=True)
+def _restart(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+    return ToolResult(restart=True)
 
 
-def _run(arguments: tuple[str, ...], board: Board) -> Outcome:
+def _run(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     if arguments == (DEMO,):
-        return Outcome(_lines(f"run {DEMO}"), function=DEMO)
+        return ToolResult(_lines(f"run {DEMO}"), function=DEMO)
     if arguments == (SELF_TEST,):
-        return Outcome(function=SELF_TEST)
+        return ToolResult(function=SELF_TEST)
     if arguments == ("sloader",):
         return _sfill(arguments, board)
-    return Outcome(refusal(f"Function not found, right is {DEMO} or {SELF_TEST}"))
+    return ToolResult(refusal(f"Function not found, right is {DEMO} or {SELF_TEST}"))
 
 
-def _serial(arguments: tuple[str, ...], board: Board) -> Outcome:
+def _serial(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     speeds = {str(baud): baud for baud in BAUD_RATES}
     if len(arguments) != 1 or arguments[0] not in speeds:
-        return Outcome(refusal(f"Baud rate not possible, right is one of {' '.join(speeds)}"))
-    return Outcome(_lines(f"serial {arguments[0]}"), baud=speeds[arguments[0]])
+        return ToolResult(refusal(f"Baud rate not possible, right is one of {' '.join(speeds)}"))
+    return ToolResult(_lines(f"serial {arguments[0]}"), baud=speeds[arguments[0]])
 
 
-def _sfill(arguments: tuple[str, ...], board: Board) -> Outcome:
-    return Outcome(refusal("No S-record loader, the twin runs no machine code"))
+def _sfill(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+    return ToolResult(refusal("No S-record loader, the twin runs no machine code"))
 
 
-_Handler = Callable[[tuple[str, ...], Board], Outcome]
+_Handler = Callable[[tuple[str, ...], BoardState], ToolResult]
 _TOOLS: dict[str, tuple[str, _Handler]] = {
     "help": ("shows what a tool or command does", _help),
     "k-team": ("shows the members of K-Team", _k_team),

@@ -50,7 +50,7 @@ class Register(IntEnum):
     RESISTIVITY = 7  # 255 for an insulator
 
 
-class Gripper:
+class GripperElectronics:
     """The gripper's electronics, a `Turret`.
 
     Attributes:

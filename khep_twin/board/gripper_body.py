@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.gripper import FRACTION, REVISION, VERSION, Gripper, Register
+from khep_twin.board.gripper import FRACTION, REVISION, VERSION, GripperElectronics, Register
 from khep_twin.board.turrets import TurretKind
 from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
@@ -103,7 +103,7 @@ GRIPPER = TurretKind(
     number=GRIPPER_NUMBER,
     description="arm with two fingers",
     revision=f"{VERSION}.{REVISION}",
-    make=Gripper,
+    make=GripperElectronics,
     scene=Path(str(files("khep_twin"))) / "assets" / "gripper.xml",
     fit=GripperBody,
     reach=0.034,

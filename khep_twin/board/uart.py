@@ -30,7 +30,7 @@ class LineSettings:
     stop_bits: int
 
 
-class Act(IntEnum):
+class HostEventKind(IntEnum):
     """Actions of a host on the line, and of a user on the robot and its world."""
 
     SEND = 0
@@ -44,7 +44,7 @@ class Act(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class HostAct:
+class HostEvent:
     """One action on a robot's line; the same actions repeat a run.
 
     Attributes:
@@ -55,13 +55,13 @@ class HostAct:
             lamp or new lamps, encoded by `khep_twin.switching`.
     """
 
-    kind: Act
+    kind: HostEventKind
     at_ns: int
     host: LineSettings | None = None
     data: bytes = b""
 
 
-class Line:
+class SerialLine:
     """One direction of the line.
 
     Attributes:
@@ -135,8 +135,8 @@ class Uart:
     """Both directions, named as the robot sees them."""
 
     def __init__(self, baud: int) -> None:
-        self.rx = Line(baud)
-        self.tx = Line(baud)
+        self.rx = SerialLine(baud)
+        self.tx = SerialLine(baud)
 
     @property
     def room(self) -> int:

@@ -14,7 +14,7 @@ from khep_twin.cli.progress import progress as progress_bar
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import TwinOptions
-    from khep_twin.rollout.life import Life
+    from khep_twin.rollout.life import Episode
 
 KNOWN = {
     "controller",
@@ -80,8 +80,8 @@ def run_fast(
     from khep_twin.playpen import placed
     from khep_twin.ports.twin import equipped
     from khep_twin.randomness import stream
-    from khep_twin.rollout.life import SPAN_NS, Ground, Life, is_compiled
-    from khep_twin.rollout.minds import Hold, Wander
+    from khep_twin.rollout.life import SPAN_NS, Episode, EpisodeSetup, is_compiled
+    from khep_twin.rollout.minds import Braitenberg, ConstantSpeed
 
     target = None if picture is None else picture.absolute()  # a controller may go to another folder
     function = None
@@ -91,7 +91,7 @@ def run_fast(
     check_body(options.rom, (scene.robots[index] for index in on_the_line))
     try:
         step_ns = None if step is None else round(step * 1e6)
-        ground = Ground(scene, step_ns=step_ns, period_ns=round(period * 1e6), planar=planar)
+        ground = EpisodeSetup(scene, step_ns=step_ns, period_ns=round(period * 1e6), planar=planar)
         periods = cycles or ground.periods(seconds)
     except ValueError as error:
         raise usage(str(error)) from None
@@ -100,7 +100,7 @@ def run_fast(
         compiled = is_compiled(None)
     for warning in told:
         complain(str(warning.message))
-    life = Life(ground, Wander() if function is None else Hold(), compiled=compiled)
+    life = Episode(ground, Braitenberg() if function is None else ConstantSpeed(), compiled=compiled)
     life.begin(options.seed, noise=options.noise, spread=options.spread)
     way = [life.pose]
     # Where the path is not needed in between, many periods pass at once, with the same results.
@@ -119,14 +119,14 @@ def run_fast(
         if not math.isnan(value):  # homing is undefined without a home
             typer.echo(f"{name.replace('_', ' '):20}{value:.4g}")
     if target is not None:
-        from khep_twin.drawing.map import Track, draw, save
+        from khep_twin.drawing.map import DrawnPath, draw, save
 
         times = np.arange(len(way)) * ground.period_ns / 1e9
-        save(draw(scene, [Track("khepera0", times, 1000 * np.array(way)[:, :2])]), target)
+        save(draw(scene, [DrawnPath("khepera0", times, 1000 * np.array(way)[:, :2])]), target)
         typer.echo(f"picture  {picture}")
 
 
-def _speeds(function: Callable[..., Any], life: "Life") -> tuple[float, float]:
+def _speeds(function: Callable[..., Any], life: "Episode") -> tuple[float, float]:
     """Return the left and right speed that a user's function makes of the readings [pulses/10 ms]."""
     from khep_twin.errors import ControllerError
     from khep_twin.lab.experiment.experiment import call, name_of

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from khep_twin.playpen.bitmap_files import Bitmap
 
 if TYPE_CHECKING:
-    from khep_twin.drawing.map import Track
+    from khep_twin.drawing.map import DrawnPath
     from khep_twin.playpen import Playpen
 
 playpen_app = typer.Typer(
@@ -176,13 +176,13 @@ def _placed(playpen: "Playpen", seed: int) -> "Playpen":
         raise KhepTwinError(f"--seed {seed}: {error}") from None
 
 
-def _ways(log: Path) -> "list[Track]":
+def _ways(log: Path) -> "list[DrawnPath]":
     """Return the paths of the robots in a log."""
-    from khep_twin.drawing.map import Track
+    from khep_twin.drawing.map import DrawnPath
     from khep_twin.log.reader import read
 
     return [
-        Track(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3)
+        DrawnPath(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3)
         for name, track in read(log).robots.items()
         if len(track.pose)
     ]

@@ -45,7 +45,7 @@ from khep_twin.invocation import command
 from khep_twin.signals import answered, stopping
 
 if TYPE_CHECKING:
-    from khep_twin.lab.experiment.series import Bench, Run
+    from khep_twin.lab.experiment.series import RobotSource, SeriesRun
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import Twin, TwinOptions
 
@@ -200,12 +200,12 @@ def run(
     logs = RunLogs(log, picture, carry_on, source)
     # A run that was interrupted has left its log whole, and is run again.
     logs.check_new(runs if start else None, force or resume)
-    done: list[Run] = []
+    done: list[SeriesRun] = []
     with ExitStack() as stack:
         # The robot is released, and its log completed, before what remains is cleared up.
         stack.enter_context(answered())
         if port is not None:
-            bench: Bench = OneRobot(stack.enter_context(Khepera(port)))
+            bench: RobotSource = OneRobot(stack.enter_context(Khepera(port)))
             settings: dict[str, Any] = {"port": port}
         else:
             own = found.playpen if isinstance(found, LoopingController) else None
@@ -260,10 +260,10 @@ def _twins(
     wishes: Sequence[str],
     runs: int,
     begin: "Callable[[Twin, int | None], None]",
-) -> "tuple[Bench, dict[str, Any]]":
+) -> "tuple[RobotSource, dict[str, Any]]":
     """Return twins in this process, and their facts: one for all runs, or with starts new ones."""
     from khep_twin.host import Khepera
-    from khep_twin.lab.experiment.series import NewTwins, OneRobot
+    from khep_twin.lab.experiment.series import FreshTwins, OneRobot
     from khep_twin.lab.experiment.start_poses import starts
     from khep_twin.log.recorder import versions
     from khep_twin.playpen import dump
@@ -276,7 +276,7 @@ def _twins(
     settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wishes, **versions()}
     if wishes:
         places = starts(wishes, scene, options.robot or 0, runs, options.seed)
-        return NewTwins(scene, options, places, begin), settings
+        return FreshTwins(scene, options, places, begin), settings
     khepera = Khepera(Serial.of(open_twin(scene, options), timeout=1.0))
     return OneRobot(stack.enter_context(khepera), lambda twin: begin(twin, None)), settings
 

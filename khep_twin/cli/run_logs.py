@@ -80,7 +80,9 @@ def draw_logs(logs: Sequence[Path], picture: Path) -> None:
 
     runs = [read(log) for log in logs]
     tracks = [
-        drawing.Track(name if len(logs) == 1 else log.stem, track.times_ns / 1e9, track.pose[:, :2] * 1000)
+        drawing.DrawnPath(
+            name if len(logs) == 1 else log.stem, track.times_ns / 1e9, track.pose[:, :2] * 1000
+        )
         for log, run in zip(logs, runs, strict=True)
         for name, track in run.robots.items()
     ]

@@ -16,7 +16,7 @@ from khep_twin.invocation import command
 from khep_twin.signals import clear_at_end
 
 if TYPE_CHECKING:
-    from khep_twin.sweep.tasks import Task, Work
+    from khep_twin.sweep.tasks import Shard, Work
 
 SECONDS_BETWEEN_LINES = 60.0
 """Interval of the lines about a sweep that no terminal shows [s]."""
@@ -85,7 +85,7 @@ def sweep(
         complain(str(warning.message))
     warnings.simplefilter("ignore", SlowerWarning)  # once is enough
 
-    def begin(work: "Work", missing: Sequence["Task"]) -> None:
+    def begin(work: "Work", missing: Sequence["Shard"]) -> None:
         lives = sum(task.count for task in missing)
         there = f", {work.lives - lives} are there already" if lives < work.lives else ""
         typer.echo(f"{file.study.name}: {work.lives} episodes in {len(work.tasks)} tasks{there}")

@@ -83,7 +83,7 @@ _ENTRY = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class DrawnPath:
     """The path of one robot.
 
     Attributes:
@@ -110,7 +110,7 @@ class Track:
 
 def draw(
     playpen: Playpen,
-    tracks: Sequence[Track] = (),
+    tracks: Sequence[DrawnPath] = (),
     *,
     title: str | None = None,
     longer_side: float = LONGER_SIDE,
@@ -199,7 +199,7 @@ def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -
 
 
 def _draw_ways(
-    figure: Figure, axes: Axes, labels: Labels, tracks: Sequence[Track], radii: Mapping[str, float]
+    figure: Figure, axes: Axes, labels: Labels, tracks: Sequence[DrawnPath], radii: Mapping[str, float]
 ) -> None:
     first = min(float(track.time_s[0]) for track in tracks)
     last = max(float(track.time_s[-1]) for track in tracks)

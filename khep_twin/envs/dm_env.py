@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
 from khep_twin.envs.tasks import SENSES, TOP_SPEED, Task
-from khep_twin.envs.trial import Course, Outcome, Trial, cut
+from khep_twin.envs.trial import StepResult, TaskEpisode, TaskSetup, cut
 from khep_twin.randomness import stream
 from khep_twin.rollout import pair
 
@@ -46,9 +46,9 @@ class Physics(mujoco.Physics):
         trial: Trial to simulate.
     """
 
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: TaskEpisode) -> None:
         self._trial = trial
-        self._outcome: Outcome | None = None
+        self._outcome: StepResult | None = None
         self._speeds = (0.0, 0.0)
         self._observation = trial.begin(0)[0]
         super().__init__(wrapper.MjData(trial.data))
@@ -74,12 +74,12 @@ class Physics(mujoco.Physics):
         return self._trial.time_s
 
     @property
-    def trial(self) -> Trial:
+    def trial(self) -> TaskEpisode:
         """Trial that is simulated."""
         return self._trial
 
     @property
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> StepResult | None:
         """Outcome of the last period; None at a trial's start."""
         return self._outcome
 
@@ -191,7 +191,7 @@ def load(task: Task | str, *, seed: int = 0, **options: Any) -> dm_env.Environme
     Args:
         task: Task, or its name.
         seed: Seed of its trials; the same seed and actions give the same steps.
-        options: Options of `Course`: playpen, noise, spread, period_ns, seconds, compiled.
+        options: Options of `TaskSetup`: playpen, noise, spread, period_ns, seconds, compiled.
     """
-    course = Course(task, **options)
-    return control.Environment(Physics(Trial(course)), TrialTask(course.task, seed))
+    course = TaskSetup(task, **options)
+    return control.Environment(Physics(TaskEpisode(course)), TrialTask(course.task, seed))

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.envs.tasks import TASKS, TOP_SPEED, Observation, Task
-from khep_twin.envs.trial import Course, Trial, cut
-from khep_twin.envs.view import Painter, Picture, View
+from khep_twin.envs.trial import TaskEpisode, TaskSetup, cut
+from khep_twin.envs.view import Picture, Renderer, View
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 
 try:
@@ -59,7 +59,7 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto" (`view.Painter`).
         course: Prepared course, in place of the task and options.
-        options: Options of `Course`: playpen, noise, spread, period_ns, seconds, compiled.
+        options: Options of `TaskSetup`: playpen, noise, spread, period_ns, seconds, compiled.
 
     Attributes:
         labels: Labels of the observation's numbers.
@@ -73,17 +73,17 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         *,
         render_mode: str | None = None,
         view: View = "auto",
-        course: Course | None = None,
+        course: TaskSetup | None = None,
         **options: Any,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
-        self._course = course or Course(task, **options)
-        self._trial = Trial(self._course)
+        self._course = course or TaskSetup(task, **options)
+        self._trial = TaskEpisode(self._course)
         self._seed = 0
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": 1e9 / self._course.period_ns}
-        self._painter = Painter(self._course.playpen, view)
+        self._painter = Renderer(self._course.playpen, view)
         self.labels = self._course.task.labels
         self.observation_space, self.action_space = spaces(self._course.task)
 
@@ -147,7 +147,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         for name, number in (("environments", num_envs), ("threads", 1 if threads is None else threads)):
             if number < 1:
                 raise ValueError(f"{number} {name}; expected 1 or more")
-        course = Course(task, **options)
+        course = TaskSetup(task, **options)
         self._all = [
             KheperaEnvironment(course=course, render_mode=render_mode, view=view) for _ in range(num_envs)
         ]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from khep_twin.envs.gymnasium import RENDER_MODES, spaces
 from khep_twin.envs.tasks import Observation, Task
-from khep_twin.envs.trial import Course, Trial, cut
-from khep_twin.envs.view import Painter, Picture, View
+from khep_twin.envs.trial import TaskEpisode, TaskSetup, cut
+from khep_twin.envs.view import Picture, Renderer, View
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 
 try:
@@ -41,7 +41,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         robots: Number of robots; a playpen with spots has room for as many as it has spots.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto".
-        options: Options of `Course`: playpen, noise, spread, period_ns, seconds.
+        options: Options of `TaskSetup`: playpen, noise, spread, period_ns, seconds.
     """
 
     def __init__(
@@ -55,9 +55,9 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
-        self._course = Course(task, robots=robots, **options)
-        self._trial = Trial(self._course)
-        self._painter = Painter(self._course.playpen, view)
+        self._course = TaskSetup(task, robots=robots, **options)
+        self._trial = TaskEpisode(self._course)
+        self._painter = Renderer(self._course.playpen, view)
         self._chance = seeding.np_random(None)[0]
         self._seed = 0
         self.render_mode = render_mode

@@ -27,7 +27,7 @@ Observation = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class State:
     """One robot at the end of a control period.
 
     Attributes:
@@ -61,7 +61,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Sense:
+class ObservationTerm:
     """A part of an observation, numbers within bounds.
 
     Attributes:
@@ -72,38 +72,40 @@ class Sense:
         unit: Meaning of 1.
     """
 
-    read: Callable[[Moment], Sequence[float]]
+    read: Callable[[State], Sequence[float]]
     names: tuple[str, ...]
     low: float
     high: float
     unit: str
 
 
-def _proximity(moment: Moment) -> Sequence[float]:
+def _proximity(moment: State) -> Sequence[float]:
     return [moment.registers[index] / COUNTS_LIMIT for index in PROXIMITY]
 
 
-def _light(moment: Moment) -> Sequence[float]:
+def _light(moment: State) -> Sequence[float]:
     dark, floor = moment.dark, moment.floor
     return [min(max((dark - moment.registers[index]) / (dark - floor), 0.0), 1.0) for index in AMBIENT]
 
 
-def _speed(moment: Moment) -> Sequence[float]:
+def _speed(moment: State) -> Sequence[float]:
     top = float(fitness.TOP_SPEED_PULSES)
     return [min(max(pulses / top, -1.0), 1.0) for pulses in (moment.left, moment.right)]
 
 
-def _charge(moment: Moment) -> Sequence[float]:
+def _charge(moment: State) -> Sequence[float]:
     return [moment.charge]
 
 
 _SENSORS = tuple(sensor.name.lower() for sensor in Sensor)
 
 SENSES = {
-    "proximity": Sense(_proximity, _SENSORS, 0.0, 1.0, "1023 counts of command N"),
-    "light": Sense(_light, _SENSORS, 0.0, 1.0, "from the dark reading of command O to the brightest one"),
-    "speed": Sense(_speed, ("left", "right"), -1.0, 1.0, "20 pulses/10 ms, 160 mm/s, counted, cut"),
-    "charge": Sense(_charge, ("charge",), 0.0, 1.0, "a full charge"),
+    "proximity": ObservationTerm(_proximity, _SENSORS, 0.0, 1.0, "1023 counts of command N"),
+    "light": ObservationTerm(
+        _light, _SENSORS, 0.0, 1.0, "from the dark reading of command O to the brightest one"
+    ),
+    "speed": ObservationTerm(_speed, ("left", "right"), -1.0, 1.0, "20 pulses/10 ms, 160 mm/s, counted, cut"),
+    "charge": ObservationTerm(_charge, ("charge",), 0.0, 1.0, "a full charge"),
 }
 """All senses that a task may choose from."""
 
@@ -131,7 +133,7 @@ class Task:
     name: str
     playpen: str
     senses: tuple[str, ...]
-    reward: Callable[[Moment], float]
+    reward: Callable[[State], float]
     seconds: float = 60.0
     starts: Literal["anywhere", "playpen"] = "anywhere"
     goal: str = ""
@@ -163,7 +165,7 @@ class Task:
         low, high = ([sense.low for sense in senses], [sense.high for sense in senses])
         return np.repeat(np.array(low, np.float32), sizes), np.repeat(np.array(high, np.float32), sizes)
 
-    def observe(self, moment: Moment) -> Observation:
+    def observe(self, moment: State) -> Observation:
         """Return the observation (n,), in the order of `labels`."""
         numbers: list[float] = []
         for name in self.senses:
@@ -171,7 +173,7 @@ class Task:
         return np.array(numbers, np.float32)
 
 
-def avoiding(moment: Moment) -> float:
+def avoiding(moment: State) -> float:
     """Return V (1 - sqrt(dV)) (1 - i) forwards, 0 backwards.
 
     Floreano and Mondada's V has no sign, so that learners find driving to and fro, which avoids things, too.
@@ -179,22 +181,22 @@ def avoiding(moment: Moment) -> float:
     return avoiding_either_way(moment) if moment.left + moment.right > 0 else 0.0
 
 
-def avoiding_either_way(moment: Moment) -> float:
+def avoiding_either_way(moment: State) -> float:
     """Return V (1 - sqrt(dV)) (1 - i) as published: see `fitness.obstacle_avoidance`."""
     return fitness.obstacle_avoidance(moment.left, moment.right, moment.nearest)
 
 
-def seeking_light(moment: Moment) -> float:
+def seeking_light(moment: State) -> float:
     """Return the brightness."""
     return moment.brightness
 
 
-def homing(moment: Moment) -> float:
+def homing(moment: State) -> float:
     """Return V (1 - i) away from home, 0 at home."""
     return 0.0 if moment.at_goal else fitness.homing(moment.left, moment.right, moment.nearest)
 
 
-def staying(moment: Moment) -> float:
+def staying(moment: State) -> float:
     """Return 1 at the goal, 0 elsewhere."""
     return float(moment.at_goal)
 

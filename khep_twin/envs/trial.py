@@ -1,6 +1,6 @@
 """Trials of a task: `begin` with a seed, then `step` by step, with observations and rewards.
 
-    trial = Trial(Course("ObstacleAvoidance"))
+    trial = TaskEpisode(TaskSetup("ObstacleAvoidance"))
     trial.begin(seed=1)
     while not trial.over:
         outcome, = trial.step([(10, 10)])
@@ -24,15 +24,15 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import n_steps, to_ns
-from khep_twin.envs.tasks import TOP_SPEED, Moment, Observation, Task, find
+from khep_twin.envs.tasks import TOP_SPEED, Observation, State, Task, find
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.playpen import Playpen, load
-from khep_twin.rollout.life import Ground
+from khep_twin.rollout.life import EpisodeSetup
 from khep_twin.rollout.stages import (
-    Alone,
+    Backend,
+    EpisodeBackend,
     Pose,
-    Stage,
-    Together,
+    WorldBackend,
     anywhere,
     at_spots,
     may_be_alone,
@@ -62,7 +62,7 @@ def cut(action: Any) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class StepResult:
     """Results of one robot's step.
 
     Attributes:
@@ -76,7 +76,7 @@ class Outcome:
     ended: bool
 
 
-class Course:
+class TaskSetup:
     """A prepared task; any number of trials, in any threads, may share it.
 
     Args:
@@ -124,15 +124,15 @@ class Course:
         self.n_steps = n_steps(to_ns(self.seconds), period_ns)
         self.goal = _place_of(self.playpen, self.task.goal) if self.task.goal else (0.0, 0.0)
         self._compiled = compiled
-        self._ground = Ground(self.playpen, period_ns=period_ns) if may_be_alone(self.playpen) else None
+        self._ground = EpisodeSetup(self.playpen, period_ns=period_ns) if may_be_alone(self.playpen) else None
         ambient = calibration.read(self.playpen.robots[0].calibration)[0].ambient
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
 
-    def stage(self) -> Stage:
+    def stage(self) -> Backend:
         """Return a new simulation for a trial."""
         if self._ground is None:
-            return Together(self.period_ns)
-        return Alone(self._ground, self._compiled)
+            return WorldBackend(self.period_ns)
+        return EpisodeBackend(self._ground, self._compiled)
 
     def started(self, seed: int) -> Playpen:
         """Return the playpen at the start of a trial.
@@ -143,14 +143,14 @@ class Course:
         return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
 
 
-class Trial:
+class TaskEpisode:
     """One trial at a time; `begin` starts a new one.
 
     Args:
         course: Prepared task.
     """
 
-    def __init__(self, course: Course) -> None:
+    def __init__(self, course: TaskSetup) -> None:
         self.course = course
         self._stage = course.stage()
         self._n_robots = len(course.playpen.robots)
@@ -172,7 +172,7 @@ class Trial:
         self._pulses = [self._counted(robot) for robot in range(self._n_robots)]
         return [course.task.observe(self._moment(robot, (0.0, 0.0))) for robot in range(self._n_robots)]
 
-    def step(self, speeds: Sequence[Sequence[float]]) -> list[Outcome]:
+    def step(self, speeds: Sequence[Sequence[float]]) -> list[StepResult]:
         """Advance by a control period.
 
         Args:
@@ -217,7 +217,7 @@ class Trial:
         """State of the scene, live."""
         return self._stage.data
 
-    def _outcome(self, robot: int) -> Outcome:
+    def _outcome(self, robot: int) -> StepResult:
         task, ticks = self.course.task, self.course.period_ns // units.TICK_NS
         before, self._pulses[robot] = self._pulses[robot], self._counted(robot)
         left, right = ((now - then) / ticks for now, then in zip(self._pulses[robot], before, strict=True))
@@ -225,14 +225,16 @@ class Trial:
             left_ns = max(self._charges_ns[robot] - self.course.period_ns, 0)
             self._charges_ns[robot] = to_ns(task.charge_s) if self._at_goal(robot) else left_ns
         moment = self._moment(robot, (left, right))
-        return Outcome(task.observe(moment), task.reward(moment), bool(task.charge_s) and moment.charge <= 0)
+        return StepResult(
+            task.observe(moment), task.reward(moment), bool(task.charge_s) and moment.charge <= 0
+        )
 
-    def _moment(self, robot: int, speed: tuple[float, float]) -> Moment:
+    def _moment(self, robot: int, speed: tuple[float, float]) -> State:
         course = self.course
         full_ns = to_ns(course.task.charge_s)
         charge = self._charges_ns[robot] / full_ns if full_ns else 1.0
         registers = self._stage.registers[robot].tolist()
-        return Moment(registers, *speed, course.dark, course.floor, self._at_goal(robot), charge)
+        return State(registers, *speed, course.dark, course.floor, self._at_goal(robot), charge)
 
     def _at_goal(self, robot: int) -> bool:
         if not self.course.task.goal:

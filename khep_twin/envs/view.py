@@ -34,7 +34,7 @@ class MapWarning(UserWarning):
     """Warning that pictures are maps, as MuJoCo cannot render here."""
 
 
-class Painter:
+class Renderer:
     """Renderer of pictures of one playpen.
 
     Args:

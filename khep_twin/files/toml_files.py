@@ -22,7 +22,7 @@ from pydantic.fields import FieldInfo
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.toml_edit import change
-from khep_twin.files.toml_lines import Lines, Location
+from khep_twin.files.toml_lines import LineNumbers, Location
 
 SIZE_LIMIT = 2**20
 """Largest file that is read [bytes]."""
@@ -33,7 +33,7 @@ PROBLEM_LIMIT = 50
 NAME_WISH = "1 to 64 letters, digits, '_' or '-'"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 
-Model = TypeVar("Model", bound="Table")
+Model = TypeVar("Model", bound="TomlTable")
 
 # A key of thousands of parts takes tomllib seconds and ends in a RecursionError.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){32}""")
@@ -59,7 +59,7 @@ class Problems(ValueError):
         self.problems = problems
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of a file: no unknown keys, no conversion, no infinite numbers, immutable."""
 
     model_config = ConfigDict(
@@ -147,7 +147,7 @@ def check(
         if len(problems) > PROBLEM_LIMIT:
             last = f"more than {PROBLEM_LIMIT} problems; the others are reported once these are gone"
             problems[-1] = Problem((), last)
-        lines = Lines(text)
+        lines = LineNumbers(text)
         raise error(
             "\n".join(f"{source}{_at(lines, problem.location)}: {problem.text}" for problem in problems)
         ) from None
@@ -171,15 +171,15 @@ def frozen(value: Any) -> Any:
     return value
 
 
-def dump(table: Table) -> str:
+def dump(table: TomlTable) -> str:
     """Return a table as the text of a file, every key written out; reading it back gives the same table."""
     return tomlkit.dumps(_plain_data(table))
 
 
 def edited(
     text: str,
-    before: Table,
-    after: Table,
+    before: TomlTable,
+    after: TomlTable,
     said: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda before, _: before,
     bare: Callable[[dict[str, Any]], dict[str, Any]] = lambda after: after,
 ) -> str:
@@ -202,7 +202,7 @@ def edited(
     return tomlkit.dumps(document)
 
 
-def schema(model: type[Table]) -> dict[str, Any]:
+def schema(model: type[TomlTable]) -> dict[str, Any]:
     """Return the JSON schema of a model's files."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -231,7 +231,7 @@ def _plain(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _plain_data(table: Table, *, exclude_defaults: bool = False) -> dict[str, Any]:
+def _plain_data(table: TomlTable, *, exclude_defaults: bool = False) -> dict[str, Any]:
     return table.model_dump(by_alias=True, exclude_none=True, exclude_defaults=exclude_defaults, mode="json")
 
 
@@ -247,7 +247,7 @@ def _problems(model: type[BaseModel], trouble: ValidationError) -> Iterator[Prob
             yield Problem(location, f"{place}{_reason(model, location, key, problem)}")
 
 
-def _at(lines: Lines, location: Location) -> str:
+def _at(lines: LineNumbers, location: Location) -> str:
     """Return the line of a problem in the style of compilers: ":12"."""
     number = lines.of(location)
     return "" if number is None else f":{number}"

@@ -13,7 +13,7 @@ _KEY = re.compile(rf"[ \t]*({_PATH})[ \t]*=")
 _TOKEN = re.compile(r"""\"\"\"|'''|"(?:\\.|[^"\\])*"|'[^']*'|[\[\]{}]|\#.*""")
 
 
-class Lines:
+class LineNumbers:
     """Line numbers of a file by location.
 
     Args:

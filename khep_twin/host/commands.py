@@ -26,7 +26,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 @dataclass(frozen=True, slots=True)
-class Command(Generic[T_co]):
+class HostCommand(Generic[T_co]):
     """One command.
 
     Attributes:
@@ -45,37 +45,37 @@ def mode_codes(bios: str) -> tuple[int, int, int]:
     return ROMS["4.06" if bios.partition(".")[0] < "5" else "5.02"].mode_codes
 
 
-def versions() -> Command[Versions]:
+def versions() -> HostCommand[Versions]:
     """Return command B: versions of the BIOS and of the protocol."""
-    return Command("B", lambda reply: Versions(*_fields("b", 2, reply)), repeatable=True)
+    return HostCommand("B", lambda reply: Versions(*_fields("b", 2, reply)), repeatable=True)
 
 
-def speed() -> Command[Speeds]:
+def speed() -> HostCommand[Speeds]:
     """Return command E: measured speeds [pulses/10 ms]."""
     return _numbers("E", 2, lambda values: Speeds(*values))
 
 
-def position() -> Command[Positions]:
+def position() -> HostCommand[Positions]:
     """Return command H: position counters [pulses]."""
     return _numbers("H", 2, lambda values: Positions(*values))
 
 
-def proximity() -> Command[SensorCounts]:
+def proximity() -> HostCommand[SensorCounts]:
     """Return command N: eight proximity counts."""
     return _numbers("N", N_SENSORS, lambda values: SensorCounts(*values))
 
 
-def ambient() -> Command[SensorCounts]:
+def ambient() -> HostCommand[SensorCounts]:
     """Return command O: eight ambient counts."""
     return _numbers("O", N_SENSORS, lambda values: SensorCounts(*values))
 
 
-def converter(channel: int) -> Command[int]:
+def converter(channel: int) -> HostCommand[int]:
     """Return command I: one channel of the converter [counts]."""
     return _numbers("I", 1, lambda values: values[0], channel)
 
 
-def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> Command[MotionStatus]:
+def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> HostCommand[MotionStatus]:
     """Return command K: motion control; `codes` as `mode_codes` returns them."""
 
     def read(values: Sequence[int]) -> MotionStatus:
@@ -85,59 +85,59 @@ def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> Command[Mot
     return _numbers("K", 6, read)
 
 
-def set_speed(left: int, right: int) -> Command[None]:
+def set_speed(left: int, right: int) -> HostCommand[None]:
     """Return command D: speeds [pulses/10 ms]. Only a stop may be sent twice."""
     return _order("D", left, right, repeatable=left == right == 0)
 
 
-def set_target(left: int, right: int) -> Command[None]:
+def set_target(left: int, right: int) -> HostCommand[None]:
     """Return command C: targets [pulses]."""
     return _order("C", left, right)
 
 
-def set_duty(left: int, right: int) -> Command[None]:
+def set_duty(left: int, right: int) -> HostCommand[None]:
     """Return command P: duties, -255 to 255."""
     return _order("P", left, right)
 
 
-def set_position(left: int, right: int) -> Command[None]:
+def set_position(left: int, right: int) -> HostCommand[None]:
     """Return command G: position counters [pulses]. Sent twice, it would lose the pulses in between."""
     return _order("G", left, right)
 
 
-def configure_speed_controller(kp: int, ki: int, kd: int) -> Command[None]:
+def configure_speed_controller(kp: int, ki: int, kd: int) -> HostCommand[None]:
     """Return command A: gains of the speed controller."""
     return _order("A", kp, ki, kd, repeatable=True)
 
 
-def configure_position_controller(kp: int, ki: int, kd: int) -> Command[None]:
+def configure_position_controller(kp: int, ki: int, kd: int) -> HostCommand[None]:
     """Return command F: gains of the position controller."""
     return _order("F", kp, ki, kd, repeatable=True)
 
 
 def configure_profile(
     left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
-) -> Command[None]:
+) -> HostCommand[None]:
     """Return command J: trapezoid of moves, by wheel: speed [pulses/10 ms], acceleration [3.125 mm/s^2]."""
     return _order("J", left_speed, left_acceleration, right_speed, right_acceleration, repeatable=True)
 
 
-def set_led(led: int, action: int) -> Command[None]:
+def set_led(led: int, action: int) -> HostCommand[None]:
     """Return command L: LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle."""
     return _order("L", led, action, repeatable=action != 2)
 
 
-def read_bus(address: int) -> Command[int]:
+def read_bus(address: int) -> HostCommand[int]:
     """Return command R: read a byte of the extension bus. A read may have effects: it is not repeated."""
     return _numbers("R", 1, lambda values: values[0], address, repeatable=False)
 
 
-def write_bus(data: int, address: int) -> Command[None]:
+def write_bus(data: int, address: int) -> HostCommand[None]:
     """Return command W: write a byte to the extension bus."""
     return _order("W", data, address)
 
 
-def turret(number: int, message: str) -> Command[str]:
+def turret(number: int, message: str) -> HostCommand[str]:
     """Return command T: message to a turret, whose answer is read without the head "t,1,"."""
     head = f"t,{number},"
 
@@ -146,21 +146,21 @@ def turret(number: int, message: str) -> Command[str]:
             raise ValueError(f"expected {head!r} and the turret's answer")
         return reply.removeprefix(head)
 
-    return Command(f"T,{number},{message}", read)
+    return HostCommand(f"T,{number},{message}", read)
 
 
-def _order(letter: str, *arguments: int, repeatable: bool = False) -> Command[None]:
+def _order(letter: str, *arguments: int, repeatable: bool = False) -> HostCommand[None]:
     """Return a command whose reply is its letter alone."""
 
     def read(reply: str) -> None:
         _fields(letter.lower(), 0, reply)
 
-    return Command(_request(letter, arguments), read, repeatable)
+    return HostCommand(_request(letter, arguments), read, repeatable)
 
 
 def _numbers(
     letter: str, count: int, make: Callable[[Sequence[int]], T], *arguments: int, repeatable: bool = True
-) -> Command[T]:
+) -> HostCommand[T]:
     """Return a command whose reply is its letter and so many integers."""
 
     def read(reply: str) -> T:
@@ -171,7 +171,7 @@ def _numbers(
             raise ValueError("expected integers") from None
         return make(values)
 
-    return Command(_request(letter, arguments), read, repeatable)
+    return HostCommand(_request(letter, arguments), read, repeatable)
 
 
 def _request(letter: str, arguments: Sequence[int]) -> str:

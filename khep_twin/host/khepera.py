@@ -20,7 +20,7 @@ import serial
 
 from khep_twin.errors import PortError
 from khep_twin.host import commands, moves
-from khep_twin.host.commands import Command
+from khep_twin.host.commands import HostCommand
 from khep_twin.host.line import Line
 from khep_twin.host.results import MotionStatus as MotionStatus
 from khep_twin.host.results import Positions, SensorCounts, Speeds, Versions
@@ -246,18 +246,20 @@ class Khepera:
     # Whole exchanges -----------------------------------------------------------------------------------
 
     @overload
-    def burst(self, first: Command[A], /) -> tuple[A]: ...
+    def burst(self, first: HostCommand[A], /) -> tuple[A]: ...
     @overload
-    def burst(self, first: Command[A], second: Command[B], /) -> tuple[A, B]: ...
-    @overload
-    def burst(self, first: Command[A], second: Command[B], third: Command[C], /) -> tuple[A, B, C]: ...
+    def burst(self, first: HostCommand[A], second: HostCommand[B], /) -> tuple[A, B]: ...
     @overload
     def burst(
-        self, first: Command[A], second: Command[B], third: Command[C], fourth: Command[D], /
+        self, first: HostCommand[A], second: HostCommand[B], third: HostCommand[C], /
+    ) -> tuple[A, B, C]: ...
+    @overload
+    def burst(
+        self, first: HostCommand[A], second: HostCommand[B], third: HostCommand[C], fourth: HostCommand[D], /
     ) -> tuple[A, B, C, D]: ...
     @overload
-    def burst(self, /, *wanted: Command[Any]) -> tuple[Any, ...]: ...
-    def burst(self, /, *wanted: Command[Any]) -> tuple[Any, ...]:
+    def burst(self, /, *wanted: HostCommand[Any]) -> tuple[Any, ...]: ...
+    def burst(self, /, *wanted: HostCommand[Any]) -> tuple[Any, ...]:
         """Send several commands of `khep_twin.host.commands` at once and return the value of each.
 
         While a reply comes back the next command is under way already, which saves line time. They are
@@ -277,5 +279,5 @@ class Khepera:
         """
         return self._line.ask(request)
 
-    def _do(self, command: Command[A]) -> A:
+    def _do(self, command: HostCommand[A]) -> A:
         return self._line.carry_out([command])[0]

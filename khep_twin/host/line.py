@@ -16,7 +16,7 @@ import serial
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PortError, PortTimeout, ProtocolError, StoppedError
-from khep_twin.host.commands import Command
+from khep_twin.host.commands import HostCommand
 from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
 from khep_twin.ports.link import leads_to_ours
 from khep_twin.signals import clear_at_end
@@ -98,7 +98,7 @@ class Line:
 
     # Exchanges -----------------------------------------------------------------------------------------
 
-    def carry_out(self, commands: Sequence[Command[Any]]) -> list[Any]:
+    def carry_out(self, commands: Sequence[HostCommand[Any]]) -> list[Any]:
         """Send commands in one burst and return the values of their replies.
 
         Raises:
@@ -124,7 +124,7 @@ class Line:
             self._ask([request], replies)
         return replies[0]
 
-    def _carry_out(self, commands: Sequence[Command[Any]]) -> list[Any]:
+    def _carry_out(self, commands: Sequence[HostCommand[Any]]) -> list[Any]:
         tries = 1 + (self._retries if all(command.repeatable for command in commands) else 0)
         first: PortTimeout | ProtocolError | None = None
         while True:
@@ -170,7 +170,7 @@ class Line:
                 self.listener(request, replies[-1])
         self._unanswered.clear()
 
-    def _read(self, commands: Sequence[Command[Any]], replies: Sequence[str]) -> list[Any]:
+    def _read(self, commands: Sequence[HostCommand[Any]], replies: Sequence[str]) -> list[Any]:
         if len(replies) != len(commands):
             raise ProtocolError(f"{self.name}: {len(commands)} commands got {len(replies)} replies")
         values: list[Any] = []

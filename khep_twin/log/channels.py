@@ -112,7 +112,7 @@ class Level(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class TextLine:
     """A line of a transcript or of the events."""
 
     time_ns: int
@@ -234,7 +234,7 @@ def text_message(text: str) -> bytes:
     return Encoder().text(text).message()
 
 
-def line_message(line: Line) -> bytes:
+def line_message(line: TextLine) -> bytes:
     """Return an rcl_interfaces/Log."""
     return LineFrame(line.name, line.level).message(line.time_ns, line.text.encode("utf-8"))
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
-from khep_twin.log.channels import CDR_HEADER, Line
+from khep_twin.log.channels import CDR_HEADER, TextLine
 
 LATEST_NS = 2**63 - 1
 """Latest time that is accepted [ns]: the range of int64, 292 years."""
@@ -178,7 +178,7 @@ def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
     return poses
 
 
-def read_line(message: bytes) -> Line:
+def read_line(message: bytes) -> TextLine:
     """Return a line of the transcript or of the events.
 
     Raises:
@@ -187,4 +187,4 @@ def read_line(message: bytes) -> Line:
     decoder = Decoder(message)
     time_ns = decoder.time()
     (level,) = decoder.get("B")
-    return Line(time_ns, level, decoder.text(), decoder.text())
+    return TextLine(time_ns, level, decoder.text(), decoder.text())

@@ -13,7 +13,7 @@ import numpy as np
 
 from khep_twin import __version__
 from khep_twin.board.protocol import Command, LineReader, parse
-from khep_twin.board.uart import Act, HostAct
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import LogError
 from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame
 from khep_twin.log.log_file import LogFile
@@ -58,7 +58,7 @@ class LineRecorder:
         self._now = now
         self._transcript = Transcript(self._log, [ROBOT])
         self._lines = {True: LineReader(), False: LineReader()}
-        self._acts: list[tuple[int, HostAct]] = []
+        self._acts: list[tuple[int, HostEvent]] = []
         self._setpoints = (0, 0)
         self._frames = {
             topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
@@ -86,7 +86,7 @@ class LineRecorder:
         time_ns = self._now()
         self._transcript.hear(time_ns, 0, to_robot, data)
         if to_robot:
-            self._acts.append((time_ns, HostAct(Act.SEND, time_ns, None, data)))
+            self._acts.append((time_ns, HostEvent(HostEventKind.SEND, time_ns, None, data)))
         for line in self._lines[to_robot].feed(data):
             if to_robot:
                 self._take_setpoints(line)

@@ -18,7 +18,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, unusable
 from khep_twin.log import channels
 from khep_twin.log.batch_writer import BatchWriter
-from khep_twin.log.channels import Level, Line
+from khep_twin.log.channels import Level, TextLine
 from khep_twin.log.part_file import PartFile, set_aside
 from khep_twin.signals import clear_at_end, undisturbed
 
@@ -98,7 +98,7 @@ class LogFile:
 
     def add_event(self, time_ns: int, name: str, text: str) -> None:
         """Write an event."""
-        message = channels.line_message(Line(time_ns, Level.INFO, name, text))
+        message = channels.line_message(TextLine(time_ns, Level.INFO, name, text))
         self.add("/events", "rcl_interfaces/msg/Log", time_ns, message)
 
     def flush(self) -> None:

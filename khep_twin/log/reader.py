@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.toml_files import NAME_WISH
-from khep_twin.log.channels import FLOATS, INTEGERS, Line
+from khep_twin.log.channels import FLOATS, INTEGERS, TextLine
 from khep_twin.log.content import Content, Entry
 from khep_twin.log.decoding import (
     LATEST_NS,
@@ -30,7 +30,7 @@ PIECE = 32 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class RobotTrack:
     """Recorded data of one robot.
 
     Attributes:
@@ -51,7 +51,7 @@ class Track:
     speed: NDArray[np.int64]
     duty: NDArray[np.int64]
     registers: NDArray[np.int64]
-    serial: list[Line]
+    serial: list[TextLine]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Label:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class LoggedRun:
     """A whole log.
 
     Attributes:
@@ -82,12 +82,12 @@ class Run:
 
     metadata: Mapping[str, str]
     attachments: Mapping[str, str]
-    robots: Mapping[str, Track]
-    events: list[Line]
+    robots: Mapping[str, RobotTrack]
+    events: list[TextLine]
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class TimeSeries:
     """One channel of numbers.
 
     Attributes:
@@ -110,11 +110,11 @@ class Recording:
     """
 
     label: Label
-    series: Mapping[str, Series]
-    lines: Mapping[str, list[Line]]
+    series: Mapping[str, TimeSeries]
+    lines: Mapping[str, list[TextLine]]
 
 
-def read(path: Path) -> Run:
+def read(path: Path) -> LoggedRun:
     """Read a log as arrays.
 
     Raises:
@@ -126,7 +126,7 @@ def read(path: Path) -> Run:
         for topic, _, time_ns, data in content.messages():
             columns.add(topic, time_ns, data)
         robots = {name: columns.track(name) for name in label.robots}
-    return Run(label.metadata, label.attachments, robots, columns.lines["/events"])
+    return LoggedRun(label.metadata, label.attachments, robots, columns.lines["/events"])
 
 
 def read_label(path: Path) -> Label:
@@ -230,9 +230,9 @@ def _recording(path: Path, label: Label, found: Iterable[Entry]) -> Recording:
     return Recording(label, series, lines)
 
 
-def _in_order(times_ns: NDArray[np.int64], values: NDArray[np.int64] | NDArray[np.float64]) -> Series:
+def _in_order(times_ns: NDArray[np.int64], values: NDArray[np.int64] | NDArray[np.float64]) -> TimeSeries:
     order = np.argsort(times_ns, kind="stable")
-    return Series(times_ns[order], values[order])
+    return TimeSeries(times_ns[order], values[order])
 
 
 _KINDS = {FLOATS: "d", INTEGERS: "q"}
@@ -370,8 +370,8 @@ def _check_time(path: Path, topic: str, time_ns: int) -> None:
         raise Misfit(f"time = {time_ns} ns", f"at most {LATEST_NS} ns").at(path, topic)
 
 
-class _Lines(dict[str, list[Line]]):
-    def __missing__(self, topic: str) -> list[Line]:
+class _Lines(dict[str, list[TextLine]]):
+    def __missing__(self, topic: str) -> list[TextLine]:
         return self.setdefault(topic, [])
 
 
@@ -446,8 +446,8 @@ class _Columns:
         heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         return np.column_stack([poses[:, :2], heading])
 
-    def track(self, name: str) -> Track:
-        return Track(
+    def track(self, name: str) -> RobotTrack:
+        return RobotTrack(
             np.array(self.times_ns, np.int64),
             self.pose(name),
             self._integers(name, "proximity"),

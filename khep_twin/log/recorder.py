@@ -27,7 +27,7 @@ from khep_twin.board.kernel import (
     SPEEDS,
     Board,
 )
-from khep_twin.board.uart import HostAct
+from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log import channels, foxglove_scene
@@ -116,7 +116,7 @@ class Recorder:
         self._lamps = None if world.lamps.steady else _lamps_frame(world)
         self._powers = np.zeros((_BATCH, len(world.lamps.names)))
         self._answers = Answered(len(world.robots))
-        self._acts: list[list[tuple[int, HostAct]]] = [[] for _ in world.robots]
+        self._acts: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
         # Values that follow from these are computed batch by batch.
         self._rows = 0
         self._times_ns = np.zeros(_BATCH, np.int64)
@@ -180,7 +180,7 @@ class Recorder:
             if not to_robot:
                 self._answers.hear(time_ns, robot, data)
 
-    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
         """Record an act of a host."""
         if self._log.open:
             self._acts[robot].append((time_ns, act))

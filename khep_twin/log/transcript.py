@@ -10,7 +10,7 @@ _PLAIN = bytes(each for each in range(0x20, 0x7F) if each != ord("\\"))
 _FROM = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to_robot in (True, False)}
 
 
-class Lines(Protocol):
+class LineSink(Protocol):
     """Destination of lines, such as a `LogFile`."""
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
@@ -26,7 +26,7 @@ class Transcript:
         robots: Names of the robots.
     """
 
-    def __init__(self, log: Lines, robots: list[str]) -> None:
+    def __init__(self, log: LineSink, robots: list[str]) -> None:
         self._log = log
         self._robots = robots
         self._heard: list[tuple[int, int, bool, bytes]] = []

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.uart import Act, HostAct, LineSettings
+from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.decoding import LATEST_NS, Misfit, read_array
 from khep_twin.robot import Robot
@@ -27,7 +27,7 @@ from khep_twin.robot import Robot
 _LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
 
-def acts_message(acts: Sequence[tuple[int, HostAct]]) -> bytes:
+def acts_message(acts: Sequence[tuple[int, HostEvent]]) -> bytes:
     """Return acts, with the times when the world learned of them [ns], as a message of /khepera0/wire."""
     numbers: list[int] = []
     for time_ns, act in acts:
@@ -37,7 +37,7 @@ def acts_message(acts: Sequence[tuple[int, HostAct]]) -> bytes:
     return _message(np.array(numbers, np.int64), _LABEL)
 
 
-def read_acts(message: bytes) -> Iterator[tuple[int, HostAct]]:
+def read_acts(message: bytes) -> Iterator[tuple[int, HostEvent]]:
     """Yield acts and their times [ns] from their message.
 
     Raises:
@@ -53,7 +53,7 @@ def read_acts(message: bytes) -> Iterator[tuple[int, HostAct]]:
         place += _HEAD
         for name, value, lowest, highest in (
             ("time", time_ns, 0, LATEST_NS),
-            ("act", kind, 0, len(Act) - 1),
+            ("act", kind, 0, len(HostEventKind) - 1),
             ("from", at_ns, 0, LATEST_NS),
             ("baud", baud, -1, _FASTEST),
             ("stop bits", stop_bits, -1, 2),
@@ -65,13 +65,13 @@ def read_acts(message: bytes) -> Iterator[tuple[int, HostAct]]:
         values = numbers[place : place + size]
         if wrong := next((each for each in values if not 0 <= each <= 255), None):
             raise Misfit(f"byte = {wrong} after number {place - 1}", "0 to 255")
-        sizes = _SIZES.get(Act(kind))
+        sizes = _SIZES.get(HostEventKind(kind))
         if sizes is not None and size not in sizes:
             wish = " or ".join(map(str, sizes))
             raise Misfit(f"size = {size} of act {kind} at number {place - _HEAD}", f"{wish} bytes")
         place += size
         host = None if baud < 0 else LineSettings(baud, stop_bits)
-        yield time_ns, HostAct(Act(kind), at_ns, host, bytes(values))
+        yield time_ns, HostEvent(HostEventKind(kind), at_ns, host, bytes(values))
 
 
 _HEAD = 6
@@ -81,12 +81,12 @@ _FASTEST = 10**9
 """Highest speed of a line that is accepted [baud]."""
 
 _SIZES = {
-    Act.HANG_UP: (0,),
-    Act.TAKE_BACK: (0,),
-    Act.SET: (0,),
-    Act.PUT: (24, 25),
-    Act.SWITCH: (5,),
-    Act.SCAN: (0,),
+    HostEventKind.HANG_UP: (0,),
+    HostEventKind.TAKE_BACK: (0,),
+    HostEventKind.SET: (0,),
+    HostEventKind.PUT: (24, 25),
+    HostEventKind.SWITCH: (5,),
+    HostEventKind.SCAN: (0,),
 }
 """Sizes of acts, as `placing` and `switching` make them; others have any number of bytes."""
 

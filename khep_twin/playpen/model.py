@@ -12,7 +12,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, ValidationInfo, model
 
 from khep_twin.errors import PlaypenError
 from khep_twin.files import toml_files
-from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, Table
+from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, TomlTable
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
 from khep_twin.playpen.parts import (
     BULB_RADIUS_MM,
@@ -50,7 +50,7 @@ __all__ = [
 ]
 
 
-class Playpen(Table):
+class Playpen(TomlTable):
     """A whole playpen."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from khep_twin.board.turrets import installed
-from khep_twin.files.toml_files import NAME_WISH, Name, Table
+from khep_twin.files.toml_files import NAME_WISH, Name, TomlTable
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.polygon import Point, area, crossing, edges, pieces, reaching_in
 from khep_twin.playpen.surfaces import Colour
@@ -34,7 +34,7 @@ TimePair = Annotated[tuple[Moment, Moment], Field(description="two times from 0 
 ObjectName = Annotated[Name | None, Field(description=NAME_WISH)]
 
 
-class Arena(Table):
+class Arena(TomlTable):
     """The floor within its walls; the walls stand around it, not on it. All lengths in [mm].
 
     Attributes:
@@ -96,7 +96,7 @@ class Arena(Table):
                 )
 
 
-class Wall(Table):
+class Wall(TomlTable):
     """A free-standing wall along a line on the floor.
 
     Attributes:
@@ -123,7 +123,7 @@ class Wall(Table):
         return tuple(pieces(self.points_mm, self.thickness_mm, closed=self.closed))
 
 
-class Patch(Table):
+class Patch(TomlTable):
     """A part of the floor with another surface: a disc, or a rectangle at an angle. Only the eye sees it."""
 
     name: ObjectName = None
@@ -149,7 +149,7 @@ class Patch(Table):
         return not any(sides) if self.radius_mm is not None else all(sides)
 
 
-class Spot(Table):
+class Spot(TomlTable):
     """A named place where robots may start."""
 
     name: Annotated[Name, Field(description=NAME_WISH)]
@@ -158,7 +158,7 @@ class Spot(Table):
     heading_deg: Angle
 
 
-class Block(Table):
+class Block(TomlTable):
     """A cuboid on the floor; its length runs at `angle_deg`. `mass_g` applies if it is movable."""
 
     name: ObjectName = None
@@ -178,7 +178,7 @@ class Block(Table):
         return Rectangle(self.x_mm, self.y_mm, self.length_mm, self.width_mm, self.angle_deg)
 
 
-class Cylinder(Table):
+class Cylinder(TomlTable):
     """An upright cylinder on the floor. `mass_g` applies if it is movable."""
 
     name: ObjectName = None
@@ -196,7 +196,7 @@ class Cylinder(Table):
         return Circle(self.x_mm, self.y_mm, self.radius_mm)
 
 
-class Lamp(Table):
+class Lamp(TomlTable):
     """A light bulb with its centre at x, y, z.
 
     Attributes:
@@ -237,7 +237,7 @@ class Lamp(Table):
 LightingMode = Literal["all", "random", "sequenced"]
 
 
-class Lighting(Table):
+class Lighting(TomlTable):
     """Selection of the lamps that are on, and model of their light.
 
     Attributes:
@@ -263,7 +263,7 @@ MODELS: Mapping[str, Mapping[str, str]] = {
 """Default sensors and firmware of each model of the robot."""
 
 
-class Robot(Table):
+class Robot(TomlTable):
     """A robot at its start.
 
     Attributes:

@@ -6,12 +6,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from khep_twin.files.toml_files import Table
+from khep_twin.files.toml_files import TomlTable
 
 Colour = Annotated[int, Field(ge=0, le=255)]
 
 
-class Surface(Table):
+class Surface(TomlTable):
     """The material of an object.
 
     Attributes:

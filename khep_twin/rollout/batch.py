@@ -6,12 +6,12 @@
 
     network = Network(hidden=(5,), recurrent=True)
     genes = numpy.random.default_rng(0).normal(size=(100, network.n_genes))
-    lives = rollout(playpen.load("looping-maze"), network, range(100), 60.0, genes=genes)
-    print(lives.numbers["obstacle_avoidance"].max(), lives.failures)
+    results = rollout(playpen.load("looping-maze"), network, range(100), 60.0, genes=genes)
+    print(results.numbers["obstacle_avoidance"].max(), results.failures)
 
 Each episode depends on its own seed, genes, start and lamps alone: results are the same, bit for bit, with
-any number of threads, and the same as those of a single `Life` on the same ground. Only the results grow with
-the number of episodes: every thread has memory for one episode and reuses it.
+any number of threads, and the same as those of a single `Episode` with the same setup. Only the results grow
+with the number of episodes: every thread has memory for one episode and reuses it.
 """
 
 import itertools
@@ -28,10 +28,10 @@ from khep_twin import units
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, Playpen
-from khep_twin.rollout.life import NUMBERS, Ground, Life, Start, is_compiled
+from khep_twin.rollout.life import NUMBERS, Episode, EpisodeSetup, Start, is_compiled
 from khep_twin.rollout.minds import Driver, Floats, Network, Policy
 
-LANES = 64
+BATCH_SIZE = 64
 """Episodes in one call of a policy: enough for arrays to pay, at a bounded use of memory."""
 
 
@@ -53,7 +53,7 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class Lives:
+class RolloutResult:
     """Results of a batch of n episodes.
 
     Attributes:
@@ -70,7 +70,7 @@ class Lives:
 
 
 def rollout(
-    playpen: Playpen | Ground,
+    playpen: Playpen | EpisodeSetup,
     driver: Driver,
     seeds: Sequence[int] | range,
     seconds: float,
@@ -86,7 +86,7 @@ def rollout(
     planar: bool = False,
     threads: int | None = None,
     compiled: bool | None = None,
-) -> Lives:
+) -> RolloutResult:
     """Run a batch of episodes.
 
     Args:
@@ -139,7 +139,7 @@ def rollout(
         place = (units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3])
     results = _Results(count)
 
-    def begin(life: Life, index: int) -> None:
+    def begin(life: Episode, index: int) -> None:
         life.begin(
             int(seeds[index]),
             start=None if starts is None else tuple(starts[index]),  # type: ignore[arg-type]
@@ -151,11 +151,11 @@ def rollout(
         )
 
     workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
-    made = (Life(ground, driver, compiled=fast) for _ in itertools.count())
+    made = (Episode(ground, driver, compiled=fast) for _ in itertools.count())
     with ThreadPoolExecutor(workers) as pool:
         if isinstance(driver, Policy):
-            lanes = list(itertools.islice(made, min(LANES, count)))
-            for first in range(0, count, LANES):
+            lanes = list(itertools.islice(made, min(BATCH_SIZE, count)))
+            for first in range(0, count, BATCH_SIZE):
                 group = list(zip(range(first, count), lanes, strict=False))
                 _live_together(pool, workers, driver, group, begin, seeds, seconds, ground, results)
         else:
@@ -165,11 +165,13 @@ def rollout(
     return results.lives()
 
 
-def _ground(playpen: Playpen | Ground, step_ns: int | None, period_ns: int, planar: bool) -> Ground:
+def _ground(
+    playpen: Playpen | EpisodeSetup, step_ns: int | None, period_ns: int, planar: bool
+) -> EpisodeSetup:
     """Return the ground of a batch, as it is if it is prepared already."""
     if isinstance(playpen, Playpen):
-        return Ground(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar)
-    if not isinstance(playpen, Ground):  # pyright: ignore[reportUnnecessaryIsInstance]
+        return EpisodeSetup(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar)
+    if not isinstance(playpen, EpisodeSetup):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise TypeError(f"playpen = {playpen!r}; expected a Playpen, such as playpen.load('obstacles')")
     given = (
         step_ns not in (None, playpen.step_ns)
@@ -179,7 +181,7 @@ def _ground(playpen: Playpen | Ground, step_ns: int | None, period_ns: int, plan
     if given:
         raise ValueError(
             "step_ns, period_ns or planar given with a prepared ground, which has its own; expected them as "
-            "arguments of Ground"
+            "arguments of EpisodeSetup"
         )
     return playpen
 
@@ -203,7 +205,7 @@ class _Results:
         self.poses = np.zeros((count, 3))
         self.failures: list[Failure] = []
 
-    def keep(self, index: int, seed: int, life: Life, failure: DivergedError | None) -> None:
+    def keep(self, index: int, seed: int, life: Episode, failure: DivergedError | None) -> None:
         """Store the results of an episode that has ended."""
         self.registers[index], self.poses[index] = life.registers, life.pose
         if failure is not None:
@@ -212,16 +214,16 @@ class _Results:
         for name, value in life.numbers().items():
             self.numbers[name][index] = value
 
-    def lives(self) -> Lives:
+    def lives(self) -> RolloutResult:
         """Return all results."""
         failures = tuple(sorted(self.failures, key=lambda failure: failure.index))
-        return Lives(self.numbers, self.registers, self.poses, failures)
+        return RolloutResult(self.numbers, self.registers, self.poses, failures)
 
 
 def _share_out(
     pool: ThreadPoolExecutor,
-    rooms: Sequence[Life],
-    begin: Callable[[Life, int], None],
+    rooms: Sequence[Episode],
+    begin: Callable[[Episode, int], None],
     seeds: Sequence[int],
     seconds: float,
     results: _Results,
@@ -229,7 +231,7 @@ def _share_out(
     """Run the next episode on each free room; the assignment makes no difference."""
     turns = iter(range(len(seeds)))
 
-    def work(life: Life) -> None:
+    def work(life: Episode) -> None:
         for index in turns:  # one thread at a time gets the next one
             failure = None
             try:
@@ -252,11 +254,11 @@ def _live_together(
     pool: ThreadPoolExecutor,
     workers: int,
     policy: Policy,
-    group: Sequence[tuple[int, Life]],
-    begin: Callable[[Life, int], None],
+    group: Sequence[tuple[int, Episode]],
+    begin: Callable[[Episode, int], None],
     seeds: Sequence[int],
     seconds: float,
-    ground: Ground,
+    ground: EpisodeSetup,
     results: _Results,
 ) -> None:
     """Run episodes side by side, one control period at a time."""
@@ -269,8 +271,8 @@ def _live_together(
             except DivergedError as error:
                 failures[index] = error
 
-    def all_at_once(deed: Callable[[int, Life], None]) -> None:
-        def work(share: Sequence[tuple[int, Life]]) -> None:
+    def all_at_once(deed: Callable[[int, Episode], None]) -> None:
+        def work(share: Sequence[tuple[int, Episode]]) -> None:
             for index, life in share:
                 attempt(index, deed, index, life)
 

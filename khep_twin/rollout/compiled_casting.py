@@ -26,7 +26,7 @@ __all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY"]
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 
 
-class Scene(NamedTuple):
+class CompiledScene(NamedTuple):
     """A compiled scene as one robot's sensors see it; live arrays are views of MuJoCo's own memory.
 
     Attributes:
@@ -74,7 +74,7 @@ class Scene(NamedTuple):
     many: Floats
 
 
-def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
+def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> CompiledScene:
     """Return the scene of the robot with this prefix; model and state must outlive it."""
     body = model.body(prefix + "base").id
     cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
@@ -82,7 +82,7 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
     addresses = [function_address("mj_step"), model_address(model), data_address(data)]
     # Visible geoms, except those of the robot's own body.
     solid = np.flatnonzero((model.geom_rgba[:, 3] > 0) & (model.geom_bodyid != body))
-    return Scene(
+    return CompiledScene(
         np.array([*addresses, function_address("mju_rayGeom")], np.int64),
         body,
         data.xmat[body],
@@ -106,7 +106,7 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
 
 
 def _extent(model: mujoco.MjModel, geom: int) -> list[float]:
-    """Return a row of `Scene.extents`."""
+    """Return a row of `CompiledScene.extents`."""
     x, y, z = model.geom_pos[geom].tolist()
     w, qx, qy, qz = model.geom_quat[geom].tolist()
     size, kind = model.geom_size[geom].tolist(), int(model.geom_type[geom])

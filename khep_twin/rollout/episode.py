@@ -23,14 +23,14 @@ FINE, WARNED, OUT_OF_BOUNDS, NO_SPEED = 0, 1, 2, 3
 """Status of an episode: fine, warned by MuJoCo, physics out of bounds, controller's speed is no number."""
 
 STEPS, POWERED, DEMO, TROUBLE = 0, 1, 2, 3
-"""Indices in `Body.state`: steps done, whether the processor runs, whether the demo runs, status."""
+"""Indices in `RobotState.state`: steps done, whether the processor runs, whether the demo runs, status."""
 N_STATE = 4
 
 PERIODS, AVOIDANCE, SEEKING, HOMING, FOLLOWING, WAY, CHARGE, LAST_X, LAST_Y = 0, 1, 2, 3, 4, 5, 6, 7, 8
-"""Indices in `Mind.sums`: control periods, sums of fitness over them, distance [m], charge left [s], last
-position of the robot [m]."""
+"""Indices in `ControllerState.sums`: control periods, sums of fitness over them, distance [m], charge left
+[s], last position of the robot [m]."""
 FORWARD = 9
-"""Index in `Mind.sums` of the distance forwards less that backwards [m]."""
+"""Index in `ControllerState.sums` of the distance forwards less that backwards [m]."""
 N_SUMS = 10
 
 FASTEST = 1000.0
@@ -51,7 +51,7 @@ _N = units.N_SENSORS
 _LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
 
 
-class Wiring(NamedTuple):
+class SimIndices(NamedTuple):
     """Indices of the robot in the scene's arrays, and divisions of time.
 
     Attributes:
@@ -81,7 +81,7 @@ class Wiring(NamedTuple):
     steps_per_period: int
 
 
-class Body(NamedTuple):
+class RobotState(NamedTuple):
     """A robot in its scene.
 
     Attributes:
@@ -105,7 +105,7 @@ class Body(NamedTuple):
     near: optics.Proximity
     eyes: optics.Ambient
     bulbs: optics.Bulbs
-    wiring: Wiring
+    wiring: SimIndices
     registers: Any
     qpos: Any
     qvel: Any
@@ -117,7 +117,7 @@ class Body(NamedTuple):
     voltage: Any
 
 
-class Mind(NamedTuple):
+class ControllerState(NamedTuple):
     """Controller of a robot, and its sums of fitness.
 
     Attributes:
@@ -147,7 +147,7 @@ class Mind(NamedTuple):
     sums: Any
 
 
-class Span(NamedTuple):
+class StepInputs(NamedTuple):
     """Random draws and supply of some steps.
 
     Attributes:
@@ -167,7 +167,7 @@ class Span(NamedTuple):
     idle: Sequence[float]
 
 
-def advance(body: Body, mind: Mind, span: Span, n_steps: int) -> int:
+def advance(body: RobotState, mind: ControllerState, span: StepInputs, n_steps: int) -> int:
     """Run the episode for some steps; return its status, FINE or the reason why it ended.
 
     Each step runs in this order:
@@ -254,7 +254,7 @@ def note(
     Args:
         registers: State of the board.
         sums: Sums over the episode, changed in place (N_SUMS,).
-        home: Home as in `Mind`.
+        home: Home as in `ControllerState`.
         dark: Ambient reading in the dark [counts].
         floor: Ambient reading in the brightest light [counts].
         place: Robot x and y [m].
@@ -297,7 +297,7 @@ def drive(registers: kernel.Registers, left: float, right: float) -> bool:
     return True
 
 
-def _control(registers: kernel.Registers, mind: Mind, dark: float, floor: float) -> bool:
+def _control(registers: kernel.Registers, mind: ControllerState, dark: float, floor: float) -> bool:
     """Run the controller once; return False if a speed is not finite."""
     if mind.kind == WANDER:
         kernel.wander(registers)
@@ -316,7 +316,7 @@ def _control(registers: kernel.Registers, mind: Mind, dark: float, floor: float)
 
 
 def _tick(
-    wiring: Wiring, registers: kernel.Registers, state: Any, qpos: Any, ctrl: Any, voltage: float
+    wiring: SimIndices, registers: kernel.Registers, state: Any, qpos: Any, ctrl: Any, voltage: float
 ) -> None:
     """Run the board's own control loops once, from encoders to motor voltages."""
     if state[POWERED]:
@@ -329,7 +329,7 @@ def _tick(
     ctrl[wiring.right_motor] = units.duty_voltage(registers[_RIGHT_DUTY], voltage)
 
 
-def _feed(wiring: Wiring, registers: kernel.Registers, state: Any, force: Any, voltage: float) -> None:
+def _feed(wiring: SimIndices, registers: kernel.Registers, state: Any, force: Any, voltage: float) -> None:
     """Measure the supply; below its minimum voltage reset and stop the processor."""
     left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
     current = units.IDLE_CURRENT

@@ -1,17 +1,17 @@
 """One episode of one robot in its playpen, without a serial line.
 
-    ground = Ground(playpen.load("obstacles"))
-    life = Life(ground, Wander())
-    life.begin(seed=1)
-    life.live(60.0)
-    print(life.pose, life.numbers())
+    setup = EpisodeSetup(playpen.load("obstacles"))
+    episode = Episode(setup, Braitenberg())
+    episode.begin(seed=1)
+    episode.live(60.0)
+    print(episode.pose, episode.numbers())
 
 The same seed gives the same counts, registers and positions as a `World` whose robot receives the same speeds
-at the same times over a line without delay, compiled or not, however often the `Life` was used before.
+at the same times over a line without delay, compiled or not, however often the `Episode` was used before.
 Not supported, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but have no effect.
 
-On `Ground(..., planar=True)` the robot moves in a plane (`planar`), for screening: the same firmware and
-sensors, thirty times faster and more, and similar trajectories.
+With `EpisodeSetup(..., planar=True)` the robot moves in a plane (`planar`), for screening: the same firmware
+and sensors, thirty times faster and more, and similar trajectories.
 """
 
 import copy
@@ -37,8 +37,8 @@ from khep_twin.playpen import Lamp, Playpen, placed
 from khep_twin.playpen_to_mjcf import set_step, to_spec
 from khep_twin.randomness import stream
 from khep_twin.rollout import episode
-from khep_twin.rollout.minds import Driver, Floats, Function, Hold, mind_of
-from khep_twin.rollout.mujoco_room import MujocoRoom, Start, places
+from khep_twin.rollout.minds import ConstantSpeed, Driver, Floats, Function, mind_of
+from khep_twin.rollout.mujoco_room import MujocoBackend, Start, places
 from khep_twin.rollout.planar.planar import Outline, PlanarRoom, as_record
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import ambient_optics, bulbs
@@ -82,7 +82,7 @@ def is_compiled(wish: bool | None) -> bool:
     return False
 
 
-class Light:
+class EpisodeLamps:
     """Lamps of an episode: positions, occlusion, and power at each step.
 
     Args:
@@ -116,7 +116,7 @@ class Light:
         return self._rows[first : first + count]
 
 
-class Ground:
+class EpisodeSetup:
     """A playpen prepared for any number of episodes; threads may share it.
 
     Args:
@@ -164,7 +164,7 @@ class Ground:
         self.light = self.lit(playpen.lamps)
         self.outline = Outline(playpen, self.model, step_ns) if planar else None
         width, height = playpen.arena.width_mm, playpen.arena.height_mm
-        self.wiring = episode.Wiring(
+        self.wiring = episode.SimIndices(
             *(places(self.model) if self.outline is None else Outline.PLACES),
             self.calibration.motors.constant,
             1.0 + max(units.metres(width), units.metres(height)),
@@ -189,9 +189,9 @@ class Ground:
             )
         return duration_ns // self.period_ns
 
-    def lit(self, lamps: Sequence[Lamp]) -> Light:
+    def lit(self, lamps: Sequence[Lamp]) -> EpisodeLamps:
         """Return the light of other lamps on this ground."""
-        return Light(self.playpen.model_copy(update={"lamps": tuple(lamps)}), self.model, self.step_ns)
+        return EpisodeLamps(self.playpen.model_copy(update={"lamps": tuple(lamps)}), self.model, self.step_ns)
 
     def start(self, seed: int) -> Start:
         """Return the robot's start: its own pose, or the spot that the seed draws."""
@@ -205,11 +205,11 @@ class Ground:
         return calibration.spread(self.calibration, stream(seed, "robot", 0, "spread"))
 
 
-class Life:
+class Episode:
     """One episode at a time; `begin` starts a new one in the same memory.
 
     Args:
-        ground: Ground of the episodes.
+        ground: Setup of the episodes.
         driver: Controller; a policy is left to the caller.
         compiled: Whether to run compiled; None if numba is installed.
 
@@ -217,15 +217,17 @@ class Life:
         registers: State of the board (N_REGISTERS,).
     """
 
-    def __init__(self, ground: Ground, driver: Driver | None = None, *, compiled: bool | None = None) -> None:
-        self._ground, self._driver = ground, driver or Hold()
+    def __init__(
+        self, ground: EpisodeSetup, driver: Driver | None = None, *, compiled: bool | None = None
+    ) -> None:
+        self._ground, self._driver = ground, driver or ConstantSpeed()
         self._compiled = is_compiled(compiled)
         self.registers: NDArray[np.int64] = np.zeros(kernel.N_REGISTERS, np.int64)
         self._numbers = _as_arrays if self._compiled else _as_it_is
         self._optics = as_record if self._compiled and ground.outline else self._numbers
-        self._room: MujocoRoom | PlanarRoom
+        self._room: MujocoBackend | PlanarRoom
         if ground.outline is None:
-            self._room = MujocoRoom(
+            self._room = MujocoBackend(
                 ground.without_sensors if self._compiled else ground.model, self._compiled
             )
         else:
@@ -246,7 +248,7 @@ class Life:
         start: Start | None = None,
         noise: bool = True,
         spread: bool = False,
-        light: Light | None = None,
+        light: EpisodeLamps | None = None,
         genes: Sequence[float] | Floats = (),
         home: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     ) -> None:
@@ -257,7 +259,7 @@ class Life:
             start: Start x, y [mm] and heading [deg]; None for the playpen's.
             noise: Whether sensors are noisy.
             spread: Whether to draw the sensors of another robot.
-            light: Other lamps than the playpen's (`Ground.lit`).
+            light: Other lamps than the playpen's (`EpisodeSetup.lit`).
             genes: Genes of the controller.
             home: Home x, y, radius [m] and duration of a charge [s]; radius 0 for none.
 
@@ -283,7 +285,7 @@ class Life:
         driver = self._driver
         rom = ROMS[ground.entry.rom]
         self._state[:] = 0, 1, rom.modes[ground.entry.mode].function == DEMO, episode.FINE
-        self._body = episode.Body(
+        self._body = episode.RobotState(
             room.scene,
             near,
             eyes,
@@ -297,7 +299,7 @@ class Life:
         weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
         self._mind = mind_of(driver, weights, place, self._compiled)
         self._begun = True
-        if isinstance(driver, Hold) and (driver.left or driver.right):
+        if isinstance(driver, ConstantSpeed) and (driver.left or driver.right):
             self.drive(driver.left, driver.right)
         self._room.advance(self._body, self._mind, self._span(self._light.at_start(), units.N_SENSORS, 1), -1)
         self._complain()
@@ -387,7 +389,7 @@ class Life:
         if not self._begun:
             raise ValueError("no episode has begun; expected begin() first")
 
-    def _span(self, powers: list[list[float]], conversions: int, feeds: int) -> episode.Span:
+    def _span(self, powers: list[list[float]], conversions: int, feeds: int) -> episode.StepInputs:
         """Return the random draws and supply of the next steps."""
         draws: list[Any] = [np.zeros(0)] * 3
         if self._chance:
@@ -406,8 +408,8 @@ class Life:
             volts = np.array([self._supply.voltage((fed + i) * feed_ns) for i in range(feeds)])
         noisy = bool(self._chance)
         if not self._compiled:
-            return episode.Span(powers, volts.tolist(), noisy, *(draw.tolist() for draw in draws))
-        return episode.Span(np.array(powers).reshape(len(powers), -1), volts, noisy, *draws)  # type: ignore
+            return episode.StepInputs(powers, volts.tolist(), noisy, *(draw.tolist() for draw in draws))
+        return episode.StepInputs(np.array(powers).reshape(len(powers), -1), volts, noisy, *draws)  # type: ignore
 
     def _complain(self) -> None:
         """Raise a `DivergedError` if the episode has failed."""

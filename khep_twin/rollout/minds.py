@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class ConstantSpeed:
     """No controller; both wheels start at a speed [pulses/10 ms] and keep it."""
 
     left: int = 0
@@ -27,7 +27,7 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
-class Wander:
+class Braitenberg:
     """The Braitenberg vehicle of the ROM: speed = proximity x weights / 400 + 10."""
 
 
@@ -86,12 +86,12 @@ class Policy:
     decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], Any]
 
 
-Driver = Hold | Wander | Network | Function | Policy
+Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
 
-_DRIVERS = "expected a Hold, Wander, Network, Function or Policy"
+_DRIVERS = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
 
 
-def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> episode.Mind:
+def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> episode.ControllerState:
     """Return an episode's controller as `episode` uses it.
 
     Args:
@@ -106,7 +106,7 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
     """
     kind, function, sizes, recurrent, top_speed, n_memory = episode.HOLD, 0, (), False, 0.0, 0
     match driver:
-        case Wander():
+        case Braitenberg():
             kind = episode.WANDER
         case Network():
             if len(genes) != driver.n_genes:
@@ -119,13 +119,13 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
                 from khep_twin.rollout.compiled import address_of
 
                 function = address_of(driver.decide)
-        case Hold() | Policy():
+        case ConstantSpeed() | Policy():
             pass
         case _:
             raise ControllerError(f"{driver!r} is no controller; {_DRIVERS}")
     sums = np.zeros(episode.N_SUMS)
     sums[episode.CHARGE] = home[3]
-    mind = episode.Mind(
+    mind = episode.ControllerState(
         kind,
         function,
         np.array(sizes, np.int64),
@@ -141,7 +141,7 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
     return mind if compiled else _as_lists(mind)
 
 
-def _as_lists(mind: episode.Mind) -> episode.Mind:
+def _as_lists(mind: episode.ControllerState) -> episode.ControllerState:
     """Return the same with lists, which are faster in Python; a function keeps arrays."""
     if mind.kind == episode.FUNCTION:
         return mind

@@ -21,7 +21,7 @@ Live = tuple[Any, Any, Any, Any, Any, Any]
 _PREFIX = "khepera0/"
 
 
-class MujocoRoom:
+class MujocoBackend:
     """State of a scene, reused by one episode after another.
 
     Args:

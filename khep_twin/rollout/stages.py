@@ -17,7 +17,7 @@ from khep_twin.placing import no_room
 from khep_twin.playpen import Playpen, placed
 from khep_twin.randomness import stream
 from khep_twin.rollout import episode
-from khep_twin.rollout.life import Ground, Life
+from khep_twin.rollout.life import Episode, EpisodeSetup
 from khep_twin.units import TICK_NS
 from khep_twin.world import World
 
@@ -28,7 +28,7 @@ _TRIES = 1000
 """Start poses drawn before an error reports that there is no room."""
 
 
-class Stage(Protocol):
+class Backend(Protocol):
     """Simulation of the robots of a trial."""
 
     @property
@@ -59,7 +59,7 @@ class Stage(Protocol):
         ...
 
 
-class Alone:
+class EpisodeBackend:
     """Episodes of one robot, one after another.
 
     Args:
@@ -67,9 +67,9 @@ class Alone:
         compiled: Whether to run compiled; None if numba is installed.
     """
 
-    def __init__(self, ground: Ground, compiled: bool | None) -> None:
+    def __init__(self, ground: EpisodeSetup, compiled: bool | None) -> None:
         self._ground = ground
-        self._life = Life(ground, compiled=compiled)
+        self._life = Episode(ground, compiled=compiled)
 
     @property
     def data(self) -> mujoco.MjData:
@@ -101,7 +101,7 @@ class Alone:
         self._life.go_on(self._ground.wiring.steps_per_period)
 
 
-class Together:
+class WorldBackend:
     """Any number of robots in a world; each trial creates a new one.
 
     Args:

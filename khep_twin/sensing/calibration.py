@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from khep_twin.errors import CalibrationError
 from khep_twin.files import toml_files
-from khep_twin.files.toml_files import Name, Problem, Problems, Table
+from khep_twin.files.toml_files import Name, Problem, Problems, TomlTable
 from khep_twin.units import (
     COUNTS_LIMIT,
     MOTOR_NO_LOAD_SPEED,
@@ -34,7 +34,7 @@ _Eight = Field(
 )
 
 
-class ProximityCalibration(Table):
+class ProximityCalibration(TomlTable):
     """Reflected light; per-sensor values in the order of N.
 
     Attributes:
@@ -62,7 +62,7 @@ class ProximityCalibration(Table):
     idle_counts: _Counts
 
 
-class AmbientCalibration(Table):
+class AmbientCalibration(TomlTable):
     """Light of lamps; per-sensor values in the order of O.
 
     Attributes:
@@ -88,7 +88,7 @@ class AmbientCalibration(Table):
     noise_counts: _Counts
 
 
-class WheelCalibration(Table):
+class WheelCalibration(TomlTable):
     """Both wheels; the robot's own firmware knows only their pulses.
 
     Attributes:
@@ -100,7 +100,7 @@ class WheelCalibration(Table):
     base_mm: Annotated[float, Field(ge=40, le=60)] = WHEEL_BASE * 1000
 
 
-class MotorCalibration(Table):
+class MotorCalibration(TomlTable):
     """Both motors, as seen at the wheels, at a supply of 5 V.
 
     Attributes:
@@ -122,7 +122,7 @@ class MotorCalibration(Table):
         return SUPPLY_VOLTAGE * self.constant / self.stall_torque_n_m
 
 
-class Calibration(Table):
+class Calibration(TomlTable):
     """One robot's sensors, wheels and motors; headings [deg] counter-clockwise from ahead, in N's order."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]

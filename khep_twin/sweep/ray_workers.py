@@ -19,9 +19,9 @@ from typing import Any
 
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.sweep.results import encoded
-from khep_twin.sweep.sweep import Doers
+from khep_twin.sweep.sweep import Executor
 from khep_twin.sweep.task_lives import results
-from khep_twin.sweep.tasks import Task, Work, versions
+from khep_twin.sweep.tasks import Shard, Work, versions
 
 MOST_RETRIES = 30
 """Most workers that a task may lose before it counts as their killer (assumed)."""
@@ -44,7 +44,7 @@ _NICENESS = "RAY_worker_niceness"
 """Variable of the workers' niceness; at Ray's default of 15 they hardly run beside other processes."""
 
 
-def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
+def on_ray(address: str | None = None, workers: int | None = None) -> Executor:
     """Return Ray's workers, one for each core.
 
     Args:
@@ -73,7 +73,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Doers:
         raise MissingExtraError("ray", "ray") from error
 
     @contextmanager
-    def done(work: Work, tasks: Sequence[Task]) -> Generator[Iterable[tuple[Task, bytes]]]:
+    def done(work: Work, tasks: Sequence[Shard]) -> Generator[Iterable[tuple[Shard, bytes]]]:
         try:
             _join(ray, address, workers)
             yield _coming(ray, work, tasks)
@@ -123,12 +123,12 @@ def _join(ray: Any, address: str | None, workers: int | None) -> None:
         )
 
 
-def _coming(ray: Any, work: Work, tasks: Sequence[Task]) -> Iterator[tuple[Task, bytes]]:
+def _coming(ray: Any, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
     """Yield the tasks' results as they arrive."""
     remote = ray.remote(num_cpus=1, max_retries=MOST_RETRIES)(_do)
     shared = ray.put(work)
     following = iter(tasks)
-    pending: dict[Any, Task] = {}
+    pending: dict[Any, Shard] = {}
     while True:
         # A cluster may grow meanwhile.
         room = AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1)
@@ -151,7 +151,7 @@ def _coming(ray: Any, work: Work, tasks: Sequence[Task]) -> Iterator[tuple[Task,
             yield task, data
 
 
-def _do(work: Work, task: Task) -> tuple[bytes, str]:
+def _do(work: Work, task: Shard) -> tuple[bytes, str]:
     """Run a task in a worker; return its results and an error message."""
     if work.versions != versions():
         return b"", f"ray: a worker has {versions()}; expected {work.versions}, as here"

@@ -30,7 +30,7 @@ from khep_twin.errors import StudyError
 from khep_twin.files.atomic import is_part, open_regular, read_regular, write_whole
 from khep_twin.sweep.study import COLUMNS
 from khep_twin.sweep.task_lives import Columns
-from khep_twin.sweep.tasks import Task, Work
+from khep_twin.sweep.tasks import Shard, Work
 
 _STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
 
@@ -41,7 +41,7 @@ _MOST_ROWS = 12
 """Most rows of means in a summary."""
 
 
-def encoded(work: Work, task: Task, columns: Columns) -> bytes:
+def encoded(work: Work, task: Shard, columns: Columns) -> bytes:
     """Return a task's results as the bytes of its part."""
     # NaN is stored as a missing value.
     arrays = {name: pa.array(values, _TYPES.get(name), from_pandas=True) for name, values in columns.items()}
@@ -83,7 +83,7 @@ class SweepFolder:
         finally:
             os.close(descriptor)
 
-    def missing(self) -> list[Task]:
+    def missing(self) -> list[Shard]:
         """Return the tasks without complete results."""
         if self.table.exists():
             if not self._holds(self.table, self._work.lives):
@@ -95,7 +95,7 @@ class SweepFolder:
             if not self._holds(self._part(task), task.count, str(task.index).encode())
         ]
 
-    def keep(self, task: Task, data: bytes) -> None:
+    def keep(self, task: Shard, data: bytes) -> None:
         """Store a task's results."""
         write_whole(self._part(task), data)
 
@@ -157,7 +157,7 @@ class SweepFolder:
         """Return whether there are results, of any study."""
         return self.table.exists() or (self._parts.is_dir() and any(self._parts.iterdir()))
 
-    def _part(self, task: Task) -> Path:
+    def _part(self, task: Shard) -> Path:
         return self._parts / f"task-{task.index:06}.parquet"
 
     def _holds(self, file: Path, lives: int, task: bytes | None = None) -> bool:
@@ -187,7 +187,7 @@ class SweepFolder:
         finally:
             scratch.unlink(missing_ok=True)
 
-    def _read(self, task: Task) -> pa.Table:
+    def _read(self, task: Shard) -> pa.Table:
         """Return a part; check that it has each of its episodes once."""
         file = self._part(task)
         try:

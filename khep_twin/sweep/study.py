@@ -26,8 +26,8 @@ from pydantic import Field, model_validator
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.errors import KhepTwinError, StudyError
 from khep_twin.files import toml_files
-from khep_twin.files.toml_files import Name, Problem, Problems, Table, show
-from khep_twin.files.toml_lines import Lines, Location
+from khep_twin.files.toml_files import Name, Problem, Problems, TomlTable, show
+from khep_twin.files.toml_lines import LineNumbers, Location
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.rollout.fitness import TOP_SPEED_PULSES
 from khep_twin.rollout.life import NUMBERS
@@ -51,7 +51,7 @@ Lightings = Annotated[
 Texts = Annotated[tuple[str, ...], Field(min_length=1, description="a list of texts, at least one")]
 
 
-class NetworkTable(Table):
+class NetworkTable(TomlTable):
     """A `[[network]]`: its shape, as in `minds.Network`, and the source of its genomes."""
 
     name: Name
@@ -72,7 +72,7 @@ class NetworkTable(Table):
         return Network(self.hidden, self.recurrent, self.ambient, self.top_speed_pulses)
 
 
-class ProgramTable(Table):
+class ProgramTable(TomlTable):
     """A `[[program]]`: a user's function, as in `minds.Function`."""
 
     name: Name
@@ -81,14 +81,14 @@ class ProgramTable(Table):
     genomes: Annotated[str | None, Field(description="the path of a .npy or .csv file")] = None
 
 
-class MeasureTable(Table):
+class MeasureTable(TomlTable):
     """A `[[measure]]`: a user's fitness, a function of an episode's end (`task_lives.measured`)."""
 
     name: Name
     file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
 
 
-class Grid(Table):
+class Grid(TomlTable):
     """Parameters, each with the list of its values."""
 
     noise: Switches = (True,)
@@ -97,7 +97,7 @@ class Grid(Table):
     starts: Texts = ("playpen",)
 
 
-class Home(Table):
+class Home(TomlTable):
     """Home of the fitness `homing`."""
 
     x_mm: float
@@ -106,7 +106,7 @@ class Home(Table):
     charge_s: Annotated[float, Field(gt=0)]
 
 
-class Study(Table):
+class Study(TomlTable):
     """A whole study."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]
@@ -193,7 +193,7 @@ class StudyFile:
     study: Study
     source: str
     folder: Path
-    lines: Lines
+    lines: LineNumbers
 
     @property
     def output(self) -> Path:
@@ -216,7 +216,10 @@ def load(path: Path) -> StudyFile:
         raise StudyError(f"{path}: no such file; expected the path of a study")
     text, source = toml_files.read("studies", path, StudyError)
     return StudyFile(
-        toml_files.validate(Study, text, source, StudyError), source, path.parent.absolute(), Lines(text)
+        toml_files.validate(Study, text, source, StudyError),
+        source,
+        path.parent.absolute(),
+        LineNumbers(text),
     )
 
 

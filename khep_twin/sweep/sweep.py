@@ -15,20 +15,20 @@ from pathlib import Path
 from khep_twin.sweep.results import SweepFolder, encoded
 from khep_twin.sweep.study import StudyFile
 from khep_twin.sweep.task_lives import results
-from khep_twin.sweep.tasks import Task, Work, work_of
+from khep_twin.sweep.tasks import Shard, Work, work_of
 
-Doers = Callable[[Work, Sequence[Task]], AbstractContextManager[Iterable[tuple[Task, bytes]]]]
+Executor = Callable[[Work, Sequence[Shard]], AbstractContextManager[Iterable[tuple[Shard, bytes]]]]
 """Function that runs tasks, in any order, and yields the results of each as soon as they arrive."""
 
 
-def here(threads: int | None = None) -> Doers:
+def here(threads: int | None = None) -> Executor:
     """Return a function that runs one task after another on this machine's cores.
 
     Args:
         threads: Number of threads; None for one per core.
     """
 
-    def done(work: Work, tasks: Sequence[Task]) -> Iterator[tuple[Task, bytes]]:
+    def done(work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
         for task in tasks:
             yield task, encoded(work, task, results(work, task, threads))
 
@@ -40,8 +40,8 @@ def run_sweep(
     *,
     output: Path | None = None,
     resume: bool = False,
-    doers: Doers | None = None,
-    begin: Callable[[Work, Sequence[Task]], None] | None = None,
+    doers: Executor | None = None,
+    begin: Callable[[Work, Sequence[Shard]], None] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Run a study.

@@ -9,12 +9,12 @@ import numpy as np
 from khep_twin import playpen
 from khep_twin.errors import ControllerError, in_a_line
 from khep_twin.lab.experiment import start_poses
-from khep_twin.rollout.batch import Lives, rollout
-from khep_twin.rollout.life import Ground, Start
+from khep_twin.rollout.batch import RolloutResult, rollout
+from khep_twin.rollout.life import EpisodeSetup, Start
 from khep_twin.rollout.minds import Floats
 from khep_twin.signals import is_interruption
 from khep_twin.sweep.programs import Program, driver_of, function_of
-from khep_twin.sweep.tasks import Task, Work
+from khep_twin.sweep.tasks import Shard, Work
 
 Columns = Mapping[str, Any]
 """Values of each episode by column name; None or NaN for no value."""
@@ -22,7 +22,7 @@ Columns = Mapping[str, Any]
 NS_PER_MS = 1_000_000
 
 
-def results(work: Work, task: Task, threads: int | None = 1, compiled: bool | None = None) -> Columns:
+def results(work: Work, task: Shard, threads: int | None = 1, compiled: bool | None = None) -> Columns:
     """Run a task.
 
     Args:
@@ -88,7 +88,7 @@ def results(work: Work, task: Task, threads: int | None = 1, compiled: bool | No
     }
 
 
-def measured(measure: Program, lives: Lives) -> Floats:
+def measured(measure: Program, lives: RolloutResult) -> Floats:
     """Return the values of a user's function for each episode (n,); NaN for those that failed.
 
     The arguments are an episode's numbers by name, its board's registers (N_REGISTERS,) and its final pose
@@ -116,7 +116,7 @@ def measured(measure: Program, lives: Lives) -> Floats:
     return found
 
 
-def _begin(ground: Ground, word: str, seed: int) -> Start:
+def _begin(ground: EpisodeSetup, word: str, seed: int) -> Start:
     if word == "playpen":
         return ground.start(seed)
     start = start_poses.starts([word], ground.playpen, 0, 1, seed)[0]
@@ -124,7 +124,7 @@ def _begin(ground: Ground, word: str, seed: int) -> Start:
 
 
 @lru_cache(maxsize=4)
-def _ground(text: str, lighting: str, planar: bool, step_ms: float | None, period_ms: int) -> Ground:
+def _ground(text: str, lighting: str, planar: bool, step_ms: float | None, period_ms: int) -> EpisodeSetup:
     place = start_poses.lit(playpen.parse(text, "a study's playpen"), "off" if lighting == "off" else None)
     step_ns = None if step_ms is None else round(step_ms * NS_PER_MS)
-    return Ground(place, step_ns=step_ns, period_ns=period_ms * NS_PER_MS, planar=planar)
+    return EpisodeSetup(place, step_ns=step_ns, period_ns=period_ms * NS_PER_MS, planar=planar)

@@ -20,8 +20,8 @@ from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.files.atomic import read_regular
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.life import Ground
-from khep_twin.rollout.minds import Driver, Floats, Wander
+from khep_twin.rollout.life import EpisodeSetup
+from khep_twin.rollout.minds import Braitenberg, Driver, Floats
 from khep_twin.sensing import calibration
 from khep_twin.sweep.genomes import genomes_of
 from khep_twin.sweep.programs import Program, function_of
@@ -29,7 +29,7 @@ from khep_twin.sweep.study import Study, StudyFile, checked
 
 
 @dataclass(frozen=True, slots=True)
-class Controller:
+class ControllerSpec:
     """One of a study's controllers.
 
     Attributes:
@@ -69,7 +69,7 @@ class Group:
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class Shard:
     """A range of episodes of one group.
 
     Attributes:
@@ -102,10 +102,10 @@ class Work:
 
     study: Study
     playpens: tuple[str, ...]
-    controllers: tuple[Controller, ...]
+    controllers: tuple[ControllerSpec, ...]
     measures: tuple[tuple[str, Program], ...]
     groups: tuple[Group, ...]
-    tasks: tuple[Task, ...]
+    tasks: tuple[Shard, ...]
     digest: str
     versions: str
 
@@ -140,11 +140,11 @@ def work_of(file: StudyFile) -> Work:
         count = len(controllers[mind].genomes) * len(starts[place]) * study.seeds
         groups.append(Group(place, mind, noise, spread, lighting, starts[place], first, count))
         first += count
-    tasks: list[Task] = []
+    tasks: list[Shard] = []
     for number, group in enumerate(groups):
         end = group.first + group.count
         for start in range(group.first, end, study.rollouts_per_task):
-            tasks.append(Task(len(tasks), number, start, min(study.rollouts_per_task, end - start)))
+            tasks.append(Shard(len(tasks), number, start, min(study.rollouts_per_task, end - start)))
     texts = tuple(playpen.dump(each) for each in playpens)
     measures = tuple(
         (table.name, _program(file, "measure", index, table.file))
@@ -159,20 +159,20 @@ def _playpen(file: StudyFile, name: str) -> Playpen:
     """Return one of a study's playpens, by the name of a shipped one or by path."""
     try:
         found = playpen.load(name if name in playpen.names() else file.folder / name)
-        Ground(found, planar=file.study.planar)  # raises early for unsupported features
+        EpisodeSetup(found, planar=file.study.planar)  # raises early for unsupported features
     except KhepTwinError as error:
         raise checked(file, ("playpens",), f'playpens: "{name}"', error) from None
     return found
 
 
-def _controllers(file: StudyFile) -> Iterator[Controller]:
+def _controllers(file: StudyFile) -> Iterator[ControllerSpec]:
     for name in file.study.controllers:
-        yield Controller(name, Wander(), np.zeros((1, 0)))
+        yield ControllerSpec(name, Braitenberg(), np.zeros((1, 0)))
     for index, table in enumerate(file.study.networks):
-        yield Controller(table.name, table.network(), genomes_of(file, "network", index))
+        yield ControllerSpec(table.name, table.network(), genomes_of(file, "network", index))
     for index, table in enumerate(file.study.programs):
         program = _program(file, "program", index, table.file, table.memory)
-        yield Controller(table.name, program, genomes_of(file, "program", index))
+        yield ControllerSpec(table.name, program, genomes_of(file, "program", index))
 
 
 def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0) -> Program:

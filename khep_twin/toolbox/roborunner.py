@@ -21,7 +21,7 @@ from khep_twin.lab.experiment import series_files
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import AnyController, write_template
 from khep_twin.lab.experiment.experiment import call_after, find_after, find_controller
-from khep_twin.lab.experiment.series import OneRobot, Plan, Run, run_series
+from khep_twin.lab.experiment.series import OneRobot, Plan, SeriesRun, run_series
 from khep_twin.lab.experiment.series_statistics import Summary, measured, summary, table, values
 from khep_twin.toolbox.controller import ToolboxController
 from khep_twin.toolbox.form import as_toolbox_form
@@ -45,7 +45,7 @@ def roborun2(
     pause: float = 0.0,
     save: str | Path | None = None,
     user: UserFunction | Sequence[UserFunction] = (),
-) -> list[Run]:
+) -> list[SeriesRun]:
     """Run a control algorithm again and again; without one, open the page that has RoboRunner's controls.
 
     Args:
@@ -92,7 +92,7 @@ def roborun2(
     return list(_runs)
 
 
-def getstat(*, runs: Sequence[Run] | str | Path | None = None) -> dict[str, Summary]:
+def getstat(*, runs: Sequence[SeriesRun] | str | Path | None = None) -> dict[str, Summary]:
     """Return the statistics of runs: mean, spread and confidence of each metric, by its name.
 
     Args:
@@ -106,7 +106,7 @@ def getstat(*, runs: Sequence[Run] | str | Path | None = None) -> dict[str, Summ
 
 
 def plotrun(
-    *names: str, runs: Sequence[Run] | str | Path | None = None, picture: str | Path | None = None
+    *names: str, runs: Sequence[SeriesRun] | str | Path | None = None, picture: str | Path | None = None
 ) -> "Figure":
     """Draw the metrics of runs, run after run, in a window where there is a screen.
 
@@ -130,7 +130,7 @@ def plotrun(
     return figure
 
 
-def user1(*, runs: Sequence[Run] | str | Path | None = None, save: str | Path | None = None) -> None:
+def user1(*, runs: Sequence[SeriesRun] | str | Path | None = None, save: str | Path | None = None) -> None:
     """Print the statistics of runs, and save their table.
 
     Args:
@@ -186,7 +186,7 @@ def play_pen(file: str | Path | None = None) -> None:
         raise KhepTwinError(f"play_pen: the page ended with status {status}")
 
 
-_runs: list[Run] = []
+_runs: list[SeriesRun] = []
 """Latest runs."""
 
 
@@ -206,7 +206,7 @@ def _robot(controller: AnyController, port_id: Port | None) -> Khepera:
     return robot_at(port_id)
 
 
-def _rows(runs: Sequence[Run] | str | Path | None) -> list[series_files.Row]:
+def _rows(runs: Sequence[SeriesRun] | str | Path | None) -> list[series_files.Row]:
     """Return runs as rows of a table."""
     if isinstance(runs, str | Path):
         rows = series_files.read_series(Path(runs))[1]

@@ -17,7 +17,7 @@ _WAITING = 500
 """Most messages that wait for a page that does not take them."""
 
 
-class Audience:
+class Broadcaster:
     """Pages that are open.
 
     Attributes:

@@ -43,7 +43,7 @@ def most() -> int:
     return _MOST if limit == resource.RLIM_INFINITY else max(min(_MOST, limit // 4), 1)
 
 
-class Connection(H11Protocol):
+class PageConnection(H11Protocol):
     """A connection that takes another one's place where there are too many."""
 
     def connection_made(self, transport: BaseTransport) -> None:
@@ -53,7 +53,9 @@ class Connection(H11Protocol):
         places = most()
         taken = [each for each in self.connections if not _gone(each)]
         idle = [
-            each for each in taken if isinstance(each, Connection) and _stands_at(each)[0] in ("head", "end")
+            each
+            for each in taken
+            if isinstance(each, PageConnection) and _stands_at(each)[0] in ("head", "end")
         ]
         for each in sorted(idle, key=lambda each: each.since)[: max(len(taken) - places, 0)]:
             each.transport.abort()

@@ -14,12 +14,12 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController
 from khep_twin.lab.experiment.experiment import find_controller
 from khep_twin.lab.experiment.series import OneRobot, Plan, run_series
-from khep_twin.lab.experiment.series import Run as DoneRun
+from khep_twin.lab.experiment.series import SeriesRun as DoneRun
 from khep_twin.lab.experiment.series_files import SeriesFolder
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
 from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.web.documents import Documents
-from khep_twin.web.requests import Run, Sense
+from khep_twin.web.requests import RunRequest, SenseRequest
 
 Tell = Callable[[Mapping[str, Any]], None]
 """Function that takes a message for the page."""
@@ -37,7 +37,7 @@ class Job(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class SeriesJob:
     """A controller, run after run.
 
     Attributes:
@@ -111,7 +111,7 @@ class Sensing:
         tell({"kind": "sensed", "rows": len(run.times), "warning": run.warning})
 
 
-def series(asked: Run, documents: Documents) -> Series:
+def series(asked: RunRequest, documents: Documents) -> SeriesJob:
     """Return a series as the page asks for it.
 
     Raises:
@@ -125,10 +125,10 @@ def series(asked: Run, documents: Documents) -> Series:
         path = documents.path(file, ".py")
         found = find_controller(f"{path}:{function}" if function else str(path), as_toolbox_form)
     plan = Plan(asked.runs, asked.cycles, asked.seconds, asked.pause)
-    return Series(name, found, plan, documents.path(asked.folder, "") if asked.folder else None)
+    return SeriesJob(name, found, plan, documents.path(asked.folder, "") if asked.folder else None)
 
 
-def sensing(asked: Sense, keep: Callable[[SensorRun], None]) -> Sensing:
+def sensing(asked: SenseRequest, keep: Callable[[SensorRun], None]) -> Sensing:
     """Return a sensor test as the page asks for it.
 
     Raises:

@@ -35,7 +35,7 @@ _PATIENCE = 1.0
 """Longest that a controller that is to end may go on with its cycle [s of wall time]."""
 
 
-class BrokenOffError(KhepTwinError):
+class SessionEndedError(KhepTwinError):
     """A program on a paced twin that was to end and did not by itself."""
 
 
@@ -123,7 +123,7 @@ class PacedTwin(Twin):
         if self.busy and late and not self._broken_off:
             # Once: the commands that stop the motors still have to pass.
             self._broken_off = True
-            raise BrokenOffError("stopped within a cycle")
+            raise SessionEndedError("stopped within a cycle")
         if not self.busy:
             for host in self._hosts:
                 host.exchange(None if self.paused else self._due_ns)

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import toml_files
-from khep_twin.files.toml_files import Table
+from khep_twin.files.toml_files import TomlTable
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.units import COUNTS_LIMIT
 
@@ -54,7 +54,7 @@ class RequestError(KhepTwinError):
         super().__init__(str(message).partition("\n")[0], option)
 
 
-class Request(Table):
+class Request(TomlTable):
     """A request without keys of its own.
 
     Attributes:
@@ -96,7 +96,7 @@ class Drafted(Request):
     draft: Draft
 
 
-class Base(Table):
+class Base(TomlTable):
     """Source of the text to start from."""
 
     file: FileName | None = None
@@ -132,7 +132,7 @@ class Pace(Request):
     paused: bool = False
 
 
-class Start(Drafted, Pace):
+class StartRequest(Drafted, Pace):
     """A twin."""
 
     file: FileName | None = None
@@ -161,14 +161,14 @@ class Put(Room):
     heading_deg: Far
 
 
-class Switch(Request):
+class SwitchRequest(Request):
     """A lamp that is turned on or off."""
 
     lamp: Index
     on: bool
 
 
-class Run(Request):
+class RunRequest(Request):
     """A controller, run after run."""
 
     controller: Annotated[
@@ -181,7 +181,7 @@ class Run(Request):
     folder: Word | None = None
 
 
-class Sense(Request):
+class SenseRequest(Request):
     """A sensor test."""
 
     what: Literal["proximity", "light"] = "proximity"

@@ -32,10 +32,10 @@ from khep_twin.ports.twin import TwinOptions
 from khep_twin.randomness import stream
 from khep_twin.sensing.bars import BARS
 from khep_twin.web import drafts, jobs, requests
-from khep_twin.web.audience import Audience
+from khep_twin.web.audience import Broadcaster
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.printed import taken_by
-from khep_twin.web.stage import Actor, RobotActor, TwinActor, shape
+from khep_twin.web.stage import RobotActor, TwinActor, WebSession, shape
 from khep_twin.web.turret_outlines import at_start
 
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
@@ -53,8 +53,8 @@ class Page:
 
     def __init__(self, documents: Documents, file: str | None) -> None:
         self._documents, self._file = documents, file
-        self._audience = Audience()
-        self._actor: Actor | None = None
+        self._audience = Broadcaster()
+        self._actor: WebSession | None = None
         self._changing = threading.Lock()
         self._sensed: SensorRun | None = None
         self._runs_in: str | None = None
@@ -88,17 +88,17 @@ class Page:
             "save": (requests.Saved, self._save),
             "keep": (requests.Kept, self._keep),
             "preview": (requests.Drafted, self._preview),
-            "start": (requests.Start, self._start),
+            "start": (requests.StartRequest, self._start),
             "connect": (requests.Connect, self._connect),
             "end": (requests.Request, self._end),
             "pace": (requests.Pace, self._pace),
             "step": (requests.Request, lambda asked: self._twin().step()),
             "put": (requests.Put, self._put),
             "room": (requests.Room, self._room),
-            "switch": (requests.Switch, self._switch),
-            "run": (requests.Run, self._run),
+            "switch": (requests.SwitchRequest, self._switch),
+            "run": (requests.RunRequest, self._run),
             "sense": (
-                requests.Sense,
+                requests.SenseRequest,
                 lambda asked: self._running().start(jobs.sensing(asked, self._keep_sensed)),
             ),
             "figure": (requests.Figure, self._figure),
@@ -209,7 +209,7 @@ class Page:
 
     # What runs -----------------------------------------------------------------------------------------
 
-    def _start(self, asked: requests.Start) -> None:
+    def _start(self, asked: requests.StartRequest) -> None:
         playpen = drafts.playpen_of(asked.draft)
         if not playpen.robots:
             raise PortError("there is no robot; expected one in the playpen")
@@ -228,7 +228,7 @@ class Page:
             raise PortError(f"{url[:80]}: {wish}; {choices(url, sorted(known))}")
         self._replace(RobotActor(url, self._audience.tell))
 
-    def _replace(self, actor: Actor) -> None:
+    def _replace(self, actor: WebSession) -> None:
         # Two that come at once would both end the last one only.
         with self._changing:
             self.close()
@@ -243,7 +243,7 @@ class Page:
     def _pace(self, asked: requests.Pace) -> None:
         self._twin().set_pace(_speed(asked), asked.paused)
 
-    def _run(self, asked: requests.Run) -> None:
+    def _run(self, asked: requests.RunRequest) -> None:
         actor = self._running()
         with taken_by(actor.take_printed):  # a file may print as it is read
             job = jobs.series(asked, self._documents)
@@ -258,7 +258,7 @@ class Page:
         twin = self._twin()
         twin.room(_among("robot", asked.robot, twin.playpen.robots), asked.x_mm, asked.y_mm)
 
-    def _switch(self, asked: requests.Switch) -> None:
+    def _switch(self, asked: requests.SwitchRequest) -> None:
         twin = self._twin()
         twin.switch(_among("lamp", asked.lamp, twin.playpen.lamps), asked.on)
 
@@ -276,7 +276,7 @@ class Page:
     def _keep_sensed(self, run: SensorRun) -> None:
         self._sensed = run
 
-    def _running(self) -> Actor:
+    def _running(self) -> WebSession:
         if self._actor is None or not self._actor.alive:
             raise PortError("nothing runs; expected a started twin, or a connection to a robot")
         return self._actor

@@ -11,7 +11,7 @@ import uvicorn
 
 from khep_twin.errors import PortError
 from khep_twin.ports.network import is_loopback, parse_address
-from khep_twin.web.connections import ACCEPTED_AT_ONCE, PING, QUEUE, Connection, Watch, told
+from khep_twin.web.connections import ACCEPTED_AT_ONCE, PING, QUEUE, PageConnection, Watch, told
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
@@ -87,7 +87,7 @@ class Server:
                 backlog=ACCEPTED_AT_ONCE,
                 timeout_graceful_shutdown=2,
                 h11_max_incomplete_event_size=32 * 1024,
-                http=Connection,
+                http=PageConnection,
                 loop="asyncio",
             )
         )

@@ -39,7 +39,7 @@ _LOOK = 0.08
 """Interval at which a robot at a port is asked for its readings [s]."""
 
 
-class Actor:
+class WebSession:
     """Common part of a twin and a robot: a thread, a job at a time, and an end.
 
     Args:
@@ -142,7 +142,7 @@ class Actor:
             self.tell({"kind": "done"})
 
 
-class TwinActor(Actor):
+class TwinActor(WebSession):
     """A twin in a playpen, with a pseudo-terminal for an outside host at each robot.
 
     Args:
@@ -332,7 +332,7 @@ class TwinActor(Actor):
         self.tell({"kind": "note", "text": text})
 
 
-class RobotActor(Actor):
+class RobotActor(WebSession):
     """Robot, or twin that is served elsewhere, at a port; its readings are asked for over and over.
 
     Args:

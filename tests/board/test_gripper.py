@@ -2,12 +2,12 @@
 
 import pytest
 
-from khep_twin.board.gripper import ARM_SPEED, FINGER_SPEED, FRACTION, Gripper, Register
+from khep_twin.board.gripper import ARM_SPEED, FINGER_SPEED, FRACTION, GripperElectronics, Register
 
 
 @pytest.fixture
-def gripper() -> Gripper:
-    return Gripper()
+def gripper() -> GripperElectronics:
+    return GripperElectronics()
 
 
 @pytest.mark.parametrize(
@@ -36,17 +36,17 @@ def gripper() -> Gripper:
         ("\xff", "z,Turret order not supported"),
     ],
 )
-def test_every_order_gets_its_reply(gripper: Gripper, order: str, reply: str) -> None:
+def test_every_order_gets_its_reply(gripper: GripperElectronics, order: str, reply: str) -> None:
     assert gripper.receive(order.encode("latin-1")) == reply.encode() + b"\r\n"
 
 
 @pytest.mark.parametrize(("sent", "place"), [(0, 152), (151, 152), (200, 200), (256, 255), (99999, 255)])
-def test_the_arm_goes_no_further_than_its_ends(gripper: Gripper, sent: int, place: int) -> None:
+def test_the_arm_goes_no_further_than_its_ends(gripper: GripperElectronics, sent: int, place: int) -> None:
     gripper.receive(b"E,%d" % sent)
     assert gripper.registers[Register.ARM_TARGET] == place
 
 
-def test_arm_and_fingers_run_at_their_speed_and_stop_where_they_are_sent(gripper: Gripper) -> None:
+def test_arm_and_fingers_run_at_their_speed_and_stop_where_they_are_sent(gripper: GripperElectronics) -> None:
     gripper.receive(b"E,255")
     gripper.receive(b"D,1")
     places = []
@@ -57,7 +57,7 @@ def test_arm_and_fingers_run_at_their_speed_and_stop_where_they_are_sent(gripper
     assert places[-1] == [255 * FRACTION, 0]
 
 
-def test_a_reset_stops_both_where_they_are(gripper: Gripper) -> None:
+def test_a_reset_stops_both_where_they_are(gripper: GripperElectronics) -> None:
     gripper.receive(b"E,255")
     for _ in range(20):
         gripper.tick()

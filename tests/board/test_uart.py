@@ -1,10 +1,10 @@
 """The line in simulated time."""
 
-from khep_twin.board.uart import QUEUE_LIMIT, Line, Uart
+from khep_twin.board.uart import QUEUE_LIMIT, SerialLine, Uart
 
 
 def test_byte_k_arrives_after_k_times_eleven_bits() -> None:
-    line = Line(9600)
+    line = SerialLine(9600)
     last_ns = line.put(b"abc", 1000)
     arrivals = [line.arrival(k) for k in (1, 2, 3)]
     assert arrivals == [1000 + k * 11_000_000_000 // 9600 for k in (1, 2, 3)]
@@ -12,7 +12,7 @@ def test_byte_k_arrives_after_k_times_eleven_bits() -> None:
 
 
 def test_a_burst_that_finds_the_line_busy_waits_for_it() -> None:
-    line = Line(9600)
+    line = SerialLine(9600)
     free_ns = line.put(b"ab", 0)
     line.put(b"c", 10)
     assert line.arrival(3) == free_ns + 11_000_000_000 // 9600
@@ -21,7 +21,7 @@ def test_a_burst_that_finds_the_line_busy_waits_for_it() -> None:
 
 
 def test_only_what_has_arrived_can_be_read() -> None:
-    line = Line(9600)
+    line = SerialLine(9600)
     line.put(b"abc", 0)
     second_ns = line.arrival(2)
     assert second_ns is not None
@@ -35,7 +35,7 @@ def test_only_what_has_arrived_can_be_read() -> None:
 
 
 def test_a_byte_under_way_is_found() -> None:
-    line = Line(9600)
+    line = SerialLine(9600)
     line.put(b"N\r\n", 0)
     assert line.count_to(10) == 3
     assert line.count_to(10, 13) == 2
@@ -43,13 +43,13 @@ def test_a_byte_under_way_is_found() -> None:
 
 
 def test_a_line_without_speed_takes_no_time() -> None:
-    line = Line(0)
+    line = SerialLine(0)
     assert line.put(b"abc", 5) == 5
     assert line.read(5) == b"abc"
 
 
 def test_what_is_taken_back_frees_the_line() -> None:
-    line = Line(9600)
+    line = SerialLine(9600)
     line.put(b"abc", 0)
     now_ns = line.arrival(1) or 0
     line.take_back(now_ns)

@@ -56,8 +56,8 @@ def test_the_way_of_a_fast_run_is_drawn_and_changes_nothing(tmp_path: Path) -> N
         (("--fast", "--picture", "way.bmp"), "expected a name that ends in .png, .svg or .pdf"),
         (("--period", "40"), "--period goes with --fast"),
         (("--planar",), "--planar goes with --fast"),
-        (("--fast", "--seconds", "0.03"), "0.03 s is no whole number of control periods of 20 ms"),
-        (("own.py:three", "--fast"), "right are proximity and ambient light"),
+        (("--fast", "--seconds", "0.03"), "0.03 s; expected a whole number of control periods of 20 ms"),
+        (("own.py:three", "--fast"), "expected proximity and ambient light"),
         (("own.py:nothing", "--fast"), "nothing: returned None; expected two speeds in pulses per 10 ms"),
     ],
 )

@@ -16,7 +16,7 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
-from khep_twin.drawing.map import POINT_LIMIT, Track, draw, save
+from khep_twin.drawing.map import POINT_LIMIT, DrawnPath, draw, save
 from khep_twin.errors import KhepTwinError
 
 SCENE = playpens.parse(
@@ -61,9 +61,9 @@ heading_deg = 180
 )
 
 
-def track(n: int = 50, start_s: float = 0) -> Track:
+def track(n: int = 50, start_s: float = 0) -> DrawnPath:
     time_s = np.linspace(start_s, start_s + 10, n)
-    return Track("khepera0", time_s, np.stack((100 + 10 * time_s, 100 + 5 * time_s), axis=1))
+    return DrawnPath("khepera0", time_s, np.stack((100 + 10 * time_s, 100 + 5 * time_s), axis=1))
 
 
 def texts(figure: Figure) -> set[str]:
@@ -113,7 +113,7 @@ def boxes(figure: Figure) -> list[Bbox]:
 def test_labels_do_not_overlap_where_ways_end_together() -> None:
     time_s = np.linspace(0, 1, 5)
     ways = [
-        Track(f"starts-{k:03d}", time_s, np.stack((200 + 3 * k * time_s, 100 + time_s), axis=1))
+        DrawnPath(f"starts-{k:03d}", time_s, np.stack((200 + 3 * k * time_s, 100 + time_s), axis=1))
         for k in range(6)
     ]
     found = boxes(draw(SCENE, ways))
@@ -186,7 +186,7 @@ def test_movable_things_are_hatched_and_dashed() -> None:
 
 def test_the_axes_end_at_the_walls() -> None:
     axes = draw(
-        SCENE, [Track("khepera0", np.array([0.0, 1.0]), np.array([(100.0, 100.0), (2000.0, 2000.0)]))]
+        SCENE, [DrawnPath("khepera0", np.array([0.0, 1.0]), np.array([(100.0, 100.0), (2000.0, 2000.0)]))]
     ).axes[0]
     assert axes.get_xlim() == (-12, 612)
     assert axes.get_ylim() == (-12, 312)
@@ -225,7 +225,7 @@ def test_of_a_long_track_evenly_many_points_are_drawn() -> None:
 )
 def test_a_track_is_finite_and_has_a_place_for_every_time(time_s: list[float], xy_mm: list[float]) -> None:
     with pytest.raises(ValueError, match=r"are not \(n,\)|not finite"):
-        Track("khepera0", np.array(time_s, float), np.array(xy_mm, float))
+        DrawnPath("khepera0", np.array(time_s, float), np.array(xy_mm, float))
 
 
 @pytest.mark.parametrize("name", playpens.names())

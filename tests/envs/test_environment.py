@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from khep_twin.envs.tasks import TASKS
-from khep_twin.envs.trial import Course, Trial, cut
-from khep_twin.envs.view import MapWarning, Painter
+from khep_twin.envs.trial import TaskEpisode, TaskSetup, cut
+from khep_twin.envs.view import MapWarning, Renderer
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.playpen import Spot
 from khep_twin.playpen import load as load_playpen
@@ -280,7 +280,7 @@ def test_a_trial_lasts_whole_control_periods(seconds: float) -> None:
     with pytest.raises(
         ValueError, match=r"seconds = .*; expected one or more whole control periods of 50 ms"
     ):
-        Course("ObstacleAvoidance", seconds=seconds)
+        TaskSetup("ObstacleAvoidance", seconds=seconds)
 
 
 @pytest.mark.parametrize("action", [[1.0], [1.0, 2.0, 3.0], 5.0, "ab", None])
@@ -302,8 +302,8 @@ def test_as_many_actions_as_environments_are_wanted() -> None:
 
 
 def test_a_map_shows_where_the_robot_is_and_looking_changes_nothing() -> None:
-    trials = [Trial(Course("LoopingMaze", **SHORT)) for _ in range(2)]
-    painter = Painter(trials[0].course.playpen, "map")
+    trials = [TaskEpisode(TaskSetup("LoopingMaze", **SHORT)) for _ in range(2)]
+    painter = Renderer(trials[0].course.playpen, "map")
     for trial in trials:
         trial.begin(1)
     pictures = []
@@ -322,17 +322,17 @@ def test_without_gl_auto_is_a_map_with_a_warning_and_a_scene_is_refused(
         raise RuntimeError("no library.")
 
     monkeypatch.setattr("mujoco.Renderer", without)
-    trial = Trial(Course("LoopingMaze", **SHORT))
+    trial = TaskEpisode(TaskSetup("LoopingMaze", **SHORT))
     trial.begin(0)
-    painter = Painter(trial.course.playpen, "auto")
+    painter = Renderer(trial.course.playpen, "auto")
     with pytest.warns(MapWarning, match=r"cannot render here \(no library\); expected MUJOCO_GL"):
         drawn = painter.picture(trial.data, trial.poses)
     assert painter.view == "map"
     assert (painter.picture(trial.data, trial.poses) == drawn).all()
     with pytest.raises(KhepTwinError, match="MuJoCo cannot render here"):
-        Painter(trial.course.playpen, "scene").picture(trial.data, trial.poses)
+        Renderer(trial.course.playpen, "scene").picture(trial.data, trial.poses)
     with pytest.raises(KhepTwinError, match="choices: auto, scene, map"):
-        Painter(trial.course.playpen, "film")  # type: ignore[arg-type]
+        Renderer(trial.course.playpen, "film")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("package", "module"), [("gymnasium", "gymnasium"), ("pettingzoo", "pettingzoo")])

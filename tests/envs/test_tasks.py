@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
-from khep_twin.envs.tasks import TASKS, Moment, Task, avoiding, avoiding_either_way
-from khep_twin.envs.trial import Course, Trial
+from khep_twin.envs.tasks import TASKS, State, Task, avoiding, avoiding_either_way
+from khep_twin.envs.trial import TaskEpisode, TaskSetup
 from khep_twin.errors import DivergedError, KhepTwinError, PlaypenError
 from khep_twin.rollout import pair
 from khep_twin.rollout.stages import anywhere, several
@@ -17,7 +17,7 @@ HAS_NUMBA = importlib.util.find_spec("numba") is not None
 SHORT = {"seconds": 0.5, "compiled": False}
 
 
-def driven(trial: Trial, seed: int, speeds: tuple[float, float] = (12, 7)) -> list[tuple[bytes, float]]:
+def driven(trial: TaskEpisode, seed: int, speeds: tuple[float, float] = (12, 7)) -> list[tuple[bytes, float]]:
     """A trial from its start to its end: what was seen and gained in each step."""
     seen = [(trial.begin(seed)[0].tobytes(), 0.0)]
     while not trial.over:
@@ -28,9 +28,9 @@ def driven(trial: Trial, seed: int, speeds: tuple[float, float] = (12, 7)) -> li
 
 @pytest.mark.parametrize("name", TASKS)
 def test_what_is_seen_lies_within_its_bounds_and_has_a_label_for_each_number(name: str) -> None:
-    course = Course(name, **SHORT)
+    course = TaskSetup(name, **SHORT)
     low, high = course.task.bounds
-    trial = Trial(course)
+    trial = TaskEpisode(course)
     seen = trial.begin(3)
     for speeds in ((20, 20), (-127, 127), (127, -127)):
         outcome = trial.step([speeds])[0]
@@ -44,39 +44,39 @@ def test_what_is_seen_lies_within_its_bounds_and_has_a_label_for_each_number(nam
 
 
 def test_a_trial_depends_on_its_seed_and_actions_and_not_on_what_was_before() -> None:
-    course = Course("Homing", **SHORT)
-    trial = Trial(course)
+    course = TaskSetup("Homing", **SHORT)
+    trial = TaskEpisode(course)
     first = driven(trial, 5)
     other = driven(trial, 6)
     assert other != first
     assert driven(trial, 5) == first
-    assert driven(Trial(course), 5) == first
+    assert driven(TaskEpisode(course), 5) == first
 
 
 def test_a_trial_in_a_life_is_the_same_as_in_a_world() -> None:
-    alone = Course("LoopingMaze", **SHORT)
-    world = Course("LoopingMaze", **SHORT)
+    alone = TaskSetup("LoopingMaze", **SHORT)
+    world = TaskSetup("LoopingMaze", **SHORT)
     world._ground = None
-    assert driven(Trial(alone), 2) == driven(Trial(world), 2)
+    assert driven(TaskEpisode(alone), 2) == driven(TaskEpisode(world), 2)
 
 
 @pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
 def test_a_compiled_trial_is_the_same_as_a_plain_one() -> None:
-    plain = Course("LightSeeking", seconds=0.5, compiled=False, spread=True)
-    compiled = Course("LightSeeking", seconds=0.5, compiled=True, spread=True)
-    assert driven(Trial(plain), 8) == driven(Trial(compiled), 8)
+    plain = TaskSetup("LightSeeking", seconds=0.5, compiled=False, spread=True)
+    compiled = TaskSetup("LightSeeking", seconds=0.5, compiled=True, spread=True)
+    assert driven(TaskEpisode(plain), 8) == driven(TaskEpisode(compiled), 8)
 
 
 def test_spread_gives_each_trial_another_robot() -> None:
     options = {**SHORT, "noise": False}
-    same = Trial(Course("LightSeeking", **options))
-    spread = Trial(Course("LightSeeking", spread=True, **options))
+    same = TaskEpisode(TaskSetup("LightSeeking", **options))
+    spread = TaskEpisode(TaskSetup("LightSeeking", spread=True, **options))
     assert driven(spread, 1) != driven(same, 1)
     assert driven(spread, 1) == driven(spread, 1)
 
 
 def test_starts_anywhere_differ_by_seed_and_have_room() -> None:
-    trial = Trial(Course("ObstacleAvoidance", **SHORT))
+    trial = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
     places = set()
     for seed in range(5):
         trial.begin(seed)
@@ -97,7 +97,7 @@ def test_where_there_is_no_room_for_all_an_error_says_so() -> None:
 
 def test_a_charge_runs_out_away_from_home_and_is_full_again_there() -> None:
     task = dataclasses.replace(TASKS["Homing"], charge_s=0.2)
-    trial = Trial(Course(task, **SHORT))
+    trial = TaskEpisode(TaskSetup(task, **SHORT))
     trial.begin(0)
     charges, ends = [], []
     for _ in range(4):
@@ -106,7 +106,7 @@ def test_a_charge_runs_out_away_from_home_and_is_full_again_there() -> None:
         ends.append(outcome.ended)
     assert charges == pytest.approx([0.75, 0.5, 0.25, 0])
     assert ends == [False, False, False, True]
-    home = Trial(Course(dataclasses.replace(task, reach_mm=1000.0), **SHORT))
+    home = TaskEpisode(TaskSetup(dataclasses.replace(task, reach_mm=1000.0), **SHORT))
     home.begin(0)
     (outcome,) = home.step([(20, 20)])
     assert outcome.observation[-1] == 1
@@ -118,14 +118,16 @@ def test_only_beside_the_cylinder_is_there_a_reward() -> None:
     for y_mm, reward in ((230.0 - 60, 1.0), (230.0 - 80, 0.0)):
         place = {"x_mm": 250.0, "y_mm": y_mm, "heading_deg": 0.0, "spots": ()}
         robots = (scene.robots[0].model_copy(update=place),)
-        trial = Trial(Course("WallOrCylinder", playpen=scene.model_copy(update={"robots": robots}), **SHORT))
+        trial = TaskEpisode(
+            TaskSetup("WallOrCylinder", playpen=scene.model_copy(update={"robots": robots}), **SHORT)
+        )
         trial.begin(0)
         assert trial.step([(0, 0)])[0].reward == reward
 
 
 def test_avoiding_is_rewarded_by_what_the_wheels_did() -> None:
-    def moment(left: float, right: float, count: int) -> Moment:
-        return Moment([count] * 100, left, right, 500, 50, False, 1)
+    def moment(left: float, right: float, count: int) -> State:
+        return State([count] * 100, left, right, 500, 50, False, 1)
 
     assert avoiding(moment(20, 20, 0)) == 1
     assert avoiding(moment(10, 10, 0)) == 0.5
@@ -136,7 +138,7 @@ def test_avoiding_is_rewarded_by_what_the_wheels_did() -> None:
 
 
 def test_speeds_that_are_no_numbers_end_the_trial_and_the_next_one_begins() -> None:
-    trial = Trial(Course("ObstacleAvoidance", **SHORT))
+    trial = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
     before = driven(trial, 1)
     trial.begin(1)
     with pytest.raises(DivergedError, match="no number"):
@@ -145,7 +147,7 @@ def test_speeds_that_are_no_numbers_end_the_trial_and_the_next_one_begins() -> N
 
 
 def test_a_trial_that_is_over_or_not_begun_takes_no_step() -> None:
-    trial = Trial(Course("ObstacleAvoidance", **SHORT))
+    trial = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
     with pytest.raises(ValueError, match="begin another"):
         trial.step([(0, 0)])
     driven(trial, 0)
@@ -155,15 +157,15 @@ def test_a_trial_that_is_over_or_not_begun_takes_no_step() -> None:
 
 def test_wrong_words_are_told_with_what_would_be_right() -> None:
     with pytest.raises(KhepTwinError, match="did you mean 'Homing'"):
-        Course("Hooming")
+        TaskSetup("Hooming")
     with pytest.raises(KhepTwinError, match="did you mean 'proximity'"):
         Task("mine", "obstacles", ("proximty",), avoiding)
     with pytest.raises(KhepTwinError, match="no patch or cylinder 'charger'"):
-        Course("Homing", playpen="obstacles", compiled=False)
+        TaskSetup("Homing", playpen="obstacles", compiled=False)
     with pytest.raises(ValueError, match="whole ticks"):
-        Course("Homing", period_ns=25_000_000)
+        TaskSetup("Homing", period_ns=25_000_000)
     with pytest.raises(ValueError, match="0 robots"):
-        Course("Homing", robots=0)
+        TaskSetup("Homing", robots=0)
 
 
 def test_only_the_known_pair_of_mujoco_and_dm_control_is_taken() -> None:

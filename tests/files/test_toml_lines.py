@@ -2,7 +2,7 @@
 
 import pytest
 
-from khep_twin.files.toml_lines import Lines, Location
+from khep_twin.files.toml_lines import LineNumbers, Location
 
 TEXT = """# a comment = 3
 name = "p"   # [not.a.table]
@@ -55,4 +55,4 @@ lamp = [{x = 1}]
     ],
 )
 def test_each_location_has_its_line(location: Location, line: int | None) -> None:
-    assert Lines(TEXT).of(location) == line
+    assert LineNumbers(TEXT).of(location) == line

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from khep_twin.log import channels, decoding
-from khep_twin.log.channels import ArrayFrame, Level, Line, TransformFrame
+from khep_twin.log.channels import ArrayFrame, Level, TextLine, TransformFrame
 
 
 @dataclass
@@ -80,7 +80,7 @@ def test_transforms_decode_by_the_rules_of_cdr() -> None:
 @pytest.mark.parametrize("text", ["", "N", "no", "n,1", "n,12", "D,-5,5"])
 @pytest.mark.parametrize("name", ["host", "robot", "x"])
 def test_a_line_decodes_by_the_rules_of_cdr(name: str, text: str) -> None:
-    cdr = Cdr(channels.line_message(Line(2_000_000_007, Level.WARN, name, text)))
+    cdr = Cdr(channels.line_message(TextLine(2_000_000_007, Level.WARN, name, text)))
     assert (cdr.take("i"), cdr.take("I"), cdr.take("B")) == (2, 7, 30)
     assert (cdr.string(), cdr.string(), cdr.string(), cdr.string()) == (name, text, "", "")
     assert cdr.take("I") == 0
@@ -88,7 +88,7 @@ def test_a_line_decodes_by_the_rules_of_cdr(name: str, text: str) -> None:
 
 
 def test_what_is_encoded_can_be_read_back() -> None:
-    line = Line(5_000_000_123, Level.INFO, "robot", "n,1,2,3")
+    line = TextLine(5_000_000_123, Level.INFO, "robot", "n,1,2,3")
     assert decoding.read_line(channels.line_message(line)) == line
     values = [[1.0, 2.5, -3.0]]
     (message,) = rows(ArrayFrame(3, "f8", "x").messages(np.array(values)))

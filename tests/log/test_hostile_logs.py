@@ -11,13 +11,13 @@ import pytest
 from driving import SECOND
 from log_rewriting import rewritten
 
-from khep_twin.board.uart import Act, HostAct, LineSettings
+from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
 from khep_twin.lab.experiment.repeat import read_recorded, repeat
 from khep_twin.lab.experiment.replay_to_port import resend
 from khep_twin.lab.report.report import report
 from khep_twin.log.attached import shapes_of
-from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, Line, line_message
+from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, TextLine, line_message
 from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
 from khep_twin.log.viewer.replay import view
 from khep_twin.log.wire import acts_message
@@ -97,7 +97,7 @@ MESSAGES = {
     "/khepera0/registers": CDR_HEADER + struct.pack("<IIII", 0, 0, 2**32 - 1, 0),
     "/khepera0/ambient": CDR_HEADER + struct.pack("<I", 2**32 - 1),
     "/khepera0/serial": CDR_HEADER + struct.pack("<iIBxxxI", 0, 0, 20, 2**32 - 1),
-    "/events": line_message(Line(0, Level.INFO, "x", "y")).replace(b"x", b"\xff"),
+    "/events": line_message(TextLine(0, Level.INFO, "x", "y")).replace(b"x", b"\xff"),
     "/khepera0/wire": CDR_HEADER,
     "/state": b"",
     "/tf": Encoder().put("I", 2**32 - 1).message(),
@@ -207,7 +207,7 @@ def test_attached_files_that_cannot_be_are_one_line(
     ],
 )
 def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: bytes) -> None:
-    message = acts_message([(0, HostAct(Act.RELIGHT, 0, None, data))])
+    message = acts_message([(0, HostEvent(HostEventKind.RELIGHT, 0, None, data))])
     told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
 
 
@@ -217,17 +217,17 @@ def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: by
 def test_places_that_cannot_be_are_one_line(
     small: Path, tmp_path: Path, place: tuple[float, float, float]
 ) -> None:
-    message = acts_message([(0, HostAct(Act.PUT, 0, None, struct.pack("<3d", *place)))])
+    message = acts_message([(0, HostEvent(HostEventKind.PUT, 0, None, struct.pack("<3d", *place)))])
     told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
 
 
 def test_a_lamp_that_there_is_not_is_one_line(small: Path, tmp_path: Path) -> None:
-    message = acts_message([(0, HostAct(Act.SWITCH, 0, None, struct.pack("<i?", -7, True)))])
+    message = acts_message([(0, HostEvent(HostEventKind.SWITCH, 0, None, struct.pack("<i?", -7, True)))])
     told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
 
 
 def test_a_robot_s_speed_that_is_no_number_is_one_line(small: Path, tmp_path: Path) -> None:
-    message = acts_message([(0, HostAct(Act.SEND, 0, None, b"B\n"))])
+    message = acts_message([(0, HostEvent(HostEventKind.SEND, 0, None, b"B\n"))])
     facts = {"baud": "9" * 5000}
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message), facts=facts)
     line = told(lambda path: resend(read_recorded(path), "khep://obstacles"), path)
@@ -236,9 +236,9 @@ def test_a_robot_s_speed_that_is_no_number_is_one_line(small: Path, tmp_path: Pa
 
 def test_a_host_that_set_its_line_is_still_believed(small: Path, tmp_path: Path) -> None:
     acts = [
-        (0, HostAct(Act.SET, 0, LineSettings(3_000_000, 2))),
-        (5, HostAct(Act.SET, 0, LineSettings(0, 1))),
-        (5, HostAct(Act.HANG_UP, 0)),
+        (0, HostEvent(HostEventKind.SET, 0, LineSettings(3_000_000, 2))),
+        (5, HostEvent(HostEventKind.SET, 0, LineSettings(0, 1))),
+        (5, HostEvent(HostEventKind.HANG_UP, 0)),
     ]
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", acts_message(acts)))
     assert [(time_ns, act) for time_ns, _, act in read_recorded(path).acts] == acts
@@ -248,7 +248,7 @@ def test_times_beyond_all_bounds_are_one_line(small: Path, tmp_path: Path) -> No
     late = rewritten(small, tmp_path / "late.mcap", time=lambda topic, time_ns: 2**64 - 1)
     for use in (read, read_series, read_recorded, read_arrays, read_end_ns):
         assert "expected at most" in told(use, late)
-    line = line_message(Line(2**31 * SECOND - SECOND, Level.INFO, "host", "N"))
+    line = line_message(TextLine(2**31 * SECOND - SECOND, Level.INFO, "host", "N"))
     path = rewritten(small, tmp_path / "line.mcap", instead("/khepera0/serial", line))
     assert "expected at most 10.20 s" in told(again, path)
 
@@ -310,7 +310,7 @@ def test_what_is_not_attached_is_one_line_or_not_needed(small: Path, tmp_path: P
 
 
 def test_an_answer_is_shown_without_what_a_terminal_would_obey(small: Path, tmp_path: Path) -> None:
-    line = line_message(Line(0, Level.INFO, "robot", "\x1b[2J\nx" + "y" * 500))
+    line = line_message(TextLine(0, Level.INFO, "robot", "\x1b[2J\nx" + "y" * 500))
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/serial", line))
     difference = repeat(read_recorded(path))
     assert difference is not None

@@ -13,7 +13,7 @@ import serial
 
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
-from khep_twin.lab.conformance.conformance import Line, checks, run_check
+from khep_twin.lab.conformance.conformance import CheckedPort, checks, run_check
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
 from khep_twin.ports.network_host import LONGEST_LINE, SILENCE
 
@@ -85,7 +85,7 @@ def test_the_pace_of_a_network_port_conforms() -> None:
     pace = next(each for each in checks(False) if each.name.startswith("every reply begins within 10 ms"))
     with served("default", "--tcp", ":0") as (_, url), Khepera(url) as robot:
         # What a busy machine delays is no deviation of the port's.
-        assert "" in (run_check(pace, Line(robot.port)).deviation for _ in range(5))
+        assert "" in (run_check(pace, CheckedPort(robot.port)).deviation for _ in range(5))
 
 
 def test_replies_of_several_lines_leave_line_by_line() -> None:

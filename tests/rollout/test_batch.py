@@ -12,9 +12,9 @@ from khep_twin import playpen
 from khep_twin.errors import ControllerError
 from khep_twin.playpen import Lamp
 from khep_twin.rollout import batch
-from khep_twin.rollout.batch import Lives, rollout
-from khep_twin.rollout.life import NUMBERS, Ground, Life
-from khep_twin.rollout.minds import Function, Hold, Network, Policy, Wander
+from khep_twin.rollout.batch import RolloutResult, rollout
+from khep_twin.rollout.life import NUMBERS, Episode, EpisodeSetup
+from khep_twin.rollout.minds import Braitenberg, ConstantSpeed, Function, Network, Policy
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
@@ -33,12 +33,12 @@ LAMPS = [
 ]
 
 
-def batch_of(compiled: bool, **options: Any) -> Lives:
+def batch_of(compiled: bool, **options: Any) -> RolloutResult:
     found = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "spread": True, "compiled": compiled}
     return rollout(SCENE, NETWORK, range(N), SECONDS, **(found | options))
 
 
-def same(one: Lives, other: Lives) -> bool:
+def same(one: RolloutResult, other: RolloutResult) -> bool:
     numbers = all(one.numbers[name].tobytes() == other.numbers[name].tobytes() for name in NUMBERS)
     return numbers and bool((one.registers == other.registers).all() and (one.poses == other.poses).all())
 
@@ -55,9 +55,9 @@ def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_lives() ->
 @pytest.mark.parametrize("compiled", KINDS)
 def test_each_life_of_a_batch_is_a_single_life(compiled: bool) -> None:
     found = batch_of(compiled, threads=2)
-    ground = Ground(SCENE)
+    ground = EpisodeSetup(SCENE)
     for index in (0, 3):
-        life = Life(ground, NETWORK, compiled=compiled)
+        life = Episode(ground, NETWORK, compiled=compiled)
         light = ground.lit(LAMPS[index])
         life.begin(index, start=STARTS[index], spread=True, light=light, genes=GENES[index])
         life.live(SECONDS)
@@ -104,33 +104,33 @@ def test_one_that_fails_is_told_by_seed_and_step_and_harms_no_other(compiled: bo
 def test_physics_that_fail_in_several_threads_at_once_harm_no_other(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Thrown(Life):
+    class Thrown(Episode):
         def begin(self, seed: int = 0, **more: Any) -> None:
             super().begin(seed, **more)
             if seed % 2:
                 self._data.qvel[0] = np.nan if seed % 4 == 1 else 1e200
 
-    monkeypatch.setattr(batch, "Life", Thrown)
-    found = rollout(SCENE, Wander(), range(12), 0.1, threads=4, compiled=compiled)
+    monkeypatch.setattr(batch, "Episode", Thrown)
+    found = rollout(SCENE, Braitenberg(), range(12), 0.1, threads=4, compiled=compiled)
     assert [failure.seed for failure in found.failures] == [1, 3, 5, 7, 9, 11]
     assert {failure.step for failure in found.failures} == {4}  # it is looked at every tick
-    even = rollout(SCENE, Wander(), range(0, 12, 2), 0.1, compiled=compiled)
+    even = rollout(SCENE, Braitenberg(), range(0, 12, 2), 0.1, compiled=compiled)
     assert (found.registers[::2] == even.registers).all()
 
 
 def test_memory_does_not_grow_with_the_number_of_lives(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[Life] = []
+    made: list[Episode] = []
 
-    class Counted(Life):
+    class Counted(Episode):
         def __init__(self, *given: Any, **more: Any) -> None:
             super().__init__(*given, **more)
             made.append(self)
 
-    monkeypatch.setattr(batch, "Life", Counted)
+    monkeypatch.setattr(batch, "Episode", Counted)
     peaks = []
     for count in (10, 40):
         tracemalloc.start()
-        rollout(SCENE, Wander(), range(count), 0.02, compiled=False)
+        rollout(SCENE, Braitenberg(), range(count), 0.02, compiled=False)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert len(made) == 2
@@ -147,7 +147,7 @@ def test_what_does_not_fit_is_refused_before_anything_lives() -> None:
     with pytest.raises(ControllerError, match=r"2 genes for Network.*; expected "):
         batch_of(False, genes=np.zeros((N, 2)))
     with pytest.raises(ValueError, match=r"0.03 s; expected a whole number of control periods of 20 ms"):
-        rollout(SCENE, Wander(), [1], 0.03, compiled=False)
+        rollout(SCENE, Braitenberg(), [1], 0.03, compiled=False)
     with pytest.raises(ValueError, match=r"the policy returned speeds of shape \(2,\)"):
         rollout(SCENE, Policy(lambda proximity, ambient, which: np.zeros(2)), [1], 0.02, compiled=False)
 
@@ -195,35 +195,37 @@ def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_l
 )
 def test_what_lives_begin_with_is_checked_before_anything_lives(options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        rollout(SCENE, Wander(), [1], 0.02, compiled=False, **options)
+        rollout(SCENE, Braitenberg(), [1], 0.02, compiled=False, **options)
 
 
 @pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
 def test_a_time_that_is_none_is_refused(seconds: float) -> None:
     with pytest.raises(ValueError, match="expected a time from 0"):
-        rollout(SCENE, Wander(), [1], seconds, compiled=False)
+        rollout(SCENE, Braitenberg(), [1], seconds, compiled=False)
 
 
 def test_what_is_no_driver_or_no_playpen_is_told_so() -> None:
-    with pytest.raises(ControllerError, match=r"is no controller; expected a Hold, Wander, Network"):
+    with pytest.raises(
+        ControllerError, match=r"is no controller; expected a ConstantSpeed, Braitenberg, Network"
+    ):
         rollout(SCENE, along, [1], 0.02, compiled=False)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"playpen = 'obstacles'; expected a Playpen"):
-        rollout("obstacles", Wander(), [1], 0.02, compiled=False)  # type: ignore[arg-type]
+        rollout("obstacles", Braitenberg(), [1], 0.02, compiled=False)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"the policy returned no speeds: .*expected an array \(1, 2\)"):
         rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
 
 
 def test_ground_that_is_made_ready_takes_no_other_step_period_or_plane() -> None:
-    ground = Ground(SCENE)
+    ground = EpisodeSetup(SCENE)
     for options in ({"step_ns": 5_000_000}, {"period_ns": 40_000_000}, {"planar": True}):
         with pytest.raises(ValueError, match="given with a prepared ground, which has its own"):
-            rollout(ground, Wander(), [1], 0.04, compiled=False, **options)
-    flat = Ground(SCENE, planar=True, period_ns=40_000_000)
-    assert not rollout(flat, Wander(), [1], 0.04, compiled=False, planar=True).failures
+            rollout(ground, Braitenberg(), [1], 0.04, compiled=False, **options)
+    flat = EpisodeSetup(SCENE, planar=True, period_ns=40_000_000)
+    assert not rollout(flat, Braitenberg(), [1], 0.04, compiled=False, planar=True).failures
     with pytest.raises(TypeError):
-        Ground(SCENE, step_ns=5e6)  # type: ignore[arg-type]
+        EpisodeSetup(SCENE, step_ns=5e6)  # type: ignore[arg-type]
 
 
 def test_constant_speeds_that_are_no_numbers_fail() -> None:
-    lives = rollout(SCENE, Hold(math.nan, 1), [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    lives = rollout(SCENE, ConstantSpeed(math.nan, 1), [1], 0.02, compiled=False)  # type: ignore[arg-type]
     assert "no number" in lives.failures[0].reason

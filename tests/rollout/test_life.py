@@ -13,8 +13,8 @@ from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, W
 from khep_twin.errors import DivergedError, MissingExtraError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.rollout import life as lives
-from khep_twin.rollout.life import Ground, Life
-from khep_twin.rollout.minds import Function, Hold, Network, Wander
+from khep_twin.rollout.life import Episode, EpisodeSetup
+from khep_twin.rollout.minds import Braitenberg, ConstantSpeed, Function, Network
 from khep_twin.units import COUNTS_LIMIT
 from khep_twin.world import World
 
@@ -50,8 +50,8 @@ def wandering(scene: Playpen, seconds: float, **options: Any) -> World:
     return world
 
 
-def lived(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **options: Any) -> Life:
-    life = Life(Ground(scene), driver or Wander(), compiled=compiled)
+def lived(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **options: Any) -> Episode:
+    life = Episode(EpisodeSetup(scene), driver or Braitenberg(), compiled=compiled)
     life.begin(**options)
     life.live(seconds)
     return life
@@ -80,10 +80,10 @@ def test_a_life_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, Any
 @with_numba
 @pytest.mark.parametrize("planar", [False, True])
 def test_a_khepera_2_never_reads_0_without_a_line_plain_and_compiled(planar: bool) -> None:
-    ground = Ground(arena(model="khepera2", calibration="khepera2"), planar=planar)
+    ground = EpisodeSetup(arena(model="khepera2", calibration="khepera2"), planar=planar)
     lowest: list[list[int]] = []
     for compiled in (False, True):
-        life = Life(ground, Wander(), compiled=compiled)
+        life = Episode(ground, Braitenberg(), compiled=compiled)
         life.begin(3)
         lowest.append([])
         for _ in range(100):
@@ -104,7 +104,7 @@ def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
     )
     model, data, prefix = world.model, world.data, "khepera0/"
     plain, fast = scene_of(model, data, prefix), compiled_casting.scene_of(model, data, prefix)
-    near = proximity_optics(model, prefix, Ground(arena()).calibration)
+    near = proximity_optics(model, prefix, EpisodeSetup(arena()).calibration)
     from khep_twin.rollout.life import _as_arrays as as_arrays
 
     arrays = as_arrays(near)
@@ -128,7 +128,7 @@ def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
 
 @pytest.mark.parametrize("compiled", KINDS)
 def test_room_that_was_used_before_leaves_no_trace(compiled: bool) -> None:
-    life = Life(Ground(arena()), Wander(), compiled=compiled)
+    life = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
     found: list[bytes] = []
     for seed in (1, 2, 1):
         life.begin(seed, start=(400.0, 290.0, 10.0 * seed))
@@ -141,7 +141,10 @@ def test_room_that_was_used_before_leaves_no_trace(compiled: bool) -> None:
 @pytest.mark.parametrize("step_ns", [5_000_000, 10_000_000])
 def test_coarser_steps_convert_in_the_same_order_plain_and_compiled_alike(step_ns: int) -> None:
     # The plain one reads the rangefinders, whose turns are MuJoCo's; the compiled one casts when it converts.
-    both = [Life(Ground(arena(), step_ns=step_ns), Wander(), compiled=each) for each in (False, True)]
+    both = [
+        Episode(EpisodeSetup(arena(), step_ns=step_ns), Braitenberg(), compiled=each)
+        for each in (False, True)
+    ]
     seen: set[int] = set()
     for life in both:
         life.begin(2, start=(330.0, 300.0, 0.0))
@@ -157,7 +160,9 @@ def test_coarser_steps_convert_in_the_same_order_plain_and_compiled_alike(step_n
 def test_coarser_steps_go_about_the_same_way() -> None:
     ends: list[tuple[float, float, float]] = []
     for step_ns in (2_500_000, 5_000_000, 10_000_000):
-        life = Life(Ground(playpen.load("default"), step_ns=step_ns), Hold(8, 6), compiled=False)
+        life = Episode(
+            EpisodeSetup(playpen.load("default"), step_ns=step_ns), ConstantSpeed(8, 6), compiled=False
+        )
         life.begin(noise=False)
         life.live(6.0)
         ends.append(life.pose)
@@ -168,7 +173,7 @@ def test_coarser_steps_go_about_the_same_way() -> None:
 
 def test_a_step_that_divides_no_tick_is_refused_with_the_choices() -> None:
     with pytest.raises(ValueError, match=r"3 ms .* 10 ms .* expected one of 2.5, 5, 10 ms"):
-        Ground(arena(), step_ns=3_000_000)
+        EpisodeSetup(arena(), step_ns=3_000_000)
 
 
 @pytest.mark.parametrize("compiled", KINDS)
@@ -202,8 +207,8 @@ def test_a_function_has_memory_and_genes_and_its_speeds_are_cut_as_by_the_board(
 
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_controller_that_gives_no_number_ends_its_life(compiled: bool) -> None:
-    life = Life(
-        Ground(arena()),
+    life = Episode(
+        EpisodeSetup(arena()),
         Function(lambda proximity, ambient, memory, genes: (genes[0] / 0.5, 1.0)),
         compiled=compiled,
     )
@@ -216,7 +221,7 @@ def test_a_controller_that_gives_no_number_ends_its_life(compiled: bool) -> None
 
 @pytest.mark.parametrize("compiled", KINDS)
 def test_physics_out_of_bounds_end_a_life_by_step_and_leave_the_next_alone(compiled: bool) -> None:
-    life = Life(Ground(arena()), Wander(), compiled=compiled)
+    life = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
     life.begin(1)
     life.live(0.2)
     life._data.qvel[0] = 1e9
@@ -231,7 +236,9 @@ def test_physics_out_of_bounds_end_a_life_by_step_and_leave_the_next_alone(compi
 def test_life_ends_its_homing_with_its_charge(compiled: bool) -> None:
     # Far from home the charge of 0.1 s is used up in five control periods; at home it is always full.
     def homing(home: tuple[float, float, float, float]) -> float:
-        return lived(arena(), 0.4, compiled, Hold(10, 10), noise=False, home=home).numbers()["homing"]
+        return lived(arena(), 0.4, compiled, ConstantSpeed(10, 10), noise=False, home=home).numbers()[
+            "homing"
+        ]
 
     assert homing((0.7, 0.5, 0.05, 0.1)) == pytest.approx(0.5 * 5 / 20, abs=0.02)
     assert homing((0.12, 0.29, 0.2, 0.1)) == 0
@@ -242,7 +249,9 @@ def test_life_ends_its_homing_with_its_charge(compiled: bool) -> None:
 def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> None:
     def ways(left: int, right: int) -> tuple[float, float]:
         free = playpen.load("default")
-        life = lived(free, 1.0, compiled, Hold(left, right), noise=False, start=(300.0, 250.0, 130.0))
+        life = lived(
+            free, 1.0, compiled, ConstantSpeed(left, right), noise=False, start=(300.0, 250.0, 130.0)
+        )
         numbers = life.numbers()
         return numbers["forward_m"], numbers["distance_m"]
 
@@ -263,9 +272,9 @@ def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> Non
 )
 def test_what_lives_cannot_have_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
     with pytest.raises(PlaypenError, match=message):
-        Ground(arena().model_copy(update=change))
+        EpisodeSetup(arena().model_copy(update=change))
     with pytest.raises(PlaypenError, match=r"turrets = \['gripper'\]; expected none"):
-        Ground(playpen.load("gripper"))
+        EpisodeSetup(playpen.load("gripper"))
 
 
 def test_without_numba_lives_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,7 +282,7 @@ def test_without_numba_lives_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatc
     with pytest.warns(
         lives.SlowerWarning, match=r"with the same results; .* -m pip install 'numba<1,>=0.61'$"
     ):
-        life = Life(Ground(arena()), Wander())
+        life = Episode(EpisodeSetup(arena()), Braitenberg())
     life.begin()
     life.live(0.02)
     assert life.steps == 8
@@ -285,18 +294,18 @@ def test_compiled_without_numba_is_one_line_that_tells_how_to_install_it(
     monkeypatch.delattr(rollout, "compiled", raising=False)
     monkeypatch.setitem(sys.modules, "khep_twin.rollout.compiled", None)
     with pytest.raises(MissingExtraError, match=r"^numba is not installed; .* pip install 'numba<1,>=0.61'$"):
-        Life(Ground(arena()), compiled=True)
+        Episode(EpisodeSetup(arena()), compiled=True)
 
 
 def test_the_demo_of_the_rom_drives_by_itself() -> None:
-    life = lived(arena(mode=0), 0.5, False, Hold())
+    life = lived(arena(mode=0), 0.5, False, ConstantSpeed())
     assert life.registers[LEFT + Wheel.POSITION] > 100
     assert life.registers[Board.SCAN] == 0
     assert (life.registers[AMBIENT] > 0).all()
 
 
 def test_a_life_that_has_not_begun_says_so() -> None:
-    life = Life(Ground(arena()), Wander(), compiled=False)
+    life = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=False)
     for deed in (lambda: life.live(0.02), life.numbers, lambda: life.drive(1, 1)):
         with pytest.raises(ValueError, match=r"no episode has begun; expected begin\(\) first"):
             deed()

@@ -11,9 +11,9 @@ from khep_twin import playpen, units
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.batch import Lives, rollout
-from khep_twin.rollout.life import Ground, Life
-from khep_twin.rollout.minds import Hold, Network, Wander
+from khep_twin.rollout.batch import RolloutResult, rollout
+from khep_twin.rollout.life import Episode, EpisodeSetup
+from khep_twin.rollout.minds import Braitenberg, ConstantSpeed, Network
 from khep_twin.rollout.planar.casting import rays
 from khep_twin.rollout.planar.motion import step
 from khep_twin.rollout.planar.planar import Outline, PlanarRoom, _plain_episode
@@ -65,7 +65,7 @@ def arena() -> Playpen:
 
 def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: float) -> PlanarRoom:
     """A plane, as Python has it, with its robot put down."""
-    room = PlanarRoom(Outline(scene, Ground(scene).model, step_ns), compiled=False)
+    room = PlanarRoom(Outline(scene, EpisodeSetup(scene).model, step_ns), compiled=False)
     room.put((x_mm, y_mm, heading_deg))
     return room
 
@@ -153,7 +153,9 @@ def test_the_disc_is_never_in_anything_however_it_is_driven() -> None:
 def test_a_robot_slides_along_a_wall_as_in_mujoco() -> None:
     ends: list[tuple[float, float, float]] = []
     for planar in (False, True):
-        life = Life(Ground(playpen.load("default"), planar=planar), Hold(10, 10), compiled=False)
+        life = Episode(
+            EpisodeSetup(playpen.load("default"), planar=planar), ConstantSpeed(10, 10), compiled=False
+        )
         life.begin(noise=False, start=(150.0, 40.0, -20.0))
         life.live(0.8)
         ends.append(life.pose)
@@ -179,7 +181,7 @@ def test_wheels_stand_before_a_wall_and_spin_when_they_are_driven_harder() -> No
 @pytest.mark.parametrize("name", ["arena", "looping-maze", "two-lamps"])
 def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
     scene = arena() if name == "arena" else playpen.load(name)
-    true, plane = (Life(Ground(scene, planar=planar), compiled=False) for planar in (False, True))
+    true, plane = (Episode(EpisodeSetup(scene, planar=planar), compiled=False) for planar in (False, True))
     chance = np.random.default_rng(3)
     floor, tried, seen, apart = scene.arena, 0, 0, []
     room = put(scene, units.TICK_NS, 0, 0, 0)
@@ -206,7 +208,7 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
 @pytest.mark.parametrize("name", ["arena", "looping-maze"])
 def test_rays_that_end_early_change_no_count(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = arena() if name == "arena" else playpen.load(name)
-    ground = Ground(scene, planar=True)
+    ground = EpisodeSetup(scene, planar=True)
     near = proximity_optics(ground.model, "khepera0/", ground.calibration)
     room = put(scene, units.TICK_NS, 0, 0, 0)
     plain = _plain_episode().optics
@@ -234,13 +236,15 @@ def test_rays_that_end_early_change_no_count(name: str, monkeypatch: pytest.Monk
 def test_what_is_movable_is_refused() -> None:
     more = "[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n"
     with pytest.raises(PlaypenError, match="cylinder 4 is movable; expected fixed ones in the plane"):
-        Ground(playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena"), planar=True)
+        EpisodeSetup(playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena"), planar=True)
 
 
 def test_a_life_in_a_plane_goes_about_mujocos_way() -> None:
     ends = []
     for planar in (False, True):
-        life = Life(Ground(playpen.load("default"), planar=planar), Hold(8, 6), compiled=False)
+        life = Episode(
+            EpisodeSetup(playpen.load("default"), planar=planar), ConstantSpeed(8, 6), compiled=False
+        )
         life.begin(noise=False)
         life.live(3.0)
         ends.append(life.pose)
@@ -251,7 +255,7 @@ def test_a_life_in_a_plane_goes_about_mujocos_way() -> None:
 NETWORK = Network(hidden=(4,), recurrent=True, ambient=True)
 
 
-def batch_of(compiled: bool, **options: object) -> Lives:
+def batch_of(compiled: bool, **options: object) -> RolloutResult:
     chance = np.random.default_rng(5)
     genes = chance.normal(size=(6, NETWORK.n_genes))
     starts = [(120.0, 290.0, 25.0), *((350.0 + 10 * i, 300.0, 60.0 * i) for i in range(5))]
@@ -270,8 +274,11 @@ def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_lives() ->
 @with_numba
 @pytest.mark.parametrize("step_ns", [units.STEP_NS, 2 * units.STEP_NS, 4 * units.STEP_NS])
 def test_compiled_lives_are_the_plain_ones_in_used_room_and_in_pieces(step_ns: int) -> None:
-    ground = Ground(arena(), step_ns=step_ns, planar=True)
-    plain, fast = Life(ground, Wander(), compiled=False), Life(ground, Wander(), compiled=True)
+    ground = EpisodeSetup(arena(), step_ns=step_ns, planar=True)
+    plain, fast = (
+        Episode(ground, Braitenberg(), compiled=False),
+        Episode(ground, Braitenberg(), compiled=True),
+    )
     fast.begin(9, start=(40.0, 290.0, 170.0))
     fast.live(1.0)
     for life in (plain, fast):
@@ -286,5 +293,5 @@ def test_compiled_lives_are_the_plain_ones_in_used_room_and_in_pieces(step_ns: i
 def test_a_robot_far_off_is_a_failure_as_in_mujoco() -> None:
     starts = [(1e6, 0.0, 0.0), (100.0, 150.0, 0.0)]
     for planar in (False, True):
-        lives = rollout(arena(), Wander(), range(2), 0.1, starts=starts, planar=planar, compiled=False)
+        lives = rollout(arena(), Braitenberg(), range(2), 0.1, starts=starts, planar=planar, compiled=False)
         assert [failure.index for failure in lives.failures] == [0]

@@ -26,7 +26,7 @@ from khep_twin.invocation import command
 from khep_twin.sweep import ray_workers
 from khep_twin.sweep.study import COLUMNS
 from khep_twin.sweep.sweep import here, run_sweep
-from khep_twin.sweep.tasks import Task, Work, work_of
+from khep_twin.sweep.tasks import Shard, Work, work_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::khep_twin.rollout.life.SlowerWarning")
 
@@ -87,8 +87,8 @@ class Counted:
         self._stop = stop_before
 
     @contextmanager
-    def __call__(self, work: Work, tasks: Sequence[Task]) -> Iterator[Iterator[tuple[Task, bytes]]]:
-        def coming() -> Iterator[tuple[Task, bytes]]:
+    def __call__(self, work: Work, tasks: Sequence[Shard]) -> Iterator[Iterator[tuple[Shard, bytes]]]:
+        def coming() -> Iterator[tuple[Shard, bytes]]:
             with here(1)(work, tasks) as done:
                 for task, data in done:
                     if task.index == self._stop:
@@ -256,7 +256,7 @@ def test_a_sweep_that_was_killed_at_its_very_beginning_can_be_begun_again(tmp_pa
 
 def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:
     @contextmanager
-    def meanwhile(work: Work, tasks: Sequence[Task]) -> Iterator[Iterator[tuple[Task, bytes]]]:
+    def meanwhile(work: Work, tasks: Sequence[Shard]) -> Iterator[Iterator[tuple[Shard, bytes]]]:
         with pytest.raises(StudyError, match=r"out: in use by another sweep"):
             swept(tmp_path, STUDY, resume=True)
         with here(1)(work, tasks) as done:

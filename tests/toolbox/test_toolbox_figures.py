@@ -98,7 +98,7 @@ def test_the_latest_graph_goes_to_paper_and_into_a_text() -> None:
     [
         (lambda: names.ddl(np.ones((3, 9)), 1500), "dv: is 3 x 9; expected rows of 10"),
         (lambda: names.ddl(np.ones((0, 10)), 1500), "dv: is 0 x 10"),
-        (lambda: names.ddl(rows(9, 9) + 0.5, 1500), "not all are whole numbers"),
+        (lambda: names.ddl(rows(9, 9) + 0.5, 1500), "not all are integers"),
         (lambda: names.ddl(rows(9, 9), 8000), "linear = 64 cm; expected 5 to 60"),
         (lambda: names.ddr(rows(-9, 9), 40), "rotate = .* degrees; expected 15 to 360"),
         (lambda: names.disonel(rows(9, 9), 1500, 9), "which_one = 9: no such sensor"),

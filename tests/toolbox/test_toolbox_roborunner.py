@@ -14,7 +14,7 @@ import pytest
 from scipy.io import loadmat
 
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
-from khep_twin.lab.experiment.series import Run
+from khep_twin.lab.experiment.series import SeriesRun
 from khep_twin.toolbox import names, roborunner
 from khep_twin.toolbox import serial_commands as host
 from khep_twin.toolbox.names import kheprom, rps, sim_rps, sim_sms, sms
@@ -168,7 +168,7 @@ def test_what_cannot_be_run_is_one_line(call: Callable[[], object], error: type,
 def test_an_interrupt_stops_the_motors_and_leaves_the_runs_before_it() -> None:
     host.ports({2: "khep://default"})
 
-    def interrupt(run: Run) -> None:
+    def interrupt(run: SeriesRun) -> None:
         if run.number == 2:
             raise KeyboardInterrupt
 

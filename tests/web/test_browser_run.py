@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from khep_twin import playpen as playpens
-from khep_twin.board.uart import Act
+from khep_twin.board.uart import HostEventKind
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.repeat import read_recorded, repeat
 from tests.served_twin import served
@@ -90,9 +90,11 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     page.click("#end")
     visit.wait("document.querySelector('#clock').textContent === 'not running'")
     recorded = read_recorded(tmp_path / "run.mcap")
-    assert [act.kind for _, _, act in recorded.acts if act.kind in (Act.PUT, Act.SWITCH)] == [
-        Act.PUT,
-        Act.SWITCH,
+    assert [
+        act.kind for _, _, act in recorded.acts if act.kind in (HostEventKind.PUT, HostEventKind.SWITCH)
+    ] == [
+        HostEventKind.PUT,
+        HostEventKind.SWITCH,
     ]
     assert repeat(recorded) is None
 
@@ -253,7 +255,7 @@ def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: P
     page.click("#end")
     tablet.wait("document.querySelector('#clock').textContent === 'not running'")
     recorded = read_recorded(tmp_path / "run.mcap")
-    (put,) = [struct.unpack("<3d", act.data) for _, _, act in recorded.acts if act.kind is Act.PUT]
+    (put,) = [struct.unpack("<3d", act.data) for _, _, act in recorded.acts if act.kind is HostEventKind.PUT]
     assert put[:2] == pytest.approx((300, 200), abs=2)
     assert abs(put[2]) == pytest.approx(180, abs=2)
 

@@ -19,8 +19,8 @@ from khep_twin.lab.experiment.repeat import read_recorded, repeat
 from khep_twin.lab.experiment.series import Plan
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
 from khep_twin.ports.twin import TwinOptions
-from khep_twin.web.audience import Audience
-from khep_twin.web.jobs import Sensing, Series
+from khep_twin.web.audience import Broadcaster
+from khep_twin.web.jobs import Sensing, SeriesJob
 from khep_twin.web.stage import RobotActor, TwinActor
 
 
@@ -69,7 +69,7 @@ def test_a_twin_is_driven_lifted_and_switched_and_its_log_repeats(
     actor: TwinActor, ear: Ear, tmp_path: Path
 ) -> None:
     ear.wait("twin")
-    actor.start(Series("braitenberg", braitenberg, Plan(runs=2, cycles=100), None))
+    actor.start(SeriesJob("braitenberg", braitenberg, Plan(runs=2, cycles=100), None))
     ear.wait("run")
     actor.put(0, 100, 120, 45)
     actor.switch(0, False)
@@ -112,7 +112,7 @@ def test_a_paused_twin_steps_by_a_tenth_of_a_second(actor: TwinActor, ear: Ear) 
 
 def test_one_job_at_a_time(actor: TwinActor, ear: Ear) -> None:
     ear.wait("twin")
-    long = Series("braitenberg", braitenberg, Plan(cycles=10**6), None)
+    long = SeriesJob("braitenberg", braitenberg, Plan(cycles=10**6), None)
     actor.start(long)
     with pytest.raises(PortError, match="busy"):
         actor.start(long)
@@ -132,7 +132,7 @@ def test_a_controller_that_never_ends_its_cycle_is_broken_off_and_the_motors_sta
             robot.set_speed(5, 5)
 
     ear.wait("twin")
-    actor.start(Series("stubborn", stubborn, Plan(cycles=5), None))
+    actor.start(SeriesJob("stubborn", stubborn, Plan(cycles=5), None))
     ear.wait("picture", lambda told: told["busy"])
     actor.stop()
     row = ear.wait("run")
@@ -166,7 +166,7 @@ def test_an_outside_host_shares_the_line_with_a_program_and_each_has_its_own_rep
         robot.sleep(0.01)
 
     actor.set_pace(2.0, False)
-    actor.start(Series("program", program, Plan(cycles=10**6), None))
+    actor.start(SeriesJob("program", program, Plan(cycles=10**6), None))
     ear.wait("picture", lambda told: told["busy"])
     host = Khepera(port)
     try:
@@ -190,7 +190,7 @@ def test_a_folder_that_has_a_series_is_refused_in_the_page_s_words(
     actor: TwinActor, ear: Ear, tmp_path: Path
 ) -> None:
     ear.wait("twin")
-    series = Series("braitenberg", braitenberg, Plan(cycles=2), tmp_path / "series")
+    series = SeriesJob("braitenberg", braitenberg, Plan(cycles=2), tmp_path / "series")
     actor.start(series)
     ear.wait("done")
     actor.start(series)
@@ -220,7 +220,7 @@ def test_what_a_controller_prints_is_told_and_all_else_is_not(
         robot.sleep(0.1)
 
     ear.wait("twin")
-    actor.start(Series("talks", talks, Plan(cycles=2), None))
+    actor.start(SeriesJob("talks", talks, Plan(cycles=2), None))
     print("from elsewhere")
     text = ear.wait("printed")["text"]
     ear.wait("done")
@@ -234,7 +234,7 @@ def test_a_controller_that_fails_is_told_and_the_twin_goes_on(actor: TwinActor, 
         raise KhepTwinError("out of ideas")
 
     ear.wait("twin")
-    actor.start(Series("failing", failing, Plan(cycles=5), None))
+    actor.start(SeriesJob("failing", failing, Plan(cycles=5), None))
     assert "out of ideas" in ear.wait("error")["text"]
     ear.wait("done")
     ear.wait("picture", lambda told: not told["busy"])
@@ -251,7 +251,7 @@ def test_a_robot_at_a_port_shows_its_readings_and_stops(actor: TwinActor, ear: E
     first = heard.wait("picture")
     assert len(first["robots"][0]["proximity"]) == 8
     assert 0 <= first["time"] < 60  # since the page has it
-    robot.start(Series("braitenberg", braitenberg, Plan(cycles=10**6), None))
+    robot.start(SeriesJob("braitenberg", braitenberg, Plan(cycles=10**6), None))
     heard.wait("picture", lambda told: max(told["robots"][0]["speed"]) > 3)
     robot.stop()
     heard.wait("done")
@@ -271,7 +271,7 @@ def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
         ear(message)
 
     actor.tell = tell
-    actor.start(Series("braitenberg", braitenberg, Plan(cycles=300), None))
+    actor.start(SeriesJob("braitenberg", braitenberg, Plan(cycles=300), None))
     assert 0 < ear.wait("picture", lambda told: told["part"] > 0)["part"] <= 1
     ear.wait("done")
     assert ear.wait("picture")["part"] == 1
@@ -279,7 +279,7 @@ def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
 
 
 def test_no_picture_is_told_while_nobody_watches() -> None:
-    audience = Audience()
+    audience = Broadcaster()
     audience.tell({"kind": "picture", "time": math.nan})
     with pytest.raises(ValueError, match="not JSON compliant"):
         audience.tell({"kind": "note", "text": math.nan})
@@ -315,7 +315,7 @@ def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_i
     first, second = (TwinActor(playpens.load("default"), TwinOptions(), None, ear) for _ in range(2))
     first.begin()
     ear.wait("twin")
-    first.start(Series("hangs", hangs, Plan(1, cycles=1), None))
+    first.start(SeriesJob("hangs", hangs, Plan(1, cycles=1), None))
     assert inside.wait(30)
     first.end()
     assert "left to itself" in ear.wait("error")["text"]

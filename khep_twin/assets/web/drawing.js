@@ -143,7 +143,7 @@ export class Drawing {
     const size = 13 * this.pixel;
     this.labels.replaceChildren(
       ...shown.map(([[x, y], text]) => {
-        const words = text.split("\n")[0].replace(/^[^:]*? (overlaps|is outside)/, "$1").split(/; (?:right is|expected) /);
+        const words = text.split("\n")[0].replace(/^[^:]*? (overlaps|is outside)/, "$1").split(/; expected /);
         const { width_mm } = this.model.draft.arena;
         const end = x > width_mm / 2;
         const label = make("text", { class: "why", "text-anchor": end ? "end" : "start" });

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 
-from khep_twin.lab.conformance.conformance import Check, Deviation, Line
+from khep_twin.lab.conformance.conformance import Check, CheckedPort, Deviation
 from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, N_SENSORS
 
 ALL: list[Check] = []
@@ -16,10 +16,10 @@ SETTLE = 0.2
 """Silence that ends a banner [s]."""
 
 
-def check(name: str, section: str, moves: str = "") -> Callable[[Callable[[Line], None]], None]:
+def check(name: str, section: str, moves: str = "") -> Callable[[Callable[[CheckedPort], None]], None]:
     """Return a decorator that adds a function to the checks."""
 
-    def add(body: Callable[[Line], None]) -> None:
+    def add(body: Callable[[CheckedPort], None]) -> None:
         ALL.append(Check(name, section, moves, body))
 
     return add
@@ -36,7 +36,7 @@ def within(request: str, values: list[int], low: int, high: int) -> None:
 
 
 @check("a command may end in LF, CR or CR LF, and CR LF is one ending", "3.2, A")
-def _endings(line: Line) -> None:
+def _endings(line: CheckedPort) -> None:
     for end in ("\n", "\r", "\r\n"):
         answer = line.ask("B", end)
         if not answer.startswith("b,"):
@@ -45,13 +45,13 @@ def _endings(line: Line) -> None:
 
 
 @check("an empty line gets no reply", "3.2")
-def _empty_lines(line: Line) -> None:
+def _empty_lines(line: CheckedPort) -> None:
     line.send("\n\r\n\r")
     line.silent("after empty lines")
 
 
 @check("bytes sent one at a time make up a line", "3.2")
-def _single_bytes(line: Line) -> None:
+def _single_bytes(line: CheckedPort) -> None:
     for byte in "G,12,-34\n":
         line.send(byte)
         line.sleep(0.002)
@@ -60,7 +60,7 @@ def _single_bytes(line: Line) -> None:
 
 
 @check("a burst of seven commands is answered in order", "3.2")
-def _burst(line: Line) -> None:
+def _burst(line: CheckedPort) -> None:
     line.send("E\nH\nN\nO\nK\nB\nE\n")
     heads = "".join(line.reply("a command of a burst").split(",")[0] for _ in range(7))
     if heads != "ehnokbe":
@@ -68,13 +68,13 @@ def _burst(line: Line) -> None:
 
 
 @check("an unknown command is answered with Command not found", "3.2")
-def _unknown_words(line: Line) -> None:
+def _unknown_words(line: CheckedPort) -> None:
     for word in ("hello", "d,5,5", "n", "b", "XY", " ", "  ", "\x01", "?", "x" * 65, *"MQSUVXYZ"):
         line.expect(word, "Command not found")
 
 
 @check("missing, surplus or wrong parameters are a protocol error", "A")
-def _wrong_parameters(line: Line) -> None:
+def _wrong_parameters(line: CheckedPort) -> None:
     for request in ("D", "D,1", "D,1,2,3", "D,a,b", "D,,", "C,1", "G,1", "A,1,2", "F,1,2", "P,1"):
         line.expect(request, "z,Protocol error")
     for request in ("J,20,64", "J,1,2,3", "I", "L,0", "R", "W,1", "N,1", "T"):
@@ -82,14 +82,14 @@ def _wrong_parameters(line: Line) -> None:
 
 
 @check("numbers may carry a sign and leading zeros", "A")
-def _signs(line: Line) -> None:
+def _signs(line: CheckedPort) -> None:
     line.expect("G,+5,-005", "g")
     if (numbers := line.numbers("H", "h", 2)) != [5, -5]:
         raise Deviation(f"G,+5,-005 set the counters to {numbers}")
 
 
 @check("an over-long line gets one reply and has no other effect", "3.2")
-def _long_line(line: Line) -> None:
+def _long_line(line: CheckedPort) -> None:
     line.send("D," + "1" * 600 + "\n")
     line.reply("a line of 602 bytes")
     line.silent("after the answer to an over-long line")
@@ -97,7 +97,7 @@ def _long_line(line: Line) -> None:
 
 
 @check("commands work again after rubbish", "3.2")
-def _rubbish(line: Line) -> None:
+def _rubbish(line: CheckedPort) -> None:
     line.send(bytes(byte for byte in range(256) if byte not in b"\r\n").decode("latin-1") + "\n")
     line.reply("binary rubbish")
     line.expect("G,1,2", "g")
@@ -109,25 +109,25 @@ def _rubbish(line: Line) -> None:
 
 
 @check("B reads the versions of BIOS and protocol", "A, command B")
-def _versions(line: Line) -> None:
+def _versions(line: CheckedPort) -> None:
     answer = line.ask("B")
     if not re.fullmatch(r"b,\d+\.\d+,\d+\.\d+", answer):
         raise Deviation(f"'B' was answered {answer!r}; expected a reply such as 'b,5.02,5.01'")
 
 
 @check("A and F accept the default gains", "A, commands A and F")
-def _gains(line: Line) -> None:
+def _gains(line: CheckedPort) -> None:
     line.expect("A,3800,800,100", "a")
     line.expect("F,3000,20,4000", "f")
 
 
 @check("J accepts the default profile, four numbers", "A, command J")
-def _profile(line: Line) -> None:
+def _profile(line: CheckedPort) -> None:
     line.expect("J,20,64,20,64", "j")
 
 
 @check("G sets the counters that H reads, all 32 bits of them", "A, commands G and H")
-def _counters(line: Line) -> None:
+def _counters(line: CheckedPort) -> None:
     for left, right in ((0, 0), (1000, -1000), (2**31 - 1, -(2**31)), (0, 0)):
         line.expect(f"G,{left},{right}", "g")
         if (numbers := line.numbers("H", "h", 2)) != [left, right]:
@@ -135,14 +135,14 @@ def _counters(line: Line) -> None:
 
 
 @check("E reads two speeds, which are 0 for a robot at rest", "A, command E")
-def _speeds(line: Line) -> None:
+def _speeds(line: CheckedPort) -> None:
     line.expect("D,0,0", "d")
     line.sleep(0.3)
     within("E", line.numbers("E", "e", 2), -1, 1)
 
 
 @check("D and C and P are acknowledged", "A, commands C, D and P")
-def _setters(line: Line) -> None:
+def _setters(line: CheckedPort) -> None:
     line.expect("D,0,0", "d")
     line.expect("P,0,0", "p")
     line.expect("G,0,0", "g")
@@ -151,7 +151,7 @@ def _setters(line: Line) -> None:
 
 
 @check("K reads target, mode and error of both wheels", "A, command K")
-def _status(line: Line) -> None:
+def _status(line: CheckedPort) -> None:
     modes: list[int] = []
     for request, reply in (("D,0,0", "d"), ("G,0,0", "g"), ("C,0,0", "c"), ("P,0,0", "p")):
         line.expect(request, reply)
@@ -170,30 +170,30 @@ def _status(line: Line) -> None:
 
 
 @check("N reads eight proximity values of 10 bits", "A, command N")
-def _proximity(line: Line) -> None:
+def _proximity(line: CheckedPort) -> None:
     within("N", line.numbers("N", "n", N_SENSORS), 0, COUNTS_LIMIT)
 
 
 @check("O reads eight ambient light values of 10 bits", "A, command O")
-def _ambient(line: Line) -> None:
+def _ambient(line: CheckedPort) -> None:
     within("O", line.numbers("O", "o", N_SENSORS), 0, COUNTS_LIMIT)
 
 
 @check("I reads the six channels of the converter", "A, command I")
-def _converter(line: Line) -> None:
+def _converter(line: CheckedPort) -> None:
     for channel in range(6):
         within(f"I,{channel}", line.numbers(f"I,{channel}", "i", 1), 0, COUNTS_LIMIT)
 
 
 @check("L switches both LEDs off and on, and toggles them", "A, command L")
-def _leds(line: Line) -> None:
+def _leds(line: CheckedPort) -> None:
     for led in (0, 1):
         for action in (1, 2, 0):
             line.expect(f"L,{led},{action}", "l")
 
 
 @check("an LED that does not exist is refused", "A, command L")
-def _no_led(line: Line) -> None:
+def _no_led(line: CheckedPort) -> None:
     for request in ("L,5,0", "L,0,7"):
         answer = line.ask(request)
         if not answer.startswith("z,"):
@@ -201,13 +201,13 @@ def _no_led(line: Line) -> None:
 
 
 @check("W writes and R reads a byte of the extension bus", "A, commands R and W")
-def _bus(line: Line) -> None:
+def _bus(line: CheckedPort) -> None:
     line.expect("W,0,63", "w")
     within("R,0", line.numbers("R,0", "r", 1), 0, 255)
 
 
 @check("a turret answers under its number, an absent one is refused, none is silent", "A, command T")
-def _turrets(line: Line) -> None:
+def _turrets(line: CheckedPort) -> None:
     for turret in (1, 2, 4, 31):
         answer = line.ask(f"T,{turret},B")
         if not answer.startswith((f"t,{turret},b", "z,")):
@@ -218,7 +218,7 @@ def _turrets(line: Line) -> None:
 
 
 @check("every reply begins within 10 ms and takes its bytes' time on the line", "3.2")
-def _pace(line: Line) -> None:
+def _pace(line: CheckedPort) -> None:
     byte_time = BITS_PER_BYTE / line.port.baudrate
     # Real time has a scheduler's delays on top.
     slack = 0.0 if hasattr(line.port, "time_ns") else 0.02
@@ -246,7 +246,7 @@ def _pace(line: Line) -> None:
 
 
 @check("the tools answer in lines", "3.2.1")
-def _tools(line: Line) -> None:
+def _tools(line: CheckedPort) -> None:
     for tool in ("help", "list", "net", "k-team", "memory", "process", "serial", "run", "sfill"):
         line.send(tool + "\n")
         told = line.read_until_quiet(SETTLE)
@@ -262,7 +262,7 @@ def _tools(line: Line) -> None:
 
 
 @check("restart shows the banner within half a second and resets everything", "3.2, tool restart")
-def _restart(line: Line) -> None:
+def _restart(line: CheckedPort) -> None:
     line.expect("G,55,66", "g")
     line.expect("J,5,5,5,5", "j")
     line.send("restart\n")

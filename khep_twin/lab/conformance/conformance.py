@@ -1,7 +1,8 @@
 """Conformance of a robot or twin at a port to the Khepera's serial protocol.
 
-One body of checks for twin and robot. Each check is a function of a `Line` that raises `Deviation`, and names
-the section of the manual (Khepera User Manual 5.02) that it tests. Checks that move the robot are optional.
+One body of checks for twin and robot. Each check is a function of a `CheckedPort` that raises `Deviation`,
+and names the section of the manual (Khepera User Manual 5.02) that it tests. Checks that move the robot are
+optional.
 """
 
 import json
@@ -42,7 +43,7 @@ class Check:
     name: str
     section: str
     moves: str
-    body: Callable[["Line"], None]
+    body: Callable[["CheckedPort"], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class ConformanceReport:
     """Results of all checks.
 
     Attributes:
@@ -90,7 +91,7 @@ class Report:
         return json.dumps({"passed": self.passed, **asdict(self)}, indent=2)
 
 
-class Line:
+class CheckedPort:
     """A pyserial port with its own time."""
 
     def __init__(self, port: Any) -> None:
@@ -166,7 +167,7 @@ class Line:
 
 def conform(
     url: str, *, move: bool = False, baudrate: int = 9600, tell: Callable[[Check], None] | None = None
-) -> Report:
+) -> ConformanceReport:
     """Check the robot or twin at a port.
 
     Args:
@@ -184,12 +185,12 @@ def conform(
         raise PortError(f"baudrate = {baudrate}; expected the speed of the line, such as 9600")
     # A broken robot may not even confirm the last stop; the report must survive that.
     with closing(Khepera(url, baudrate=baudrate)) as robot:
-        return examine(Line(robot.port), url, move=move, tell=tell)
+        return examine(CheckedPort(robot.port), url, move=move, tell=tell)
 
 
 def examine(
-    line: Line, name: str, *, move: bool = False, tell: Callable[[Check], None] | None = None
-) -> Report:
+    line: CheckedPort, name: str, *, move: bool = False, tell: Callable[[Check], None] | None = None
+) -> ConformanceReport:
     """Run the checks on an open line."""
     results: list[Result] = []
     for check in checks(move):
@@ -197,7 +198,7 @@ def examine(
             tell(check)
         results.append(run_check(check, line))
     skipped = () if move else tuple(check.name for check in checks(True) if check.moves)
-    return Report(name, tuple(results), skipped)
+    return ConformanceReport(name, tuple(results), skipped)
 
 
 def checks(move: bool) -> Iterator[Check]:
@@ -208,7 +209,7 @@ def checks(move: bool) -> Iterator[Check]:
     return (check for check in ALL if move or not check.moves)
 
 
-def run_check(check: Check, line: Line) -> Result:
+def run_check(check: Check, line: CheckedPort) -> Result:
     """Run one check on a quiet line and leave the line quiet."""
     deviation = ""
     try:

@@ -4,7 +4,7 @@ import re
 
 from khep_twin.lab.conformance.checks import ALL as ALL
 from khep_twin.lab.conformance.checks import SETTLE, check, within
-from khep_twin.lab.conformance.conformance import Deviation, Line
+from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 FORWARD = "drives about 80 mm forwards and as far back"
@@ -22,7 +22,7 @@ QUARTER_PULSES = 510
 """Pulses of each wheel for a quarter turn on the spot: wheels 52 mm apart, 0.08 mm per pulse."""
 
 
-def _drive_to(line: Line, left: int, right: int) -> float:
+def _drive_to(line: CheckedPort, left: int, right: int) -> float:
     """Send the wheels to a target; return the time until both are there [s]."""
     line.expect(f"C,{left},{right}", "c")
     start = line.time()
@@ -33,7 +33,7 @@ def _drive_to(line: Line, left: int, right: int) -> float:
     return line.time() - start
 
 
-def _ways(line: Line, command: str, left: int, right: int, duration: float) -> list[int]:
+def _ways(line: CheckedPort, command: str, left: int, right: int, duration: float) -> list[int]:
     """Apply D or P for a duration [s] and stop; return the change of the counters [pulses]."""
     before = line.numbers("H", "h", 2)
     line.expect(f"{command},{left},{right}", command.lower())
@@ -51,7 +51,7 @@ def _took_its_time(took: float) -> None:
 
 
 @check("D drives both wheels at the requested speed", "A, command D", FORWARD)
-def _drive(line: Line) -> None:
+def _drive(line: CheckedPort) -> None:
     for sign in (1, -1):
         line.expect("G,0,0", "g")
         line.expect(f"D,{10 * sign},{10 * sign}", "d")
@@ -68,7 +68,7 @@ def _drive(line: Line) -> None:
 
 
 @check("E reads the measured speeds, not the setpoints", "A, command E", SPIN)
-def _measured_speeds(line: Line) -> None:
+def _measured_speeds(line: CheckedPort) -> None:
     for left, right in ((40, -40), (-40, 40)):
         line.expect(f"P,{left},{right}", "p")
         line.sleep(0.4)
@@ -81,7 +81,7 @@ def _measured_speeds(line: Line) -> None:
 
 
 @check("K reads the left wheel first, and the error left", "A, command K", FORWARD)
-def _status_of_each_wheel(line: Line) -> None:
+def _status_of_each_wheel(line: CheckedPort) -> None:
     line.expect("J,20,64,20,64", "j")
     line.expect("G,0,0", "g")
     line.expect("C,1000,0", "c")
@@ -104,7 +104,7 @@ def _status_of_each_wheel(line: Line) -> None:
 
 
 @check("G in motion sets the counters and stops nothing", "A, command G", FORWARD)
-def _renumbering(line: Line) -> None:
+def _renumbering(line: CheckedPort) -> None:
     line.expect("D,10,10", "d")
     line.sleep(0.5)
     line.expect("G,0,-5000", "g")
@@ -118,7 +118,7 @@ def _renumbering(line: Line) -> None:
 
 
 @check("J sets speed and acceleration of both wheels", "A, command J", FORWARD)
-def _profiles(line: Line) -> None:
+def _profiles(line: CheckedPort) -> None:
     line.expect("G,0,0", "g")
     # 1000 pulses: at 10 pulses/tick 100 ticks and a ramp of 40; at 16/256 pulse/tick^2 2 sqrt(16000) ticks.
     for profile, target, right in (("10,64,10,64", 1000, 1.4), ("20,16,20,16", 0, 2.53)):
@@ -132,7 +132,7 @@ def _profiles(line: Line) -> None:
 
 
 @check("C goes to positions below zero and beyond 16 bits", "A, command C", FORWARD)
-def _far_numbers(line: Line) -> None:
+def _far_numbers(line: CheckedPort) -> None:
     for start, target in ((0, -500), (70_000, 70_500)):
         line.expect(f"G,{start},{start}", "g")
         _drive_to(line, target, target)
@@ -141,7 +141,7 @@ def _far_numbers(line: Line) -> None:
 
 
 @check("a restart stops the motors", "3.2.1, tool restart", FORWARD)
-def _restart_stops(line: Line) -> None:
+def _restart_stops(line: CheckedPort) -> None:
     line.expect("D,8,8", "d")
     line.sleep(0.3)
     line.send("restart\n")
@@ -158,7 +158,7 @@ def _restart_stops(line: Line) -> None:
 
 
 @check("D drives the left and the right wheel in this order", "A, command D", SPIN)
-def _sides(line: Line) -> None:
+def _sides(line: CheckedPort) -> None:
     line.expect("G,0,0", "g")
     for left, right in ((5, -5), (-5, 5)):
         ways = _ways(line, "D", left, right, 0.7)
@@ -167,7 +167,7 @@ def _sides(line: Line) -> None:
 
 
 @check("C goes to a position along the profile and reports arrival", "A, commands C and J", FORWARD)
-def _position(line: Line) -> None:
+def _position(line: CheckedPort) -> None:
     line.expect("J,20,64,20,64", "j")
     line.expect("G,0,0", "g")
     for target in (1000, 0):
@@ -178,7 +178,7 @@ def _position(line: Line) -> None:
 
 
 @check("a restart sets the profile to 20 and 64", "A, command J", FORWARD)
-def _profile_of_a_reset(line: Line) -> None:
+def _profile_of_a_reset(line: CheckedPort) -> None:
     line.expect("J,5,5,5,5", "j")
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
@@ -187,7 +187,7 @@ def _profile_of_a_reset(line: Line) -> None:
 
 
 @check("the sensors come in the manual's order, clockwise from the left", "A, command N", TO_A_WALL)
-def _sensor_order(line: Line) -> None:
+def _sensor_order(line: CheckedPort) -> None:
     line.expect("D,0,0", "d")
     line.expect("G,0,0", "g")
     line.expect("D,10,10", "d")
@@ -218,7 +218,7 @@ def _sensor_order(line: Line) -> None:
 
 
 @check("P drives the motors open loop", "A, command P", FORWARD)
-def _open_loop(line: Line) -> None:
+def _open_loop(line: CheckedPort) -> None:
     line.expect("G,0,0", "g")
     for duty in (40, -40):
         ways = _ways(line, "P", duty, duty, 0.4)
@@ -228,7 +228,7 @@ def _open_loop(line: Line) -> None:
 
 
 @check("a value beyond the range is accepted and keeps its sign", "A, commands D and P", FORWARD)
-def _saturation(line: Line) -> None:
+def _saturation(line: CheckedPort) -> None:
     line.expect("P,0,0", "p")
     line.expect("D,0,0", "d")
     line.expect("G,0,0", "g")
@@ -238,7 +238,7 @@ def _saturation(line: Line) -> None:
 
 
 @check("a gripper, if there is one, opens, closes and moves its arm", "gripper manual", ARM)
-def _gripper(line: Line) -> None:
+def _gripper(line: CheckedPort) -> None:
     if line.ask("T,1,B").startswith("z,"):
         return
     # Something between the fingers may keep them open.

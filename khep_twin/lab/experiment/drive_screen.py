@@ -1,7 +1,7 @@
 """Terminal screen for driving a robot by hand, as plain lines of characters."""
 
 from khep_twin.host import SensorCounts
-from khep_twin.lab.experiment.teleoperation import View
+from khep_twin.lab.experiment.teleoperation import DriveView
 from khep_twin.sensing.bars import BARS
 from khep_twin.units import speed
 
@@ -18,7 +18,7 @@ KEYS = (
 )
 
 
-def draw(view: View, name: str, width: int, height: int) -> list[str]:
+def draw(view: DriveView, name: str, width: int, height: int) -> list[str]:
     """Return the lines of the screen, of at most `width` characters."""
     if width < WIDTH or height < HEIGHT:
         line = f"{width} x {height} characters; expected at least {WIDTH} x {HEIGHT}; q ends"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
-from khep_twin.board.uart import HostAct
+from khep_twin.board.uart import HostEvent
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.polygon import contains
@@ -43,7 +43,7 @@ UNITS = {
 """Unit of each metric by its name; those of the ground truth begin with the distance."""
 
 
-class Heard:
+class HostMetrics:
     """Metrics of the exchanges between a host and its robot in one run."""
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Heard:
         return {name: found[name] for name in UNITS if name in found}
 
 
-class Truth:
+class GroundTruthMetrics:
     """Tap that records the ground truth of one run of one robot.
 
     Args:
@@ -113,9 +113,9 @@ class Truth:
         self._counts.append(robot.registers[self._columns])  # a copy
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Ignore bytes: `Heard` counts them."""
+        """Ignore bytes: `HostMetrics` counts them."""
 
-    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
         """Ignore acts: their effect is recorded."""
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:

@@ -16,11 +16,11 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from khep_twin import __version__
-from khep_twin.board.uart import Act, HostAct
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.log.attached import playpen_of
-from khep_twin.log.channels import Line
+from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import LATEST_NS, Misfit, first_line, read_line, shown
 from khep_twin.log.reader import Label, read_raw
 from khep_twin.log.recorder import versions
@@ -48,9 +48,9 @@ class Recorded:
 
     path: Path
     label: Label
-    acts: Sequence[tuple[int, int, HostAct]]
+    acts: Sequence[tuple[int, int, HostEvent]]
     states: Sequence[int]
-    lines: Sequence[Sequence[Line]]
+    lines: Sequence[Sequence[TextLine]]
     torn: bool
 
     @property
@@ -60,7 +60,7 @@ class Recorded:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Difference:
+class Divergence:
     """First difference between a repeated run and the recorded one.
 
     Attributes:
@@ -90,8 +90,8 @@ def read_recorded(path: Path) -> Recorded:
             raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
         states += hashed
     last_ns = (len(states) - 1) * SAMPLE_NS + _OVERTIME_NS if states and not recovered else LATEST_NS
-    acts: list[tuple[int, int, HostAct]] = []
-    lines: list[list[Line]] = [[] for _ in label.robots]
+    acts: list[tuple[int, int, HostEvent]] = []
+    lines: list[list[TextLine]] = [[] for _ in label.robots]
     for index, name in enumerate(label.robots):
         for _, done in _decoded(path, found, f"/{name}/wire", lambda data: list(read_acts(data))):
             acts += [(at_ns, index, act) for at_ns, act in done]
@@ -151,7 +151,7 @@ def check(recorded: Recorded) -> None:
         raise LogError(f"{recorded.path}: cannot be repeated: {reason}")
 
 
-def repeat(recorded: Recorded, progress: Callable[[float], None] | None = None) -> Difference | None:
+def repeat(recorded: Recorded, progress: Callable[[float], None] | None = None) -> Divergence | None:
     """Repeat a run and compare it with its log; return the first difference, None without.
 
     Raises:
@@ -226,13 +226,13 @@ def _calibrated(recorded: Recorded, playpen: Playpen, folder: Path) -> Playpen:
     return playpen.model_copy(update={"robots": tuple(robots)})
 
 
-def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | None) -> Difference | None:
+def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | None) -> Divergence | None:
     world = twin.world
     watch = _Watch(world, recorded)
     world.add_tap(watch)
     last_ns = max([recorded.end_ns, *(line.time_ns for lines in recorded.lines for line in lines)])
     acts = [each for each in recorded.acts if not recorded.torn or each[0] <= recorded.end_ns]
-    end: list[tuple[int, int, HostAct | None]] = [(recorded.end_ns if recorded.torn else last_ns, 0, None)]
+    end: list[tuple[int, int, HostEvent | None]] = [(recorded.end_ns if recorded.torn else last_ns, 0, None)]
     for time_ns, index, act in [*acts, *end]:
         while world.time_ns < time_ns and watch.difference is None:
             world.advance_to(min(time_ns, world.time_ns + NS_PER_S))
@@ -245,27 +245,27 @@ def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | Non
     return min(filter(None, [watch.difference, *watch.lines(recorded)]), default=None)
 
 
-def _act(twin: Twin, index: int, act: HostAct) -> None:
+def _act(twin: Twin, index: int, act: HostEvent) -> None:
     """Repeat an act of a host on its robot's line."""
     robot = twin.world.robots[index]
     # Discard unread bytes; that changes nothing for the robot.
     robot.uart.tx.read(twin.world.time_ns)
     match act.kind:
-        case Act.SEND:
+        case HostEventKind.SEND:
             robot.send(act.data, act.at_ns)
-        case Act.HANG_UP:
+        case HostEventKind.HANG_UP:
             robot.hang_up()
-        case Act.TAKE_BACK:
+        case HostEventKind.TAKE_BACK:
             robot.take_back()
-        case Act.SET:
+        case HostEventKind.SET:
             robot.compare_line(act.host)
-        case Act.PUT:
+        case HostEventKind.PUT:
             put_again(twin.world, index, act)
-        case Act.SWITCH:
+        case HostEventKind.SWITCH:
             switch_again(twin.world, act)
-        case Act.SCAN:
+        case HostEventKind.SCAN:
             scan(twin.world)
-        case Act.RELIGHT:
+        case HostEventKind.RELIGHT:
             relight_again(twin.world, act)
 
 
@@ -277,11 +277,11 @@ class _Watch:
     """
 
     def __init__(self, world: World, recorded: Recorded) -> None:
-        self.difference: Difference | None = None
+        self.difference: Divergence | None = None
         self._recorded = recorded.states
         self._answers = Answered(len(world.robots))
         self._names = [robot.name for robot in world.robots]
-        self._lines: dict[str, list[Line]] = {f"/{name}/serial": [] for name in self._names}
+        self._lines: dict[str, list[TextLine]] = {f"/{name}/serial": [] for name in self._names}
         self._transcript = Transcript(self, self._names)
 
     def sample(self, world: World) -> None:
@@ -292,7 +292,7 @@ class _Watch:
             parts = (np.array(self._answers.numbers), world.data.qpos, world.data.qvel, *registers)
             before, now = self._recorded[place], int(hashes(*(part.reshape(1, -1) for part in parts))[0])
             if before != now:
-                self.difference = Difference(world.time_ns, "/state", _hexadecimal(before), _hexadecimal(now))
+                self.difference = Divergence(world.time_ns, "/state", _hexadecimal(before), _hexadecimal(now))
 
     def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Add bytes to the transcript."""
@@ -300,7 +300,7 @@ class _Watch:
         if not to_robot:
             self._answers.hear(time_ns, robot, data)
 
-    def act(self, time_ns: int, robot: int, act: HostAct) -> None:
+    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
         """Ignore acts: they are the recorded ones."""
 
     def event(self, time_ns: int, robot: int | None, text: str) -> None:
@@ -310,13 +310,13 @@ class _Watch:
         """Add whole lines of the transcript."""
         self._lines[topic] += map(read_line, messages)
 
-    def lines(self, recorded: Recorded) -> list[Difference]:
+    def lines(self, recorded: Recorded) -> list[Divergence]:
         """Return the first difference of each robot's transcript."""
         self._transcript.write()
         if not recorded.torn:
             self._transcript.write_rests(recorded.end_ns)
         until_ns = recorded.end_ns if self.difference is None else self.difference.time_ns
-        found: list[Difference] = []
+        found: list[Divergence] = []
         for name, before in zip(self._names, recorded.lines, strict=True):
             topic = f"/{name}/serial"
             for old, new in zip_longest(before, self._lines[topic]):
@@ -327,12 +327,12 @@ class _Watch:
                 time_ns = min(line.time_ns for line in (old, new) if line is not None)
                 # After the last sample the end of the run is unknown.
                 if time_ns <= until_ns or (old is not None and self.difference is None and not recorded.torn):
-                    found.append(Difference(time_ns, topic, _told(old), _told(new)))
+                    found.append(Divergence(time_ns, topic, _told(old), _told(new)))
                 break
         return found
 
 
-def _told(line: Line | None) -> str:
+def _told(line: TextLine | None) -> str:
     if line is None:
         return "nothing"
     return f"{shown(line.name)}: {shown(line.text)} at {line.time_ns / NS_PER_S:.4f} s"

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.uart import Act, HostAct
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.repeat import Recorded
-from khep_twin.log.channels import Line
+from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import Misfit, shown
 from khep_twin.log.transcript import text_of
 
@@ -64,7 +64,7 @@ class Comparison:
     letters: dict[str, Letter]
     missing: int
     more: int
-    first: tuple[Line, str] | None
+    first: tuple[TextLine, str] | None
 
     @property
     def identical(self) -> bool:
@@ -106,7 +106,7 @@ def resend(recorded: Recorded, url: str, progress: Callable[[float], None] | Non
         LogError: The log has no bytes of a host.
         PortError: The port cannot be opened or was lost.
     """
-    robots = {index for _, index, act in recorded.acts if act.kind == Act.SEND}
+    robots = {index for _, index, act in recorded.acts if act.kind == HostEventKind.SEND}
     if not robots:
         made = recorded.label.metadata.get("khep_twin", "an unknown version")
         raise LogError(f"{recorded.path}: no host has sent anything in it, or it is too old (of {made})")
@@ -117,7 +117,7 @@ def resend(recorded: Recorded, url: str, progress: Callable[[float], None] | Non
     return _compared(recorded.label.robots[robot], lines, came)
 
 
-def _baud(recorded: Recorded, acts: Sequence[HostAct]) -> int:
+def _baud(recorded: Recorded, acts: Sequence[HostEvent]) -> int:
     """Return the host's baud rate at the start."""
     known = [act.host.baud for act in acts if act.host is not None and act.host.baud]
     if known:
@@ -129,7 +129,7 @@ def _baud(recorded: Recorded, acts: Sequence[HostAct]) -> int:
 
 
 def _send(
-    acts: Sequence[HostAct], url: str, baud: int, last_ns: int, progress: Callable[[float], None] | None
+    acts: Sequence[HostEvent], url: str, baud: int, last_ns: int, progress: Callable[[float], None] | None
 ) -> list[str]:
     """Repeat the acts at their times; return the replies."""
     came = b""
@@ -139,17 +139,17 @@ def _send(
         # A simulated port loses nothing, and each read would take time.
         simulated = hasattr(port, "time_ns")
         start = khepera.time
-        end = HostAct(Act.HANG_UP, max(last_ns, acts[-1].at_ns) + int(_LAST_WAIT * NS_PER_S))
+        end = HostEvent(HostEventKind.HANG_UP, max(last_ns, acts[-1].at_ns) + int(_LAST_WAIT * NS_PER_S))
         try:
             for act in (*acts, end):
                 while (wait := act.at_ns / NS_PER_S - (khepera.time - start)) > 0:
                     khepera.sleep(wait if simulated else min(wait, _SLICE))
                     came += b"" if simulated else port.read(port.in_waiting)
-                if act.kind == Act.SEND:
+                if act.kind == HostEventKind.SEND:
                     port.write(act.data)
-                elif act.kind == Act.TAKE_BACK:
+                elif act.kind == HostEventKind.TAKE_BACK:
                     port.reset_output_buffer()
-                elif act.kind == Act.SET and act.host is not None and act.host.baud:
+                elif act.kind == HostEventKind.SET and act.host is not None and act.host.baud:
                     port.baudrate = act.host.baud
                 if progress is not None:
                     progress(min(act.at_ns / end.at_ns, 1.0))
@@ -159,7 +159,7 @@ def _send(
     return [text_of(line) for line in re.split(rb"[\r\n]", came) if line]
 
 
-def _compared(robot: str, recorded: Sequence[Line], came: Sequence[str]) -> Comparison:
+def _compared(robot: str, recorded: Sequence[TextLine], came: Sequence[str]) -> Comparison:
     pairs, more = _paired(recorded, came)
     first = next(((line, text) for line, text in pairs if line.text != text), None)
     letters: dict[str, Letter] = {}
@@ -173,9 +173,9 @@ def _compared(robot: str, recorded: Sequence[Line], came: Sequence[str]) -> Comp
     return Comparison(robot, letters, sum(not text for _, text in pairs), more, first)
 
 
-def _paired(recorded: Sequence[Line], came: Sequence[str]) -> tuple[list[tuple[Line, str]], int]:
+def _paired(recorded: Sequence[TextLine], came: Sequence[str]) -> tuple[list[tuple[TextLine, str]], int]:
     """Return each recorded reply with its counterpart, empty for none, and the number of other replies."""
-    pairs: list[tuple[Line, str]] = []
+    pairs: list[tuple[TextLine, str]] = []
     place, more = 0, 0
     for index, line in enumerate(recorded):
         letter = line.text[:1]

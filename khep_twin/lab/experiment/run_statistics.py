@@ -92,7 +92,7 @@ class Slip:
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
+class LightStatistics:
     """Light received from lamps.
 
     Attributes:
@@ -208,7 +208,7 @@ def clearance(places: Floats, playpen: Playpen) -> Floats:
     return nearest
 
 
-def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> Light:
+def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> LightStatistics:
     """Return the light received from lamps over at least one sample.
 
     Args:
@@ -218,7 +218,7 @@ def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> Light:
     """
     depth = dark - ambient
     row, sensor = (int(place) for place in np.unravel_index(np.argmax(depth), depth.shape))
-    return Light(float(depth.mean()), float(depth[row, sensor]), sensor, float(times_s[row]))
+    return LightStatistics(float(depth.mean()), float(depth[row, sensor]), sensor, float(times_s[row]))
 
 
 def _away(places: Floats, shape: Footprint) -> Floats:

@@ -21,8 +21,8 @@ from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment import experiment
 from khep_twin.lab.experiment.controllers import AnyController, Controller, as_controller, variables
-from khep_twin.lab.experiment.measures import Heard, Truth
-from khep_twin.lab.experiment.start_poses import Start, at_start
+from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics
+from khep_twin.lab.experiment.start_poses import StartPose, at_start
 from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
@@ -64,7 +64,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class SeriesRun:
     """One run of a series.
 
     Attributes:
@@ -77,7 +77,7 @@ class Run:
     """
 
     number: int
-    start: Start | None
+    start: StartPose | None
     cycles: int
     duration: float
     numbers: Mapping[str, float]
@@ -98,7 +98,7 @@ def numbered(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
 
 
-class Bench(Protocol):
+class RobotSource(Protocol):
     """Source of the robots of a series."""
 
     def first(self, kept: int, controller: AnyController) -> int:
@@ -126,7 +126,7 @@ class Session:
 
     numbers: range
     opened: AbstractContextManager[Khepera]
-    start: Start | None = None
+    start: StartPose | None = None
 
 
 class OneRobot:
@@ -156,7 +156,7 @@ class OneRobot:
         self._robot.hold()
 
 
-class NewTwins:
+class FreshTwins:
     """A new twin for each run, in this process.
 
     Args:
@@ -173,7 +173,7 @@ class NewTwins:
         self,
         playpen: Playpen,
         options: TwinOptions,
-        starts: Sequence[Start],
+        starts: Sequence[StartPose],
         record: Callable[[Twin, int], None] | None = None,
     ) -> None:
         if not starts:
@@ -197,7 +197,7 @@ class NewTwins:
             self._robot.hold()
 
     @contextmanager
-    def _twin(self, number: int, start: Start) -> Generator[Khepera]:
+    def _twin(self, number: int, start: StartPose) -> Generator[Khepera]:
         options = replace(self._options, seed=self._options.seed + number - 1)
         twin = open_twin(at_start(self._playpen, options.robot or 0, start), options)
         if self._record is not None:
@@ -208,15 +208,15 @@ class NewTwins:
 
 def run_series(
     controller: AnyController,
-    bench: Bench,
+    bench: RobotSource,
     plan: Plan,
     *,
     first: int = 1,
     before: Callable[[int], None] | None = None,
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
-    broken_off: Callable[[Run], None] | None = None,
-) -> Generator[Run]:
+    broken_off: Callable[[SeriesRun], None] | None = None,
+) -> Generator[SeriesRun]:
     """Run a controller repeatedly; yield each complete run.
 
     Args:
@@ -261,15 +261,15 @@ def run_series(
 def _run(
     controller: Controller,
     robot: Khepera,
-    start: Start | None,
+    start: StartPose | None,
     number: int,
     plan: Plan,
     progress: Callable[[float], None] | None,
     stop: Callable[[], bool] | None,
-    broken_off: Callable[[Run], None] | None,
-) -> Run | None:
+    broken_off: Callable[[SeriesRun], None] | None,
+) -> SeriesRun | None:
     """Return one run; None if it was aborted, with which `broken_off` is called."""
-    heard, truth = Heard(), _truth_of(robot)
+    heard, truth = HostMetrics(), _truth_of(robot)
     began, done = robot.time, 0
 
     def end_cycle() -> None:
@@ -277,9 +277,9 @@ def _run(
         heard.end_cycle()
         done += 1
 
-    def result(outcome: experiment.Outcome) -> Run:
+    def result(outcome: experiment.Outcome) -> SeriesRun:
         numbers = heard.numbers() | ({} if truth is None else truth.numbers())
-        return Run(number, start, outcome.cycles, outcome.duration, numbers, variables(controller))
+        return SeriesRun(number, start, outcome.cycles, outcome.duration, numbers, variables(controller))
 
     _tell(robot, f"run {number} begins")
     robot.listen(heard)
@@ -319,10 +319,10 @@ def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> 
         left -= _LOOK
 
 
-def _truth_of(robot: Khepera) -> Truth | None:
+def _truth_of(robot: Khepera) -> GroundTruthMetrics | None:
     """Start recording the ground truth of a robot, if it is a twin in this process."""
     twin = twin_of(robot)
-    return None if twin is None else Truth(twin.world, twin.robot.index)
+    return None if twin is None else GroundTruthMetrics(twin.world, twin.robot.index)
 
 
 def _tell(robot: Khepera, text: str) -> None:

@@ -26,7 +26,7 @@ from khep_twin.errors import ControllerError
 from khep_twin.files.atomic import read_regular, write_whole
 from khep_twin.files.mat_bytes import mat_bytes
 from khep_twin.lab.experiment.measures import UNITS
-from khep_twin.lab.experiment.series import Run
+from khep_twin.lab.experiment.series import SeriesRun
 
 Row = Mapping[str, int | float | str | bool]
 """A run as a table row: values by column name."""
@@ -80,7 +80,7 @@ class SeriesFolder:
             raise ControllerError(f"{path}: no series to resume; expected a folder that --save made")
         self._write()
 
-    def keep(self, run: Run) -> bool:
+    def keep(self, run: SeriesRun) -> bool:
         """Save a run; a repeated run must equal the saved one.
 
         Returns:
@@ -155,7 +155,7 @@ def tables(rows: Sequence[Row]) -> dict[str, bytes]:
     return {".csv": _csv(rows, names), ".parquet": _parquet(rows, names), ".mat": _mat(numeric, "series")}
 
 
-def row_of(run: Run) -> Row:
+def row_of(run: SeriesRun) -> Row:
     """Return a run as a row of the tables."""
     row: dict[str, Any] = {"run": run.number}
     if run.start is not None:

@@ -20,7 +20,7 @@ _GRID_LIMIT = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class StartPose:
     """Pose of a robot at the start of a run.
 
     Attributes:
@@ -38,7 +38,7 @@ class Start:
         return f"{self.x_mm:g},{self.y_mm:g},{self.heading_deg:g}"
 
 
-def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed: int) -> list[Start]:
+def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed: int) -> list[StartPose]:
     """Return the start poses that command-line words describe; runs use them in turn.
 
     Args:
@@ -55,7 +55,7 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
     if not 0 <= robot < len(playpen.robots):
         among = choices(robot, range(len(playpen.robots)))
         raise PlaypenError(f"robot = {robot}: not in playpen {playpen.name!r}; {among}")
-    found: list[Start] = []
+    found: list[StartPose] = []
     for wish in wishes:
         if wish == "playpen":
             found += own_starts(playpen, robot)
@@ -68,15 +68,15 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
     return found
 
 
-def own_starts(playpen: Playpen, robot: int) -> list[Start]:
+def own_starts(playpen: Playpen, robot: int) -> list[StartPose]:
     """Return the playpen's poses of a robot: its place, or each of its spots."""
     entry = playpen.robots[robot]
     spots = {spot.name: spot for spot in playpen.spots}
     places = [spots[name] for name in entry.spots] or [entry]
-    return [Start(place.x_mm, place.y_mm, place.heading_deg) for place in places]
+    return [StartPose(place.x_mm, place.y_mm, place.heading_deg) for place in places]
 
 
-def at_start(playpen: Playpen, robot: int, start: Start) -> Playpen:
+def at_start(playpen: Playpen, robot: int, start: StartPose) -> Playpen:
     """Return the playpen with a robot at a start pose."""
     place = {"x_mm": start.x_mm, "y_mm": start.y_mm, "heading_deg": start.heading_deg, "spots": ()}
     robots = list(playpen.robots)
@@ -130,20 +130,20 @@ def numbers(text: str, count: int) -> list[float] | None:
     return values if len(values) == count and all(map(math.isfinite, values)) else None
 
 
-def _single(wish: str, playpen: Playpen, robot: int) -> Start:
+def _single(wish: str, playpen: Playpen, robot: int) -> StartPose:
     values = numbers(wish, 3)
     if values is None:
         raise PlaypenError(
             f"start {wish!r}; expected X,Y,HEADING in mm and degrees, such as 100,200,90, or "
             "grid:COLUMNSxROWS, random or playpen"
         )
-    start = Start(*values)
+    start = StartPose(*values)
     if reason := _no_room(playpen, robot, start):
         raise PlaypenError(f"start {wish}: {reason}")
     return start
 
 
-def _grid(wish: str, playpen: Playpen, robot: int) -> list[Start]:
+def _grid(wish: str, playpen: Playpen, robot: int) -> list[StartPose]:
     """Return the middles of a grid's cells, row by row from below; those without room are left out."""
     parts = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", wish)
     columns, rows = (int(parts[1]), int(parts[2])) if parts else (0, 0)
@@ -154,7 +154,7 @@ def _grid(wish: str, playpen: Playpen, robot: int) -> list[Start]:
         )
     (left, right), (low, high) = _extent(playpen)
     places = [
-        Start(
+        StartPose(
             left + (right - left) * (column + 0.5) / columns,
             low + (high - low) * (row + 0.5) / rows,
             float(parts[3] or 0),
@@ -168,14 +168,14 @@ def _grid(wish: str, playpen: Playpen, robot: int) -> list[Start]:
     return free
 
 
-def _drawn(playpen: Playpen, robot: int, count: int, seed: int) -> list[Start]:
+def _drawn(playpen: Playpen, robot: int, count: int, seed: int) -> list[StartPose]:
     chance = stream(seed, "starts")
     (left, right), (low, high) = _extent(playpen)
-    found: list[Start] = []
+    found: list[StartPose] = []
     for _ in range(count):
         for _ in range(_TRIES):
             x_mm, y_mm, heading_deg = chance.uniform((left, low, 0), (right, high, 360)).tolist()
-            start = Start(round(x_mm, 1), round(y_mm, 1), round(heading_deg, 1))
+            start = StartPose(round(x_mm, 1), round(y_mm, 1), round(heading_deg, 1))
             if not _no_room(playpen, robot, start):
                 found.append(start)
                 break
@@ -190,5 +190,5 @@ def _extent(playpen: Playpen) -> tuple[tuple[float, float], tuple[float, float]]
     return (min(xs), max(xs)), (min(ys), max(ys))
 
 
-def _no_room(playpen: Playpen, robot: int, start: Start) -> str:
+def _no_room(playpen: Playpen, robot: int, start: StartPose) -> str:
     return no_room(playpen, robot, start.x_mm, start.y_mm)

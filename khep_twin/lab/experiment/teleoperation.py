@@ -14,7 +14,7 @@ from typing import Any
 
 from khep_twin.errors import PortTimeout, ProtocolError
 from khep_twin.host import Khepera, SensorCounts, Speeds, commands
-from khep_twin.host.commands import Command
+from khep_twin.host.commands import HostCommand
 from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, N_SENSORS
 
 FIRST_HOLD = 0.7
@@ -58,7 +58,7 @@ class Way(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class DriveView:
     """State of a robot that is driven by hand.
 
     Attributes:
@@ -114,7 +114,7 @@ class Teleoperation:
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._switch = DeadManSwitch()
-        self._view = View(speed)
+        self._view = DriveView(speed)
         self._sent: Speeds | None = None
         self._leds = _LEDS[0]
         self._sent_leds: tuple[int, int] | None = None
@@ -124,7 +124,7 @@ class Teleoperation:
     # From any thread -----------------------------------------------------------------------------------
 
     @property
-    def view(self) -> View:
+    def view(self) -> DriveView:
         """Latest state."""
         with self._lock:
             return self._view
@@ -176,7 +176,7 @@ class Teleoperation:
         with self._lock:
             way, leds, view = self._switch.way(self._now()), self._leds, self._view
         speeds = way.speeds(view.speed)
-        orders: list[Command[Any]] = [] if speeds == self._sent else [commands.set_speed(*speeds)]
+        orders: list[HostCommand[Any]] = [] if speeds == self._sent else [commands.set_speed(*speeds)]
         if leds != self._sent_leds:
             orders += [commands.set_led(led, action) for led, action in enumerate(leds)]
         try:

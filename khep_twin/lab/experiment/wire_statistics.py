@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from khep_twin.log.channels import Line
+from khep_twin.log.channels import TextLine
 
 _REFUSALS = ("z,", "Command not found")
 
@@ -35,7 +35,7 @@ class Wire:
         return sum(self.commands.values())
 
 
-def wire(lines: Sequence[Line]) -> Wire:
+def wire(lines: Sequence[TextLine]) -> Wire:
     """Return the statistics of a transcript; a reply belongs to the oldest open command of its letter.
 
     Args:

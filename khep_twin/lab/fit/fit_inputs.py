@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.infrared import Table
+from khep_twin.lab.fit.infrared import MeasuredTable
 from khep_twin.lab.fit.lamp_fit import LampTable
 from khep_twin.lab.fit.motor_fit import DutyDrive, read_drive
 from khep_twin.lab.fit.wheel_fit import Drive, pulses
@@ -73,14 +73,14 @@ class SensorData:
     power: float | None = None
     height: float = FILAMENT_MM / 1e3
 
-    def table(self, wheels: WheelCalibration) -> Table:
+    def table(self, wheels: WheelCalibration) -> MeasuredTable:
         """Return the readings with the object's distance and bearing in each row."""
         away, bearings = self._object(wheels, self.radius)
         if self.radius == 0:
             # A wall's nearest point lies in the direction of the robot's initial heading.
             x, _, heading = self._poses(wheels).T
             away, bearings = BODY_RADIUS + self.distance - x, -heading
-        return Table(away - self.radius - BODY_RADIUS, bearings, self.counts, self.radius)
+        return MeasuredTable(away - self.radius - BODY_RADIUS, bearings, self.counts, self.radius)
 
     def lamp_table(self, wheels: WheelCalibration) -> LampTable:
         """Return the readings with the lamp's position in each row."""

@@ -26,7 +26,7 @@ PEAK_DEG = 6
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class RayHits:
     """Hits of one sensor's rays at many poses.
 
     Attributes:
@@ -54,16 +54,16 @@ class Bench:
     tangents: Floats
     radius: float
 
-    def wall(self, distances: Floats, bearings: Floats) -> View:
+    def wall(self, distances: Floats, bearings: Floats) -> RayHits:
         """Return the view of a wall at distances from the robot's edge [m] and bearings, ccw [rad]."""
         towards, directions = self._towards(bearings), self._directions()
         cosines = towards @ directions.T
         away = self.radius + distances - towards @ np.array(self.position)
         met = cosines > 1e-9
         lengths = np.where(met, away[:, None] / np.where(met, cosines, 1), np.inf)
-        return View(lengths, np.where(met, cosines, 0))
+        return RayHits(lengths, np.where(met, cosines, 0))
 
-    def cylinder(self, distances: Floats, bearings: Floats, radius: float) -> View:
+    def cylinder(self, distances: Floats, bearings: Floats, radius: float) -> RayHits:
         """Return the view of an upright cylinder of a radius [m], likewise."""
         towards, directions = self._towards(bearings), self._directions()
         centres = towards * (self.radius + distances + radius)[:, None] - np.array(self.position)
@@ -71,7 +71,7 @@ class Bench:
         aside = (centres**2).sum(axis=1)[:, None] - along**2
         met = (aside < radius**2) & (along > 0)
         depth = np.sqrt(np.where(met, radius**2 - aside, 0))
-        return View(np.where(met, along - depth, np.inf), depth / radius)
+        return RayHits(np.where(met, along - depth, np.inf), depth / radius)
 
     def _directions(self) -> Floats:
         angles = self.heading - np.arctan(self.tangents)
@@ -83,7 +83,7 @@ class Bench:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class MeasuredTable:
     """Readings of a robot in front of an object.
 
     Attributes:
@@ -98,7 +98,7 @@ class Table:
     counts: Floats
     radius: float
 
-    def view(self, sensor: int, heading: float) -> View:
+    def view(self, sensor: int, heading: float) -> RayHits:
         """Return the view of a sensor with a heading [rad]."""
         bench = Bench(SENSOR_POSITIONS[sensor], heading, TANGENTS, BODY_RADIUS)
         if self.radius:
@@ -140,7 +140,7 @@ class Optics:
 
 
 def proximity(
-    view: View,
+    view: RayHits,
     tangents: Floats,
     optics: Optics,
     reflectance: float = 1.0,
@@ -158,7 +158,7 @@ def proximity(
     return np.clip(level(view, tangents, optics, reflectance), 0, limit_counts)
 
 
-def level(view: View, tangents: Floats, optics: Optics, reflectance: float = 1.0) -> Floats:
+def level(view: RayHits, tangents: Floats, optics: Optics, reflectance: float = 1.0) -> Floats:
     """Return `proximity` before it is clipped (n_places,) [counts]."""
     weights = np.array(lobe_weights(tangents, optics.lobe_exponent))
     lit = weights * np.where(view.incidences > 0, view.incidences, 0) ** optics.incidence_exponent

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.infrared import TANGENTS, Floats, Optics, Table, level
+from khep_twin.lab.fit.infrared import TANGENTS, Floats, MeasuredTable, Optics, level
 from khep_twin.lab.fit.least_squares import Parameter, estimate
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import N_SENSORS, Sensor
@@ -53,7 +53,7 @@ class SensorFit:
     rms: float
 
 
-def fit_infrared(tables: Sequence[Table], start: Calibration) -> list[SensorFit]:
+def fit_infrared(tables: Sequence[MeasuredTable], start: Calibration) -> list[SensorFit]:
     """Fit gain and threshold of each sensor to the readings.
 
     Raises:
@@ -94,7 +94,7 @@ def deviation(levels: Floats, noise: float, limit: float) -> Floats:
     return np.sqrt(np.maximum(squares - expected(levels, noise, limit) ** 2, 0))
 
 
-def _fit_sensor(tables: Sequence[Table], sensor: int, start: Calibration) -> SensorFit:
+def _fit_sensor(tables: Sequence[MeasuredTable], sensor: int, start: Calibration) -> SensorFit:
     name = Sensor(sensor).name.lower().replace("_", " ")
     before, proximity = Optics.of(start.proximity, sensor), start.proximity
     views = [table.view(sensor, float(np.radians(start.heading_deg[sensor]))) for table in tables]

@@ -21,7 +21,7 @@ from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.lab.fit.least_squares import Parameter, estimate
-from khep_twin.log.channels import Line
+from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import read
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
 from khep_twin.units import PULSES_PER_TURN, TICK_NS
@@ -182,7 +182,7 @@ def driven(drive: DutyDrive, robot: Calibration) -> Floats:
     return drive.speeds(np.where(drive.ways[:, None], pulses[ticks], gone))
 
 
-def _values(line: Line) -> tuple[str, int, int] | None:
+def _values(line: TextLine) -> tuple[str, int, int] | None:
     """Return a robot's answer to E or H, None for anything else and for garbled lines."""
     letter, *fields = line.text.split(",")
     if line.name != "robot" or letter not in ("e", "h") or len(fields) != 2:

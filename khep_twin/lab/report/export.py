@@ -30,8 +30,8 @@ from khep_twin.board.kernel import Board, Wheel
 from khep_twin.errors import LogError, choices
 from khep_twin.files.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
-from khep_twin.log.channels import Line
-from khep_twin.log.reader import Recording, Series, read_pieces
+from khep_twin.log.channels import TextLine
+from khep_twin.log.reader import Recording, TimeSeries, read_pieces
 
 SUFFIXES = (".csv", ".parquet", ".mat")
 
@@ -90,7 +90,7 @@ class Channel:
     name: str
     topic: str
     columns: tuple[tuple[str, str], ...]
-    series: Series
+    series: TimeSeries
 
 
 def checked_suffix(path: Path) -> str:
@@ -190,8 +190,8 @@ def matrices(
     Raises:
         LogError: The log is not whole, or has more than a MAT file should.
     """
-    parts: list[list[Series]] = [[] for _ in channels]
-    lines: dict[str, list[Line]] = {f"/{robot}/serial": [], "/events": []}
+    parts: list[list[TimeSeries]] = [[] for _ in channels]
+    lines: dict[str, list[TextLine]] = {f"/{robot}/serial": [], "/events": []}
     size = 0
     for piece in read_pieces(log, progress):
         for channel, found in zip(channels, parts, strict=True):
@@ -269,7 +269,7 @@ def _part(log: Path, channel: Channel, piece: Recording) -> Channel:
     Raises:
         LogError: Its rows have another length there than at its begin.
     """
-    series = piece.series.get(channel.topic, Series(np.zeros(0, np.int64), channel.series.values[:0]))
+    series = piece.series.get(channel.topic, TimeSeries(np.zeros(0, np.int64), channel.series.values[:0]))
     if series.values.shape[1:] != channel.series.values.shape[1:]:
         raise LogError(
             f"{log}: {channel.topic} has {series.values.shape[1]} values at {series.times_ns[0] / 1e9} s, "

@@ -18,7 +18,7 @@ from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
-from khep_twin.log.reader import Series
+from khep_twin.log.reader import TimeSeries
 from khep_twin.units import COUNTS_LIMIT, speed
 
 POINT_LIMIT = 2000
@@ -127,7 +127,7 @@ def _within(
     }
 
 
-def _draw_strip(axes: Axes, series: Series, sensor: int, colour: str, dark: float | None) -> None:
+def _draw_strip(axes: Axes, series: TimeSeries, sensor: int, colour: str, dark: float | None) -> None:
     """Draw one sensor: proximity filled from below, ambient light from the dark level."""
     times_s, values = _thinned(series.times_ns / 1e9, series.values[:, sensor])
     level = 0.0 if dark is None else dark
@@ -159,7 +159,7 @@ def _times(robot: RobotReport) -> tuple[float, float]:
     return 0.0, last_s or 1.0
 
 
-def _highest(series: Series | None) -> int:
+def _highest(series: TimeSeries | None) -> int:
     return 0 if series is None else int(series.values.max(initial=0))
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from khep_twin.board.kernel import N_REGISTERS
-from khep_twin.drawing.map import Track
+from khep_twin.drawing.map import DrawnPath
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.report.rows import (
     Row,
@@ -23,8 +23,8 @@ from khep_twin.lab.report.rows import (
     wire_rows,
 )
 from khep_twin.log.attached import calibration_of, playpen_of
-from khep_twin.log.channels import Line
-from khep_twin.log.reader import Recording, Series
+from khep_twin.log.channels import TextLine
+from khep_twin.log.reader import Recording, TimeSeries
 from khep_twin.playpen import Playpen
 from khep_twin.units import BODY_RADIUS
 
@@ -53,9 +53,9 @@ class RobotReport:
     name: str
     rows: tuple[Row, ...]
     missing: str
-    proximity: Series | None
-    ambient: Series | None
-    speed: Series | None
+    proximity: TimeSeries | None
+    ambient: TimeSeries | None
+    speed: TimeSeries | None
     dark: float
     contact: statistics.Floats
 
@@ -75,7 +75,7 @@ class Report:
 
     title: str
     playpen: Playpen | None
-    tracks: tuple[Track, ...]
+    tracks: tuple[DrawnPath, ...]
     robots: tuple[RobotReport, ...]
     events: tuple[Row, ...]
     settings: tuple[Row, ...]
@@ -101,7 +101,7 @@ def report(recording: Recording, source: str) -> Report:
     names = recording.label.robots
     poses = {name: _series(recording, f"/{name}/pose", 3) for name in names}
     tracks = tuple(
-        Track(name, pose.times_ns / 1e9, pose.values[:, :2].astype(np.float64) * 1000)
+        DrawnPath(name, pose.times_ns / 1e9, pose.values[:, :2].astype(np.float64) * 1000)
         for name, pose in poses.items()
         if pose is not None
     )
@@ -157,7 +157,7 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
     return RobotReport(name, tuple(rows), missing.strip(), proximity, ambient, speed, level, contact)
 
 
-def _series(recording: Recording, topic: str, width: int) -> Series | None:
+def _series(recording: Recording, topic: str, width: int) -> TimeSeries | None:
     """Return a channel, None if it is missing or has another shape."""
     series = recording.series.get(topic)
     if series is None or series.values.shape[1:] != (width,):
@@ -173,5 +173,5 @@ def _duration_s(recording: Recording) -> float:
     return max(last_ns, default=0) / 1e9
 
 
-def _events(recording: Recording) -> Sequence[Line]:
+def _events(recording: Recording) -> Sequence[TextLine]:
     return recording.lines.get("/events", [])

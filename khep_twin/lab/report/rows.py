@@ -10,8 +10,8 @@ from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Stretches
 from khep_twin.lab.experiment.wire_statistics import wire
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
-from khep_twin.log.channels import Line
-from khep_twin.log.reader import Series
+from khep_twin.log.channels import TextLine
+from khep_twin.log.reader import TimeSeries
 
 Row = tuple[str, str]
 """Name, and value with its unit."""
@@ -37,7 +37,7 @@ DEFINITIONS: tuple[Row, ...] = (
 )
 
 
-def motion_rows(pose: Series) -> Iterator[Row]:
+def motion_rows(pose: TimeSeries) -> Iterator[Row]:
     """Yield the rows on a robot's motion."""
     found = statistics.motion(pose.times_ns / 1e9, pose.values.astype(np.float64))
     yield "Distance", _length(found.distance)
@@ -63,7 +63,7 @@ def near_rows(found: Stretches) -> Iterator[Row]:
     yield "Near something", f"{words}; longest {found.longest_s:.1f} s"
 
 
-def slip_rows(pose: Series, registers: Series) -> Iterator[Row]:
+def slip_rows(pose: TimeSeries, registers: TimeSeries) -> Iterator[Row]:
     """Yield the rows on the difference between odometry and ground truth."""
     pulses = registers.values[:, [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]].astype(np.int64)
     times_s, truth = pose.times_ns / 1e9, pose.values.astype(np.float64)
@@ -76,7 +76,7 @@ def slip_rows(pose: Series, registers: Series) -> Iterator[Row]:
     yield "End by counters", f"{1000 * found.end:.0f} mm off"
 
 
-def light_rows(ambient: Series, dark: float) -> Iterator[Row]:
+def light_rows(ambient: TimeSeries, dark: float) -> Iterator[Row]:
     """Yield the rows on the light received from lamps, below a dark level [counts]."""
     levels = np.full(8, float(dark))
     found = statistics.light(ambient.times_ns / 1e9, ambient.values.astype(np.int64), levels)
@@ -87,7 +87,7 @@ def light_rows(ambient: Series, dark: float) -> Iterator[Row]:
     )
 
 
-def wire_rows(lines: Sequence[Line], duration_s: float) -> Iterator[Row]:
+def wire_rows(lines: Sequence[TextLine], duration_s: float) -> Iterator[Row]:
     """Yield the rows on the serial line."""
     found = wire(lines)
     if not found.count:

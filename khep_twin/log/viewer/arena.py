@@ -213,7 +213,7 @@ def event_chunks(label: "Label", gathered: Gatherer, timeline: str) -> "list[Chu
     return [*chunks, _in_frame(EVENTS, "world"), Chunk.from_columns(EVENTS, [times], points)]
 
 
-class Light:
+class FloorLight:
     """Light of the lamps on the floor, as it changes.
 
     Args:

@@ -27,7 +27,7 @@ from khep_twin.invocation import command
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.reader import Label
 from khep_twin.log.tail import GrowingLog, Message
-from khep_twin.log.viewer.arena import Light, Rays, event_chunks, trail_chunks
+from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chunks
 from khep_twin.log.viewer.gathered import Gatherer
 from khep_twin.log.viewer.layout import TIMELINE, Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
@@ -172,7 +172,7 @@ class _Translator:
         self._slots: dict[str, int] = {}
         self._described: set[str] = set()
         self._rays: Rays | None = None
-        self._light: Light | None = None
+        self._light: FloorLight | None = None
         self._last: dict[str, NDArray[np.float64]] = {}
 
     def translate(self, messages: Sequence[Message], label: Label) -> "tuple[list[Chunk], list[Chunk]]":
@@ -206,7 +206,7 @@ class _Translator:
         """Yield the chunks that are shown of a piece in addition to its own."""
         poses = gatherer.poses()
         if poses is not None and self._rays is None:
-            self._rays, self._light = Rays(label, self._source), Light(label, self._source)
+            self._rays, self._light = Rays(label, self._source), FloorLight(label, self._source)
         for robot in label.robots:
             if (samples := gatherer.samples(robot)) is not None:
                 yield from panel_chunks(robot, samples, TIMELINE)

@@ -20,7 +20,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, part_file
 from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.reader import Label, read_end_ns, read_with_messages
-from khep_twin.log.viewer.arena import Light, Rays, event_chunks, trail_chunks
+from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chunks
 from khep_twin.log.viewer.gathered import Gatherer
 from khep_twin.log.viewer.layout import TIMELINE, Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
@@ -218,7 +218,7 @@ def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> "Genera
         if poses is not None:
             yield from trail_chunks(robot, poses, TIMELINE)
     if poses is not None:
-        yield from Light(label, path).chunks(gatherer, TIMELINE)
+        yield from FloorLight(label, path).chunks(gatherer, TIMELINE)
 
 
 def _last_ns(chunk: "Chunk") -> int:

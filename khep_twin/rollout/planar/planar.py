@@ -1,6 +1,6 @@
 """Plane of a playpen: the robot's constants and the things around it, taken from MuJoCo's scene.
 
-    ground = Ground(playpen.load("looping-maze"), planar=True)
+    setup = EpisodeSetup(playpen.load("looping-maze"), planar=True)
 
 Nothing here is fitted: masses, inertias, friction, motors, positions and heights are those of that scene.
 """
@@ -26,7 +26,7 @@ from khep_twin.rollout import episode
 from khep_twin.rollout.mujoco_room import Live, Start
 from khep_twin.rollout.planar import casting as planar_casting
 from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.plane import Plane, Robot
+from khep_twin.rollout.planar.plane import PlanarRobot, Plane
 from khep_twin.sensing import optics, raycast
 
 N_CONTACTS = 8
@@ -39,10 +39,10 @@ _PREFIX = "khepera0/"
 _NAME = "in a plane"
 
 LIVE = ("joints", "speeds", "ctrl", "force")
-"""Fields of `Robot` that the episode works on."""
+"""Fields of `PlanarRobot` that the episode works on."""
 
 ROOM = (*LIVE, "grips", "last", "contacts")
-"""Fields of `Robot` that are reset at the start of each episode."""
+"""Fields of `PlanarRobot` that are reset at the start of each episode."""
 
 Floats = NDArray[np.float64]
 
@@ -160,7 +160,7 @@ class PlanarRoom:
         }
         self._things, self._order = outline.things.copy(), np.zeros(len(outline.things), np.int64)
         if compiled:
-            robot: Any = as_record(Robot(**numbers))
+            robot: Any = as_record(PlanarRobot(**numbers))
             self.scene: Any = Plane(self._things, self._order, robot)
             self._room = {name: robot[name] for name in ROOM}
             live: list[Any] = [robot[name] for name in LIVE]
@@ -170,7 +170,7 @@ class PlanarRoom:
                 name: value.data if isinstance(value, np.ndarray) else value
                 for name, value in numbers.items()
             }
-            self.scene = Plane(self._things.data, self._order.data, Robot(**views))
+            self.scene = Plane(self._things.data, self._order.data, PlanarRobot(**views))
             live = [views[name] for name in LIVE]
 
         # The robot is the only body, and there are no warnings.
@@ -285,7 +285,7 @@ def _thing(model: mujoco.MjModel, geom: int) -> list[float]:
 
 
 def _mount(model: mujoco.MjModel, camera: int) -> list[float]:
-    """Return a row of `Robot.mounts`."""
+    """Return a row of `PlanarRobot.mounts`."""
     x, y, _ = model.cam_pos[camera].tolist()
     ahead = _ahead(model, camera)
     return [x, y, *ahead, math.hypot(x, y)]

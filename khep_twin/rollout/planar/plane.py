@@ -13,17 +13,17 @@ anchor [m], and its impulse on the body in the last substep, along and across [N
 N_COLUMNS = 14
 
 HEADING_COSINE, HEADING_SINE, MOVED, ANCHOR_X, ANCHOR_Y, SLIPS = 2, 3, 4, 5, 6, 7
-"""Indices in `Robot.last`, behind CENTRE_X and CENTRE_Y: the pose at the start of the last step, its distance
-from the anchor, the anchor [m], and whether a tyre slips or something is touched."""
+"""Indices in `PlanarRobot.last`, behind CENTRE_X and CENTRE_Y: the pose at the start of the last step, its
+distance from the anchor, the anchor [m], and whether a tyre slips or something is touched."""
 N_LAST = 8
 
 X, Y, HEADING, LEFT_ANGLE, RIGHT_ANGLE = 0, 1, 2, 3, 4
-"""Indices in `Robot.joints` [m, rad]; `Robot.speeds` has the speeds forwards, to the left, of rotation, and
-of the wheels [m/s, rad/s]."""
+"""Indices in `PlanarRobot.joints` [m, rad]; `PlanarRobot.speeds` has the speeds forwards, to the left, of
+rotation, and of the wheels [m/s, rad/s]."""
 N_JOINTS = 5
 
 
-class Robot(NamedTuple):
+class PlanarRobot(NamedTuple):
     """A robot in a plane. Compiled code uses a record of the same fields: one address to pass on.
 
     Attributes:
@@ -114,7 +114,7 @@ class Plane(NamedTuple):
 
     things: Any
     order: Any
-    robot: Robot
+    robot: PlanarRobot
 
 
 def distance_to(things: Any, thing: int, x: float, y: float) -> float:

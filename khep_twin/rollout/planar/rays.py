@@ -11,8 +11,8 @@ from khep_twin.rollout.planar.plane import (
     LENGTH,
     SINE,
     WIDTH,
+    PlanarRobot,
     Plane,
-    Robot,
 )
 
 
@@ -83,7 +83,7 @@ def meet_circle(plane: Plane, thing: int, x: float, y: float) -> None:
         hits[ray] = 4 * thing if hit < best else hits[ray]
 
 
-def most(robot: Robot, weights: Sequence[float], offset: float, rest: float) -> float:
+def most(robot: PlanarRobot, weights: Sequence[float], offset: float, rest: float) -> float:
     """Return an upper bound of the light coming back [1/m^2]: all hits head-on, all else at `rest` [m]."""
     for ray in range(len(robot.shares)):
         path = min(robot.lengths[ray], rest) + offset

@@ -8,7 +8,7 @@ import pytest
 from lateness import lateness
 
 from khep_twin.host import Khepera
-from khep_twin.lab.conformance.conformance import Check, Line, checks, run_check
+from khep_twin.lab.conformance.conformance import Check, CheckedPort, checks, run_check
 
 MOST_LATE = 0.003
 """Lateness of the machine that the checks of pace bear [s]."""
@@ -23,29 +23,29 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 @pytest.fixture(scope="module")
-def line(request: pytest.FixtureRequest) -> Iterator[Line]:
+def line(request: pytest.FixtureRequest) -> Iterator[CheckedPort]:
     """An open line to what is checked."""
     if request.param not in TWINS:
         with Khepera(request.param, baudrate=request.config.getoption("--baudrate")) as robot:
-            yield Line(robot.port)
+            yield CheckedPort(robot.port)
         return
     kind, baudrate = request.param.split("-")
     mode = {"9600": "1", "19200": "2", "38400": "3"}[baudrate]
     if kind == "khep":
         with Khepera(f"khep://default?mode={mode}", baudrate=int(baudrate)) as robot:
-            yield Line(robot.port)
+            yield CheckedPort(robot.port)
         return
     command = [sys.executable, "-m", "khep_twin", "serve", "default", "--mode", mode]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             assert process.stdout is not None
             with Khepera(process.stdout.readline().strip(), baudrate=int(baudrate)) as robot:
-                yield Line(robot.port)
+                yield CheckedPort(robot.port)
         finally:
             process.terminate()
 
 
-def test_the_port_conforms(line: Line, check: Check) -> None:
+def test_the_port_conforms(line: CheckedPort, check: Check) -> None:
     if hasattr(line.port, "time_ns"):  # simulated time
         assert run_check(check, line).deviation == ""
         return

@@ -8,7 +8,7 @@ import pytest
 
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.host import Khepera
-from khep_twin.lab.conformance.conformance import Line, examine
+from khep_twin.lab.conformance.conformance import CheckedPort, examine
 from khep_twin.ports.twin import Twin
 
 Mutation = Callable[[bytes, bytes], bytes]
@@ -303,14 +303,14 @@ def test_a_gripper_that_answers_wrongly_is_caught(name: str) -> None:
     with closing(Khepera("khep://gripper?noise=off")) as robot:
         if name in GRIPPERS:
             break_answers(robot.port.twin, GRIPPERS[name])
-        report = examine(Line(robot.port), "a gripper", move=True)
+        report = examine(CheckedPort(robot.port), "a gripper", move=True)
         assert report.passed == (name == "sound"), report.text()
 
 
 def is_caught(breaking: Callable[[Twin], None]) -> bool:
     with closing(Khepera("khep://default?noise=off")) as robot:
         breaking(robot.port.twin)
-        return not examine(Line(robot.port), "a broken board", move=True).passed
+        return not examine(CheckedPort(robot.port), "a broken board", move=True).passed
 
 
 def test_a_sound_board_passes() -> None:

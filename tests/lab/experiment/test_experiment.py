@@ -22,7 +22,7 @@ def test_a_run_ends_after_its_cycles_or_its_time() -> None:
         assert 1 <= outcome.duration < 1.1
         assert robot.time - start < 1.2
         assert robot.port.twin.robot.registers[SETPOINTS].tolist() == [0, 0]
-        with pytest.raises(ValueError, match="needs an end"):
+        with pytest.raises(ValueError, match="no cycles and no seconds; expected one of them"):
             run(braitenberg, robot)
 
 

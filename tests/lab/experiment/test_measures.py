@@ -7,7 +7,7 @@ import pytest
 
 from khep_twin import playpen as playpens
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.measures import Heard, Truth, coverage
+from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics, coverage
 from khep_twin.playpen import Playpen
 from khep_twin.rollout.fitness import obstacle_avoidance
 
@@ -30,7 +30,7 @@ def test_the_fitness_is_floreanos_and_mondadas(left: int, right: int, nearest: f
 
 
 def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
-    heard = Heard()
+    heard = HostMetrics()
     for request, reply in [
         ("N", "n,0,0,0,0,0,0,0,1023"),
         ("D,20,20", "d"),
@@ -54,7 +54,7 @@ def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
 
 @pytest.mark.parametrize("reply", ["n,1,2,x,4,5,6,7,8", "n,1,2", "", "n", "\xff\xfe", "z,Protocol error"])
 def test_a_garbled_reply_counts_for_nothing(reply: str) -> None:
-    heard = Heard()
+    heard = HostMetrics()
     heard("N", reply)
     heard("D,1", "d")
     assert heard.numbers() == {}
@@ -75,11 +75,11 @@ def test_the_truth_of_a_straight_way_is_closed_form(field: Playpen) -> None:
     with Khepera(Serial.of(twin, timeout=1.0)) as robot:
         robot.set_speed(20, 20)
         robot.sleep(1)
-        truth = Truth(twin.world, 0)
+        truth = GroundTruthMetrics(twin.world, 0)
         robot.sleep(2)
         truth.end()
         numbers = truth.numbers()
-        assert not [tap for tap in twin.world.taps if isinstance(tap, Truth)]
+        assert not [tap for tap in twin.world.taps if isinstance(tap, GroundTruthMetrics)]
     assert numbers["distance_m"] == pytest.approx(2 * 20 * 0.008, rel=0.01)
     assert numbers["mean_speed_m_per_s"] == pytest.approx(0.16, rel=0.01)
     assert numbers["turn_rate_rad_per_s"] == pytest.approx(0, abs=0.01)
@@ -90,6 +90,6 @@ def test_the_truth_of_a_straight_way_is_closed_form(field: Playpen) -> None:
 
 def test_the_shortest_run_has_a_truth() -> None:
     with Khepera("khep://default") as robot:
-        truth = Truth(robot.port.twin.world, 0)
+        truth = GroundTruthMetrics(robot.port.twin.world, 0)
         truth.end()
     assert truth.numbers()["distance_m"] == 0

@@ -13,13 +13,13 @@ import pytest
 from log_rewriting import rewritten
 
 from khep_twin import playpen
-from khep_twin.board.uart import Act, HostAct, LineSettings
+from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import LogError
 from khep_twin.host import Gripper, Khepera
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.multi_robot import run_together
-from khep_twin.lab.experiment.repeat import Difference, elsewhere, read_recorded, repeat
-from khep_twin.log.channels import Line, line_message
+from khep_twin.lab.experiment.repeat import Divergence, elsewhere, read_recorded, repeat
+from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.decoding import read_line
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recover import recover
@@ -37,7 +37,7 @@ def khep_twin(*words: object, seed: int = 1) -> subprocess.CompletedProcess[str]
     return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
 
 
-def again(path: Path) -> Difference | None:
+def again(path: Path) -> Divergence | None:
     return repeat(read_recorded(path))
 
 
@@ -138,7 +138,12 @@ def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path:
         port.twin.robot.hang_up()
         port.sleep(1)
     recorded = read_recorded(tmp_path / "run.mcap")
-    assert {act.kind for _, _, act in recorded.acts} == {Act.SEND, Act.HANG_UP, Act.TAKE_BACK, Act.SET}
+    assert {act.kind for _, _, act in recorded.acts} == {
+        HostEventKind.SEND,
+        HostEventKind.HANG_UP,
+        HostEventKind.TAKE_BACK,
+        HostEventKind.SET,
+    }
     assert repeat(recorded) is None
 
 
@@ -162,7 +167,7 @@ def test_a_run_served_by_the_clock_on_the_wall_repeats(tmp_path: Path) -> None:
         server.terminate()
         server.communicate()
     recorded = read_recorded(tmp_path / "run.mcap")
-    assert Act.HANG_UP in {act.kind for _, _, act in recorded.acts}
+    assert HostEventKind.HANG_UP in {act.kind for _, _, act in recorded.acts}
     assert repeat(recorded) is None
 
 
@@ -177,7 +182,7 @@ def test_one_altered_byte_of_a_reply_is_found(tmp_path: Path, driven: Path) -> N
             return data
         altered.append((time_ns, line.text))
         text = line.text[:-1] + ("0" if line.text[-1] != "0" else "1")
-        return line_message(Line(line.time_ns, line.level, line.name, text))
+        return line_message(TextLine(line.time_ns, line.level, line.name, text))
 
     path = rewritten(driven, tmp_path / "altered.mcap", alter)
     found = again(path)
@@ -211,7 +216,7 @@ def test_an_altered_byte_of_a_host_is_found(tmp_path: Path, driven: Path) -> Non
             return data
         return acts_message([(known_ns, altered(act)) for known_ns, act in read_acts(data)])
 
-    def altered(act: HostAct) -> HostAct:
+    def altered(act: HostEvent) -> HostEvent:
         return replace(act, data=b"H\n") if 5 * SECOND < act.at_ns < 5.02 * SECOND else act
 
     found = again(rewritten(driven, tmp_path / "run.mcap", alter))
@@ -282,8 +287,11 @@ def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> No
 
 def test_an_act_survives_its_message() -> None:
     acts = [
-        (12_345_678_902, HostAct(Act.SEND, 12_345_678_901, LineSettings(9600, 2), bytes(range(256)))),
-        (12_345_678_903, HostAct(Act.SET, 0, None)),
-        (12_345_678_904, HostAct(Act.TAKE_BACK, 5, LineSettings(0, 1))),
+        (
+            12_345_678_902,
+            HostEvent(HostEventKind.SEND, 12_345_678_901, LineSettings(9600, 2), bytes(range(256))),
+        ),
+        (12_345_678_903, HostEvent(HostEventKind.SET, 0, None)),
+        (12_345_678_904, HostEvent(HostEventKind.TAKE_BACK, 5, LineSettings(0, 1))),
     ]
     assert list(read_acts(acts_message(acts))) == acts

@@ -8,8 +8,8 @@ import pytest
 
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.experiment.wire_statistics import wire
-from khep_twin.log.channels import Line
-from khep_twin.log.reader import Run, read
+from khep_twin.log.channels import TextLine
+from khep_twin.log.reader import LoggedRun, read
 from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import BODY_RADIUS, PULSE_LENGTH, WHEEL_BASE
@@ -57,7 +57,7 @@ def room() -> Playpen:
     return parse(ROOM, "room")
 
 
-def drive(playpen: Playpen, path: Path, command: bytes, seconds: int) -> Run:
+def drive(playpen: Playpen, path: Path, command: bytes, seconds: int) -> LoggedRun:
     with open_twin(playpen, TwinOptions(noise=False, log=str(path))) as twin:
         twin.robot.send(command)
         twin.advance_to(seconds * SECOND)
@@ -206,8 +206,8 @@ def test_a_twin_that_spins_free_turns_as_far_as_its_counters_say(field: Playpen,
     assert abs(slip.heading) < 0.05 * moved.left_turn
 
 
-def line(time_ms: int, name: str, text: str) -> Line:
-    return Line(time_ms * 1_000_000, 20, name, text)
+def line(time_ms: int, name: str, text: str) -> TextLine:
+    return TextLine(time_ms * 1_000_000, 20, name, text)
 
 
 def test_replies_belong_to_the_oldest_command_of_their_letter() -> None:

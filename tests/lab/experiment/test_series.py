@@ -10,8 +10,8 @@ from khep_twin.board.kernel import SETPOINTS
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import Controller, braitenberg
-from khep_twin.lab.experiment.series import NewTwins, OneRobot, Plan, Run, numbered, run_series
-from khep_twin.lab.experiment.start_poses import Start
+from khep_twin.lab.experiment.series import FreshTwins, OneRobot, Plan, SeriesRun, numbered, run_series
+from khep_twin.lab.experiment.start_poses import StartPose
 from khep_twin.ports.twin import Twin, TwinOptions
 
 DEFAULT, OBSTACLES = playpens.load("default"), playpens.load("obstacles")
@@ -54,7 +54,9 @@ def test_one_robot_goes_on_and_new_twins_begin_anew() -> None:
         first, second = run_series(braitenberg, OneRobot(robot), Plan(2, cycles=40))
     assert first.start is second.start is None
     assert first.numbers != second.numbers
-    bench = NewTwins(OBSTACLES, TwinOptions(noise=False), [Start(400, 300, 90), Start(120, 290, 25)])
+    bench = FreshTwins(
+        OBSTACLES, TwinOptions(noise=False), [StartPose(400, 300, 90), StartPose(120, 290, 25)]
+    )
     runs = list(run_series(braitenberg, bench, Plan(4, cycles=40)))
     assert [str(run.start) for run in runs] == ["400,300,90", "120,290,25"] * 2
     assert runs[0].numbers == runs[2].numbers != runs[1].numbers == runs[3].numbers == first.numbers
@@ -67,7 +69,7 @@ def test_each_new_twin_has_a_seed_of_its_own() -> None:
     def record(twin: Twin, number: int) -> None:
         seeds.append(twin.options.seed)
 
-    bench = NewTwins(DEFAULT, TwinOptions(seed=7), [Start(300, 250, 0)], record)
+    bench = FreshTwins(DEFAULT, TwinOptions(seed=7), [StartPose(300, 250, 0)], record)
     list(run_series(braitenberg, bench, Plan(3, cycles=1)))
     assert seeds == [7, 8, 9]
 
@@ -88,7 +90,7 @@ def test_a_series_that_is_stopped_leaves_a_robot_that_stands_and_no_broken_run()
         def stop() -> bool:
             return places._calls.count("cycle") >= 5
 
-        broken: list[Run] = []
+        broken: list[SeriesRun] = []
         series = run_series(places, OneRobot(robot), Plan(4, cycles=3), stop=stop, broken_off=broken.append)
         found = list(series)
         assert robot.port.twin.robot.registers[SETPOINTS].tolist() == [0, 0]
@@ -135,7 +137,7 @@ def test_a_series_that_is_given_up_stops_its_controller() -> None:
 
 
 def test_where_a_series_goes_on() -> None:
-    new = NewTwins(DEFAULT, TwinOptions(), [Start(300, 250, 0)])
+    new = FreshTwins(DEFAULT, TwinOptions(), [StartPose(300, 250, 0)])
     with Khepera("khep://default") as robot:
         assert OneRobot(robot).first(3, braitenberg) == 1
     # A function is taken by its word; the last run is done again to see that it keeps it.
@@ -161,9 +163,9 @@ def test_what_is_no_series_is_refused(given: dict[str, float], line: str) -> Non
 
 def test_a_series_needs_a_start() -> None:
     with pytest.raises(ControllerError, match="needs a start"):
-        NewTwins(DEFAULT, TwinOptions(), [])
+        FreshTwins(DEFAULT, TwinOptions(), [])
 
 
 def test_runs_have_files_of_their_own() -> None:
     assert numbered(Path("a/run.mcap"), 7) == Path("a/run-007.mcap")
-    assert isinstance(Run(1, None, 1, 1.0, {}).variables, dict)
+    assert isinstance(SeriesRun(1, None, 1, 1.0, {}).variables, dict)

@@ -14,9 +14,9 @@ from scipy.io import loadmat
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import Controller, as_controller, variables
-from khep_twin.lab.experiment.series import Run
+from khep_twin.lab.experiment.series import SeriesRun
 from khep_twin.lab.experiment.series_files import SeriesFolder, read_series
-from khep_twin.lab.experiment.start_poses import Start
+from khep_twin.lab.experiment.start_poses import StartPose
 
 SETTINGS: dict[str, Any] = {"seed": 1, "playpen": "a\nb\nc", "cycles": None}
 
@@ -38,8 +38,8 @@ class Held(Controller):
         self._own, self.robot, self.ragged = 1, object(), [[1], [2, 3]]
 
 
-def run(number: int, **given: Any) -> Run:
-    return Run(number, Start(100, 200, 90), 5, 0.25 * number, {"fitness": 0.1 * number}, given)
+def run(number: int, **given: Any) -> SeriesRun:
+    return SeriesRun(number, StartPose(100, 200, 90), 5, 0.25 * number, {"fitness": 0.1 * number}, given)
 
 
 def test_what_a_controller_holds_is_kept_as_plain_values() -> None:

@@ -5,7 +5,7 @@ import pytest
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.lab.experiment.start_poses import (
-    Start,
+    StartPose,
     at_start,
     lit,
     numbers,
@@ -21,16 +21,16 @@ def test_starts_are_listed_in_their_order() -> None:
     found = starts(["100,200,90", "playpen", "300.5,250,-45"], DEFAULT, 0, 5, 1)
     own = DEFAULT.robots[0]
     assert found == [
-        Start(100, 200, 90),
-        Start(own.x_mm, own.y_mm, own.heading_deg),
-        Start(300.5, 250, -45),
+        StartPose(100, 200, 90),
+        StartPose(own.x_mm, own.y_mm, own.heading_deg),
+        StartPose(300.5, 250, -45),
     ]
     assert str(found[2]) == "300.5,250,-45"
 
 
 def test_a_grid_is_the_middles_of_its_cells() -> None:
     found = starts(["grid:3x2@90"], DEFAULT, 0, 1, 0)
-    assert found == [Start(x, y, 90) for y in (125, 375) for x in (100, 300, 500)]
+    assert found == [StartPose(x, y, 90) for y in (125, 375) for x in (100, 300, 500)]
 
 
 def test_a_grid_leaves_out_places_without_room() -> None:
@@ -70,8 +70,8 @@ heading_deg = 20
 spots = ["right", "left"]
 """
     playpen = playpens.parse(text, "spots")
-    assert own_starts(playpen, 0) == [Start(500, 250, 20), Start(100, 250, 10)]
-    assert at_start(playpen, 0, Start(300, 200, 0)).robots[0].spots == ()
+    assert own_starts(playpen, 0) == [StartPose(500, 250, 20), StartPose(100, 250, 10)]
+    assert at_start(playpen, 0, StartPose(300, 200, 0)).robots[0].spots == ()
 
 
 @pytest.mark.parametrize(

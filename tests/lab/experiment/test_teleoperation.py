@@ -11,8 +11,8 @@ from khep_twin.lab.experiment.teleoperation import (
     FIRST_HOLD,
     REPEAT_HOLD,
     DeadManSwitch,
+    DriveView,
     Teleoperation,
-    View,
     Way,
 )
 
@@ -139,7 +139,7 @@ def test_a_line_that_breaks_ends_the_drive_and_a_robot_that_comes_back_is_stoppe
 def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
     near = SensorCounts(0, 1023, 512, 0, 0, 0, 0, 0)
     dark = SensorCounts(0, 512, 0, 0, 0, 0, 0, 0)
-    view = View(7, Way.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
+    view = DriveView(7, Way.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
     for width in (WIDTH, 80, 133):
         lines = draw(view, "a port with a long name" * 9, width, HEIGHT)
         assert len(lines) <= HEIGHT
@@ -153,7 +153,7 @@ def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
 
 
 def test_a_small_terminal_is_told_how_large_it_must_be() -> None:
-    assert draw(View(5), "port", 60, 24) == ["60 x 24 characters; expected at least 64 x 18; q ends"]
-    assert draw(View(5), "port", 80, 5) == ["80 x 5 characters; expected at least 64 x 18; q ends"]
-    assert draw(View(5), "port", 9, 5) == ["9 x 5 ch"]
-    assert draw(View(5), "port", 0, 0) == [""]
+    assert draw(DriveView(5), "port", 60, 24) == ["60 x 24 characters; expected at least 64 x 18; q ends"]
+    assert draw(DriveView(5), "port", 80, 5) == ["80 x 5 characters; expected at least 64 x 18; q ends"]
+    assert draw(DriveView(5), "port", 9, 5) == ["9 x 5 ch"]
+    assert draw(DriveView(5), "port", 0, 0) == [""]

@@ -19,7 +19,7 @@ from benchmarks.infrared_fits import (
 )
 from khep_twin import playpen
 from khep_twin.board.kernel import PROXIMITY
-from khep_twin.lab.fit.infrared import TANGENTS, Optics, Table, proximity
+from khep_twin.lab.fit.infrared import TANGENTS, MeasuredTable, Optics, proximity
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.sensing import calibration
 from khep_twin.units import BODY_RADIUS
@@ -34,11 +34,11 @@ def optics(sensor: int) -> tuple[float, Optics]:
     return np.radians(KHEPERA1.heading_deg[sensor]), Optics.of(KHEPERA1.proximity, sensor)
 
 
-def bench(radius: float) -> Table:
+def bench(radius: float) -> MeasuredTable:
     """The sampled robot's places, with nothing measured there."""
     bearings = SET_UP_BEARING - np.radians(np.arange(-180, 180, 2))
     grid = np.repeat(DISTANCES, len(bearings)), np.tile(bearings, len(DISTANCES))
-    return Table(*grid, np.zeros((len(grid[0]), 8)), radius)
+    return MeasuredTable(*grid, np.zeros((len(grid[0]), 8)), radius)
 
 
 def scene_with(object_table: str, heading_deg: float, x_mm: float) -> World:
@@ -62,7 +62,7 @@ def test_the_plane_gives_what_the_scene_gives(
         world = scene_with(table, -bearing_deg, 500)
     else:
         world = scene_with("", -bearing_deg, 1000 - edge_mm - distance_mm)
-    place = Table(
+    place = MeasuredTable(
         np.array([distance_mm / 1e3]), np.array([np.radians(bearing_deg)]), np.zeros((1, 8)), radius_mm / 1e3
     )
     expected = [
@@ -91,7 +91,7 @@ def test_each_sensor_has_the_derived_figures_of_the_real_one(sensor: int) -> Non
     peak_deg = np.degrees(wall.peak(before_wall) - SET_UP_BEARING)
     assert (peak_deg + PEAK_DEG[sensor] + 180) % 360 - 180 == pytest.approx(0, abs=5)
 
-    def distance_mm(table: Table, counts: np.ndarray, level: float) -> float:
+    def distance_mm(table: MeasuredTable, counts: np.ndarray, level: float) -> float:
         aside = np.angle(np.exp(1j * (table.bearings - SET_UP_BEARING + np.radians(PEAK_DEG[sensor]))))
         near = np.abs(aside) <= np.radians(6)
         means = [counts[near & (table.distances == distance)].mean() for distance in DISTANCES]

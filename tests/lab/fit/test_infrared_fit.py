@@ -10,7 +10,7 @@ from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.host import Khepera
-from khep_twin.lab.fit.infrared import TANGENTS, Optics, Table, proximity
+from khep_twin.lab.fit.infrared import TANGENTS, MeasuredTable, Optics, proximity
 from khep_twin.lab.fit.infrared_fit import expected, fit_infrared, fitted
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -28,7 +28,7 @@ def hidden_calibration() -> calibration.Calibration:
     return KHEPERA1.model_copy(update={"proximity": KHEPERA1.proximity.model_copy(update=update)})
 
 
-def turn(path: str, distance_mm: float, seed: int) -> tuple[Table, float]:
+def turn(path: str, distance_mm: float, seed: int) -> tuple[MeasuredTable, float]:
     """A robot turns slowly once in front of a wall, by its own counters; its readings and its time [s]."""
     x_mm = 1000 - BODY_RADIUS * 1000 - distance_mm
     text = (
@@ -53,7 +53,9 @@ def turn(path: str, distance_mm: float, seed: int) -> tuple[Table, float]:
         robot.set_speed(0, 0)
         time = robot.time
     n = len(counts)
-    return Table(np.full(n, distance_mm / 1e3), np.array(bearings), np.array(counts, np.float64), 0.0), time
+    return MeasuredTable(
+        np.full(n, distance_mm / 1e3), np.array(bearings), np.array(counts, np.float64), 0.0
+    ), time
 
 
 def test_hidden_gains_are_found_within_three_minutes_of_robot_time(
@@ -72,11 +74,11 @@ def test_hidden_gains_are_found_within_three_minutes_of_robot_time(
     assert all(10 < fit.rms < 25 for fit in fits)
 
 
-def bench(distances_mm: list[float], factor: float = 1.0) -> Table:
+def bench(distances_mm: list[float], factor: float = 1.0) -> MeasuredTable:
     """Quiet readings of a robot with other gains, worked out."""
     bearings = np.radians(np.arange(-180, 180, 4.0))
     distances = np.repeat(distances_mm, len(bearings)) / 1e3
-    table = Table(distances, np.tile(bearings, len(distances_mm)), np.zeros((len(distances), 8)), 0.0)
+    table = MeasuredTable(distances, np.tile(bearings, len(distances_mm)), np.zeros((len(distances), 8)), 0.0)
     for sensor in range(8):
         optics = Optics.of(KHEPERA1.proximity, sensor)
         view = table.view(sensor, math.radians(KHEPERA1.heading_deg[sensor]))
@@ -104,7 +106,7 @@ def test_readings_that_are_all_saturated_or_0_are_refused_by_sensor(distances_mm
     ahead = np.abs(table.bearings) < 0.3
     with pytest.raises(FitError, match=r"left 90: the gain cannot be determined: \d+ readings"):
         fit_infrared(
-            [Table(table.distances[ahead], table.bearings[ahead], table.counts[ahead], 0.0)], KHEPERA1
+            [MeasuredTable(table.distances[ahead], table.bearings[ahead], table.counts[ahead], 0.0)], KHEPERA1
         )
 
 
