@@ -123,7 +123,9 @@ class Presence:
         """Return whether no host has come, written or gone since the last look."""
         if self._events is None:
             return self.hosts == int(self._held())
-        return not self._later and not select.select([self._events.descriptor], [], [], 0)[0]
+        # Other terminals of the directory have events, too.
+        self._later += self._drain(self._events)
+        return not self._later
 
     def recount(self) -> int:
         """Count the hosts anew, as events that the kernel merged are missed; return their number, at least 1.

@@ -49,6 +49,9 @@ _UNFINISHED = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
 _CROWDED_S = 0.1
 """Time that several hosts must be there before it is reported, as tools such as stty come and go [s]."""
 
+_RESTORE_S = 0.01
+"""Time after which the settings of a host that has left are put back, as the next one may set its own [s]."""
+
 _IN_A_MOMENT = "a host came in the moment another left: it may have got replies meant for that one"
 
 
@@ -85,6 +88,7 @@ class PtyPort:
         self.dropped = 0
         self._presence = Presence(self.descriptor, host_side, open_events(self.name))
         self._crowded_since: float | None = None
+        self._left_s: float | None = None  # when the last host left, until its settings are put back
         self._given = 0  # bytes written since the last look
         self._early = False  # bytes were read before the event that reports them
         self._link = None
@@ -124,6 +128,7 @@ class PtyPort:
     def receive(self, limit: int, answered: bool = False) -> Received:
         """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
         # Bytes before events: whoever sent them has been seen to open the terminal then.
+        self._restore()
         data, given = self._read(limit), self._given
         self._given = 0
         change = self._presence.look(bool(data))
@@ -146,6 +151,7 @@ class PtyPort:
             n_writes = change.writes + later.writes_before
         if not self.occupied:
             self._clear()
+            self._left_s = time.monotonic()
             return Received(left=True, last=read + data)
         # The next host is here already, and may have been given replies that nobody had read.
         unread = self._drop_replies()
@@ -190,17 +196,19 @@ class PtyPort:
         return data
 
     def _clear(self) -> None:
-        """Restore the terminal to how the first host found it, with no replies on the way.
-
-        A host that comes meanwhile keeps the settings that it has made.
-        """
+        """Unlock the terminal and flush its replies; `_restore` puts the settings back later."""
         host_side = self._presence.host_side
-        if termios.tcgetattr(host_side) != self._raw and self._presence.is_quiet():
-            termios.tcsetattr(host_side, termios.TCSANOW, self._raw)
         if self._presence.is_quiet():
             fcntl.ioctl(host_side, termios.TIOCNXCL)
         termios.tcflow(host_side, termios.TCOON)
         self._drop_replies()
+
+    def _restore(self) -> None:
+        """Put the settings back once nobody has come for a while; a host that comes at once sets its own."""
+        if self._left_s is not None and (self.occupied or time.monotonic() - self._left_s > _RESTORE_S):
+            if not self.occupied and self._presence.is_quiet():
+                termios.tcsetattr(self._presence.host_side, termios.TCSANOW, self._raw)
+            self._left_s = None
 
     def _drop_replies(self) -> int:
         """Flush replies that no host has read; return the number of bytes."""

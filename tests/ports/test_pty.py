@@ -3,6 +3,7 @@
 import errno
 import os
 import termios
+import time
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,9 @@ def test_what_a_host_left_behind_is_cleared_away() -> None:
             port.write(b"unread\r\n")
         received = port.receive(1000)
         assert (received.left, received.data, received.last) == (True, b"", bytes(2000))
+        # A host that comes at once has its own settings; for others they are put back.
+        time.sleep(0.02)
+        assert not port.receive(1000).left
         with open(port.path, "rb", buffering=0) as next_host:
             os.set_blocking(next_host.fileno(), False)
             assert next_host.read(100) is None
