@@ -11,7 +11,8 @@ the walls, as in mazes. Lamps are bulbs without posts: robots and objects pass t
 none that reaches up to a bulb may start there.
 """
 
-from khep_twin.playpen.model import (
+from khep_twin.playpen.model import Playpen, dump, edited, load, names, parse, placed, schema
+from khep_twin.playpen.parts import (
     BULB_RADIUS_MM,
     Arena,
     Block,
@@ -19,17 +20,9 @@ from khep_twin.playpen.model import (
     Lamp,
     Lighting,
     Patch,
-    Playpen,
     Robot,
     Spot,
     Wall,
-    dump,
-    edited,
-    load,
-    names,
-    parse,
-    placed,
-    schema,
 )
 
 __all__ = [

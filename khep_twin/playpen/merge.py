@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from itertools import groupby
 
-from khep_twin.playpen.model import Block
+from khep_twin.playpen.parts import Block
 
 _SAME = 6
 """Decimals of a millimetre and of a degree to which coordinates are compared."""

@@ -15,7 +15,6 @@ from khep_twin.files import toml_files
 from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, TomlTable
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
 from khep_twin.playpen.parts import (
-    BULB_RADIUS_MM,
     Arena,
     Block,
     Cylinder,
@@ -27,27 +26,6 @@ from khep_twin.playpen.parts import (
     Wall,
 )
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES, Surface
-
-__all__ = [
-    "BULB_RADIUS_MM",
-    "Arena",
-    "Block",
-    "Cylinder",
-    "Lamp",
-    "Lighting",
-    "Patch",
-    "Playpen",
-    "Robot",
-    "Spot",
-    "Wall",
-    "dump",
-    "edited",
-    "load",
-    "names",
-    "parse",
-    "placed",
-    "schema",
-]
 
 
 class Playpen(TomlTable):

@@ -10,7 +10,8 @@ import numpy as np
 
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle, overlap
-from khep_twin.playpen.model import Arena, Block, Cylinder, Playpen, Robot
+from khep_twin.playpen.model import Playpen
+from khep_twin.playpen.parts import Arena, Block, Cylinder, Robot
 from khep_twin.units import BODY_RADIUS
 
 LANE_MM = 70.0

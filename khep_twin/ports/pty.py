@@ -151,7 +151,6 @@ class PtyPort:
             n_writes = change.writes + later.writes_before
         if not self.occupied:
             self._clear()
-            self._left_s = time.monotonic()
             return Received(left=True, last=read + data)
         # The next host is here already, and may have been given replies that nobody had read.
         unread = self._drop_replies()
@@ -202,10 +201,11 @@ class PtyPort:
             fcntl.ioctl(host_side, termios.TIOCNXCL)
         termios.tcflow(host_side, termios.TCOON)
         self._drop_replies()
+        self._left_s = time.monotonic()
 
     def _restore(self) -> None:
         """Put the settings back once nobody has come for a while; a host that comes at once sets its own."""
-        if self._left_s is not None and (self.occupied or time.monotonic() - self._left_s > _RESTORE_S):
+        if self._left_s is not None and (self.occupied or time.monotonic() - self._left_s >= _RESTORE_S):
             if not self.occupied and self._presence.is_quiet():
                 termios.tcsetattr(self._presence.host_side, termios.TCSANOW, self._raw)
             self._left_s = None

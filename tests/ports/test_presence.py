@@ -155,7 +155,27 @@ def test_settings_that_a_host_makes_as_another_leaves_are_its_own(
         patch.setattr(Presence, "look", come_after_the_last_look)
         assert port.receive(100).left
     assert termios.tcgetattr(later[0])[5] == termios.B57600
+    monkeypatch.setattr(pty_module, "_RESTORE_S", 0.0)
+    port.receive(100)
+    assert termios.tcgetattr(later[0])[5] == termios.B57600
     os.close(later[0])
+
+
+def test_settings_are_put_back_while_other_terminals_are_busy(
+    port: PtyPort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pty_module, "_RESTORE_S", 0.0)
+    with PtyPort() as other:
+        host = opened(port)
+        set_speed(host, termios.B57600)
+        port.receive(100)
+        os.close(host)
+        assert port.receive(100).left
+        os.close(opened(other))
+        port.receive(100)
+        host = opened(port)
+        assert termios.tcgetattr(host)[5] == termios.B9600
+        os.close(host)
 
 
 def test_bytes_that_were_read_before_a_host_left_are_not_the_next_one_s(

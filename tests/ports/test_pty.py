@@ -3,13 +3,13 @@
 import errno
 import os
 import termios
-import time
 from pathlib import Path
 
 import pytest
 import serial
 
 from khep_twin.errors import PortError
+from khep_twin.ports import pty as pty_module
 from khep_twin.ports.pty import PtyPort
 
 
@@ -60,7 +60,7 @@ def test_a_host_that_never_reads_loses_bytes_and_blocks_nobody() -> None:
         assert port.dropped > 50_000
 
 
-def test_what_a_host_left_behind_is_cleared_away() -> None:
+def test_what_a_host_left_behind_is_cleared_away(monkeypatch: pytest.MonkeyPatch) -> None:
     with PtyPort() as port:
         with serial.Serial(port.path, 9600, timeout=1) as host:
             assert not port.receive(1000).left
@@ -70,7 +70,7 @@ def test_what_a_host_left_behind_is_cleared_away() -> None:
         received = port.receive(1000)
         assert (received.left, received.data, received.last) == (True, b"", bytes(2000))
         # A host that comes at once has its own settings; for others they are put back.
-        time.sleep(0.02)
+        monkeypatch.setattr(pty_module, "_RESTORE_S", 0.0)
         assert not port.receive(1000).left
         with open(port.path, "rb", buffering=0) as next_host:
             os.set_blocking(next_host.fileno(), False)
