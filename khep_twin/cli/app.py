@@ -23,6 +23,7 @@ from khep_twin.cli.options import Commands, Force, check_new, usage
 from khep_twin.cli.playpen import playpen_app
 from khep_twin.cli.ports import ports
 from khep_twin.cli.report import export, report
+from khep_twin.cli.rollout import rollout
 from khep_twin.cli.run import run
 from khep_twin.cli.sense import sense
 from khep_twin.cli.series import new, series
@@ -45,6 +46,7 @@ app = typer.Typer(
 app.add_typer(playpen_app, name="playpen")
 for command in (
     run,
+    rollout,
     series,
     sweep,
     new,

@@ -137,8 +137,8 @@ def schema(output: Output = None, force: Force = False) -> None:
         typer.echo(f"schema   {output}")
 
 
-@playpen_app.command()
-def scatter(
+@playpen_app.command("random")
+def random_playpen(
     density: Annotated[float, typer.Option(help="Part of the floor that obstacles cover, 0 to 0.1.")] = 0.06,
     seed: Annotated[int, typer.Option(help="Seed of the field.")] = 0,
     width_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Width of the arena.")] = 1000,
@@ -157,7 +157,7 @@ def scatter(
     except ValueError as error:
         raise KhepTwinError(f"--seed {seed}: {error}") from None
     field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, chance)
-    text = f"# khep-twin playpen scatter --density {density:g} --seed {seed}\n\n{playpens.dump(field)}"
+    text = f"# khep-twin playpen random --density {density:g} --seed {seed}\n\n{playpens.dump(field)}"
     if output is None:
         typer.echo(text, nl=False)
     else:
