@@ -28,11 +28,9 @@ class EndpointOptions:
             "private directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME lies in the current directory.",
         ),
     ] = None
-    tcp: Annotated[
-        str | None, typer.Option(help="Serve on TCP at HOST:PORT instead, for socket://HOST:PORT.")
-    ] = None
+    tcp: Annotated[str | None, typer.Option(help="Serve TCP at HOST:PORT, for socket://HOST:PORT.")] = None
     rfc2217: Annotated[
-        str | None, typer.Option(help="Serve by RFC 2217 at HOST:PORT instead, for rfc2217://HOST:PORT.")
+        str | None, typer.Option(help="Serve RFC 2217 at HOST:PORT, for rfc2217://HOST:PORT.")
     ] = None
     allow_remote: Annotated[
         bool, typer.Option("--allow-remote", help="Let other machines reach --tcp or --rfc2217, too.")
@@ -49,7 +47,7 @@ class EndpointOptions:
 
     @contextmanager
     def announced(self, cables: Sequence["Cable"], what: str) -> Generator[None]:
-        """List what is served for `khep-twin ports`; print what hosts open, also to the descriptor, if any."""
+        """List what is served for `khep-twin ports`; print what hosts open, to the descriptor, too."""
         from khep_twin.ports.service_registry import registered
 
         with ExitStack() as stack:

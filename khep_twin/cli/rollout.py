@@ -38,12 +38,8 @@ def rollout(
             help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar."
         ),
     ] = None,
-    planar: Annotated[
-        bool, typer.Option("--planar", help="Simulate in a plane instead of MuJoCo, for screening.")
-    ] = False,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file.")
-    ] = None,
+    planar: Annotated[bool, typer.Option("--planar", help="Simulate in a plane, not in MuJoCo.")] = False,
+    picture: Annotated[Path | None, typer.Option(help="Draw playpen and path as PNG, SVG or PDF.")] = None,
 ) -> None:
     """Run one episode without a serial line and print its metrics; compiled if numba is installed."""
     import numpy as np

@@ -58,9 +58,7 @@ class SeriesOptions:
             "grid:COLUMNSxROWS[@HEADING], random or playpen; as often as wanted, taken in turn."
         ),
     ] = None
-    save: Annotated[
-        Path | None, typer.Option(help="Keep each run's metrics and variables in this folder.")
-    ] = None
+    save: Annotated[Path | None, typer.Option(help="Folder for each run's metrics and variables.")] = None
     resume: Annotated[bool, typer.Option("--resume", help="Resume the series that --save has begun.")] = False
     on_run_end: Annotated[
         str | None, typer.Option(metavar="FILE.py[:NAME]", help="Call this function with each run that ends.")
@@ -113,7 +111,9 @@ def run(
     from khep_twin.lab.experiment.series_files import SeriesFolder
     from khep_twin.toolbox.form import as_toolbox_form
 
-    _check(given(context), port, scene, series, logging.log, picture)
+    typed = given(context)
+    _check(typed, port, scene.playpen, logging.log, picture)
+    series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
     # Typed paths are relative to here, wherever a controller goes; during the runs it is where it went.
     with chdir("."):
@@ -126,7 +126,7 @@ def run(
         cycles = 500 if cycles is None and seconds is None else cycles
         options = replace(options, unpaced=found.unpaced)
         found.port_id = int(port) if port in {*map(str, PORT_IDS)} else None
-        own = None if "playpen" in given(context) else found.playpen
+        own = None if "playpen" in typed else found.playpen
     plan = Plan(series.runs, cycles, 60.0 if seconds is None and cycles is None else seconds, series.pause)
     source = source_of(found)
     logs = RunLogs(logging, picture, source)
@@ -154,14 +154,7 @@ def run(
         raise typer.Exit(130)
 
 
-def _check(
-    typed: set[str],
-    port: str | None,
-    scene: SceneOptions,
-    series: SeriesOptions,
-    log: Path | None,
-    picture: Path | None,
-) -> None:
+def _check(typed: set[str], port: str | None, playpen: str, log: Path | None, picture: Path | None) -> None:
     """Refuse options that do not go together, and files that could not be written at the end."""
     if port is not None and (ignored := typed & _OF_A_TWIN):
         option = min(ignored).replace("_", "-")
@@ -169,8 +162,7 @@ def _check(
     if picture is not None and log is None:
         raise usage("--picture draws the path from the log; expected --log FILE.mcap, too")
     check_picture(picture, log)
-    check_apart([scene.playpen], picture)
-    series.check(log)
+    check_apart([playpen], picture)
 
 
 def _run_series(

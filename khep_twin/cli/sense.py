@@ -83,15 +83,26 @@ class DriveOptions:
 class PictureOptions:
     """Options of the picture of the sensors."""
 
-    picture: Annotated[Path | None, typer.Option(help="Draw the sensors in this PNG, SVG or PDF file.")] = (
-        None
-    )
+    picture: Annotated[Path | None, typer.Option(help="Draw the sensors as PNG, SVG or PDF.")] = None
     sensor: Annotated[str | None, typer.Option(help='Draw only this sensor, such as "left 10".')] = None
     y_min: Annotated[int | None, typer.Option(help="Lower end of the picture's axis of counts.")] = None
     grid: Annotated[bool | None, typer.Option("--grid/--no-grid", help="Draw a grid.")] = None
-    overlay: Annotated[
-        list[Path] | None, typer.Option(help="Earlier run to draw with; as many as wanted.")
-    ] = None
+    overlay: Annotated[list[Path] | None, typer.Option(help="Earlier run to draw, too; repeatable.")] = None
+
+    def check(self, earlier: "list[SensorRun]", tests: "list[SensorTest]") -> None:
+        """Refuse a picture that could not be drawn in the end, before the robot moves."""
+        if self.picture is None:
+            return
+        import numpy as np
+
+        from khep_twin.lab.sensor_test import sensor_figure
+        from khep_twin.lab.sensor_test.sensor_test import SensorRun
+
+        if self.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
+            raise SensorTestError(f"{self.picture}: expected a name that ends in .png, .svg or .pdf")
+        ends = [np.array([(0,) * 10, (*test.target, *(0,) * 8)]) for test in tests]
+        expected = [SensorRun(test, end, np.zeros(2)) for test, end in zip(tests, ends, strict=True)]
+        sensor_figure.check([*earlier, *expected], sensor=self.sensor, y_min=self.y_min or 0)
 
     def draw(self, runs: "list[SensorRun]") -> None:
         """Draw runs, where a picture is wanted."""
@@ -139,8 +150,7 @@ def sense(
     _check_distinct([*outputs, *pictures, *(drawn.overlay or [])])
     check_new(force, *outputs)
     earlier = [sensor_files.load(path, what.value if what else None) for path in drawn.overlay or []]
-    for path in pictures:
-        _check_picture(path, earlier, tests, drawn.sensor, drawn.y_min or 0)
+    drawn.check(earlier, tests)
 
     done: list[SensorRun] = []
     broken: BrokenOffError | None = None
@@ -196,23 +206,6 @@ def _check_distinct(paths: list[Path]) -> None:
         if path.resolve() in seen:
             raise SensorTestError(f"{path}: is given twice; expected a name for each file")
         seen.add(path.resolve())
-
-
-def _check_picture(
-    picture: Path, earlier: "list[SensorRun]", tests: "list[SensorTest]", sensor: str | None, y_min: int
-) -> None:
-    """Refuse a picture that could not be drawn in the end, before the robot moves."""
-    import numpy as np
-
-    from khep_twin.lab.sensor_test import sensor_figure
-    from khep_twin.lab.sensor_test.sensor_test import SensorRun
-
-    if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise SensorTestError(f"{picture}: expected a name that ends in .png, .svg or .pdf")
-    expected = [
-        SensorRun(test, np.array([(0,) * 10, (*test.target, *(0,) * 8)]), np.zeros(2)) for test in tests
-    ]
-    sensor_figure.check([*earlier, *expected], sensor=sensor, y_min=y_min)
 
 
 def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[SensorRun], None]") -> bool:

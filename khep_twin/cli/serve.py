@@ -4,7 +4,6 @@ import math
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -28,6 +27,8 @@ from khep_twin.invocation import command
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
+    from khep_twin.log.line_recorder import LineRecorder
+    from khep_twin.log.recorder import Recorder
     from khep_twin.ports.twin import TwinOptions
 
 
@@ -55,7 +56,17 @@ class TimingOptions:
         """Return the simulated seconds per real second."""
         from khep_twin.ports.serve import WIRE
 
-        return WIRE if self.clock is Clock.WIRE else _speed(self.speed)
+        if self.clock is Clock.WIRE:
+            return WIRE
+        if self.speed == "max":
+            return math.inf
+        try:
+            speed = float(self.speed)
+        except ValueError:
+            speed = math.nan
+        if not 0.001 <= speed <= 1000:
+            raise usage(f"--speed {self.speed}: expected a number from 0.001 to 1000, or max")
+        return speed
 
 
 _OF_A_TWIN = option_names(RobotOptions, TimingOptions) - {"mode"} | {"playpen", "robot", "fault", "viewer"}
@@ -76,9 +87,7 @@ def serve(
             autocompletion=ports,
         ),
     ] = None,
-    robot: Annotated[
-        int | None, typer.Option(help="Serve only this robot of the playpen, counted from 0.")
-    ] = None,
+    robot: Annotated[int | None, typer.Option(help="Serve only this robot, counted from 0.")] = None,
     twin: RobotOptions,
     fault: Faults = None,
     logging: LogOptions,
@@ -137,9 +146,7 @@ def _serve_twin(
         dropped = sum(cable.dropped for cable in cables)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
-    _tell_served(twin.world.time_ns, dropped)
-    logging.check(twin.recorder)
-    _tell_log(logging.log)
+    _finish(twin.world.time_ns, dropped, logging, twin.recorder)
 
 
 def _serve_robot(port: str, mode: int | None, endpoint: EndpointOptions, logging: LogOptions) -> None:
@@ -168,31 +175,16 @@ def _serve_robot(port: str, mode: int | None, endpoint: EndpointOptions, logging
         stack.enter_context(endpoint.announced(cables, f"robot at {port}"))
         relay(device, cables[0], recorder, stop=stop, tell=complain)
         duration_ns, dropped = now(), cables[0].dropped
-    _tell_served(duration_ns, dropped)
-    logging.check(recorder)
-    _tell_log(logging.log)
+    _finish(duration_ns, dropped, logging, recorder)
 
 
-def _tell_served(duration_ns: int, dropped: int) -> None:
-    """Print a summary at the end of serving."""
+def _finish(
+    duration_ns: int, dropped: int, logging: LogOptions, recorder: "Recorder | LineRecorder | None"
+) -> None:
+    """Print a summary at the end of serving, and where the log is; end the command if that has failed."""
     typer.echo(f"{duration_ns / 1e9:.1f} s served", err=True)
     if dropped:
         typer.echo(f"{dropped} bytes dropped that no host took", err=True)
-
-
-def _tell_log(log: Path | None) -> None:
-    """Print where the log is, if there is one."""
-    if log is not None:
-        typer.echo(f"log      {log}      look at it: {command('view', log)}", err=True)
-
-
-def _speed(text: str) -> float:
-    if text == "max":
-        return math.inf
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = math.nan
-    if not 0.001 <= speed <= 1000:
-        raise usage(f"--speed {text}: expected a number from 0.001 to 1000, or max")
-    return speed
+    logging.check(recorder)
+    if logging.log is not None:
+        typer.echo(f"log      {logging.log}      look at it: {command('view', logging.log)}", err=True)

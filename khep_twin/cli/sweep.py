@@ -43,11 +43,9 @@ def sweep(
         Path | None, typer.Option("-o", "--output", help="Folder of the results; without, the study's.")
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Resume a sweep: only what is missing is run.")
+        bool, typer.Option("--resume", help="Resume a sweep: run only what is missing.")
     ] = False,
-    check: Annotated[
-        bool, typer.Option("--check", help="Only check the study, and count its episodes.")
-    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="Only check it, and count its episodes.")] = False,
 ) -> None:
     """Run all the episodes of a study and keep each one's results once, in a Parquet table."""
     from khep_twin.rollout.life import SlowerWarning
