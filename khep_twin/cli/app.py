@@ -44,24 +44,11 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(playpen_app, name="playpen")
-for command in (
-    run,
-    rollout,
-    series,
-    sweep,
-    new,
-    design,
-    serve,
-    ports,
-    drive,
-    view,
-    report,
-    export,
-    recover,
-    repeat,
-    sense,
-    fit,
-):
+_RUNS = (run, rollout, series, sweep, new, design)
+_PORTS = (serve, ports, drive)
+_LOGS = (view, report, export, recover, repeat)
+_MEASUREMENTS = (sense, fit)
+for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)
 
 
