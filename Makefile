@@ -152,8 +152,8 @@ $(VENV)/run.stamp: $(VENV)/made.stamp requirements.lock pyproject.toml
 # Compiled code is kept between processes, so that the first run without a serial line does not wait for it.
 $(VENV)/compiled.stamp: $(VENV)/run.stamp
 	@echo "khep_twin: preparing runs without a serial line (about a minute, once)"
-	@$(TWIN) run braitenberg --fast --seconds 1 >$(VENV)/compiled.log
-	@$(TWIN) run braitenberg --fast --planar --seconds 1 >$(VENV)/compiled.log
+	@$(TWIN) rollout braitenberg --seconds 1 >$(VENV)/compiled.log
+	@$(TWIN) rollout braitenberg --planar --seconds 1 >$(VENV)/compiled.log
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp requirements-dev.lock

@@ -3,7 +3,7 @@
     python tools/pyserial_suite.py
 
 The scripts come out of pyserial's source archive, whose hash is pinned; they expect a plug that joins TX
-with RX, RTS with CTS and DTR with DSR. `khep-twin serve --through` a terminal that echoes its input is
+with RX, RTS with CTS and DTR with DSR. `khep-twin serve --relay` a terminal that echoes its input is
 that plug for the data wires.
 Tests that no pseudo-terminal can pass are listed in KNOWN; any other failure is an error, and so is a success
 of one in KNOWN.
@@ -92,7 +92,7 @@ def main() -> int:
     count, failed = 0, set[str]()
     with tempfile.TemporaryDirectory() as folder, plug() as device:
         scripts = unpack(Path(folder))
-        command = [sys.executable, "-m", "khep_twin", "serve", "--through", device]
+        command = [sys.executable, "-m", "khep_twin", "serve", "--relay", device]
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         ) as server:

@@ -23,6 +23,7 @@ from khep_twin.cli.options import Commands, Force, check_new, usage
 from khep_twin.cli.playpen import playpen_app
 from khep_twin.cli.ports import ports
 from khep_twin.cli.report import export, report
+from khep_twin.cli.rollout import rollout
 from khep_twin.cli.run import run
 from khep_twin.cli.sense import sense
 from khep_twin.cli.series import new, series
@@ -43,23 +44,11 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(playpen_app, name="playpen")
-for command in (
-    run,
-    series,
-    sweep,
-    new,
-    design,
-    serve,
-    ports,
-    drive,
-    view,
-    report,
-    export,
-    recover,
-    repeat,
-    sense,
-    fit,
-):
+_RUNS = (run, rollout, series, sweep, new, design)
+_PORTS = (serve, ports, drive)
+_LOGS = (view, report, export, recover, repeat)
+_MEASUREMENTS = (sense, fit)
+for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)
 
 

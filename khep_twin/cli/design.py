@@ -18,8 +18,9 @@ def design(
     listen: Annotated[
         str, typer.Option(metavar="HOST:PORT", help="Address to listen at; port 0 for any free one.")
     ] = "127.0.0.1:0",
-    expose: Annotated[
-        bool, typer.Option("--expose", help="Let other machines reach it, too: anyone with the address.")
+    allow_remote: Annotated[
+        bool,
+        typer.Option("--allow-remote", help="Let other machines reach it, too: anyone with the address."),
     ] = False,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
 ) -> None:
@@ -37,8 +38,8 @@ def design(
             raise usage(f"{file}: outside the folder; expected a file below {folder}, or to start there")
         name = str(file.resolve().relative_to(folder.resolve()))
     with stopping() as stop:
-        server = Server(folder, name, listen, expose=expose, complain=complain)
-        if expose:
+        server = Server(folder, name, listen, expose=allow_remote, complain=complain)
+        if allow_remote:
             complain("anyone with this address may do all that you may; it is not encrypted")
         how = "open this page in a browser" if no_browser else "the browser opens this page"
         complain(f"the designer runs for the playpens in {folder}; {how}; Ctrl-C ends it")

@@ -81,7 +81,7 @@ def _with_log(port: str, log: Path | None) -> str:
     port = numbered(port)
     if not port.startswith("khep://"):
         raise KhepTwinError(
-            f"--log {log}: is for a twin at khep://; expected serve --log, or serve --through {port} --log"
+            f"--log {log}: is for a twin at khep://; expected serve --log, or serve --relay {port} --log"
         )
     return f"{port}{'&' if '?' in port else '?'}log={quote(str(log))}"
 

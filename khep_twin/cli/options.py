@@ -35,30 +35,6 @@ class Commands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-Seed = Annotated[int, typer.Option(help="Seed of every random stream of the run.")]
-Noise = Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")]
-Spread = Annotated[Switch, typer.Option(help="Draw sensors of another robot of the same make, by the seed.")]
-RobotIndex = Annotated[int, typer.Option(help="Number of the robot in the playpen, counted from 0.")]
-Mode = Annotated[
-    str | None,
-    typer.Option(
-        help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud, with rom khepera2 also 8, 9 for "
-        "57600, 115200; 0 demo; 7 self-test."
-    ),
-]
-RomVersion = Annotated[str | None, typer.Option(help="Version of the firmware: 5.02, 4.06 or khepera2.")]
-Model = Annotated[
-    str | None,
-    typer.Option(
-        help="Model of the robot, khepera1 or khepera2: body, sensors and, without --rom, firmware."
-    ),
-]
-Battery = Annotated[
-    float | None,
-    typer.Option(
-        min=0, max=1000, help="Run on cells that were used so many minutes; without, on the charger."
-    ),
-]
 Faults = Annotated[
     list[str] | None,
     typer.Option(
@@ -67,38 +43,12 @@ Faults = Annotated[
         "brown-out, with @SECONDS to begin later.",
     ),
 ]
-Log = Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")]
-CarryOn = Annotated[
-    bool,
-    typer.Option(
-        "--carry-on",
-        help="Go on without the log if it cannot be written any more, as on a full disk; exit with 3 then.",
-    ),
-]
 Force = Annotated[
     bool, typer.Option("--force", help="Replace files that are there already; otherwise they are kept.")
 ]
-
 Viewer = Annotated[
     bool, typer.Option("--viewer", help="Show the run in MuJoCo's own viewer, in a window on this screen.")
 ]
-
-OF_A_TWIN = {
-    "playpen",
-    "seed",
-    "noise",
-    "spread",
-    "robot",
-    "mode",
-    "model",
-    "rom",
-    "battery_used_min",
-    "fault",
-    "log",
-    "carry_on",
-    "viewer",
-}
-"""Options of a twin, by the names of their parameters."""
 
 
 def given(context: typer.Context) -> set[str]:
@@ -124,19 +74,16 @@ def check_apart(read: Iterable[str | Path], *written: Path | None) -> None:
             raise KhepTwinError(f"{path}: this is what is read; expected a file of its own")
 
 
-def check_carry_on(carry_on: bool, log: Path | None) -> None:
-    """Refuse --carry-on where there is no log."""
-    if carry_on and log is None:
-        raise usage("--carry-on is about a log that fails; expected --log FILE.mcap, too")
-
-
-def check_log(recorder: "Recorder | LineRecorder | None", carry_on: bool) -> None:
-    """End a run whose log has failed with the exit code for that."""
-    if recorder is None or recorder.failure is None:
+def check_picture(picture: Path | None, log: Path | None = None) -> None:
+    """Refuse a picture that could not be drawn at the end of the run."""
+    if picture is None:
         return
-    if carry_on:
-        raise typer.Exit(3)
-    raise recorder.failure
+    if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
+    if log is not None and picture.resolve() == log.resolve():
+        raise usage(f"--picture {picture}: this is the log; expected a file of its own")
+    if not picture.parent.is_dir():
+        raise usage(f"--picture {picture}: there is no directory {picture.parent}")
 
 
 def running_mode(digit: str | None) -> int | None:

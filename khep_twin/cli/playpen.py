@@ -13,13 +13,10 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.files.atomic import write_whole
 
 if TYPE_CHECKING:
+    from khep_twin.drawing.map import DrawnPath
     from khep_twin.playpen import Playpen
     from khep_twin.playpen.bitmap import Imported
     from khep_twin.playpen.bitmap_files import Bitmap
-
-if TYPE_CHECKING:
-    from khep_twin.drawing.map import DrawnPath
-    from khep_twin.playpen import Playpen
 
 playpen_app = typer.Typer(
     help="List, check, compile, draw and import playpens.",
@@ -85,12 +82,7 @@ def compile_playpen(
 
     check_apart([playpen], output)
     check_new(force, output)
-    mjcf = to_mjcf(_placed(playpens.load(playpen), seed))
-    if output is None:
-        typer.echo(mjcf, nl=False)
-    else:
-        write_whole(output, mjcf.encode("utf-8"))
-        typer.echo(f"scene    {output}")
+    _write(to_mjcf(_placed(playpens.load(playpen), seed)), output, "scene")
 
 
 @playpen_app.command()
@@ -129,16 +121,11 @@ def schema(output: Output = None, force: Force = False) -> None:
     from khep_twin import playpen as playpens
 
     check_new(force, output)
-    text = json.dumps(playpens.schema(), indent=2) + "\n"
-    if output is None:
-        typer.echo(text, nl=False)
-    else:
-        write_whole(output, text.encode("utf-8"))
-        typer.echo(f"schema   {output}")
+    _write(json.dumps(playpens.schema(), indent=2) + "\n", output, "schema")
 
 
-@playpen_app.command()
-def scatter(
+@playpen_app.command("random")
+def random_playpen(
     density: Annotated[float, typer.Option(help="Part of the floor that obstacles cover, 0 to 0.1.")] = 0.06,
     seed: Annotated[int, typer.Option(help="Seed of the field.")] = 0,
     width_mm: Annotated[float, typer.Option(min=200, max=10_000, help="Width of the arena.")] = 1000,
@@ -157,12 +144,17 @@ def scatter(
     except ValueError as error:
         raise KhepTwinError(f"--seed {seed}: {error}") from None
     field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, chance)
-    text = f"# khep-twin playpen scatter --density {density:g} --seed {seed}\n\n{playpens.dump(field)}"
+    text = f"# khep-twin playpen random --density {density:g} --seed {seed}\n\n{playpens.dump(field)}"
+    _write(text, output, "playpen", f": {len(field.blocks)} blocks, {len(field.cylinders)} cylinders")
+
+
+def _write(text: str, output: Path | None, kind: str, more: str = "") -> None:
+    """Write a text and print what it is, or write it to standard output."""
     if output is None:
         typer.echo(text, nl=False)
     else:
         write_whole(output, text.encode("utf-8"))
-        typer.echo(f"playpen  {output}: {len(field.blocks)} blocks, {len(field.cylinders)} cylinders")
+        typer.echo(f"{kind:7}  {output}{more}")
 
 
 def _placed(playpen: "Playpen", seed: int) -> "Playpen":
@@ -190,9 +182,7 @@ def _ways(log: Path) -> "list[DrawnPath]":
 
 @playpen_app.command("import")
 def import_bitmap(
-    file: Annotated[
-        Path, typer.Argument(help="Scanned playpen of the Khepera Toolbox (MAT), or picture (PNG).")
-    ],
+    file: Annotated[Path, typer.Argument(help="Scan of the Khepera Toolbox (MAT), or picture (PNG).")],
     output: Output = None,
     mm_per_pixel: Annotated[float, typer.Option(metavar="MM", help="Side of a pixel [mm].")] = 1.0,
     flip: Annotated[
@@ -207,12 +197,8 @@ def import_bitmap(
         str | None,
         typer.Option(help="Matrix of a MAT file to use; btmap1, or else the only one, by default."),
     ] = None,
-    solid: Annotated[
-        int | None, typer.Option(help="Value of what is solid in a MAT file; 44 by default.")
-    ] = None,
-    name: Annotated[
-        str | None, typer.Option(help="Name of the playpen; by default that of the file.")
-    ] = None,
+    solid: Annotated[int | None, typer.Option(help="Value of solid pixels (MAT); 44 by default.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the playpen; by default the file's.")] = None,
     height_mm: Annotated[float, typer.Option(metavar="MM", help="Height of the blocks [mm].")] = 50.0,
     robot: Annotated[
         str | None,

@@ -9,10 +9,10 @@ from khep_twin.invocation import command
 
 
 def ports(
-    ask: Annotated[
+    probe: Annotated[
         bool,
         typer.Option(
-            "--ask", help="Ask at each port for a robot, at every speed; ports in use are left alone."
+            "--probe", help="Ask at each port for a robot, at every speed; ports in use are left alone."
         ),
     ] = False,
 ) -> None:
@@ -24,7 +24,7 @@ def ports(
         typer.echo(f"no ports; {command('serve')} makes one, khep://default needs none", err=True)
     width = max((len(port.url) for port in found), default=0)
     for port in found:
-        typer.echo(f"{port.url:{width}}  {port.what}{_answer(port.url) if ask else ''}")
+        typer.echo(f"{port.url:{width}}  {port.what}{_answer(port.url) if probe else ''}")
 
 
 def _answer(url: str) -> str:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from khep_twin.cli.options import check_log, check_new, complain, tell_kept, usage
+from khep_twin.cli.option_groups import LogOptions
+from khep_twin.cli.options import check_new, tell_kept
 from khep_twin.invocation import command
 
 if TYPE_CHECKING:
@@ -19,14 +20,13 @@ class RunLogs:
     """Logs of a run, or of a series.
 
     Args:
-        path: Path of the log; None for none.
+        options: Options of the logs.
         picture: Picture that is drawn from it at the end; None for none.
-        carry_on: Continue runs without a log that cannot be written.
         source: Source of the controller.
     """
 
-    def __init__(self, path: Path | None, picture: Path | None, carry_on: bool, source: "Source") -> None:
-        self._path, self._picture, self._carry_on, self._source = path, picture, carry_on, source
+    def __init__(self, options: LogOptions, picture: Path | None, source: "Source") -> None:
+        self._options, self._path, self._picture, self._source = options, options.log, picture, source
         self._folder = Path.cwd()  # a controller may go to another one
         self._recorders: list[Recorder] = []
 
@@ -37,9 +37,11 @@ class RunLogs:
         if self._path is None:
             return
         path = self._path if number is None else numbered(self._path, number)
-        told = complain if self._carry_on else None
         twin.record(
-            self._folder / path, facts=self._source.facts, attachments=self._source.attachments, carry_on=told
+            self._folder / path,
+            facts=self._source.facts,
+            attachments=self._source.attachments,
+            carry_on=self._options.on_failure,
         )
         tell_kept(twin.recorder)
         if twin.recorder is not None:
@@ -55,12 +57,14 @@ class RunLogs:
 
     def failed(self) -> bool:
         """Return True if a log has failed that runs cannot go on without."""
-        return not self._carry_on and any(each.failure is not None for each in self._recorders)
+        return not self._options.ignore_log_errors and any(
+            each.failure is not None for each in self._recorders
+        )
 
     def finish(self) -> None:
         """Print where the logs are and draw them; end the command if one has failed."""
         for recorder in self._recorders:
-            check_log(recorder, self._carry_on)
+            self._options.check(recorder)
         typed = self._path is not None and self._path.is_absolute()
         paths = [each.path if typed else each.path.relative_to(self._folder) for each in self._recorders]
         if not paths:
@@ -88,17 +92,3 @@ def draw_logs(logs: Sequence[Path], picture: Path) -> None:
     ]
     found = playpen_of(runs[0].attachments, logs[0])
     drawing.save(drawing.draw(found, tracks), picture)
-
-
-def check_picture(picture: Path | None, log: Path | None, fast: bool) -> None:
-    """Refuse a picture that could not be drawn at the end of the run."""
-    if picture is None:
-        return
-    if log is None and not fast:
-        raise usage("--picture draws the path from the log; expected --log FILE.mcap, too")
-    if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
-    if log is not None and picture.resolve() == log.resolve():
-        raise usage(f"--picture {picture}: this is the log; expected a file of its own")
-    if not picture.parent.is_dir():
-        raise usage(f"--picture {picture}: there is no directory {picture.parent}")

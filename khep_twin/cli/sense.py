@@ -1,6 +1,7 @@
 """The command line's part for sensor tests: `khep-twin sense`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import partial
 from itertools import chain
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import ports
+from khep_twin.cli.option_groups import grouped
 from khep_twin.cli.options import Force, check_new
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
@@ -27,6 +29,94 @@ class Sensors(StrEnum):
     LIGHT = "light"
 
 
+@dataclass(frozen=True, slots=True)
+class DriveOptions:
+    """Options of the tests that are driven."""
+
+    linear: Annotated[
+        float | None,
+        typer.Option(metavar="CM", help="Drive straight on, 5 to 60 cm, or backwards, -5 to -60."),
+    ] = None
+    rotate: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Turn on the spot, 15 to 360 degrees; below 0 clockwise."),
+    ] = None
+    speed: Annotated[
+        int | None, typer.Option(help="Highest speed, 1 to 127 pulses/10 ms of 8 mm/s each; 20 by default.")
+    ] = None
+    acceleration: Annotated[
+        int | None, typer.Option(help="Acceleration, 1 to 255 times 3.125 mm/s^2; 64 by default.")
+    ] = None
+    return_to_zero: Annotated[
+        bool | None,
+        typer.Option("--return/--no-return", help="Wait 5 s at the end and drive back. Between runs always."),
+    ] = None
+    runs: Annotated[
+        int | None, typer.Option(help="Number of runs, 1 to 100; files are numbered -1, -2, ...")
+    ] = None
+    text: Annotated[str | None, typer.Option(help="Description to keep with the data.")] = None
+    output: Annotated[
+        list[Path] | None,
+        typer.Option("--output", "-o", help="File to write, .csv, .mat or .mcap; as many as wanted."),
+    ] = None
+
+    def tests(self, what: Sensors | None) -> "list[SensorTest]":
+        """Return the tests to drive, in order."""
+        from khep_twin.lab.sensor_test.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest
+
+        count = 1 if self.runs is None else self.runs
+        if not 1 <= count <= 100:
+            raise SensorTestError(f"runs = {count}; expected an integer from 1 to 100")
+        test = partial(
+            SensorTest,
+            "proximity" if what is None else what.value,
+            self.linear,
+            self.rotate,
+            DEFAULT_SPEED if self.speed is None else self.speed,
+            DEFAULT_ACCELERATION if self.acceleration is None else self.acceleration,
+        )
+        # Each run begins where the one before began.
+        return [test(True)] * (count - 1) + [test(bool(self.return_to_zero))]
+
+
+@dataclass(frozen=True, slots=True)
+class PictureOptions:
+    """Options of the picture of the sensors."""
+
+    picture: Annotated[Path | None, typer.Option(help="Draw the sensors as PNG, SVG or PDF.")] = None
+    sensor: Annotated[str | None, typer.Option(help='Draw only this sensor, such as "left 10".')] = None
+    y_min: Annotated[int | None, typer.Option(help="Lower end of the picture's axis of counts.")] = None
+    grid: Annotated[bool | None, typer.Option("--grid/--no-grid", help="Draw a grid.")] = None
+    overlay: Annotated[list[Path] | None, typer.Option(help="Earlier run to draw, too; repeatable.")] = None
+
+    def check(self, earlier: "list[SensorRun]", tests: "list[SensorTest]") -> None:
+        """Refuse a picture that could not be drawn in the end, before the robot moves."""
+        if self.picture is None:
+            return
+        import numpy as np
+
+        from khep_twin.lab.sensor_test import sensor_figure
+        from khep_twin.lab.sensor_test.sensor_test import SensorRun
+
+        if self.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
+            raise SensorTestError(f"{self.picture}: expected a name that ends in .png, .svg or .pdf")
+        ends = [np.array([(0,) * 10, (*test.target, *(0,) * 8)]) for test in tests]
+        expected = [SensorRun(test, end, np.zeros(2)) for test, end in zip(tests, ends, strict=True)]
+        sensor_figure.check([*earlier, *expected], sensor=self.sensor, y_min=self.y_min or 0)
+
+    def draw(self, runs: "list[SensorRun]") -> None:
+        """Draw runs, where a picture is wanted."""
+        if self.picture is None or not runs:
+            return
+        from khep_twin.drawing import map as drawing
+        from khep_twin.lab.sensor_test import sensor_figure
+
+        figure = sensor_figure.draw(runs, sensor=self.sensor, y_min=self.y_min or 0, grid=bool(self.grid))
+        drawing.save(figure, self.picture)
+        typer.echo(f"picture  {self.picture}")
+
+
+@grouped
 def sense(
     port: Annotated[
         str | None,
@@ -39,88 +129,39 @@ def sense(
     what: Annotated[
         Sensors | None, typer.Option(help="Kind of sensors to read: proximity (default) or light.")
     ] = None,
-    linear: Annotated[
-        float | None,
-        typer.Option(metavar="CM", help="Drive straight on, 5 to 60 cm, or backwards, -5 to -60."),
-    ] = None,
-    rotate: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", help="Turn on the spot, 15 to 360 degrees; below 0 clockwise."),
-    ] = None,
-    speed: Annotated[
-        int | None, typer.Option(help="Highest speed, 1 to 127 pulses/10 ms of 8 mm/s each; 20 by default.")
-    ] = None,
-    acceleration: Annotated[
-        int | None, typer.Option(help="Acceleration, 1 to 255 times 3.125 mm/s^2; 64 by default.")
-    ] = None,
-    return_to_zero: Annotated[
-        bool | None,
-        typer.Option("--return/--no-return", help="Wait 5 s at the end and drive back. Between runs always."),
-    ] = None,
-    runs: Annotated[
-        int | None, typer.Option(help="Number of runs, 1 to 100; files are numbered -1, -2, ...")
-    ] = None,
-    text: Annotated[str | None, typer.Option(help="Description to keep with the data.")] = None,
-    output: Annotated[
-        list[Path] | None,
-        typer.Option("--output", "-o", help="File to write, .csv, .mat or .mcap; as many as wanted."),
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the sensors in this PNG, SVG or PDF file.")
-    ] = None,
-    sensor: Annotated[str | None, typer.Option(help='Draw only this sensor, such as "left 10".')] = None,
-    y_min: Annotated[int | None, typer.Option(help="Lower end of the picture's axis of counts.")] = None,
-    grid: Annotated[bool | None, typer.Option("--grid/--no-grid", help="Draw a grid.")] = None,
-    overlay: Annotated[
-        list[Path] | None, typer.Option(help="Earlier run to draw with; as many as wanted.")
-    ] = None,
+    *,
+    drive: DriveOptions,
+    drawn: PictureOptions,
     force: Force = False,
 ) -> None:
     """Read a robot's sensors while it drives straight or turns, into files and a picture."""
-    from khep_twin.lab.sensor_test import sensor_figure, sensor_files
+    from khep_twin.lab.sensor_test import sensor_files
     from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
 
-    given = {
-        "--what": what,
-        "--linear": linear,
-        "--rotate": rotate,
-        "--speed": speed,
-        "--acceleration": acceleration,
-        "--return": return_to_zero,
-        "--runs": runs,
-        "--text": text,
-        "--output": output or None,
-    }
-    drawn = {"--sensor": sensor, "--y-min": y_min, "--grid": grid, "--overlay": overlay or None}
-    _check_options(port, given, drawn, picture)
-    tests = [] if port is None else _tests(what, linear, rotate, speed, acceleration, return_to_zero, runs)
-    names = [_numbered(output or [], number, len(tests)) for number in range(1, len(tests) + 1)]
-    for path in (*chain.from_iterable(names), *filter(None, [picture])):
+    _check_options(port, drive, drawn)
+    tests = [] if port is None else drive.tests(what)
+    names = [_numbered(drive.output or [], number, len(tests)) for number in range(1, len(tests) + 1)]
+    outputs, pictures = [*chain.from_iterable(names)], [*filter(None, [drawn.picture])]
+    for path in (*outputs, *pictures):
         if reason := unusable(path):
             raise SensorTestError(f"{path}: cannot be written: {reason}")
-    for path in chain.from_iterable(names):
+    for path in outputs:
         sensor_files.checked_suffix(path)
-    _check_distinct([*chain.from_iterable(names), *filter(None, [picture]), *(overlay or [])])
-    check_new(force, *chain.from_iterable(names))
-    earlier = [sensor_files.load(path, what.value if what else None) for path in overlay or []]
-    if picture is not None:
-        _check_picture(picture, earlier, tests, sensor, y_min or 0)
+    _check_distinct([*outputs, *pictures, *(drawn.overlay or [])])
+    check_new(force, *outputs)
+    earlier = [sensor_files.load(path, what.value if what else None) for path in drawn.overlay or []]
+    drawn.check(earlier, tests)
 
     done: list[SensorRun] = []
     broken: BrokenOffError | None = None
     stopped = False
     if port is not None:
         try:
-            stopped = _drive(port, tests, text or "", lambda run: _keep(done, run, names))
+            stopped = _drive(port, tests, drive.text or "", lambda run: _keep(done, run, names))
         except BrokenOffError as error:
             _keep(done, error.run, names)
             broken = error
-    if picture is not None and (earlier or done):
-        from khep_twin.drawing import map as drawing
-
-        figure = sensor_figure.draw([*earlier, *done], sensor=sensor, y_min=y_min or 0, grid=bool(grid))
-        drawing.save(figure, picture)
-        typer.echo(f"picture  {picture}")
+    drawn.draw([*earlier, *done])
     if broken is not None:
         raise broken
     if stopped:
@@ -128,57 +169,30 @@ def sense(
         raise typer.Exit(130)
 
 
-def _check_options(
-    port: str | None, driven: Mapping[str, object], drawn: Mapping[str, object], picture: Path | None
-) -> None:
+def _check_options(port: str | None, drive: DriveOptions, drawn: PictureOptions) -> None:
     """Refuse options that would be without effect, and a command that would do nothing."""
-    if picture is None and (option := _first(drawn)):
+    if drawn.picture is None and (option := _first(drawn)):
         raise SensorTestError(f"{option} is for the picture; expected --picture FILE.png, too")
     if port is None:
-        if option := _first({key: value for key, value in driven.items() if key != "--what"}):
+        if option := _first(drive):
             raise SensorTestError(f"{option} is for a robot; expected its PORT, such as khep://default")
-        if drawn["--overlay"] is None:
+        if not drawn.overlay:
             raise SensorTestError(
                 "there is nothing to do; expected a PORT such as khep://default, "
                 "or --overlay FILE --picture FILE"
             )
-    elif (driven["--linear"] is None) == (driven["--rotate"] is None):
-        count = "none" if driven["--linear"] is None else "both"
+    elif (drive.linear is None) == (drive.rotate is None):
+        count = "none" if drive.linear is None else "both"
         raise SensorTestError(
             f"--linear and --rotate: {count} is given; expected one, --linear CM or --rotate DEG"
         )
 
 
-def _first(options: Mapping[str, object]) -> str:
+def _first(options: DriveOptions | PictureOptions) -> str:
     """Return the first option that is given; empty without."""
-    return next((name for name, value in options.items() if value is not None), "")
-
-
-def _tests(
-    what: Sensors | None,
-    linear: float | None,
-    rotate: float | None,
-    speed: int | None,
-    acceleration: int | None,
-    return_to_zero: bool | None,
-    runs: int | None,
-) -> "list[SensorTest]":
-    """Return the tests to drive, in order."""
-    from khep_twin.lab.sensor_test.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest
-
-    count = 1 if runs is None else runs
-    if not 1 <= count <= 100:
-        raise SensorTestError(f"runs = {count}; expected an integer from 1 to 100")
-    test = partial(
-        SensorTest,
-        "proximity" if what is None else what.value,
-        linear,
-        rotate,
-        DEFAULT_SPEED if speed is None else speed,
-        DEFAULT_ACCELERATION if acceleration is None else acceleration,
-    )
-    # Each run begins where the one before began.
-    return [test(True)] * (count - 1) + [test(bool(return_to_zero))]
+    given = (field.name for field in fields(options) if getattr(options, field.name) not in (None, []))
+    name = next(given, "").removesuffix("_to_zero").replace("_", "-")
+    return name and f"--{name}"
 
 
 def _numbered(paths: list[Path], number: int, count: int) -> list[Path]:
@@ -192,23 +206,6 @@ def _check_distinct(paths: list[Path]) -> None:
         if path.resolve() in seen:
             raise SensorTestError(f"{path}: is given twice; expected a name for each file")
         seen.add(path.resolve())
-
-
-def _check_picture(
-    picture: Path, earlier: "list[SensorRun]", tests: "list[SensorTest]", sensor: str | None, y_min: int
-) -> None:
-    """Refuse a picture that could not be drawn in the end, before the robot moves."""
-    import numpy as np
-
-    from khep_twin.lab.sensor_test import sensor_figure
-    from khep_twin.lab.sensor_test.sensor_test import SensorRun
-
-    if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise SensorTestError(f"{picture}: expected a name that ends in .png, .svg or .pdf")
-    expected = [
-        SensorRun(test, np.array([(0,) * 10, (*test.target, *(0,) * 8)]), np.zeros(2)) for test in tests
-    ]
-    sensor_figure.check([*earlier, *expected], sensor=sensor, y_min=y_min)
 
 
 def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[SensorRun], None]") -> bool:

@@ -12,6 +12,7 @@ import typer
 from khep_twin.cli.completion import studies
 from khep_twin.cli.options import complain, usage
 from khep_twin.cli.progress import clock, progress
+from khep_twin.cli.rollout import is_compiled
 from khep_twin.invocation import command
 from khep_twin.signals import clear_at_end
 
@@ -42,30 +43,18 @@ def sweep(
         Path | None, typer.Option("-o", "--output", help="Folder of the results; without, the study's.")
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Resume a sweep: only what is missing is run.")
+        bool, typer.Option("--resume", help="Resume a sweep: run only what is missing.")
     ] = False,
-    check: Annotated[
-        bool, typer.Option("--check", help="Only check the study, and count its episodes.")
-    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="Only check it, and count its episodes.")] = False,
 ) -> None:
     """Run all the episodes of a study and keep each one's results once, in a Parquet table."""
-    from khep_twin.rollout.life import SlowerWarning, is_compiled
+    from khep_twin.rollout.life import SlowerWarning
     from khep_twin.sweep import study as studies
     from khep_twin.sweep.results import summary
     from khep_twin.sweep.sweep import here, run_sweep
     from khep_twin.sweep.tasks import work_of
 
-    if address is not None and not ray:
-        raise usage(f"--address {address}: is Ray's; expected --ray, too")
-    if address is not None and workers is not None:
-        raise usage("--workers is for this machine; a cluster at --address has its own")
-    if address not in (None, "auto"):
-        from khep_twin.sweep.ray_workers import host_and_port
-
-        try:
-            host_and_port(address)
-        except ValueError as error:
-            raise usage(f"--address {error}") from None
+    _check_address(address, ray, workers)
     file = studies.load(study)
     if check:
         work = work_of(file)
@@ -78,11 +67,7 @@ def sweep(
         from khep_twin.sweep.ray_workers import on_ray
 
         doers = on_ray(address, workers)
-    with warnings.catch_warnings(record=True) as slower:
-        warnings.simplefilter("always", SlowerWarning)
-        is_compiled(None)
-    for warning in slower:
-        complain(str(warning.message))
+    is_compiled()
     warnings.simplefilter("ignore", SlowerWarning)  # once is enough
 
     def begin(work: "Work", missing: Sequence["Shard"]) -> None:
@@ -96,13 +81,10 @@ def sweep(
     forget = clear_at_end(tell_again)
     try:
         with progress() as show:
-            told = _Lines() if show is None else None
+            lines = _Lines()
 
             def tell(done: int, total: int) -> None:
-                if show is not None:
-                    show(done / total)
-                elif told is not None:
-                    told(done, total)
+                lines(done, total) if show is None else show(done / total)
 
             table = run_sweep(file, output=output, resume=resume, doers=doers, begin=begin, progress=tell)
     except KeyboardInterrupt:
@@ -114,6 +96,23 @@ def sweep(
         typer.echo(line)
     typed = (study.parent / file.study.output if output is None else output) / table.name
     typer.echo(f"results  {typed}      read it: pyarrow.parquet.read_table({str(typed)!r})")
+
+
+def _check_address(address: str | None, ray: bool, workers: int | None) -> None:
+    """Refuse an address of a cluster that could not be used."""
+    if address is None:
+        return
+    if not ray:
+        raise usage(f"--address {address}: is Ray's; expected --ray, too")
+    if workers is not None:
+        raise usage("--workers is for this machine; a cluster at --address has its own")
+    if address != "auto":
+        from khep_twin.sweep.ray_workers import host_and_port
+
+        try:
+            host_and_port(address)
+        except ValueError as error:
+            raise usage(f"--address {error}") from None
 
 
 def _again(

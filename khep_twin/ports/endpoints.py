@@ -42,7 +42,7 @@ def far_ends(
                 if not is_loopback(host) and not expose:
                     raise PortError(
                         f"{address}: other machines could drive the robot from there; expected "
-                        f"127.0.0.1:{port}, or --expose if that is wanted"
+                        f"127.0.0.1:{port}, or --allow-remote if that is wanted"
                     )
                 port += count if port else 0
                 cable = TcpPort(host, port, rfc2217=rfc2217 is not None, baud=baud)

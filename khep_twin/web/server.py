@@ -54,7 +54,7 @@ class Server:
         if not is_loopback(host) and not expose:
             raise PortError(
                 f"{listen}: other machines could reach your files from there; expected 127.0.0.1:{port}, or "
-                "--expose if that is wanted"
+                "--allow-remote if that is wanted"
             )
         documents = Documents(folder)
         if file is not None:

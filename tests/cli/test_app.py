@@ -60,10 +60,12 @@ def test_the_version_and_the_help_come_at_once() -> None:
 @pytest.mark.parametrize(
     ("typed", "told"),
     [
-        ("frobnicate", "frobnicate: no such command; (choices: run, series, "),
+        ("frobnicate", "frobnicate: no such command; (choices: run, rollout, series, "),
         ("plaipen", "plaipen: no such command; did you mean 'playpen'? (choices: run, "),
         ("playpen chek", "chek: no such command; did you mean 'check'? (choices: list, check, "),
-        ("run --fats", "No such option: --fats (Possible options: --fast, "),
+        ("rollout --plnar", "No such option: --plnar (Possible options: --planar, "),
+        ("run --planar", "No such option: --planar"),
+        ("run --period 40", "No such option: --period"),
         ("run --seconds abc", "Invalid value for '--seconds': "),
         ("run --seed", "Option '--seed' requires an argument"),
         ("conform", "Missing argument 'port'"),
@@ -209,7 +211,7 @@ def test_a_mistake_is_one_line_that_says_what_is_right(arguments: list[str], lin
         "new controller mine.py",
         "playpen compile default -o mine",
         "playpen schema -o mine",
-        "playpen scatter -o mine",
+        "playpen random -o mine",
         "playpen import mine.png",
     ],
 )

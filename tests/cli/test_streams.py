@@ -120,7 +120,7 @@ def test_a_run_that_cannot_print_keeps_its_log_and_its_picture(
 )
 def test_a_program_may_put_anything_in_a_streams_place(change: str, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(f"import sys\n\ndef after(run):\n    {change}\n")
-    words = "run braitenberg --cycles 3 --after mine.py --log run.mcap"
+    words = "run braitenberg --cycles 3 --on-run-end mine.py --log run.mcap"
     assert run(words, tmp_path, "pipe") == (0, "")
     assert read(tmp_path / "run.mcap").robots["khepera0"].serial
 

@@ -160,7 +160,7 @@ def test_a_file_that_is_written_takes_no_other_ones_name_meanwhile(tmp_path: Pat
         "playpen draw arena.png -o linked.png",
         "playpen compile arena.png -o arena.png --force",
         "playpen import arena.png -o arena.png --force",
-        "run --fast --seconds 1 --playpen arena.png --picture arena.png",
+        "rollout --seconds 1 --playpen arena.png --picture arena.png",
         "run --seconds 1 --playpen arena.png --log run.mcap --picture arena.png",
         "fit run.csv=wall@22mm --start arena.png -o arena.png --force",
     ],

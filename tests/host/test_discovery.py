@@ -47,13 +47,13 @@ def test_the_command_lists_and_asks() -> None:
 
     with served("default", "--mode", "2", "--strict-line") as (_, path):
         assert f"{path}  twin in default\n" in said().stdout
-        assert f"{path}  twin in default: BIOS 5.02, protocol 5.01 at 19200 baud\n" in said("--ask").stdout
+        assert f"{path}  twin in default: BIOS 5.02, protocol 5.01 at 19200 baud\n" in said("--probe").stdout
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 @pytest.mark.parametrize("kind", [(), ("--tcp", ":0"), ("--rfc2217", ":0")])
 def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> None:
-    command = [*LISTS_PORTS, "--ask"]
+    command = [*LISTS_PORTS, "--probe"]
     with served("default", *kind, notices=True) as (process, url):
         with Khepera(url) as robot:
             asking = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -88,7 +88,7 @@ def test_looking_for_ports_opens_none_of_them() -> None:
         assert events.drain() == []
         with Khepera(path):
             events.drain()
-            subprocess.run([*LISTS_PORTS, "--ask"], capture_output=True, check=True)
+            subprocess.run([*LISTS_PORTS, "--probe"], capture_output=True, check=True)
             assert path in dict(completion.ports())
             assert Event.OPENED not in events.drain()
         events.close()
@@ -96,7 +96,7 @@ def test_looking_for_ports_opens_none_of_them() -> None:
 
 def test_asking_leaves_a_robots_port_alone_that_is_relayed() -> None:
     with served("default") as (_, device):
-        with served("--through", device) as (_, path), Khepera(path) as robot:
+        with served("--relay", device) as (_, path), Khepera(path) as robot:
             with pytest.raises(PortInUse, match=f"{device}: in use by process "):
                 who_answers(device)
             assert robot.versions().bios == "5.02"

@@ -78,7 +78,15 @@ def test_a_run_on_a_full_disk_ends_with_one_line_and_what_was_written_is_rescued
 
 @mountable
 def test_a_run_that_is_asked_to_carry_on_does_so_without_its_log(tmp_path: Path) -> None:
-    words = [*KHEP_TWIN, "run", "--seconds", "30", "--log", str(tmp_path / "disk" / "run.mcap"), "--carry-on"]
+    words = [
+        *KHEP_TWIN,
+        "run",
+        "--seconds",
+        "30",
+        "--log",
+        str(tmp_path / "disk" / "run.mcap"),
+        "--ignore-log-errors",
+    ]
     done = on_a_small_disk(tmp_path, "200k", words)
     assert done.returncode == 3, done
     (line,) = [line for line in done.stderr.splitlines() if "khep-twin: " in line]
@@ -123,7 +131,7 @@ def test_a_server_whose_log_may_not_grow_loses_at_most_a_second_and_ends(tmp_pat
 
 def test_a_server_that_is_asked_to_carry_on_goes_on_answering(tmp_path: Path) -> None:
     link = tmp_path / "khepera"
-    server, line = serve_until_it_is_full(tmp_path / "run.mcap", "--carry-on", "--link", str(link))
+    server, line = serve_until_it_is_full(tmp_path / "run.mcap", "--ignore-log-errors", "--link", str(link))
     assert line.endswith("; the run goes on without it\n")
     # What was written can be rescued while it goes on.
     assert until(tmp_path / "run.mcap.part") > 0
@@ -160,9 +168,11 @@ def test_a_controller_that_catches_everything_does_not_hide_it(tmp_path: Path) -
 
 @pytest.mark.parametrize("command", ["run", "serve"])
 def test_what_to_do_without_a_log_needs_a_log(command: str) -> None:
-    done = CliRunner().invoke(app, [command, "--carry-on"])
+    done = CliRunner().invoke(app, [command, "--ignore-log-errors"])
     assert done.exit_code == 2
-    assert done.stderr == ("khep-twin: --carry-on is about a log that fails; expected --log FILE.mcap, too\n")
+    assert done.stderr == (
+        "khep-twin: --ignore-log-errors is about a log that fails; expected --log FILE.mcap, too\n"
+    )
 
 
 def test_a_device_is_no_place_for_a_log() -> None:
@@ -223,7 +233,7 @@ def test_a_log_that_fails_is_told_once_and_the_run_is_the_same_without_it(
 
 def test_a_relay_is_told_once_too_and_no_other_file_gets_its_bytes(tmp_path: Path) -> None:
     told: list[str] = []
-    recorder = LineRecorder(tmp_path / "run.mcap", {"through": "/dev/robot"}, lambda: 0, carry_on=told.append)
+    recorder = LineRecorder(tmp_path / "run.mcap", {"relay": "/dev/robot"}, lambda: 0, carry_on=told.append)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     size = (tmp_path / "run.mcap.part").stat().st_size
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))

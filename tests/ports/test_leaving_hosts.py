@@ -154,7 +154,7 @@ def test_a_host_that_has_finished_sending_gets_all_its_replies(how: Sequence[str
 def test_a_host_that_has_finished_sending_gets_all_its_replies_through_a_relay() -> None:
     with (
         served("default", "--unpaced") as (_, device),
-        served("--through", device, "--tcp", ":0") as (_, url),
+        served("--relay", device, "--tcp", ":0") as (_, url),
     ):
         check_finished_hosts(url, b"")
 

@@ -126,7 +126,7 @@ def test_an_unpaced_reply_leaves_in_one_piece() -> None:
 
 
 def test_a_robots_reply_leaves_in_one_piece_through_a_relay() -> None:
-    with served("default") as (_, device), served("--through", device, "--tcp", ":0") as (_, url):
+    with served("default") as (_, device), served("--relay", device, "--tcp", ":0") as (_, url):
         host, _, number = url.partition("://")[2].rpartition(":")
         with socket.create_connection((host, int(number)), timeout=5) as port:
             for _ in range(5):
@@ -211,7 +211,7 @@ def test_several_robots_have_a_line_each(tmp_path: Path) -> None:
         (["--tcp", "nowhere"], "nowhere: expected HOST:PORT"),
         (["--tcp", "127.0.0.1:99999"], "expected HOST:PORT"),
         (["--tcp", ":0", "--rfc2217", ":0"], "one cable each; expected one of them"),
-        (["--tcp", "no.such.host.invalid:0", "--expose"], "cannot listen here"),
+        (["--tcp", "no.such.host.invalid:0", "--allow-remote"], "cannot listen here"),
         (["--fault", "nope"], "fault 'nope': unknown"),
     ],
 )

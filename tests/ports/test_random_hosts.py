@@ -137,7 +137,7 @@ def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relay
     with ExitStack() as stack:
         process, path = stack.enter_context(served("default", "--unpaced"))
         if relayed:
-            process, path = stack.enter_context(served("--through", path))
+            process, path = stack.enter_context(served("--relay", path))
         others = stack.enter_context(bystanders(path, 3))
         wrong = []
         for number in range(OPENINGS):

@@ -1,4 +1,4 @@
-"""`serve --through`: host and robot as if nothing were between them, and a log of what both say."""
+"""`serve --relay`: host and robot as if nothing were between them, and a log of what both say."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ def test_both_directions_are_passed_on_and_logged_as_a_twins_are(tmp_path: Path)
     log = tmp_path / "robot.mcap"
     requests = [b"B\n", b"N\n", b"D,3,-4\n", b"E\n", b"O\n", b"hello\r"]
     with served("default", "--noise", "off") as (_, robot):
-        arguments = ("--through", robot, "--log", str(log), "--link", str(tmp_path / "khepera"))
+        arguments = ("--relay", robot, "--log", str(log), "--link", str(tmp_path / "khepera"))
         with served(*arguments) as (process, path):
             assert path == str(tmp_path / "khepera")
             with serial.Serial(path, 9600, stopbits=2, timeout=10) as port:
@@ -34,7 +34,7 @@ def test_both_directions_are_passed_on_and_logged_as_a_twins_are(tmp_path: Path)
     assert "s served" in errors
     assert replies[0] == b"b,5.02,5.01\r\n"
     run = read(log)
-    assert run.metadata["through"] == robot
+    assert run.metadata["relay"] == robot
     track = run.robots["khepera0"]
     said = [(line.name, line.text.encode()) for line in track.serial]
     assert said == [
@@ -60,7 +60,7 @@ def test_the_line_follows_the_speed_that_the_host_sets(tmp_path: Path) -> None:
     log = tmp_path / "robot.mcap"
     with (
         served("default", "--mode", "3", "--strict-line") as (_, robot),
-        served("--through", robot, "--log", str(log)) as (process, path),
+        served("--relay", robot, "--log", str(log)) as (process, path),
     ):
         with serial.Serial(path, 38400, stopbits=2, timeout=10) as port:
             port.write(b"B\n")
@@ -71,7 +71,7 @@ def test_the_line_follows_the_speed_that_the_host_sets(tmp_path: Path) -> None:
 
 
 def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
-    with served("default") as (_, robot), served("--through", robot) as (_, path):
+    with served("default") as (_, robot), served("--relay", robot) as (_, path):
         with serial.Serial(path, 9600, stopbits=2) as port:
             port.write(b"N\n" * 5)
         time.sleep(0.5)
@@ -84,7 +84,7 @@ def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
 
 # pyserial names its threads as Python did before 3.10.
 def test_bytes_at_a_slow_speed_that_a_host_has_left_hold_the_next_one_back_for_a_moment() -> None:
-    with plug() as device, served("--through", device) as (_, path):
+    with plug() as device, served("--relay", device) as (_, path):
         with serial.Serial(path, 300, stopbits=2, timeout=20) as port:
             port.write(b"\n\r" + b"x" * 2000)
             assert port.read(10)  # the line is at its speed
@@ -98,7 +98,7 @@ def test_bytes_at_a_slow_speed_that_a_host_has_left_hold_the_next_one_back_for_a
 def test_a_robot_on_the_network_is_reached_and_served_on(scheme: str) -> None:
     with (
         served("default", f"--{scheme}", "127.0.0.1:0") as (_, robot),
-        served("--through", robot, f"--{scheme}", "127.0.0.1:0") as (_, path),
+        served("--relay", robot, f"--{scheme}", "127.0.0.1:0") as (_, path),
         serial.serial_for_url(path, 9600, stopbits=2, timeout=2) as port,
     ):
         for _ in range(3):
@@ -108,7 +108,7 @@ def test_a_robot_on_the_network_is_reached_and_served_on(scheme: str) -> None:
 
 def test_a_robot_that_goes_is_told_of_and_the_log_is_whole(tmp_path: Path) -> None:
     log = tmp_path / "robot.mcap"
-    with served("default") as (twin, robot), served("--through", robot, "--log", str(log)) as (process, path):
+    with served("default") as (twin, robot), served("--relay", robot, "--log", str(log)) as (process, path):
         with serial.Serial(path, 9600, stopbits=2, timeout=10) as port:
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
@@ -126,7 +126,7 @@ def test_a_robot_that_goes_is_told_of_and_the_log_is_whole(tmp_path: Path) -> No
 def test_noise_from_the_robot_is_logged_and_harms_nothing(tmp_path: Path) -> None:
     log = tmp_path / "robot.mcap"
     sent = b"n,1,2\nn,1,2,3,4,5,6,7,x\nn,1,2,3,4,5,6,7,8\n\xff\xfe\nD,1\ne,1\n,\n" + b"x" * 2000
-    with served("--through", "loop://", "--log", str(log)) as (process, path):
+    with served("--relay", "loop://", "--log", str(log)) as (process, path):
         with serial.Serial(path, 9600, stopbits=2, timeout=10) as port:
             port.write(sent)
             assert port.read(len(sent)) == sent
@@ -139,7 +139,7 @@ def test_noise_from_the_robot_is_logged_and_harms_nothing(tmp_path: Path) -> Non
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_it_ends_at_once_and_takes_its_link_away(tmp_path: Path, how: signal.Signals) -> None:
     link, log = tmp_path / "khepera", tmp_path / "robot.mcap"
-    with served("--through", "loop://", "--link", str(link), "--log", str(log)) as (process, _):
+    with served("--relay", "loop://", "--link", str(link), "--log", str(log)) as (process, _):
         start = time.monotonic()
         assert stop(process, how)[0] == 0
         assert time.monotonic() - start < 2
@@ -150,14 +150,14 @@ def test_it_ends_at_once_and_takes_its_link_away(tmp_path: Path, how: signal.Sig
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--through", "/dev/no-such-robot"], "/dev/no-such-robot: cannot open this port"),
-        (["--through", "nonsense://x"], "nonsense://x: cannot open this port"),
-        (["--through", "khep://default"], "khep://default: a twin needs no relay; expected khep-twin serve"),
-        (["obstacles", "--through", "loop://"], "PLAYPEN is for a twin, not for a robot at --through"),
-        (["--through", "loop://", "--speed", "2"], "--speed is for a twin"),
-        (["--through", "loop://", "--fault", "stuck:1"], "--fault is for a twin"),
-        (["--through", "loop://", "--mode", "4"], "--mode 4: mode 4"),
-        (["--through", "loop://", "--log", "/no/such/folder/a.mcap"], "cannot write a log here"),
+        (["--relay", "/dev/no-such-robot"], "/dev/no-such-robot: cannot open this port"),
+        (["--relay", "nonsense://x"], "nonsense://x: cannot open this port"),
+        (["--relay", "khep://default"], "khep://default: a twin needs no relay; expected khep-twin serve"),
+        (["obstacles", "--relay", "loop://"], "PLAYPEN is for a twin, not for a robot at --relay"),
+        (["--relay", "loop://", "--speed", "2"], "--speed is for a twin"),
+        (["--relay", "loop://", "--fault", "stuck:1"], "--fault is for a twin"),
+        (["--relay", "loop://", "--mode", "4"], "--mode 4: mode 4"),
+        (["--relay", "loop://", "--log", "/no/such/folder/a.mcap"], "cannot write a log here"),
     ],
 )
 def test_what_cannot_be_relayed_is_one_line(arguments: list[str], message: str) -> None:

@@ -186,7 +186,7 @@ def test_the_page_itself_is_answered(asker: Asker) -> None:
 
 
 def test_other_machines_are_let_in_on_demand_only(tmp_path: Path) -> None:
-    with pytest.raises(PortError, match="--expose"):
+    with pytest.raises(PortError, match="--allow-remote"):
         Server(tmp_path, None, "0.0.0.0:0")
 
 

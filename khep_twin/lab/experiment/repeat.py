@@ -145,7 +145,7 @@ def check(recorded: Recorded) -> None:
         made = recorded.label.metadata.get("khep_twin", "an unknown version")
         reason = (
             "it was made at a real robot; expected --port, with a port to send the same to"
-            if "through" in recorded.label.metadata
+            if "relay" in recorded.label.metadata
             else f"it has no states to compare, as logs of khep_twin {__version__} have; this is of {made}"
         )
         raise LogError(f"{recorded.path}: cannot be repeated: {reason}")

@@ -97,7 +97,7 @@ def report(recording: Recording, source: str) -> Report:
     if playpen is not None:
         title = f"Run in the playpen {playpen.name}"
     else:
-        title = f"Run of the robot at {facts['through']}" if "through" in facts else "Run"
+        title = f"Run of the robot at {facts['relay']}" if "relay" in facts else "Run"
     names = recording.label.robots
     poses = {name: _series(recording, f"/{name}/pose", 3) for name in names}
     tracks = tuple(
@@ -149,7 +149,7 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
     if registers is None:
         absent += ["the wheels' counters and slip"]
     missing = f"Not in this log: {', '.join(absent)}." if absent else ""
-    if absent and "through" in recording.label.metadata:
+    if absent and "relay" in recording.label.metadata:
         missing += " Of a real robot it has what the host asked for, at the time of the reply."
     if ambient is not None and dark is None:
         missing += f" No calibration either: the dark level is taken as {USUAL_DARK_COUNTS} counts."

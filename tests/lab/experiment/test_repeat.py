@@ -63,7 +63,7 @@ def test_a_minute_with_noise_spread_and_faults_is_the_same_in_another_process(tm
         "    except KhepTwinError:\n"
         "        robot.sleep(0.1)\n"
     )
-    options = ("--playpen", "obstacles", "--seed", 9, "--spread", "on", "--battery-used-min", 20)
+    options = ("--playpen", "obstacles", "--seed", 9, "--vary", "on", "--battery-used-min", 20)
     done = khep_twin("run", program, *options, "--seconds", 60, "--log", path, *words, seed=11)
     assert done.returncode == 0, done.stderr
     done = khep_twin("repeat", path, seed=12)
@@ -273,7 +273,7 @@ def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> No
         )
     ]
     (tmp_path / "text.mcap").write_text("no log")
-    through = LineRecorder(tmp_path / "robot.mcap", {"through": "/dev/ttyUSB0"}, lambda: 0)
+    through = LineRecorder(tmp_path / "robot.mcap", {"relay": "/dev/ttyUSB0"}, lambda: 0)
     through.wire(True, b"N\n")
     through.close()
     for path in (*paths, tmp_path / "text.mcap", tmp_path / "robot.mcap", tmp_path / "none.mcap", tmp_path):

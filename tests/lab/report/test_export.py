@@ -57,7 +57,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def real(tmp_path: Path) -> Path:
     """A log of a real robot's line: only what it said."""
     path, now = tmp_path / "real.mcap", [0]
-    recorder = LineRecorder(path, {"through": "/dev/robot"}, lambda: now[0])
+    recorder = LineRecorder(path, {"relay": "/dev/robot"}, lambda: now[0])
     for to_robot, data in (
         (True, b"N\n"),
         (False, b"n,1,2,3,4,5,6,7,8\r\n"),
@@ -298,4 +298,4 @@ def test_a_log_without_samples_has_its_transcript(
 @pytest.fixture
 def start_line() -> Callable[[Path], LineRecorder]:
     """Opens a log of a real robot's line."""
-    return lambda path: LineRecorder(path, {"through": "/dev/robot"}, lambda: 0)
+    return lambda path: LineRecorder(path, {"relay": "/dev/robot"}, lambda: 0)

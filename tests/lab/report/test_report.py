@@ -44,7 +44,7 @@ def line(tmp_path: Path) -> Callable[..., Path]:
 
     def recorded(*said: tuple[bool, bytes]) -> Path:
         now = [0]
-        recorder = LineRecorder(tmp_path / "real.mcap", {"through": "/dev/robot"}, lambda: now[0])
+        recorder = LineRecorder(tmp_path / "real.mcap", {"relay": "/dev/robot"}, lambda: now[0])
         for to_robot, data in said:
             now[0] += SECOND // 10
             recorder.wire(to_robot, data)

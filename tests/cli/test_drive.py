@@ -217,7 +217,7 @@ def test_a_small_terminal_says_how_large_it_must_be(fake: FakeRobot) -> None:
     ("arguments", "kind", "told"),
     [
         (["{url}"], "nonsense", "TERM=nonsense: this terminal cannot be drawn on .*expected TERM=xterm"),
-        (["{url}", "--log", "a.mcap"], "xterm", r"expected serve --log, or serve --through socket://"),
+        (["{url}", "--log", "a.mcap"], "xterm", r"expected serve --log, or serve --relay socket://"),
         (["khep://nowhere"], "xterm", "nowhere: no such file"),
     ],
 )

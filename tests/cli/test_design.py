@@ -37,7 +37,7 @@ def test_it_tells_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) ->
     [
         (["../mine.toml"], "expected a file below"),
         (["mine.txt"], "ends in .toml"),
-        (["--listen", "0.0.0.0:0"], "--expose"),
+        (["--listen", "0.0.0.0:0"], "--allow-remote"),
         (["--listen", "nowhere"], "nowhere"),
         (["--listen", "127.0.0.1:{taken}"], "cannot listen there: Address already in use"),
         (["broken.toml"], "broken.toml:1: nonsense"),

@@ -241,7 +241,7 @@ def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
         "    seen.append(run.numbers['fitness'])\n"
         "    print('after', run.number, run.cycles, len(seen), run.variables['near'])\n"
     )
-    words = ("run", "mine.py", "--after", "mine.py", "--cycles", "3", "--noise", "off", "--save", "s")
+    words = ("run", "mine.py", "--on-run-end", "mine.py", "--cycles", "3", "--noise", "off", "--save", "s")
     told = good(*words, "--runs", "2", folder=tmp_path)
     assert [line for line in told.splitlines() if line.startswith("after")] == [
         "after 1 3 1 0",
@@ -257,9 +257,9 @@ def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
         ("x = (", "bad.py:1: SyntaxError"),
     ):
         (tmp_path / "bad.py").write_text(text)
-        told = complaint("run", "--after", "bad.py", "--cycles", "1", folder=tmp_path)
+        told = complaint("run", "--on-run-end", "bad.py", "--cycles", "1", folder=tmp_path)
         assert told.removeprefix(f"{tmp_path}/").startswith(line)
-    assert "no such function; expected" in complaint("run", "--after", "bad", folder=tmp_path)
+    assert "no such function; expected" in complaint("run", "--on-run-end", "bad", folder=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -422,27 +422,27 @@ def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
     assert complaint("new", "controller", "mine.txt", folder=tmp_path).startswith("mine.txt: expected a name")
 
 
-@pytest.mark.parametrize("kind", [(), ("--fast", "--planar", "--period", "20")])
+@pytest.mark.parametrize("kind", [("run",), ("rollout", "--planar", "--period", "20")])
 def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Sequence[str]) -> None:
-    second = run("run", "--model", "khepera2", "--seconds", "0.2", *kind, folder=tmp_path)
+    second = run(*kind, "--model", "khepera2", "--seconds", "0.2", folder=tmp_path)
     assert (second.returncode, second.stderr) == (0, "")
-    refused = run("run", "--model", "khepera3", *kind, folder=tmp_path)
+    refused = run(*kind, "--model", "khepera3", folder=tmp_path)
     assert refused.stderr == (
         "khep-twin: model = 'khepera3': unknown; did you mean 'khepera2'? (choices: khepera1, khepera2)\n"
     )
 
 
-@pytest.mark.parametrize("kind", [(), ("--fast", "--planar", "--period", "20")])
+@pytest.mark.parametrize("kind", [("run",), ("rollout", "--planar", "--period", "20")])
 def test_the_firmware_of_a_khepera_2_alone_is_told_of_in_one_line(
     tmp_path: Path, kind: Sequence[str]
 ) -> None:
-    done = run("run", "--rom", "khepera2", "--seconds", "0.2", *kind, folder=tmp_path)
+    done = run(*kind, "--rom", "khepera2", "--seconds", "0.2", folder=tmp_path)
     assert done.returncode == 0
     assert done.stderr == (
         "khep-twin: --rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
         "--model khepera2 changes all three\n"
     )
-    assert run("run", "--rom", "4.06", "--seconds", "0.2", *kind, folder=tmp_path).stderr == ""
+    assert run(*kind, "--rom", "4.06", "--seconds", "0.2", folder=tmp_path).stderr == ""
 
 
 def test_starts_have_room_for_the_body_that_is_run(tmp_path: Path) -> None:
@@ -484,7 +484,7 @@ def user2(near, total):
 
 def test_a_function_in_the_toolboxs_form_is_run_in_a_series(tmp_path: Path) -> None:
     (tmp_path / "tb.py").write_text(TOOLBOX)
-    words = (*ACROSS, "--pause", "1", "--save", "kept", "--after", "tb.py:user2", "--log", "run.mcap")
+    words = (*ACROSS, "--pause", "1", "--save", "kept", "--on-run-end", "tb.py:user2", "--log", "run.mcap")
     told = good("run", "tb.py:brait", *words, folder=tmp_path)
     kept = rows(tmp_path / "kept")
     assert [row["total"] for row in kept] == ["60", "120", "180", "240"]
@@ -501,7 +501,7 @@ def test_a_function_in_the_toolboxs_form_is_run_in_a_series(tmp_path: Path) -> N
 def test_a_function_for_the_toolboxs_simulator_is_run_in_its_own_playpen_or_another(tmp_path: Path) -> None:
     (tmp_path / "tb.py").write_text(TOOLBOX)
     told = good(
-        "run", "tb.py:samp", "--cycles", 40, "--save", "own", "--after", "tb.py:user1", folder=tmp_path
+        "run", "tb.py:samp", "--cycles", 40, "--save", "own", "--on-run-end", "tb.py:user1", folder=tmp_path
     )
     assert "40 cycles in 2.0 s" in told
     assert "user1" in told
@@ -562,7 +562,7 @@ def test_whatever_a_controller_raises_is_its_fault_and_its_log_is_whole(
     parts = (text, "pass") if where == "cycle" else ("pass", text)
     (tmp_path / "mine.py").write_text(BAD_END.format(*parts))
     line = 9 if where == "cycle" else 12
-    words = ("run", "mine.py:controller", "--after", "mine.py", "--cycles", "20", "--log", "run.mcap")
+    words = ("run", "mine.py:controller", "--on-run-end", "mine.py", "--cycles", "20", "--log", "run.mcap")
     result = run(*words, folder=tmp_path)
     assert result.returncode == 1
     assert result.stderr == f"khep-twin: {tmp_path / 'mine.py'}:{line}: {told}\n"
@@ -584,7 +584,7 @@ def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, t
     (folder / "then.py").write_text("def after(run):\n    open('own', 'w').close()\n")
     (folder / "arena.toml").write_text(dump(load("default")))
     words = ("--playpen", "arena.toml", "--start", "playpen", "--runs", "2", "--cycles", "3")
-    files = ("--after", "then.py", "--log", "run.mcap", "--picture", "run.png", "--save", "series")
+    files = ("--on-run-end", "then.py", "--log", "run.mcap", "--picture", "run.png", "--save", "series")
     told = good("run", "goes.py", *words, *files, folder=folder)
     assert told.splitlines()[-3].startswith("picture  run.png")
     assert told.splitlines()[-2].startswith("log      run-001.mcap to run-002.mcap")

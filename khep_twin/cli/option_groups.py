@@ -1,0 +1,178 @@
+"""Options that several commands share, in groups: a dataclass each, spread over a command's signature.
+
+    @grouped
+    def run(context: typer.Context, *, robot: RobotOptions, log: LogOptions) -> None: ...
+
+Each field is an option, with typer's `Annotated` and a default.
+"""
+
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from khep_twin.cli.completion import playpens
+from khep_twin.cli.options import Force, Switch, complain, running_mode, usage
+
+if TYPE_CHECKING:
+    from khep_twin.log.line_recorder import LineRecorder
+    from khep_twin.log.recorder import Recorder
+    from khep_twin.playpen import Playpen
+    from khep_twin.ports.twin import TwinOptions
+
+
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """Spread groups of options over a command's signature: each field of a dataclass becomes an option."""
+    signature = inspect.signature(command)
+    groups: dict[str, Any] = {
+        name: parameter.annotation
+        for name, parameter in signature.parameters.items()
+        if is_dataclass(parameter.annotation)
+    }
+
+    @wraps(command)
+    def flat(**typed: Any) -> None:
+        made = {
+            name: group(**{field.name: typed.pop(field.name) for field in fields(group)})
+            for name, group in groups.items()
+        }
+        command(**typed, **made)
+
+    parameters = [
+        option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for name, parameter in signature.parameters.items()
+        for option in (inspect.signature(groups[name]).parameters.values() if name in groups else [parameter])
+    ]
+    flat.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
+    return flat
+
+
+def option_names(*groups: type) -> set[str]:
+    """Return the names of the options of groups, as `given` does."""
+    return {field.name for group in groups for field in fields(group)}
+
+
+@dataclass(frozen=True, slots=True)
+class RobotOptions:
+    """Options of a simulated robot."""
+
+    seed: Annotated[int, typer.Option(help="Seed of every random stream of the run.")] = 0
+    noise: Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")] = Switch.ON
+    vary: Annotated[Switch, typer.Option(help="Draw another robot's sensors, by the seed.")] = Switch.OFF
+    mode: Annotated[
+        str | None,
+        typer.Option(
+            help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud, with rom khepera2 also 8, 9 for "
+            "57600, 115200; 0 demo; 7 self-test."
+        ),
+    ] = None
+    rom: Annotated[str | None, typer.Option(help="Version of the firmware: 5.02, 4.06 or khepera2.")] = None
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Model of the robot, khepera1 or khepera2: body, sensors and, without --rom, firmware."
+        ),
+    ] = None
+    battery_used_min: Annotated[
+        float | None,
+        typer.Option(
+            min=0, max=1000, help="Run on cells that were used so many minutes; without, on the charger."
+        ),
+    ] = None
+
+    def options(self, robot: int | None = 0) -> "TwinOptions":
+        """Return the options of a twin with this robot on the line, or with None all of them."""
+        from khep_twin.ports.twin import TwinOptions
+
+        return TwinOptions(
+            self.seed,
+            robot,
+            self.noise is Switch.ON,
+            self.vary is Switch.ON,
+            self.rom,
+            running_mode(self.mode),
+            self.battery_used_min,
+            model=self.model,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SceneOptions:
+    """Playpen and lamps of a run."""
+
+    playpen: Annotated[
+        str, typer.Option(help="Playpen of the twin: a shipped name, or a path.", autocompletion=playpens)
+    ] = "default"
+    lighting: Annotated[
+        str | None, typer.Option(help="Lamps: all, random, sequenced or off; without, as in the playpen.")
+    ] = None
+    without_lamp: Annotated[
+        list[str] | None, typer.Option(metavar="X,Y", help="Remove the lamp nearest to this position [mm].")
+    ] = None
+
+    def load(self, own: "Playpen | None" = None) -> "Playpen":
+        """Return the playpen, or the controller's own one, with the lamps that are wanted."""
+        from khep_twin.lab.experiment.start_poses import lit, numbers, without_nearest_lamp
+        from khep_twin.playpen import load
+
+        scene = lit(load(self.playpen) if own is None else own, self.lighting)
+        for wish in self.without_lamp or []:
+            place = numbers(wish, 2)
+            if place is None:
+                raise usage(f"--without-lamp {wish}: expected X,Y in mm, such as 50,450")
+            scene = without_nearest_lamp(scene, *place)
+        return scene
+
+
+@dataclass(frozen=True, slots=True)
+class LengthOptions:
+    """Length of a run."""
+
+    seconds: Annotated[float | None, typer.Option(help="End after this time [s]; 60 by default.")] = None
+    cycles: Annotated[int | None, typer.Option(help="End after so many cycles.")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse a run without an end or a beginning."""
+        if (self.seconds is not None and not 0 < self.seconds < math.inf) or (
+            self.cycles is not None and self.cycles < 1
+        ):
+            raise usage("--seconds and --cycles are above 0 and finite")
+
+
+@dataclass(frozen=True, slots=True)
+class LogOptions:
+    """Log of a run, and what is done where it cannot be written."""
+
+    log: Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")] = None
+    ignore_log_errors: Annotated[
+        bool,
+        typer.Option(
+            "--ignore-log-errors",
+            help="Continue without the log if it cannot be written any more, as on a full disk; exit with 3 "
+            "then.",
+        ),
+    ] = False
+    force: Force = False
+
+    def __post_init__(self) -> None:
+        """Refuse --ignore-log-errors where there is no log."""
+        if self.ignore_log_errors and self.log is None:
+            raise usage("--ignore-log-errors is about a log that fails; expected --log FILE.mcap, too")
+
+    @property
+    def on_failure(self) -> Callable[[str], None] | None:
+        """Function that takes the line about a log that has failed; None to end the run."""
+        return complain if self.ignore_log_errors else None
+
+    def check(self, recorder: "Recorder | LineRecorder | None") -> None:
+        """End a run whose log has failed with the exit code for that."""
+        if recorder is None or recorder.failure is None:
+            return
+        if self.ignore_log_errors:
+            raise typer.Exit(3)
+        raise recorder.failure

@@ -1,0 +1,69 @@
+"""`khep-twin rollout` from outside."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+OWN = """
+def controller(proximity, ambient):
+    return 10 - proximity[3] / 100, 10 - proximity[2] / 100
+
+def nothing(proximity, ambient):
+    pass
+
+def three(proximity, ambient, memory):
+    return 1, 1
+"""
+
+
+def rollout(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "khep_twin", "rollout", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd)
+
+
+def test_a_rollout_tells_how_it_went_and_the_same_again(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    options = ("own.py:controller", "--playpen", "looping-maze", "--seed", "1", "--seconds", "2")
+    first, second = (rollout(*options, cwd=tmp_path) for _ in range(2))
+    assert first.returncode == 0, first.stderr
+    assert first.stdout == second.stdout
+    assert first.stdout.startswith("100 cycles in 2.0 s\nobstacle avoidance ")
+    assert "\ndistance m " in first.stdout
+    assert "homing" not in first.stdout
+
+
+def test_a_rollout_in_a_plane_goes_about_the_same_way(tmp_path: Path) -> None:
+    options = ("--playpen", "looping-maze", "--noise", "off", "--seconds", "2")
+    ways = [float(rollout(*options, *more, cwd=tmp_path).stdout.split()[-1]) for more in ((), ("--planar",))]
+    assert ways[1] == pytest.approx(ways[0], abs=2e-3)
+
+
+def test_the_way_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> None:
+    options = ("--planar", "--playpen", "looping-maze", "--seconds", "4.5", "--period", "50")
+    result = rollout(*options, "--picture", "way.png", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    # Without a picture many periods pass at once.
+    assert result.stdout == rollout(*options, cwd=tmp_path).stdout + "picture  way.png\n"
+    assert (tmp_path / "way.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--log", "x.mcap"), "No such option: --log"),
+        (("--picture", "way.bmp"), "expected a name that ends in .png, .svg or .pdf"),
+        (("--seconds", "0.03"), "0.03 s; expected a whole number of control periods of 20 ms"),
+        (("--seconds", "0"), "--seconds and --cycles are above 0 and finite"),
+        (("own.py:three",), "expected proximity and ambient light"),
+        (("own.py:nothing",), "nothing: returned None; expected two speeds in pulses per 10 ms"),
+    ],
+)
+def test_a_mistake_gets_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    result = rollout(*arguments, cwd=tmp_path)
+    assert result.returncode in (1, 2)
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not list(tmp_path.glob("*.mcap*"))
