@@ -50,12 +50,11 @@ def put(
     place = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
     world.act(index, HostEvent(HostEventKind.PUT, world.time_ns, None, place))
     model, data = world.model, world.data
-    joint = model.joint(f"{world.robots[index].name}/pose")
-    at, half = int(joint.qposadr[0]), math.radians(heading_deg) / 2
+    robot, half = world.robots[index].indices, math.radians(heading_deg) / 2
+    at = robot.pose
     data.qpos[at : at + 3] = x_mm / 1e3, y_mm / 1e3, model.qpos0[at + 2]
     data.qpos[at + 3 : at + 7] = math.cos(half), 0, 0, math.sin(half)
-    base = int(joint.bodyid[0])
-    data.qvel[model.body_rootid[model.dof_bodyid] == base] = 0
+    data.qvel[model.body_rootid[model.dof_bodyid] == robot.base] = 0
     # Update the positions that the robots are read from.
     mujoco.mj_kinematics(model, data)
     if afresh:
