@@ -33,12 +33,13 @@ from khep_twin.board.battery import Supply
 from khep_twin.board.rom import DEMO, ROMS
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.errors import DivergedError, PlaypenError, pip_install_extra
-from khep_twin.playpen import Lamp, Playpen, placed
+from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.playpen_to_mjcf import set_step, to_spec
 from khep_twin.randomness import stream
 from khep_twin.rollout import episode
 from khep_twin.rollout.minds import ConstantSpeed, Driver, Floats, Function, mind_of
-from khep_twin.rollout.mujoco_room import MujocoBackend, Start
+from khep_twin.rollout.mujoco_room import MujocoBackend
 from khep_twin.rollout.planar.planar import Outline, PlanarRoom, as_record
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import ambient_optics, bulbs
@@ -199,7 +200,7 @@ class EpisodeSetup:
         """Return the robot's start: its own pose, or the spot that the seed draws."""
         robot = self.entry
         if robot.spots:
-            robot = placed(self.playpen, stream(seed, "spots")).robots[0]
+            robot = at_spots(self.playpen, seed).robots[0]
         return robot.x_mm, robot.y_mm, robot.heading_deg
 
     def another(self, seed: int) -> Calibration:

@@ -8,13 +8,11 @@ import numpy as np
 
 from khep_twin import units
 from khep_twin.errors import MissingExtraError
+from khep_twin.playpen.starts import Start
 from khep_twin.rollout import episode
 from khep_twin.rollout.minds import Floats
 from khep_twin.sensing import raycast
 from khep_twin.sensing.robot_indices import RobotIndices
-
-Start = tuple[float, float, float]
-"""x [mm], y [mm], heading [deg]."""
 
 Live = tuple[Any, Any, Any, Any, Any, Any]
 """Live qpos, qvel, ctrl, force, places and warnings, as in `episode.Body`."""

@@ -15,8 +15,9 @@ from typing import Any
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera, commands
-from khep_twin.placing import as_it_stands, no_room, put
+from khep_twin.placing import as_it_stands, put
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import no_room
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.service_registry import registered
 from khep_twin.ports.twin import TwinOptions, open_twin

@@ -21,9 +21,10 @@ from khep_twin import units
 from khep_twin.board.compiled_kernel import another_copy
 from khep_twin.errors import MissingExtraError, PlaypenError
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION, TYRE_FRICTION
 from khep_twin.rollout import episode
-from khep_twin.rollout.mujoco_room import Live, Start
+from khep_twin.rollout.mujoco_room import Live
 from khep_twin.rollout.planar import casting as planar_casting
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar.plane import PlanarRobot, Plane
