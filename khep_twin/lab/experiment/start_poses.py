@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, cast, get_args
 
-from khep_twin.errors import PlaypenError, choices
+from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.parts import LightingMode
 from khep_twin.playpen.starts import TRIES, extent, free_pose, no_room, starts_rng
@@ -49,8 +49,8 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
         PlaypenError: A word is none of these, there is no room, or there is no such robot.
     """
     if not 0 <= robot < len(playpen.robots):
-        among = choices(robot, range(len(playpen.robots)))
-        raise PlaypenError(f"robot = {robot}: not in playpen {playpen.name!r}; {among}")
+        text = f"robot = {robot}: not in playpen {playpen.name!r}"
+        raise PlaypenError(text, key="robot", value=robot, expected=range(len(playpen.robots)))
     found: list[StartPose] = []
     for wish in wishes:
         if wish == "playpen":
@@ -81,7 +81,8 @@ def lit(playpen: Playpen, lighting: str | None) -> Playpen:
     if lighting is None:
         return playpen
     if lighting not in LIGHTINGS:
-        raise PlaypenError(f"lighting {lighting!r}: unknown; {choices(lighting, LIGHTINGS)}")
+        found = f"lighting {lighting!r}: unknown"
+        raise PlaypenError(found, key="lighting", value=lighting, expected=LIGHTINGS)
     if lighting == "off":
         return playpen.model_copy(update={"lamps": ()})
     mode = cast(LightingMode, lighting)
