@@ -13,6 +13,7 @@ from typing import Self
 from khep_twin import playpen as playpens
 from khep_twin.board.fault_injection import parse
 from khep_twin.board.rom import ROMS
+from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
 from khep_twin.log.recorder import Recorder
 from khep_twin.playpen import Playpen
@@ -68,10 +69,25 @@ class TwinOptions:
             raise PortError(key="model", value=self.model, expected=MODELS)
 
 
+class SimulatedTime:
+    """Time that passes as fast as its world can be simulated, a `TimeSource`."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def advance_to(self, time_ns: int) -> None:
+        """Advance the world to `time_ns` at once."""
+        self._world.advance_to(time_ns)
+
+    def attend(self) -> None:
+        """Do nothing: a program has its world for itself."""
+
+
 class Twin:
     """A world with robots on the line.
 
     Attributes:
+        time_source: Passage of time, which is as fast as possible by default.
         world: World of the robots.
         robots: Robots on the line.
         robot: First of them.
@@ -79,8 +95,15 @@ class Twin:
         recorder: Recorder of its log; None without.
     """
 
-    def __init__(self, world: World, robots: tuple[Robot, ...], options: TwinOptions) -> None:
+    def __init__(
+        self,
+        world: World,
+        robots: tuple[Robot, ...],
+        options: TwinOptions,
+        time_source: TimeSource | None = None,
+    ) -> None:
         self.world = world
+        self.time_source = time_source or SimulatedTime(world)
         self.robots = robots
         self.robot = robots[0]
         self.options = options
@@ -96,7 +119,7 @@ class Twin:
 
     def advance_to(self, time_ns: int) -> None:
         """Advance the simulation to `time_ns`."""
-        self.world.advance_to(time_ns)
+        self.time_source.advance_to(time_ns)
 
     def record(
         self,
