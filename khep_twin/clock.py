@@ -1,6 +1,7 @@
-"""Time: an integer in nanoseconds, advanced in whole steps; and the pacer for the wall clock."""
+"""Time: an integer in nanoseconds, advanced in whole steps; its sources, and the pacer for the wall clock."""
 
 import time
+from typing import Protocol
 
 NS_PER_S = 1_000_000_000
 
@@ -19,6 +20,18 @@ def n_steps(duration_ns: int, step_ns: int) -> int:
 def to_ns(duration: float) -> int:
     """Convert seconds [s] to integer nanoseconds [ns], rounded to the nearest."""
     return round(duration * NS_PER_S)
+
+
+class TimeSource(Protocol):
+    """Passage of simulated time for a program on a line: at once, at a pace, or in turns with others."""
+
+    def advance_to(self, time_ns: int) -> None:
+        """Return when simulated time has reached `time_ns` [ns]."""
+        ...
+
+    def attend(self) -> None:
+        """Handle what else is due, before the program's next bytes."""
+        ...
 
 
 class Pacer:

@@ -20,31 +20,112 @@
     ├── MissingExtraError a part of khep_twin whose package is not installed
     └── DivergedError     a simulation that left the bounds of physics
 
-Each message gives the place, the value found there and the expected one. Mistakes of the calling
-program (a wrong type, a negative time) stay `TypeError` and `ValueError`.
+Each message gives the place, the value found there and the expected one; where they are known, programs find
+them as `file`, `line`, `key`, `value` and `expected`, and all problems of a file as `problems`. Mistakes of
+the calling program (a wrong type, a negative time) stay `TypeError` and `ValueError`.
 """
 
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import metadata
+from os import PathLike
+from typing import Self
+
+Location = tuple[str | int, ...]
+"""Tables and keys from the outside in; arrays of tables are followed by a number from 0."""
+
+Expected = str | tuple[object, ...]
+"""Expectation in words, or the valid choices."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Something invalid: its text for users, and its parts for programs.
+
+    Attributes:
+        location: Tables and key that it is about; empty for a whole file.
+        text: Place, value and expectation.
+        value: Value found; None without one.
+        expected: Expected value; empty if the text alone has it.
+        file: File, as the user named it; None if it is about no file.
+        line: Line in the file, from 1; None if unknown.
+    """
+
+    location: Location
+    text: str
+    value: object = None
+    expected: Expected = ""
+    file: str | None = None
+    line: int | None = None
+
+    @classmethod
+    def of(
+        cls, location: Location, found: str, expected: Expected, value: object = None, file: str | None = None
+    ) -> Self:
+        """Return the problem whose text has what was found, and then what was expected."""
+        wish = f"expected {expected}" if isinstance(expected, str) else choices(value, expected)
+        return cls(location, found if expected == "" else f"{found}; {wish}", value, expected, file)
+
+    @property
+    def key(self) -> str | None:
+        """Key that it is about; None for a whole file or table."""
+        *_, last = (None, *(part for part in self.location if part != "[key]"))
+        return last if isinstance(last, str) else None
+
+    def __str__(self) -> str:
+        """Return the text after the place in the style of compilers: "arena.toml:12: "."""
+        if self.file is None:
+            return self.text
+        return f"{self.file}{'' if self.line is None else f':{self.line}'}: {self.text}"
 
 
 class KhepTwinError(Exception):
     """Root of every error that khep_twin raises for its users.
 
     Args:
-        message: Description of the error.
+        message: Description of the error, less the arguments that follow; by default "key = value".
         option: Addition on the command line, such as an option that helps.
+        file: File that it is about, which begins the text.
+        key: Key, argument or channel that it is about.
+        value: Value found.
+        expected: Expectation, which ends the text.
+        problems: Problems that the error consists of, one line each, instead of all these.
 
     Attributes:
         plain: Message without `option`.
+        problems: Problems as fields; empty if there is only a message.
+        file: File of the first problem, as the user named it; None if unknown, like the following.
+        line: Line in the file, from 1.
+        key: Key, argument or channel.
+        value: Value found.
+        expected: Expectation in words, or the valid choices.
     """
 
-    def __init__(self, message: object = "", option: str = "") -> None:
-        super().__init__(f"{message}{option}")
-        self.plain = str(message)
+    def __init__(
+        self,
+        message: object = "",
+        option: str = "",
+        *,
+        file: str | PathLike[str] | None = None,
+        key: str | None = None,
+        value: object = None,
+        expected: str | Iterable[object] = "",
+        problems: Sequence[Problem] = (),
+    ) -> None:
+        if file is not None or key is not None or expected != "":
+            found = str(message) or f"{key} = {value!r}{'' if isinstance(expected, str) else ': unknown'}"
+            wish = expected if isinstance(expected, str) else tuple(expected)
+            place = None if file is None else str(file)
+            problems = [Problem.of(() if key is None else (key,), found, wish, value, place)]
+        self.plain = "\n".join(map(str, problems)) or str(message)
+        super().__init__(f"{self.plain}{option}")
+        self.problems = tuple(problems)
+        first = self.problems[0] if problems else Problem((), "")
+        self.file, self.line, self.key = first.file, first.line, first.key
+        self.value, self.expected = first.value, first.expected or None
 
 
 class PlaypenError(KhepTwinError):

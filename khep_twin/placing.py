@@ -6,8 +6,6 @@ unless the board is reset, too. A move is an action like those of the host, so t
 
 import math
 import struct
-from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -15,10 +13,7 @@ import mujoco
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.checks import things
-from khep_twin.playpen.footprint import Circle
-from khep_twin.playpen.overlap import Thing, placement_problems
-from khep_twin.units import BODY_HEIGHT
+from khep_twin.playpen.starts import no_room
 from khep_twin.world import World
 
 _PLACE = struct.Struct("<3d")
@@ -50,12 +45,11 @@ def put(
     place = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
     world.act(index, HostEvent(HostEventKind.PUT, world.time_ns, None, place))
     model, data = world.model, world.data
-    joint = model.joint(f"{world.robots[index].name}/pose")
-    at, half = int(joint.qposadr[0]), math.radians(heading_deg) / 2
+    robot, half = world.robots[index].indices, math.radians(heading_deg) / 2
+    at = robot.pose
     data.qpos[at : at + 3] = x_mm / 1e3, y_mm / 1e3, model.qpos0[at + 2]
     data.qpos[at + 3 : at + 7] = math.cos(half), 0, 0, math.sin(half)
-    base = int(joint.bodyid[0])
-    data.qvel[model.body_rootid[model.dof_bodyid] == base] = 0
+    data.qvel[model.body_rootid[model.dof_bodyid] == robot.base] = 0
     # Update the positions that the robots are read from.
     mujoco.mj_kinematics(model, data)
     if afresh:
@@ -73,28 +67,6 @@ def scan(world: World) -> None:
     """Convert all sensors now, so that the boards hold current readings after something was moved."""
     world.act(0, HostEvent(HostEventKind.SCAN, world.time_ns))
     world.scan()
-
-
-def no_room(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:
-    """Return the reason why a playpen's robot cannot stand at a position [mm]; empty if it can."""
-    entry = playpen.robots[index].model_copy(update={"x_mm": x_mm, "y_mm": y_mm, "spots": ()})
-    thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, BODY_HEIGHT * 1e3, True)
-    for problem in placement_problems([*near(playpen, index, entry.footprint), thing], playpen.arena):
-        if problem.location[:2] == thing.place:
-            return problem.text
-    return ""
-
-
-def near(playpen: Playpen, index: int, disc: Circle) -> Iterator[Thing]:
-    """Yield the objects in reach of a disc, except one robot, spots, and lamps, which robots pass."""
-    for thing in things(playpen):
-        at = thing.footprint
-        away = max(
-            abs(at.x_mm - disc.x_mm) - at.reach((1.0, 0.0)), abs(at.y_mm - disc.y_mm) - at.reach((0.0, 1.0))
-        )
-        own = (thing.kind, thing.number) == ("robot", index + 1)
-        if away <= disc.radius_mm and not own and thing.kind not in ("lamp", "spot"):
-            yield replace(thing, free=False)
 
 
 def as_it_stands(world: World) -> Playpen:

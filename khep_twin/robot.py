@@ -1,6 +1,5 @@
 """One robot of a world: its board, line, turrets, supply, and body in the physics."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Protocol
@@ -25,6 +24,7 @@ from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import Receivers
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.raycast import scene_of
+from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensors import InfraredScan
 
 REPLY_LIMIT = 256
@@ -63,6 +63,7 @@ class Robot:
     Attributes:
         index: Index among the playpen's robots.
         name: Name in the scene, e.g. "khepera0".
+        indices: Indices in the scene.
         firmware: Command interpreter.
         uart: Serial line.
         registers: State of the board (N_REGISTERS,).
@@ -100,23 +101,15 @@ class Robot:
         self._stage = stage
         self.index = index
         self._radius = entry.body.radius
-        self._left_angle, self._right_angle = (
-            int(model.joint(f"{self.name}/{side}_axle").qposadr[0]) for side in ("left", "right")
-        )
-        self._left_motor, self._right_motor = (
-            model.actuator(f"{self.name}/{side}_motor").id for side in ("left", "right")
-        )
+        self.indices = RobotIndices.of(model, self.name)
         self._supply = Supply(entry.battery_used_min)
         self._voltage = units.SUPPLY_VOLTAGE
         self._force: NDArray[np.float64] = data.actuator_force
         self._qpos: NDArray[np.float64] = data.qpos
         self._qvel: NDArray[np.float64] = data.qvel
-        self._left_speed, self._right_speed = (
-            int(model.joint(f"{self.name}/{side}_axle").dofadr[0]) for side in ("left", "right")
-        )
         self._ctrl: NDArray[np.float64] = data.ctrl
-        self._lights = [_Light(model, f"{self.name}/led_{led}") for led in range(len(_LEDS))]
-        self._pose = int(model.joint(f"{self.name}/pose").qposadr[0])
+        lights = zip(self.indices.led_lights, self.indices.leds, strict=True)
+        self._lights = [_Light(model, light, led) for light, led in lights]
         chance = partial(stream, seed, "robot", index)
         self._line_noise = chance("line") if strict_line else None
         self._faults = None
@@ -126,16 +119,15 @@ class Robot:
         self._motor_constant = measured.motors.constant
         if spread:
             measured = calibration.spread(measured, chance("spread"))
-        prefix, lighting = f"{self.name}/", stage.playpen.lighting
-        self._receivers = Receivers(model, prefix, measured.ambient, stage.lamps, lighting)
-        scene = scene_of(model, data, prefix)
-        self._scan = InfraredScan(scene, prefix, measured, self._receivers, chance if noise else None)
+        lighting = stage.playpen.lighting
+        self._receivers = Receivers(model, self.indices, measured.ambient, stage.lamps, lighting)
+        scene = scene_of(model, data, self.indices)
+        self._scan = InfraredScan(scene, self.indices, measured, self._receivers, chance if noise else None)
 
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad] in the playpen."""
-        x, y, _, qw, qx, qy, qz = self._qpos[self._pose : self._pose + 7].tolist()
-        return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+        return self.indices.pose_in(self._qpos)
 
     @property
     def disc(self) -> tuple[float, float, float]:
@@ -248,16 +240,15 @@ class Robot:
 
     def tick(self) -> None:
         """Run one control period: from encoders to motor voltages."""
-        qpos, ctrl, cells = self._qpos, self._ctrl, self._cells
-        left = units.wheel_pulses(qpos[self._left_angle])
-        right = units.wheel_pulses(qpos[self._right_angle])
+        ctrl, cells = self._ctrl, self._cells
+        left, right = self._wheel_pulses()
         for body in self._turret_bodies:
             body.sense()
         self.firmware.tick(left, right)
         for body in self._turret_bodies:
             body.drive()
-        ctrl[self._left_motor] = units.duty_voltage(cells[_LEFT_DUTY], self._voltage)
-        ctrl[self._right_motor] = units.duty_voltage(cells[_RIGHT_DUTY], self._voltage)
+        for motor, duty in zip(self.indices.motors, DUTIES, strict=True):
+            ctrl[motor] = units.duty_voltage(cells[duty], self._voltage)
         if self._faults is not None:
             self._fail(self._faults)
 
@@ -266,7 +257,7 @@ class Robot:
         cells, time_ns = self._cells, self._stage.time_ns
         self._voltage = self._supply.voltage(time_ns)
         current = units.IDLE_CURRENT
-        for duty, motor in ((_LEFT_DUTY, self._left_motor), (_RIGHT_DUTY, self._right_motor)):
+        for motor, duty in zip(self.indices.motors, DUTIES, strict=True):
             current += units.supply_current(cells[duty], self._force[motor] / self._motor_constant)
         kernel.measure(cells, units.supply_counts(self._voltage), round(current * 1000))
         if self._voltage < units.PROCESSOR_VOLTAGE and self.firmware.powered:
@@ -287,7 +278,7 @@ class Robot:
         """Reset counters, setpoints, controllers and LEDs, and cut the motors' voltage."""
         kernel.reset(self._cells)
         self.zero_encoders()
-        self._ctrl[[self._left_motor, self._right_motor]] = 0.0
+        self._ctrl[list(self.indices.motors)] = 0.0
 
     def relight(self, lamps: Lamps, lighting: Lighting) -> None:
         """Replace the lamps and the law of their light."""
@@ -295,8 +286,11 @@ class Robot:
 
     def zero_encoders(self) -> None:
         """Set the encoders to the wheels' current angles."""
-        self.registers[LEFT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._left_angle])
-        self.registers[RIGHT + Wheel.ENCODER] = units.wheel_pulses(self._qpos[self._right_angle])
+        self.registers[[LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]] = self._wheel_pulses()
+
+    def _wheel_pulses(self) -> tuple[int, int]:
+        left, right = self.indices.wheel_angles
+        return units.wheel_pulses(self._qpos[left]), units.wheel_pulses(self._qpos[right])
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
         """Send a reply."""
@@ -325,7 +319,7 @@ class Robot:
     def _fail(self, faults: Injector) -> None:
         """Apply the faults of a control period."""
         time_ns = self._stage.time_ns
-        wheels = ((self._left_motor, self._left_speed), (self._right_motor, self._right_speed))
+        wheels = zip(self.indices.motors, self.indices.wheel_speeds, strict=True)
         for side, (motor, speed) in enumerate(wheels):
             if faults.dead(side, time_ns):
                 # The motor's own voltage as a generator: no current, no torque.
@@ -339,10 +333,10 @@ class Robot:
 class _Light:
     """Light of one LED in the scene: a body without mass."""
 
-    def __init__(self, model: mujoco.MjModel, led: str) -> None:
-        self._position: NDArray[np.float64] = model.body_pos[model.body(led + "_light").id]
+    def __init__(self, model: mujoco.MjModel, light: int, led: int) -> None:
+        self._position: NDArray[np.float64] = model.body_pos[light]
         self._hidden = self._position.copy()
-        self._place: NDArray[np.float64] = model.site_pos[model.site(led).id]
+        self._place: NDArray[np.float64] = model.site_pos[led]
         self._lit = False
 
     def show(self, lit: bool) -> None:
@@ -353,5 +347,4 @@ class _Light:
 
 
 _PROXIMITY, _AMBIENT = int(Board.PROXIMITY), int(Board.AMBIENT)
-_LEFT_DUTY, _RIGHT_DUTY = DUTIES
 _LEDS = (int(Board.LED_0), int(Board.LED_1))

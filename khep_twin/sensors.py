@@ -28,8 +28,8 @@ from khep_twin.sensing import optics
 from khep_twin.sensing.ambient import Receivers
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.optics import Proximity
-from khep_twin.sensing.raycast import LENGTH_AND_NORMAL, Scene, ray_slices
-from khep_twin.units import Sensor
+from khep_twin.sensing.raycast import LENGTH_AND_NORMAL, Scene
+from khep_twin.sensing.robot_indices import RobotIndices
 
 
 class InfraredScan:
@@ -37,7 +37,7 @@ class InfraredScan:
 
     Args:
         scene: Scene of the robot's sensors.
-        prefix: Prefix of the robot's names in the scene, e.g. "khepera0/".
+        robot: Indices of the robot.
         calibration: Calibration of this robot's sensors.
         receivers: Receivers of the lamps' light.
         noise: Factory of the random streams "proximity", "idle" and "ambient"; None for no noise.
@@ -46,13 +46,13 @@ class InfraredScan:
     def __init__(
         self,
         scene: Scene,
-        prefix: str,
+        robot: RobotIndices,
         calibration: Calibration,
         receivers: Receivers,
         noise: Callable[[str], np.random.Generator] | None,
     ) -> None:
         self._scene, self._receivers = scene, receivers
-        self._proximity = proximity_optics(scene.model, prefix, calibration)
+        self._proximity = proximity_optics(scene.model, robot, calibration)
         self._proximity_noise = _draws(noise("proximity").standard_normal if noise else None)
         self._idle_noise = _draws(noise("idle").standard_exponential if noise else None)
         self._ambient_noise = _draws(noise("ambient").standard_normal if noise else None)
@@ -71,17 +71,16 @@ class InfraredScan:
         )
 
 
-def proximity_optics(model: mujoco.MjModel, prefix: str, calibration: Calibration) -> Proximity:
+def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> Proximity:
     """Return the numbers of a robot's proximity in a scene."""
     numbers = calibration.proximity
     weights: list[list[float]] = []
     aside: list[list[float]] = []
-    for channel, (sensor, rays) in enumerate(zip(Sensor, ray_slices(model, prefix), strict=True)):
-        n_rays = (rays.stop - rays.start) // LENGTH_AND_NORMAL
-        tangents = _tangents(model, prefix + sensor.name.lower(), n_rays)
+    for channel, (camera, rays) in enumerate(zip(robot.cameras, robot.rays, strict=True)):
+        tangents = _tangents(model, camera, (rays.stop - rays.start) // LENGTH_AND_NORMAL)
         aside.append(tangents.tolist())
         weights.append(lobe_weights(tangents, numbers.lobe_exponent[channel]))
-    seen = model.geom_user[_visible_geoms(model, prefix), 0]
+    seen = model.geom_user[_visible_geoms(model, robot.base), 0]
     brightest, n_rays = float(seen.max(initial=0.0)), len(aside[0])
     return Proximity(
         gain=[gain * 1e-6 for gain in numbers.gain_counts_mm2],
@@ -110,14 +109,13 @@ def lobe_weights(tangents: NDArray[np.float64], exponent: float) -> list[float]:
     return (weights / weights.sum()).tolist()
 
 
-def _tangents(model: mujoco.MjModel, camera_name: str, n_rays: int) -> NDArray[np.float64]:
+def _tangents(model: mujoco.MjModel, camera: int, n_rays: int) -> NDArray[np.float64]:
     """Return the tangents of a sensor's rays (n_rays,), which go through the camera's pixels, left to right.
 
     They are computed as in MuJoCo, so that a ray that is cast again is the same to the last bit.
     """
-    camera = model.camera(camera_name)
-    width, height = model.cam_resolution[camera.id].tolist()
-    focal_length = height / 2 / math.tan(float(camera.fovy[0]) * math.pi / 360)
+    width, height = model.cam_resolution[camera].tolist()
+    focal_length = height / 2 / math.tan(float(model.cam_fovy[camera]) * math.pi / 360)
     return (np.arange(n_rays) + 0.5 - width / 2) / focal_length
 
 
@@ -129,11 +127,11 @@ def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]
         yield from draw(256).tolist()
 
 
-def _visible_geoms(model: mujoco.MjModel, prefix: str) -> NDArray[np.bool_]:
+def _visible_geoms(model: mujoco.MjModel, base: int) -> NDArray[np.bool_]:
     """Return the mask of the geoms that a robot's rays may hit (n_geoms,).
 
     They are the visible ones, except the floor and the robot's own body; its turrets are included.
     """
     shown = model.geom_rgba[:, 3] > 0
     upright = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
-    return shown & upright & (model.geom_bodyid != model.body(prefix + "base").id)
+    return shown & upright & (model.geom_bodyid != base)

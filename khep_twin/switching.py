@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 from khep_twin.board.uart import HostEvent, HostEventKind
-from khep_twin.errors import PlaypenError, choices
+from khep_twin.errors import PlaypenError
 from khep_twin.files.toml_files import TomlTable, check, frozen
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.world import World
@@ -27,7 +27,8 @@ def switch(world: World, lamp: int, on: bool) -> None:
     """
     names = world.lamps.names
     if not 0 <= lamp < len(names):
-        raise PlaypenError(f"lamp = {lamp}: there is none; {choices(lamp, range(len(names)))}")
+        found = f"lamp = {lamp}: there is none"
+        raise PlaypenError(found, key="lamp", value=lamp, expected=range(len(names)))
     world.act(0, HostEvent(HostEventKind.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
     world.lamps.turn(lamp, on, world.time_ns)
     world.tell(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")

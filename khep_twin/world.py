@@ -17,7 +17,8 @@ from khep_twin.board.fault_injection import Fault
 from khep_twin.board.uart import HostEvent
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
-from khep_twin.playpen import Playpen, placed
+from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import at_spots
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot
@@ -88,7 +89,7 @@ class World:
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(_keep_quiet)
-        self.playpen = playpen = placed(playpen, stream(seed, "spots"))
+        self.playpen = playpen = at_spots(playpen, seed)
         self.taps: list[Observer] = []
         self._untold: list[tuple[int | None, str]] = []
         self.time_ns = 0

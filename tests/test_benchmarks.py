@@ -18,7 +18,6 @@ from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
 from khep_twin import playpen
 from khep_twin.errors import KhepTwinError
 from khep_twin.rollout.life import EpisodeSetup
-from khep_twin.sensing.raycast import ray_slices
 from khep_twin.sensors import proximity_optics
 
 FOLDER = Path(benchmarks.__file__).parent
@@ -132,13 +131,13 @@ def test_fields_grow_around_the_same_blocks() -> None:
 def test_cones_have_more_or_fewer_rays_over_the_same_angle(n_rays: int) -> None:
     with growth.rays_per_sensor(n_rays):
         ground = EpisodeSetup(playpen.load("default"))
-    (first, *_), usual = ray_slices(ground.model, "khepera0/"), EpisodeSetup(playpen.load("default"))
+    (first, *_), usual = ground.indices.rays, EpisodeSetup(playpen.load("default"))
     assert first.stop - first.start == 4 * n_rays
     spans = [
         near.aside[0][-1] * n / max(n - 1, 1)
         for near, n in (
-            (proximity_optics(ground.model, "khepera0/", ground.calibration), n_rays),
-            (proximity_optics(usual.model, "khepera0/", usual.calibration), 9),
+            (proximity_optics(ground.model, ground.indices, ground.calibration), n_rays),
+            (proximity_optics(usual.model, usual.indices, usual.calibration), 9),
         )
     ]
     assert spans[0] == pytest.approx(1 if n_rays > 1 else 0, abs=1e-6)

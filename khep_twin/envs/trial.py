@@ -27,14 +27,13 @@ from khep_twin.clock import n_steps, to_ns
 from khep_twin.envs.tasks import TOP_SPEED, Observation, State, Task, find
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.playpen import Playpen, load
+from khep_twin.playpen.starts import anywhere, at_spots
 from khep_twin.rollout.life import EpisodeSetup
 from khep_twin.rollout.stages import (
     Backend,
     EpisodeBackend,
     Pose,
     WorldBackend,
-    anywhere,
-    at_spots,
     may_be_alone,
     several,
 )

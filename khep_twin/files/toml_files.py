@@ -9,20 +9,21 @@ the table, the key, the value found and what was expected:
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
-from khep_twin.errors import KhepTwinError, choices
+from khep_twin.errors import Expected, KhepTwinError, Location, Problem, choices
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.toml_edit import change
-from khep_twin.files.toml_lines import LineNumbers, Location
+from khep_twin.files.toml_lines import LineNumbers
 
 SIZE_LIMIT = 2**20
 """Largest file that is read [bytes]."""
@@ -37,18 +38,6 @@ Model = TypeVar("Model", bound="TomlTable")
 
 # A key of thousands of parts takes tomllib seconds and ends in a RecursionError.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){32}""")
-
-
-class Problem(NamedTuple):
-    """A problem of a whole file.
-
-    Attributes:
-        location: Table and key that it is about; empty for the file.
-        text: Place, value and what was expected.
-    """
-
-    location: Location
-    text: str
 
 
 class Problems(ValueError):
@@ -89,17 +78,17 @@ def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, 
         with open_regular(path) as file:
             data = file.read(SIZE_LIMIT + 1)
     except FileNotFoundError:
-        wish = f"expected the path of a file or a shipped name; {choices(name, names(kind))}"
-        raise error(f"{source}: no such file; {wish}") from None
+        wish = f"the path of a file or a shipped name; {choices(name, names(kind))}"
+        raise error("no such file", file=source, expected=wish) from None
     except (OSError, ValueError) as trouble:
         reason = trouble.strerror if isinstance(trouble, OSError) else trouble
-        raise error(f"{source}: cannot be read: {reason}") from None
+        raise error(f"cannot be read: {reason}", file=source) from None
     if len(data) > SIZE_LIMIT:
-        raise error(f"{source}: larger than {SIZE_LIMIT} bytes, the most that is read")
+        raise error(f"larger than {SIZE_LIMIT} bytes, the most that is read", file=source)
     try:
         return data.decode("utf-8-sig"), source
     except UnicodeDecodeError as trouble:
-        raise error(f"{source}: byte {trouble.start} is no UTF-8 text") from None
+        raise error(f"byte {trouble.start} is no UTF-8 text", file=source) from None
 
 
 def validate(
@@ -115,15 +104,15 @@ def validate(
         error: The text is no TOML, or does not fit the model; one line per problem.
     """
     if _DEEP_KEY.search(text):
-        raise error(f"{source}: a key has more than 32 parts")
+        raise error("a key has more than 32 parts", file=source)
     try:
         data = frozen(tomllib.loads(text))
     except tomllib.TOMLDecodeError as trouble:
-        raise error(f"{source}: not TOML: {trouble}") from None
+        raise error(f"not TOML: {trouble}", file=source) from None
     except ValueError:
-        raise error(f"{source}: not TOML that can be read: a number has thousands of digits") from None
+        raise error("not TOML that can be read: a number has thousands of digits", file=source) from None
     except RecursionError:
-        raise error(f"{source}: not TOML that can be read: nested too deeply") from None
+        raise error("not TOML that can be read: nested too deeply", file=source) from None
     return check(model, data, source, error, text, context)
 
 
@@ -143,22 +132,22 @@ def check(
     try:
         return model.model_validate(data, context=context)
     except ValidationError as trouble:
-        problems = list(islice(_problems(model, trouble), PROBLEM_LIMIT + 1))
+        problems = list(islice(_problems(model, trouble, data), PROBLEM_LIMIT + 1))
         if len(problems) > PROBLEM_LIMIT:
             last = f"more than {PROBLEM_LIMIT} problems; the others are reported once these are gone"
             problems[-1] = Problem((), last)
         lines = LineNumbers(text)
         raise error(
-            "\n".join(f"{source}{_at(lines, problem.location)}: {problem.text}" for problem in problems)
+            problems=[replace(each, file=source, line=lines.of(each.location)) for each in problems]
         ) from None
 
 
 def problems(model: type[Model], data: Mapping[str, Any]) -> list[Problem]:
     """Return the problems of data as `model`, as reported by `check`; empty if there are none."""
     try:
-        model.model_validate(frozen(data))
+        model.model_validate(data := frozen(data))
     except ValidationError as trouble:
-        return list(islice(_problems(model, trouble), PROBLEM_LIMIT))
+        return list(islice(_problems(model, trouble, data), PROBLEM_LIMIT))
     return []
 
 
@@ -235,22 +224,28 @@ def _plain_data(table: TomlTable, *, exclude_defaults: bool = False) -> dict[str
     return table.model_dump(by_alias=True, exclude_none=True, exclude_defaults=exclude_defaults, mode="json")
 
 
-def _problems(model: type[BaseModel], trouble: ValidationError) -> Iterator[Problem]:
+def _problems(model: type[BaseModel], trouble: ValidationError, data: Mapping[str, Any]) -> Iterator[Problem]:
     for problem in trouble.errors(include_url=False):
         location = problem["loc"]
         if problem["type"] == "value_error" and not location:
             # A model's own checks of the whole name their places themselves.
             found = problem.get("ctx", {})["error"]
-            yield from found.problems if isinstance(found, Problems) else [Problem((), str(found))]
+            problems = found.problems if isinstance(found, Problems) else [Problem((), str(found))]
+            yield from (replace(each, value=each.value or _value(data, each.location)) for each in problems)
         else:
             place, key = _place(location)
-            yield Problem(location, f"{place}{_reason(model, location, key, problem)}")
+            reason, expected = _reason(model, location, key, problem)
+            yield Problem(location, f"{place}{reason}", _value(data, location), expected)
 
 
-def _at(lines: LineNumbers, location: Location) -> str:
-    """Return the line of a problem in the style of compilers: ":12"."""
-    number = lines.of(location)
-    return "" if number is None else f":{number}"
+def _value(data: Any, location: Location) -> Any:
+    """Return the value at a location; None for a whole table or without one."""
+    for part in location:
+        try:
+            data = data[part]
+        except (LookupError, TypeError):
+            return None
+    return None if isinstance(data, Mapping) else data
 
 
 def _place(location: Sequence[str | int]) -> tuple[str, str]:
@@ -265,19 +260,21 @@ def _place(location: Sequence[str | int]) -> tuple[str, str]:
     return " ".join(tables) + (": " if tables else ""), key
 
 
-def _reason(model: type[BaseModel], location: Sequence[str | int], key: str, problem: Any) -> str:
+def _reason(model: type[BaseModel], location: Location, key: str, problem: Any) -> tuple[str, Expected]:
+    """Return the text of a problem, and what was expected."""
     kind: str = problem["type"]
     field, keys = _field(model, location)
     if kind == "missing":
-        return f"{key} is missing; expected {_wish(field)}"
+        return f"{key} is missing; expected {(wish := _wish(field))}", wish
     if location[-1] == "[key]":
-        return f"{show(key)} is no name; expected {NAME_WISH}"
+        return f"{show(key)} is no name; expected {NAME_WISH}", NAME_WISH
     given = key if isinstance(problem["input"], dict | tuple) else f"{key} = {show(problem['input'])}"
     if kind == "extra_forbidden":
-        return f"{given}: unknown key; {choices(key, keys)}"
+        return f"{given}: unknown key; {choices(key, keys)}", tuple(keys)
     if kind == "literal_error" and field is not None:
-        return f"{given}: unknown; {choices(_text(problem['input']), _literals(field.annotation))}"
-    return f"{given}; expected {_wish(field)}"
+        literals = _literals(field.annotation)
+        return f"{given}: unknown; {choices(_text(problem['input']), literals)}", tuple(literals)
+    return f"{given}; expected {(wish := _wish(field))}", wish
 
 
 def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[str]]:

@@ -3,8 +3,7 @@
 import re
 from collections.abc import Sequence
 
-Location = tuple[str | int, ...]
-"""Tables and keys from the outside in; arrays of tables are followed by a number from 0."""
+from khep_twin.errors import Location
 
 _PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
 _PATH = rf"{_PART}(?:[ \t]*\.[ \t]*{_PART})*"

@@ -31,17 +31,20 @@ class Misfit(ValueError):
         expected: Expected value.
 
     Attributes:
+        found: Value that was found, and its name.
+        expected: Expected value.
         row: Row of the invalid message, if several were read at once.
     """
 
     def __init__(self, found: str, expected: str) -> None:
         super().__init__(f"{found}; expected {expected}")
-        self.row = 0
+        self.found, self.expected, self.row = found, expected, 0
 
     def at(self, path: Path, place: str, time_ns: int | None = None) -> LogError:
         """Return the error that names the file and the place in it."""
         when = "" if time_ns is None else f" at {time_ns / NS_PER_S:.4f} s"
-        return LogError(f"{path}: {shown(place)}{when}: {self}")
+        found = f"{shown(place)}{when}: {self.found}"
+        return LogError(found, file=path, key=place, value=self.found, expected=self.expected)
 
 
 def shown(text: object) -> str:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
-from khep_twin.errors import TurretError, choices
-from khep_twin.files.toml_files import Location, Problem
+from khep_twin.errors import Location, Problem, TurretError
 from khep_twin.playpen.footprint import Circle, overlap
 from khep_twin.playpen.overlap import Thing, label, placement_problems
 from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, Robot, Spot
@@ -130,8 +129,11 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
     lowest_mm = LOWEST_WALL_WITH_TURRET_MM if turrets else LOWEST_WALL_MM
     if playpen.robots and height_mm < lowest_mm:
         what = "a robot with a turret topples over it" if turrets else "a robot drives over it"
-        text = f"arena: wall_height_mm = {height_mm:g}: {what} at full speed; expected at least {lowest_mm:g}"
-        yield Problem(("arena", "wall_height_mm"), text)
+        yield Problem.of(
+            ("arena", "wall_height_mm"),
+            f"arena: wall_height_mm = {height_mm:g}: {what} at full speed",
+            f"at least {lowest_mm:g}",
+        )
     thickness_mm = playpen.arena.wall_thickness_mm
     movable = [
         (kind, index, item)
@@ -141,20 +143,26 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
     ]
     if movable and thickness_mm < THINNEST_WALL_MM:
         what = "a robot presses movable things through it"
-        text = f"arena: wall_thickness_mm = {thickness_mm:g}: {what}; expected at least {THINNEST_WALL_MM:g}"
-        yield Problem(("arena", "wall_thickness_mm"), text)
+        yield Problem.of(
+            ("arena", "wall_thickness_mm"),
+            f"arena: wall_thickness_mm = {thickness_mm:g}: {what}",
+            f"at least {THINNEST_WALL_MM:g}",
+        )
     for kind, index, item in movable:
         if item.mass_g < LIGHTEST_G:
             what = "a robot presses it through walls"
-            text = f"{kind} {index + 1}: mass_g = {item.mass_g:g}: {what}; expected at least {LIGHTEST_G:g}"
-            yield Problem((kind, index, "mass_g"), text)
+            yield Problem.of(
+                (kind, index, "mass_g"),
+                f"{kind} {index + 1}: mass_g = {item.mass_g:g}: {what}",
+                f"at least {LIGHTEST_G:g}",
+            )
 
 
 def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
     for name in playpen.surfaces:
         if name in BUILT_IN_SURFACES:
-            wish = f"expected a name other than {', '.join(BUILT_IN_SURFACES)}"
-            yield Problem(("surfaces", name), f"surfaces {name}: built in; {wish}")
+            wish = f"a name other than {', '.join(BUILT_IN_SURFACES)}"
+            yield Problem.of(("surfaces", name), f"surfaces {name}: built in", wish)
     known = {**BUILT_IN_SURFACES, **playpen.surfaces}
     users: list[tuple[Location, str, str]] = [(("arena",), "arena", playpen.arena.surface)]
     for kind, items in (
@@ -167,8 +175,8 @@ def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
             users.append(((kind, index), label(kind, index + 1, item.name), item.surface))
     for location, place, surface in users:
         if surface not in known:
-            text = f'{place}: surface = "{surface}": unknown; {choices(surface, known)}'
-            yield Problem((*location, "surface"), text)
+            found = f'{place}: surface = "{surface}": unknown'
+            yield Problem.of((*location, "surface"), found, tuple(known), surface)
 
 
 def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
@@ -177,46 +185,41 @@ def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
         for number, (x_mm, y_mm) in enumerate(wall.points_mm, 1):
             for value, limit in ((x_mm, playpen.arena.width_mm), (y_mm, playpen.arena.height_mm)):
                 if value > limit:
-                    wish = f"outside the arena; expected 0 to {limit:g}"
-                    yield Problem(location, f"{place}: points_mm {number}: {value:g}: {wish}")
+                    found = f"{place}: points_mm {number}: {value:g}: outside the arena"
+                    yield Problem.of(location, found, f"0 to {limit:g}", value)
         for number, (start, end) in enumerate(edges(wall.points_mm, closed=wall.closed), 1):
             if start == end:
-                text = f"{place}: points_mm {number}: same as the next point; expected each point once"
-                yield Problem(location, text)
+                yield Problem.of(
+                    location, f"{place}: points_mm {number}: same as the next point", "each point once"
+                )
 
 
 def _patch_problems(playpen: "Playpen") -> Iterator[Problem]:
     for index, patch in enumerate(playpen.patches):
         if not patch.is_one_shape:
-            wish = "expected radius_mm alone, or length_mm and width_mm"
-            yield Problem(
-                ("patch", index),
-                f"{label('patch', index + 1, patch.name)}: neither disc nor rectangle; {wish}",
-            )
+            found = f"{label('patch', index + 1, patch.name)}: neither disc nor rectangle"
+            yield Problem.of(("patch", index), found, "radius_mm alone, or length_mm and width_mm")
 
 
 def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
     lighting = playpen.lighting
     if not lighting.min_angle_deg < lighting.max_angle_deg:
-        yield Problem(
+        yield Problem.of(
             ("lighting", "max_angle_deg"),
-            f"lighting: max_angle_deg = {lighting.max_angle_deg:g}; expected above min_angle_deg = "
-            f"{lighting.min_angle_deg:g}",
+            f"lighting: max_angle_deg = {lighting.max_angle_deg:g}",
+            f"above min_angle_deg = {lighting.min_angle_deg:g}",
         )
     for index, lamp in enumerate(playpen.lamps):
         if 0 < lamp.blink_period_s < SHORTEST_BLINK_S:
-            text = (
-                f"{label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}; "
-                f"expected 0, or {SHORTEST_BLINK_S:g} to 3600"
-            )
-            yield Problem(("lamp", index, "blink_period_s"), text)
+            found = f"{label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}"
+            yield Problem.of(("lamp", index, "blink_period_s"), found, f"0, or {SHORTEST_BLINK_S:g} to 3600")
         last = 0.0
         for start, end in lamp.on_s:
             if not last <= start < end:
-                yield Problem(
+                yield Problem.of(
                     ("lamp", index, "on_s"),
-                    f"{label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]; "
-                    f"expected times that rise, from {last:g} on",
+                    f"{label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]",
+                    f"times that rise, from {last:g} on",
                 )
                 break
             last = end
@@ -235,12 +238,13 @@ def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
             yield Problem(("robot", index, "turrets"), f"{place}: turrets = {list(robot.turrets)}: {error}")
         for name in robot.spots:
             if name not in known:
-                text = f'{place}: spots: "{name}": unknown; {choices(name, known)}'
-                yield Problem(("robot", index, "spots"), text)
+                found = f'{place}: spots: "{name}": unknown'
+                yield Problem.of(("robot", index, "spots"), found, tuple(known), name)
     if all(name in known for robot in playpen.robots for name in robot.spots) and not assigned(playpen, list):
         if any(robot.spots for robot in playpen.robots):
-            text = "robots: there is not a spot for each of them, clear of the others; expected a spot more"
-            yield Problem(("robot",), text)
+            yield Problem.of(
+                ("robot",), "robots: there is not a spot for each of them, clear of the others", "a spot more"
+            )
 
 
 def things(playpen: "Playpen") -> Iterator[Thing]:

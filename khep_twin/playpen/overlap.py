@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from khep_twin.files.toml_files import Location, Problem
+from khep_twin.errors import Location, Problem
 from khep_twin.playpen.footprint import Footprint, overlap, sticks_out
 from khep_twin.playpen.polygon import Point, contains, walls_around
 
@@ -74,8 +74,9 @@ class Floor(Protocol):
 def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
     """Yield the placement problems of things on a floor, one line each."""
     if len(things) > THING_LIMIT:
-        text = f"{len(things)} blocks, cylinders, lamps and robots; expected up to {THING_LIMIT} together"
-        yield Problem((), text)
+        yield Problem.of(
+            (), f"{len(things)} blocks, cylinders, lamps and robots", f"up to {THING_LIMIT} together"
+        )
         return
     yield from _shared_names(things)
     inside: list[Thing] = []
@@ -93,8 +94,11 @@ def _shared_names(things: Sequence[Thing]) -> Iterator[Problem]:
         # The pieces of a wall share one name.
         if thing.name is not None and first.setdefault(thing.name, thing).place != thing.place:
             other = first[thing.name].label
-            text = f'{thing.label}: name = "{thing.name}": taken by {other}; expected a unique name'
-            yield Problem((*thing.place, "name"), text)
+            yield Problem.of(
+                (*thing.place, "name"),
+                f'{thing.label}: name = "{thing.name}": taken by {other}',
+                "a unique name",
+            )
 
 
 def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
@@ -103,10 +107,11 @@ def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
     for key, value, limit in (("x_mm", at.x_mm, floor.width_mm), ("y_mm", at.y_mm, floor.height_mm)):
         if value > limit:
             told = True
-            text = f"{thing.label}: {key} = {value:g}: outside the arena; expected 0 to {limit:g}"
-            yield Problem((*thing.place, key), text)
+            yield Problem.of(
+                (*thing.place, key), f"{thing.label}: {key} = {value:g}: outside the arena", f"0 to {limit:g}"
+            )
     if not told and floor.outline_mm and not contains(floor.outline_mm, at.x_mm, at.y_mm):
-        yield Problem(thing.place, f"{thing} is outside the arena's outline; expected a place within it")
+        yield Problem.of(thing.place, f"{thing} is outside the arena's outline", "a place within it")
 
 
 def _collisions(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
@@ -118,17 +123,21 @@ def _collisions(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
             continue
         for number, wall in enumerate(around, 1):
             if overlap(thing.footprint, wall):
-                text = f"{thing} overlaps the wall after corner {number}; expected a place further in"
-                yield Problem(thing.place, text)
+                yield Problem.of(
+                    thing.place, f"{thing} overlaps the wall after corner {number}", "a place further in"
+                )
         for wall, depth_mm in () if around else sticks_out(thing.footprint, width_mm, height_mm):
             inward_mm = math.ceil(depth_mm * 10) / 10
-            text = f"{thing} overlaps the {wall} wall at {walls[wall]}; expected {inward_mm:g} mm further in"
-            yield Problem(thing.place, text)
+            yield Problem.of(
+                thing.place,
+                f"{thing} overlaps the {wall} wall at {walls[wall]}",
+                f"{inward_mm:g} mm further in",
+            )
     for thing, other in _overlapping_pairs(things):
         # Spots may coincide, and a robot may stand on one: a robot is placed on a spot only if it is clear.
         kinds = {thing.kind, other.kind}
         if "spot" not in kinds or not kinds <= {"spot", "robot"}:
-            yield Problem(thing.place, f"{thing} overlaps {other}; expected a place clear of it")
+            yield Problem.of(thing.place, f"{thing} overlaps {other}", "a place clear of it")
 
 
 def _overlapping_pairs(things: Sequence[Thing]) -> Iterator[tuple[Thing, Thing]]:

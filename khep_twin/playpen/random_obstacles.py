@@ -39,7 +39,8 @@ def obstacle_field(
         PlaypenError: The density is out of range, or there was not enough room for it.
     """
     if not 0 <= density <= HIGHEST_DENSITY:
-        raise PlaypenError(f"density = {density:g}; expected 0 to {HIGHEST_DENSITY:g}")
+        wish = f"0 to {HIGHEST_DENSITY:g}"
+        raise PlaypenError(f"density = {density:g}", key="density", value=density, expected=wish)
     arena = Arena(width_mm=width_mm, height_mm=height_mm)
     middle = Circle(width_mm / 2, height_mm / 2, 1000 * BODY_RADIUS)
     kept: list[Footprint] = [middle]

@@ -133,6 +133,7 @@ class Serial(SerialBase):
             SerialTimeoutException: The queue was full until the write timeout was over.
         """
         self._check_open()
+        self.twin.time_source.attend()
         self._compare_line()
         rest = bytes(data)
         deadline_ns = None if self._write_timeout is None else self.time_ns + to_ns(self._write_timeout)

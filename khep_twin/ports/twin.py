@@ -13,7 +13,8 @@ from typing import Self
 from khep_twin import playpen as playpens
 from khep_twin.board.fault_injection import parse
 from khep_twin.board.rom import ROMS
-from khep_twin.errors import PortError, choices
+from khep_twin.clock import TimeSource
+from khep_twin.errors import PortError
 from khep_twin.log.recorder import Recorder
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.checks import playpen_problems
@@ -58,20 +59,35 @@ class TwinOptions:
     def __post_init__(self) -> None:
         """Raise a `PortError` for values that no playpen allows."""
         if not 0 <= self.seed < SEED_LIMIT:
-            raise PortError(f"seed = {self.seed}; expected an integer from 0 to 2**63-1")
+            raise PortError(key="seed", value=self.seed, expected="an integer from 0 to 2**63-1")
         used_min = self.battery_used_min
         if used_min is not None and not 0 <= used_min <= 1000:
-            raise PortError(f"battery_used_min = {used_min}; expected 0 to 1000")
+            raise PortError(key="battery_used_min", value=used_min, expected="0 to 1000")
         if self.rom is not None and self.rom not in ROMS:
-            raise PortError(f"rom = {self.rom!r}: unknown; {choices(self.rom, ROMS)}")
+            raise PortError(key="rom", value=self.rom, expected=ROMS)
         if self.model is not None and self.model not in MODELS:
-            raise PortError(f"model = {self.model!r}: unknown; {choices(self.model, MODELS)}")
+            raise PortError(key="model", value=self.model, expected=MODELS)
+
+
+class SimulatedTime:
+    """Time that passes as fast as its world can be simulated, a `TimeSource`."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def advance_to(self, time_ns: int) -> None:
+        """Advance the world to `time_ns` at once."""
+        self._world.advance_to(time_ns)
+
+    def attend(self) -> None:
+        """Do nothing: a program has its world for itself."""
 
 
 class Twin:
     """A world with robots on the line.
 
     Attributes:
+        time_source: Passage of time, which is as fast as possible by default.
         world: World of the robots.
         robots: Robots on the line.
         robot: First of them.
@@ -79,8 +95,15 @@ class Twin:
         recorder: Recorder of its log; None without.
     """
 
-    def __init__(self, world: World, robots: tuple[Robot, ...], options: TwinOptions) -> None:
+    def __init__(
+        self,
+        world: World,
+        robots: tuple[Robot, ...],
+        options: TwinOptions,
+        time_source: TimeSource | None = None,
+    ) -> None:
         self.world = world
+        self.time_source = time_source or SimulatedTime(world)
         self.robots = robots
         self.robot = robots[0]
         self.options = options
@@ -96,7 +119,7 @@ class Twin:
 
     def advance_to(self, time_ns: int) -> None:
         """Advance the simulation to `time_ns`."""
-        self.world.advance_to(time_ns)
+        self.time_source.advance_to(time_ns)
 
     def record(
         self,
@@ -169,7 +192,8 @@ def equipped(playpen: str | Path | Playpen, options: TwinOptions) -> tuple[Playp
     count = len(chosen.robots)
     if count == 0 or (options.robot is not None and not 0 <= options.robot < count):
         number = 0 if options.robot is None else options.robot
-        raise PortError(f"robot = {number}: not in playpen {chosen.name!r}; {choices(number, range(count))}")
+        found = f"robot = {number}: not in playpen {chosen.name!r}"
+        raise PortError(found, key="robot", value=number, expected=range(count))
     on_the_line = range(count) if options.robot is None else [options.robot]
     keys = ("rom", "mode", "battery_used_min")
     changes = {key: value for key in keys if (value := getattr(options, key)) is not None}
@@ -180,7 +204,8 @@ def equipped(playpen: str | Path | Playpen, options: TwinOptions) -> tuple[Playp
         follows = {} if model == before.model else {"model": model, **MODELS[model]}
         robots[index] = changed = before.model_copy(update={**follows, **changes})
         if reason := ROMS[changed.rom].refused(changed.mode):
-            raise PortError(f"mode = {changed.mode:X} with rom = {changed.rom!r}: {reason}")
+            found = f"mode = {changed.mode:X} with rom = {changed.rom!r}: {reason}"
+            raise PortError(found, key="mode", value=changed.mode)
     chosen = chosen.model_copy(update={"robots": tuple(robots)})
     if options.model is not None and (problem := next(playpen_problems(chosen), None)):
         raise PortError(f"{chosen.name} with model = {options.model!r}: {problem.text}")

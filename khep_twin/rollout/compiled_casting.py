@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from khep_twin.rollout.addresses import data_address, function_address, model_address
 from khep_twin.sensing import raycast
 from khep_twin.sensing.raycast import FEW, LENGTH_AND_NORMAL, MANY, Floats
-from khep_twin.units import Sensor
+from khep_twin.sensing.robot_indices import RobotIndices
 
 __all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY"]
 
@@ -74,19 +74,17 @@ class CompiledScene(NamedTuple):
     many: Floats
 
 
-def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> CompiledScene:
-    """Return the scene of the robot with this prefix; model and state must outlive it."""
-    body = model.body(prefix + "base").id
-    cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
-    slices = raycast.ray_slices(model, prefix)
+def scene_of(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotIndices) -> CompiledScene:
+    """Return the scene of a robot's sensors; model and state must outlive it."""
+    rays = robot.rays[0]
     addresses = [function_address("mj_step"), model_address(model), data_address(data)]
     # Visible geoms, except those of the robot's own body.
-    solid = np.flatnonzero((model.geom_rgba[:, 3] > 0) & (model.geom_bodyid != body))
+    solid = np.flatnonzero((model.geom_rgba[:, 3] > 0) & (model.geom_bodyid != robot.base))
     return CompiledScene(
         np.array([*addresses, function_address("mju_rayGeom")], np.int64),
-        body,
-        data.xmat[body],
-        np.array(cameras, np.int64),
+        robot.base,
+        data.xmat[robot.base],
+        np.array(robot.cameras, np.int64),
         data.cam_xpos,
         data.cam_xmat,
         solid.astype(np.int64),
@@ -97,7 +95,7 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Compile
         data.geom_xmat,
         model.geom_size,
         model.geom_user[:, 0].copy(),
-        np.zeros(slices[0].stop - slices[0].start, np.int32),
+        np.zeros(rays.stop - rays.start, np.int32),
         np.zeros(3),
         np.zeros(3),
         raycast.points_of_a_bulb(FEW),

@@ -33,12 +33,13 @@ from khep_twin.board.battery import Supply
 from khep_twin.board.rom import DEMO, ROMS
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.errors import DivergedError, PlaypenError, pip_install_extra
-from khep_twin.playpen import Lamp, Playpen, placed
+from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.playpen_to_mjcf import set_step, to_spec
 from khep_twin.randomness import stream
 from khep_twin.rollout import episode
 from khep_twin.rollout.minds import ConstantSpeed, Driver, Floats, Function, mind_of
-from khep_twin.rollout.mujoco_room import MujocoBackend, Start, places
+from khep_twin.rollout.mujoco_room import MujocoBackend
 from khep_twin.rollout.planar.planar import Outline, PlanarRoom, as_record
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import ambient_optics, bulbs
@@ -46,6 +47,7 @@ from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.occlusion import SightLines
 from khep_twin.sensing.optics import Bulbs
+from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensors import proximity_optics
 
 NUMBERS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
@@ -59,8 +61,6 @@ PLANAR_SPAN_NS = 20_000_000_000
 
 PLANAR_STEP_NS = 4 * units.STEP_NS
 """Step in a plane, one tick [ns]; its only effect is that sensors are converted four at a time."""
-
-_PREFIX = "khepera0/"
 
 
 class SlowerWarning(UserWarning):
@@ -88,14 +88,15 @@ class EpisodeLamps:
     Args:
         playpen: Playpen with these lamps.
         model: Model of the scene.
+        robot: Indices of the robot.
         step_ns: Physics step of the scene [ns].
     """
 
-    def __init__(self, playpen: Playpen, model: mujoco.MjModel, step_ns: int) -> None:
+    def __init__(self, playpen: Playpen, model: mujoco.MjModel, robot: RobotIndices, step_ns: int) -> None:
         # Lamps that are all on draw no random numbers.
         self._lamps = Lamps(playpen, stream(0, "lamps"))
         self._step_ns = step_ns
-        self.bulbs: Bulbs = bulbs(SightLines(model, _PREFIX, self._lamps.positions), playpen.lighting)
+        self.bulbs: Bulbs = bulbs(SightLines(model, robot, self._lamps.positions), playpen.lighting)
         self._first = list(self._lamps.powers)
         self._rows: list[list[float]] = []
         self._turn = Lock()
@@ -161,11 +162,12 @@ class EpisodeSetup:
         self.without_sensors.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.entry = playpen.robots[0]
         self.calibration = calibration.read(self.entry.calibration)[0]
+        self.indices = at = RobotIndices.of(self.model, "khepera0")
         self.light = self.lit(playpen.lamps)
-        self.outline = Outline(playpen, self.model, step_ns) if planar else None
+        self.outline = Outline(playpen, self.model, at, step_ns) if planar else None
         width, height = playpen.arena.width_mm, playpen.arena.height_mm
         self.wiring = episode.SimIndices(
-            *(places(self.model) if self.outline is None else Outline.PLACES),
+            *((*at.wheel_angles, *at.motors, at.pose) if self.outline is None else Outline.PLACES),
             self.calibration.motors.constant,
             1.0 + max(units.metres(width), units.metres(height)),
             step_ns // units.STEP_NS,
@@ -191,13 +193,14 @@ class EpisodeSetup:
 
     def lit(self, lamps: Sequence[Lamp]) -> EpisodeLamps:
         """Return the light of other lamps on this ground."""
-        return EpisodeLamps(self.playpen.model_copy(update={"lamps": tuple(lamps)}), self.model, self.step_ns)
+        lamp_playpen = self.playpen.model_copy(update={"lamps": tuple(lamps)})
+        return EpisodeLamps(lamp_playpen, self.model, self.indices, self.step_ns)
 
     def start(self, seed: int) -> Start:
         """Return the robot's start: its own pose, or the spot that the seed draws."""
         robot = self.entry
         if robot.spots:
-            robot = placed(self.playpen, stream(seed, "spots")).robots[0]
+            robot = at_spots(self.playpen, seed).robots[0]
         return robot.x_mm, robot.y_mm, robot.heading_deg
 
     def another(self, seed: int) -> Calibration:
@@ -227,13 +230,12 @@ class Episode:
         self._optics = as_record if self._compiled and ground.outline else self._numbers
         self._room: MujocoBackend | PlanarRoom
         if ground.outline is None:
-            self._room = MujocoBackend(
-                ground.without_sensors if self._compiled else ground.model, self._compiled
-            )
+            model = ground.without_sensors if self._compiled else ground.model
+            self._room = MujocoBackend(model, ground.indices, self._compiled)
         else:
             self._room = PlanarRoom(ground.outline, self._compiled)
         self._state = np.zeros(episode.N_STATE, np.int64)
-        self._proximity = self._optics(proximity_optics(ground.model, _PREFIX, ground.calibration))
+        self._proximity = self._optics(proximity_optics(ground.model, ground.indices, ground.calibration))
         self._ambient = self._optics(ambient_optics(ground.calibration.ambient))
         self._supply = Supply(ground.entry.battery_used_min)
         self._chance: list[np.random.Generator] = []
@@ -272,7 +274,7 @@ class Episode:
         near, eyes = self._proximity, self._ambient
         if spread:
             measured = ground.another(seed)
-            near = self._optics(proximity_optics(ground.model, _PREFIX, measured))
+            near = self._optics(proximity_optics(ground.model, ground.indices, measured))
             eyes = self._optics(ambient_optics(measured.ambient))
         self._chance = []
         if noise:

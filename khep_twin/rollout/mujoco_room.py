@@ -8,17 +8,14 @@ import numpy as np
 
 from khep_twin import units
 from khep_twin.errors import MissingExtraError
+from khep_twin.playpen.starts import Start
 from khep_twin.rollout import episode
 from khep_twin.rollout.minds import Floats
 from khep_twin.sensing import raycast
-
-Start = tuple[float, float, float]
-"""x [mm], y [mm], heading [deg]."""
+from khep_twin.sensing.robot_indices import RobotIndices
 
 Live = tuple[Any, Any, Any, Any, Any, Any]
 """Live qpos, qvel, ctrl, force, places and warnings, as in `episode.Body`."""
-
-_PREFIX = "khepera0/"
 
 
 class MujocoBackend:
@@ -26,6 +23,7 @@ class MujocoBackend:
 
     Args:
         model: Model of the scene; compiled episodes need no rangefinders in it.
+        robot: Indices of the robot.
         compiled: Whether the state is for compiled code.
 
     Attributes:
@@ -34,8 +32,8 @@ class MujocoBackend:
         advance: Function `episode.advance` for this state.
     """
 
-    def __init__(self, model: mujoco.MjModel, compiled: bool) -> None:
-        self._model, self._compiled = model, compiled
+    def __init__(self, model: mujoco.MjModel, robot: RobotIndices, compiled: bool) -> None:
+        self._model, self._robot, self._compiled = model, robot, compiled
         self.data = mujoco.MjData(model)
         self.scene: Any
         if compiled:
@@ -45,17 +43,16 @@ class MujocoBackend:
             except ImportError as error:
                 raise MissingExtraError("numba", "batch") from error
             self.advance = fast.advance
-            self.scene = compiled_casting.scene_of(model, self.data, _PREFIX)
+            self.scene = compiled_casting.scene_of(model, self.data, robot)
         else:
             self.advance = episode.advance
-            self.scene = raycast.scene_of(model, self.data, _PREFIX)
-        self._pose = int(model.joint(f"{_PREFIX}pose").qposadr[0])
+            self.scene = raycast.scene_of(model, self.data, robot)
 
     def put(self, start: Start | None) -> None:
         """Reset the state, and place the robot at the start if one is given."""
         mujoco.mj_resetData(self._model, self.data)
         if start is not None:
-            self.data.qpos[self._pose : self._pose + 7] = _free_joint(start)
+            self.data.qpos[self._robot.pose : self._robot.pose + 7] = _free_joint(start)
 
     @property
     def live(self) -> Live:
@@ -68,8 +65,7 @@ class MujocoBackend:
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad]."""
-        x, y, _, qw, qx, qy, qz = self.data.qpos[self._pose : self._pose + 7].tolist()
-        return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+        return self._robot.pose_in(self.data.qpos)
 
     @property
     def joints(self) -> Floats:
@@ -80,13 +76,6 @@ class MujocoBackend:
     def warning(self) -> str:
         """Name of MuJoCo's warning."""
         return mujoco.mjtWarning(int(np.flatnonzero(self.data.warning.number)[0])).name
-
-
-def places(model: mujoco.MjModel) -> tuple[int, int, int, int, int]:
-    """Return the first five numbers of `episode.Wiring`."""
-    axles = [int(model.joint(f"{_PREFIX}{side}_axle").qposadr[0]) for side in ("left", "right")]
-    motors = [int(model.actuator(f"{_PREFIX}{side}_motor").id) for side in ("left", "right")]
-    return axles[0], axles[1], motors[0], motors[1], int(model.joint(f"{_PREFIX}pose").qposadr[0])
 
 
 def _free_joint(start: Start) -> Floats:

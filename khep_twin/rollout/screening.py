@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import Start
 from khep_twin.rollout.batch import rollout
 from khep_twin.rollout.life import NUMBERS
 from khep_twin.rollout.minds import Driver, Floats
-from khep_twin.rollout.mujoco_room import Start
 
 
 @dataclass(frozen=True, slots=True)

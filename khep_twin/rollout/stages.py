@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError, PlaypenError
-from khep_twin.placing import no_room
-from khep_twin.playpen import Playpen, placed
-from khep_twin.randomness import stream
+from khep_twin.playpen import Playpen
 from khep_twin.rollout import episode
 from khep_twin.rollout.life import Episode, EpisodeSetup
 from khep_twin.units import TICK_NS
@@ -23,9 +21,6 @@ from khep_twin.world import World
 
 Pose = tuple[float, float, float]
 """x, y [m] and heading [rad]."""
-
-_TRIES = 1000
-"""Start poses drawn before an error reports that there is no room."""
 
 
 class Backend(Protocol):
@@ -177,34 +172,3 @@ def several(playpen: Playpen, count: int) -> Playpen:
         raise PlaypenError(f"{playpen.name}: no robot; expected one to copy")
     first = playpen.robots[0].model_copy(update={"name": None} if count > 1 else {})
     return playpen.model_copy(update={"robots": (first,) * count})
-
-
-def anywhere(playpen: Playpen, seed: int) -> Playpen:
-    """Return the playpen with its robots at free poses drawn by the seed.
-
-    Raises:
-        PlaypenError: No room was found.
-    """
-    chance = stream(seed, "starts")
-    xs, ys = zip(*playpen.arena.corners, strict=True)
-    left, right, low, high = min(xs), max(xs), min(ys), max(ys)
-    standing = playpen.model_copy(update={"robots": ()})
-    for robot in playpen.robots:
-        for _ in range(_TRIES):
-            x_mm, y_mm, heading_deg = chance.uniform((left, low, 0), (right, high, 360)).round(1).tolist()
-            place = {"x_mm": x_mm, "y_mm": y_mm, "heading_deg": heading_deg, "spots": ()}
-            tried = standing.model_copy(update={"robots": (*standing.robots, robot.model_copy(update=place))})
-            if not no_room(tried, len(standing.robots), x_mm, y_mm):
-                standing = tried
-                break
-        else:
-            raise PlaypenError(
-                f"{playpen.name}: no room for robot {len(standing.robots) + 1} was found in {_TRIES} tries; "
-                "expected fewer robots"
-            )
-    return standing
-
-
-def at_spots(playpen: Playpen, seed: int) -> Playpen:
-    """Return the playpen with its robots at their own poses, or at spots that the seed draws."""
-    return placed(playpen, stream(seed, "spots"))

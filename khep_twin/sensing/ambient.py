@@ -21,6 +21,7 @@ from khep_twin.sensing.calibration import AmbientCalibration
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.occlusion import SightLines
 from khep_twin.sensing.optics import Ambient, Bulbs
+from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.units import radians
 
 
@@ -29,7 +30,7 @@ class Receivers:
 
     Args:
         model: Model of the scene.
-        prefix: Prefix of the robot's names in the scene, e.g. "khepera0/".
+        robot: Indices of the robot.
         calibration: Calibration of this robot's receivers.
         lamps: Lamps of the world.
         lighting: Law of the lamps' light.
@@ -43,19 +44,19 @@ class Receivers:
     def __init__(
         self,
         model: mujoco.MjModel,
-        prefix: str,
+        robot: RobotIndices,
         calibration: AmbientCalibration,
         lamps: Lamps,
         lighting: Lighting,
     ) -> None:
-        self._model, self._prefix = model, prefix
+        self._model, self._robot = model, robot
         self.optics = ambient_optics(calibration)
         self.relight(lamps, lighting)
 
     def relight(self, lamps: Lamps, lighting: Lighting) -> None:
         """Replace the lamps and the law."""
         self.lamps = lamps
-        self.bulbs = bulbs(SightLines(self._model, self._prefix, lamps.positions), lighting)
+        self.bulbs = bulbs(SightLines(self._model, self._robot, lamps.positions), lighting)
 
 
 def ambient_optics(calibration: AmbientCalibration) -> Ambient:

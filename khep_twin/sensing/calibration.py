@@ -9,9 +9,9 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from khep_twin.errors import CalibrationError
+from khep_twin.errors import CalibrationError, Problem
 from khep_twin.files import toml_files
-from khep_twin.files.toml_files import Name, Problem, Problems, TomlTable
+from khep_twin.files.toml_files import Name, Problems, TomlTable
 from khep_twin.units import (
     COUNTS_LIMIT,
     MOTOR_NO_LOAD_SPEED,
@@ -145,7 +145,7 @@ class Calibration(TomlTable):
             ("proximity", "quantum_counts", near.quantum_counts, "limit_counts", near.limit_counts),
         )
         problems = [
-            Problem((table, key), f"{table}: {key} = {value:g}; expected below {other} = {limit:g}")
+            Problem.of((table, key), f"{table}: {key} = {value:g}", f"below {other} = {limit:g}", value)
             for table, key, value, other, limit in levels
             if value > limit - (key == "floor_counts")
         ]

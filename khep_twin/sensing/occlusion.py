@@ -11,12 +11,11 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.units import BULB_RADIUS, SENSOR_HEIGHT
 
 _AROUND = frozenset(("wall_left", "wall_right", "wall_bottom", "wall_top", "floor"))
 """Walls and floor of a rectangular arena: nothing inside it is behind them."""
-
-_OWN = ("base", "left_wheel", "right_wheel")
 
 
 class SightLines:
@@ -24,7 +23,7 @@ class SightLines:
 
     Args:
         model: Model of the scene.
-        prefix: Prefix of the robot's names in the scene.
+        robot: Indices of the robot.
         lamps: Positions of the bulbs' centres [m].
 
     Attributes:
@@ -33,16 +32,17 @@ class SightLines:
         hidden: Objects that may hide each lamp: middle and half of their angle [rad], and distance [m].
     """
 
-    def __init__(self, model: mujoco.MjModel, prefix: str, lamps: list[tuple[float, float, float]]) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, robot: RobotIndices, lamps: list[tuple[float, float, float]]
+    ) -> None:
         self.lamps = lamps
-        self.known = _nothing_else_moves(model, prefix)
+        self.known = _nothing_else_moves(model, robot)
         self.hidden = [list(_directions(model, lamp)) for lamp in lamps] if self.known else []
 
 
-def _nothing_else_moves(model: mujoco.MjModel, prefix: str) -> bool:
+def _nothing_else_moves(model: mujoco.MjModel, robot: RobotIndices) -> bool:
     """Return whether all that stops light stands still, apart from the robot itself."""
-    own = {0, *(model.body(prefix + name).id for name in _OWN)}
-    return not {int(body) for body in model.geom_bodyid} - own
+    return not {int(body) for body in model.geom_bodyid} - {0, robot.base, *robot.wheels}
 
 
 def _directions(

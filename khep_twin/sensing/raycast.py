@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
-from khep_twin.units import Sensor
+from khep_twin.sensing.robot_indices import RobotIndices
 
 Floats = NDArray[np.float64]
 
@@ -71,11 +71,9 @@ class Disc(NamedTuple):
     hits: Floats
 
 
-def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
-    """Return the scene of the sensors of the robot with this prefix, e.g. "khepera0/"."""
-    body = model.body(prefix + "base").id
-    cameras = [model.camera(prefix + sensor.name.lower()).id for sensor in Sensor]
-    rays = [data.sensordata[part] for part in ray_slices(model, prefix)]
+def scene_of(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotIndices) -> Scene:
+    """Return the scene of a robot's sensors."""
+    rays = [data.sensordata[part] for part in robot.rays]
     n_rays = len(rays[0]) // LENGTH_AND_NORMAL
     discs = [points_of_a_bulb(number) for number in (FEW, MANY)]
     few, many = (
@@ -85,22 +83,16 @@ def scene_of(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> Scene:
     return Scene(
         model,
         data,
-        body,
-        data.xmat[body],
-        [data.cam_xpos[camera] for camera in cameras],
-        [data.cam_xmat[camera] for camera in cameras],
+        robot.base,
+        data.xmat[robot.base],
+        [data.cam_xpos[camera] for camera in robot.cameras],
+        [data.cam_xmat[camera] for camera in robot.cameras],
         rays,
         model.geom_user[:, 0],
         np.zeros(n_rays, np.int32),
         np.zeros(n_rays),
         (few, many),
     )
-
-
-def ray_slices(model: mujoco.MjModel, prefix: str) -> list[slice]:
-    """Return the slices of the scene's sensor data that hold each sensor's rays."""
-    sensors = [model.sensor(f"{prefix}{sensor.name.lower()}_rays") for sensor in Sensor]
-    return [slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0])) for sensor in sensors]
 
 
 def points_of_a_bulb(number: int) -> Floats:

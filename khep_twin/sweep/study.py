@@ -24,10 +24,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from khep_twin.clock import n_steps, to_ns
-from khep_twin.errors import KhepTwinError, StudyError
+from khep_twin.errors import KhepTwinError, Location, Problem, StudyError
 from khep_twin.files import toml_files
-from khep_twin.files.toml_files import Name, Problem, Problems, TomlTable, show
-from khep_twin.files.toml_lines import LineNumbers, Location
+from khep_twin.files.toml_files import Name, Problems, TomlTable, show
+from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.rollout.fitness import TOP_SPEED_PULSES
 from khep_twin.rollout.life import NUMBERS
@@ -140,37 +140,46 @@ class Study(TomlTable):
 
     def _problems(self) -> Iterator[Problem]:
         if self.step_ms not in (None, 2.5, 5.0, 10.0):
-            yield Problem(("step_ms",), f"step_ms = {self.step_ms:g}; expected 2.5, 5 or 10")
+            yield Problem.of(("step_ms",), f"step_ms = {self.step_ms:g}", "2.5, 5 or 10")
         try:
             n_steps(to_ns(self.seconds), self.period_ms * 1_000_000)
         except ValueError:
-            wish = f"expected whole control periods of {self.period_ms} ms"
-            yield Problem(("seconds",), f"seconds = {self.seconds:g}; {wish}")
+            wish = f"whole control periods of {self.period_ms} ms"
+            yield Problem.of(("seconds",), f"seconds = {self.seconds:g}", wish)
         if not (self.controllers or self.networks or self.programs):
-            yield Problem((), "no controller; expected controllers, a [[network]] or a [[program]]")
+            yield Problem.of((), "no controller", "controllers, a [[network]] or a [[program]]")
         if "homing" in self.fitness and self.home is None:
             yield Problem(("fitness",), 'fitness = "homing": there is no [home]')
         for key, values in self._lists():
             for value in sorted({str(each) for each in values if values.count(each) > 1}):
-                yield Problem(key, f"{key[-1]} has {show(value)} twice; expected once")
+                yield Problem.of(key, f"{key[-1]} has {show(value)} twice", "once")
         taken: set[str] = {*self.controllers}
         for kind, tables in (("network", self.networks), ("program", self.programs)):
             for index, table in enumerate(tables):
                 if table.name in taken:
-                    text = f'{kind} {index + 1}: name = "{table.name}": taken; expected a unique name'
-                    yield Problem((kind, index, "name"), text)
+                    yield Problem.of(
+                        (kind, index, "name"),
+                        f'{kind} {index + 1}: name = "{table.name}": taken',
+                        "a unique name",
+                    )
                 taken.add(table.name)
         columns = {*COLUMNS, *NUMBERS}
         for index, table in enumerate(self.measures):
             if table.name in columns:
-                text = f'measure {index + 1}: name = "{table.name}": taken; expected a unique name'
-                yield Problem(("measure", index, "name"), text)
+                yield Problem.of(
+                    ("measure", index, "name"),
+                    f'measure {index + 1}: name = "{table.name}": taken',
+                    "a unique name",
+                )
             columns.add(table.name)
         for index, table in enumerate(self.networks):
             if (table.genomes is None) == (table.drawn is None):
                 given = "both" if table.drawn else "neither"
-                text = f"network {index + 1}: has {given} of genomes and drawn; expected one of them"
-                yield Problem(("network", index), text)
+                yield Problem.of(
+                    ("network", index),
+                    f"network {index + 1}: has {given} of genomes and drawn",
+                    "one of them",
+                )
 
     def _lists(self) -> Iterator[tuple[Location, tuple[Any, ...]]]:
         for key in ("playpens", "controllers", "fitness"):
@@ -202,8 +211,8 @@ class StudyFile:
 
     def error(self, location: Location, text: str) -> StudyError:
         """Return an error at a location in the file."""
-        line = self.lines.of(location)
-        return StudyError(f"{self.source}{'' if line is None else f':{line}'}: {text}")
+        problem = Problem(location, text, file=self.source, line=self.lines.of(location))
+        return StudyError(problems=[problem])
 
 
 def load(path: Path) -> StudyFile:
@@ -213,7 +222,7 @@ def load(path: Path) -> StudyFile:
         StudyError: There is no file, or it cannot be used; one line per problem.
     """
     if not path.exists():
-        raise StudyError(f"{path}: no such file; expected the path of a study")
+        raise StudyError("no such file", file=path, expected="the path of a study")
     text, source = toml_files.read("studies", path, StudyError)
     return StudyFile(
         toml_files.validate(Study, text, source, StudyError),

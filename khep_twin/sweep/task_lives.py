@@ -119,8 +119,7 @@ def measured(measure: Program, lives: RolloutResult) -> Floats:
 def _begin(ground: EpisodeSetup, word: str, seed: int) -> Start:
     if word == "playpen":
         return ground.start(seed)
-    start = start_poses.starts([word], ground.playpen, 0, 1, seed)[0]
-    return start.x_mm, start.y_mm, start.heading_deg
+    return start_poses.starts([word], ground.playpen, 0, 1, seed)[0]
 
 
 @lru_cache(maxsize=4)

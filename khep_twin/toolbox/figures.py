@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.errors import SensorTestError, choices
+from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import (
     PULSES_PER_CM,
     PULSES_PER_DEGREE,
@@ -100,7 +100,8 @@ def disonel(
     """
     numbers = range(1, len(SENSORS) + 1)
     if which_one not in numbers and which_one not in SENSORS:
-        raise SensorTestError(f"which_one = {which_one!r}: no such sensor; {choices(which_one, SENSORS)}")
+        found = f"which_one = {which_one!r}: no such sensor"
+        raise SensorTestError(found, key="which_one", value=which_one, expected=SENSORS)
     sensor = which_one if isinstance(which_one, str) else SENSORS[which_one - 1]
     rows = _matrix(dv)
     motion = "rotational" if rows[-1, 0] * rows[-1, 1] < 0 else "linear"

@@ -9,9 +9,10 @@ from typing import SupportsFloat
 
 from khep_twin.errors import PlaypenError
 from khep_twin.lab.sensor_test.sensor_test import PULSES_PER_DEGREE
-from khep_twin.placing import as_it_stands, near, put, scan
+from khep_twin.placing import as_it_stands, put, scan
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen.overlap import Thing, placement_problems
+from khep_twin.playpen.starts import near
 from khep_twin.toolbox import serial_commands
 from khep_twin.toolbox.simulator import OpenPlaypen, opened
 from khep_twin.units import BODY_HEIGHT, PULSE_LENGTH

@@ -228,7 +228,8 @@ atexit.register(ports, {})
 def _port(port_id: int) -> str | Khepera:
     """Return the port that a number stands for."""
     if port_id not in PORT_IDS:
-        raise PortError(f"port_id = {port_id!r}; expected 1 to 4, or a port such as '/dev/ttyUSB0'")
+        wish = "1 to 4, or a port such as '/dev/ttyUSB0'"
+        raise PortError(key="port_id", value=port_id, expected=wish)
     port = _meaning(port_id)
     if port is None:
         raise PortError(

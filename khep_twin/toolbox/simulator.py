@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from khep_twin import playpen as playpens
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import NS_PER_S, to_ns
-from khep_twin.errors import BitmapError, PlaypenError, PortError, choices
+from khep_twin.errors import BitmapError, PlaypenError, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.start_poses import lit
 from khep_twin.placing import scan
@@ -65,7 +65,8 @@ class OpenPlaypen:
         """
         numbers = range(1, len(self.robots) + 1)
         if len(self.robots) > 1 and port_id not in numbers:
-            raise PortError(f"port_id = {port_id!r}: no such robot; {choices(port_id, numbers)}")
+            found = f"port_id = {port_id!r}: no such robot"
+            raise PortError(found, key="port_id", value=port_id, expected=numbers)
         return int(port_id) - 1 if len(self.robots) > 1 else 0
 
     def pass_time(self, duration: float) -> None:

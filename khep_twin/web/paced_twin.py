@@ -1,4 +1,4 @@
-"""A twin that is watched: time passes with the wall clock, and can be stopped, stepped and hurried.
+"""Time of a twin that is watched: it passes with the wall clock, and can be stopped, stepped and hurried.
 
 It stands between a world and the code that lets time pass in it, such as a controller's port in lock-step.
 Between any two slices of time it handles the user's requests and an outside host on the robot's line.
@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.errors import KhepTwinError
 from khep_twin.ports.event_sources import Timer
-from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
 from khep_twin.web.outside_host import OutsideHost
@@ -39,8 +38,8 @@ class SessionEndedError(KhepTwinError):
     """A program on a paced twin that was to end and did not by itself."""
 
 
-class PacedTwin(Twin):
-    """Twin whose time passes at a pace, with a port for programs in lock-step.
+class PacedTwin:
+    """Time source that lets a twin's time pass at a pace, also for programs in lock-step.
 
     Args:
         twin: Twin to pace.
@@ -48,6 +47,10 @@ class PacedTwin(Twin):
         show: Callback for a picture, up to 25 times a second, with the time by its side.
 
     Attributes:
+        world: World of the twin.
+        robots: Robots of the twin.
+        robot: First of them.
+        view: Twin for the port of a program; closing it keeps the world.
         speed: Simulated seconds per second; inf for as fast as it goes.
         paused: True if time stands still.
         ended: True if the twin is to end.
@@ -55,8 +58,9 @@ class PacedTwin(Twin):
     """
 
     def __init__(self, twin: Twin, hosts: Sequence[OutsideHost], show: Callable[[], None]) -> None:
-        super().__init__(twin.world, twin.robots, twin.options)
-        self.recorder = twin.recorder
+        self.world, self.robots, self.robot = twin.world, twin.robots, twin.robot
+        self.view = Twin(twin.world, twin.robots, twin.options, self)
+        self._twin = twin
         self.speed = 1.0
         self.paused = False
         self.ended = False
@@ -136,13 +140,10 @@ class PacedTwin(Twin):
                     host.exchange(None)
         self._picture()
 
-    def close(self) -> None:
-        """Keep the world for what comes next."""
-
     def end(self) -> None:
         """Release the timer, and complete the log."""
         self._timer.close()
-        super().close()
+        self._twin.close()
 
     def _slice(self, time_ns: int) -> None:
         """Wait until a time is due, and advance the world to it."""
@@ -199,14 +200,3 @@ class PacedTwin(Twin):
         if now - self._shown >= PICTURE_INTERVAL:
             self._shown = now
             self._show_picture()
-
-
-class PacedSerial(Serial):
-    """Port of a paced twin: before each command an outside host may put in one of its own."""
-
-    def write(self, data: object, /) -> int:
-        """Write bytes to the line."""
-        twin = self.twin
-        if isinstance(twin, PacedTwin):
-            twin.attend()
-        return super().write(data)

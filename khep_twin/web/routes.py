@@ -28,8 +28,8 @@ from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
 from khep_twin.playpen import bitmap, bitmap_files
+from khep_twin.playpen.starts import at_spots
 from khep_twin.ports.twin import TwinOptions
-from khep_twin.randomness import stream
 from khep_twin.sensing.bars import BARS
 from khep_twin.web import drafts, jobs, requests
 from khep_twin.web.audience import Broadcaster
@@ -194,7 +194,7 @@ class Page:
 
     def _preview(self, asked: requests.Drafted) -> Response:
         """Return a picture in perspective, as a run with seed 0 begins."""
-        playpen = playpens.placed(drafts.playpen_of(asked.draft), stream(0, "spots"))
+        playpen = at_spots(drafts.playpen_of(asked.draft), 0)
         return Response(render(playpen, Path("picture.png")), media_type="image/png")
 
     async def _import(self, request: Request) -> Response:

@@ -15,8 +15,10 @@ from typing import Any
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera, commands
-from khep_twin.placing import as_it_stands, no_room, put
+from khep_twin.placing import as_it_stands, put
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import no_room
+from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.service_registry import registered
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -25,7 +27,7 @@ from khep_twin.switching import switch
 from khep_twin.units import BODIES
 from khep_twin.web.jobs import Job, Tell
 from khep_twin.web.outside_host import OutsideHost
-from khep_twin.web.paced_twin import PacedSerial, PacedTwin
+from khep_twin.web.paced_twin import PacedTwin
 from khep_twin.web.printed import taken_by
 from khep_twin.web.turret_outlines import TurretParts
 
@@ -260,7 +262,7 @@ class TwinActor(WebSession):
                 paced.busy = True
                 paced.stop_program(False)
                 try:
-                    with Khepera(PacedSerial.of(paced, timeout=1.0)) as robot:
+                    with Khepera(Serial.of(paced.view, timeout=1.0)) as robot:
                         self._do(robot, paced.stopping)
                 finally:
                     paced.busy = False

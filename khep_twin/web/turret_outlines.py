@@ -53,8 +53,7 @@ class TurretParts:
 
     def __init__(self, world: World, index: int) -> None:
         model, name = world.model, world.robots[index].name
-        self._data = world.data
-        self._base = model.body(f"{name}/base").id
+        self._data, self._base = world.data, world.robots[index].indices.base
         self._points = {
             geom: _points(model, geom)
             for turret in world.playpen.robots[index].turrets

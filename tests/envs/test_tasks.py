@@ -10,8 +10,9 @@ from khep_twin import playpen
 from khep_twin.envs.tasks import TASKS, State, Task, avoiding, avoiding_either_way
 from khep_twin.envs.trial import TaskEpisode, TaskSetup
 from khep_twin.errors import DivergedError, KhepTwinError, PlaypenError
+from khep_twin.playpen.starts import anywhere
 from khep_twin.rollout import pair
-from khep_twin.rollout.stages import anywhere, several
+from khep_twin.rollout.stages import several
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 SHORT = {"seconds": 0.5, "compiled": False}

@@ -2,7 +2,8 @@
 
 import pytest
 
-from khep_twin.files.toml_lines import LineNumbers, Location
+from khep_twin.errors import Location
+from khep_twin.files.toml_lines import LineNumbers
 
 TEXT = """# a comment = 3
 name = "p"   # [not.a.table]

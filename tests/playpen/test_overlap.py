@@ -69,7 +69,7 @@ def test_each_free_thing_is_held_against_every_other_thing() -> None:
         for one, other in itertools.combinations(things, 2)
         if (one.free or other.free) and overlap(one.footprint, other.footprint)
     }
-    told = [re.findall(r"block (\d+)", line) for _, line in placement_problems(things, arena(1000))]
+    told = [re.findall(r"block (\d+)", each.text) for each in placement_problems(things, arena(1000))]
     assert {tuple(sorted(map(int, numbers))) for numbers in told} == expected
     assert len(told) == len(expected) > 5
 

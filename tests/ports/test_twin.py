@@ -4,8 +4,10 @@ import pytest
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
+from khep_twin.host import Khepera
 from khep_twin.playpen import load, parse
-from khep_twin.ports.twin import TwinOptions, equipped, open_twin
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import Twin, TwinOptions, equipped, open_twin
 
 OWN_SENSORS = """version = 1
 name = "own"
@@ -67,3 +69,36 @@ def test_a_host_that_tries_many_speeds_is_warned_a_hundred_times_at_most() -> No
     with open_twin("default", TwinOptions()) as twin:
         warnings = [twin.robot.compare_line(LineSettings(baud, 2)) for baud in range(1000, 2000)]
     assert sum(map(bool, warnings)) == 100
+
+
+class LateSource:
+    """Time source that notes what a port requests of it, and lets time pass."""
+
+    def __init__(self, twin: Twin) -> None:
+        self.twin = twin
+        self.goals: list[int] = []
+        self.attended = 0
+
+    def advance_to(self, time_ns: int) -> None:
+        self.goals.append(time_ns)
+        self.twin.world.advance_to(time_ns)
+
+    def attend(self) -> None:
+        self.attended += 1
+
+
+def test_a_port_lets_time_pass_by_the_source_of_its_twin() -> None:
+    twin = open_twin("default", TwinOptions())
+    source = LateSource(twin)
+    with Khepera(Serial.of(Twin(twin.world, twin.robots, twin.options, source), timeout=1.0)) as robot:
+        robot.set_speed(1, 1)
+        robot.sleep(0.1)
+    assert source.attended > 0
+    assert source.goals[-1] == twin.world.time_ns
+    assert source.goals == sorted(source.goals)
+
+
+def test_a_twin_without_a_source_advances_at_once() -> None:
+    with open_twin("default", TwinOptions()) as twin:
+        twin.advance_to(50_000_000)
+        assert twin.world.time_ns == 50_000_000

@@ -102,9 +102,9 @@ def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
     world = World(
         arena("[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n")
     )
-    model, data, prefix = world.model, world.data, "khepera0/"
-    plain, fast = scene_of(model, data, prefix), compiled_casting.scene_of(model, data, prefix)
-    near = proximity_optics(model, prefix, EpisodeSetup(arena()).calibration)
+    model, data, robot = world.model, world.data, world.robots[0].indices
+    plain, fast = scene_of(model, data, robot), compiled_casting.scene_of(model, data, robot)
+    near = proximity_optics(model, robot, EpisodeSetup(arena()).calibration)
     from khep_twin.rollout.life import _as_arrays as as_arrays
 
     arrays = as_arrays(near)

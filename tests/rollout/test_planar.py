@@ -65,7 +65,8 @@ def arena() -> Playpen:
 
 def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: float) -> PlanarRoom:
     """A plane, as Python has it, with its robot put down."""
-    room = PlanarRoom(Outline(scene, EpisodeSetup(scene).model, step_ns), compiled=False)
+    ground = EpisodeSetup(scene)
+    room = PlanarRoom(Outline(scene, ground.model, ground.indices, step_ns), compiled=False)
     room.put((x_mm, y_mm, heading_deg))
     return room
 
@@ -209,7 +210,7 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
 def test_rays_that_end_early_change_no_count(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = arena() if name == "arena" else playpen.load(name)
     ground = EpisodeSetup(scene, planar=True)
-    near = proximity_optics(ground.model, "khepera0/", ground.calibration)
+    near = proximity_optics(ground.model, ground.indices, ground.calibration)
     room = put(scene, units.TICK_NS, 0, 0, 0)
     plain = _plain_episode().optics
     chance, floor, seen, ended = np.random.default_rng(8), scene.arena, 0, 0

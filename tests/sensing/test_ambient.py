@@ -53,7 +53,7 @@ def test_the_toolboxs_law_loses_nothing_up_to_an_angle_and_all_beyond_another(
 ) -> None:
     cosine = math.cos(math.radians(angle_deg))
     world = World(playpen.parse(scene(), "scene"))
-    lamps = bulbs(SightLines(world.model, "khepera0/", []), LIGHTING)
+    lamps = bulbs(SightLines(world.model, world.robots[0].indices, []), LIGHTING)
     found = optics.received_by_toolbox(RECEIVERS, lamps, LEFT_10, 0.2, cosine)
     assert found == pytest.approx(left * KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
 

@@ -15,8 +15,9 @@ from khep_twin.world import World
 def share_of_clear(text: str, n: int = 400) -> float:
     """Asserts that rays see all of each lamp where it is said to be clear; the share of such places."""
     world = World(playpen.parse(text, "sight"), noise=False)
-    lines = SightLines(world.model, "khepera0/", world.lamps.positions)
-    lamps, scene = bulbs(lines, playpen.Lighting()), scene_of(world.model, world.data, "khepera0/")
+    robot = world.robots[0].indices
+    lines = SightLines(world.model, robot, world.lamps.positions)
+    lamps, scene = bulbs(lines, playpen.Lighting()), scene_of(world.model, world.data, robot)
     width, depth = world.playpen.arena.width_mm / 1e3, world.playpen.arena.height_mm / 1e3
     clear = 0
     for x, y in np.random.default_rng(7).uniform((0, 0), (width, depth), (n, 2)).tolist():

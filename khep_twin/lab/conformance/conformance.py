@@ -182,7 +182,7 @@ def conform(
     from khep_twin.host import Khepera
 
     if baudrate < 1:
-        raise PortError(f"baudrate = {baudrate}; expected the speed of the line, such as 9600")
+        raise PortError(key="baudrate", value=baudrate, expected="the speed of the line, such as 9600")
     # A broken robot may not even confirm the last stop; the report must survive that.
     with closing(Khepera(url, baudrate=baudrate)) as robot:
         return examine(CheckedPort(robot.port), url, move=move, tell=tell)

@@ -59,7 +59,7 @@ def run_together(
 
 
 class _Seat:
-    """A script, its thread, and the time that it waits for.
+    """A script, its thread, and the time that it waits for: the `TimeSource` of its robot's port.
 
     Attributes:
         index: Index of its robot.
@@ -75,8 +75,10 @@ class _Seat:
         self.done = False
         self.result: Any = None
         self.error: BaseException | None = None
-        self._script = script
-        self._robot = Khepera(Serial.of(_View(twin, index, self), timeout=TIMEOUT))
+        self._world, self._script = twin.world, script
+        # Its port closes this view; the world goes on for the other scripts.
+        view = Twin(twin.world, (twin.robots[index],), twin.options, self)
+        self._robot = Khepera(Serial.of(view, timeout=TIMEOUT))
         self._turn, self._pause = threading.Semaphore(0), threading.Semaphore(0)
         self._thread = threading.Thread(target=self._run, name=f"khepera{index}", daemon=True)
 
@@ -89,11 +91,15 @@ class _Seat:
         self._turn.release()
         self._pause.acquire()
 
-    def wait_until(self, time_ns: int) -> None:
+    def advance_to(self, time_ns: int) -> None:
         """Block the script's thread until the world has reached this time [ns]."""
-        self.goal_ns = time_ns
-        self._pause.release()
-        self._turn.acquire()
+        if time_ns > self._world.time_ns:
+            self.goal_ns = time_ns
+            self._pause.release()
+            self._turn.acquire()
+
+    def attend(self) -> None:
+        """Do nothing: the other scripts take their turns while this one waits."""
 
     def _run(self) -> None:
         self._turn.acquire()
@@ -105,19 +111,3 @@ class _Seat:
         finally:
             self.done = True
             self._pause.release()
-
-
-class _View(Twin):
-    """View of a shared twin for one script: advancing time means waiting for its turn."""
-
-    def __init__(self, twin: Twin, index: int, seat: _Seat) -> None:
-        super().__init__(twin.world, (twin.robots[index],), twin.options)
-        self._seat = seat
-
-    def advance_to(self, time_ns: int) -> None:
-        """Wait until the world has reached this time [ns]."""
-        if time_ns > self.world.time_ns:
-            self._seat.wait_until(time_ns)
-
-    def close(self) -> None:
-        """Do nothing, as the world goes on for the other scripts."""

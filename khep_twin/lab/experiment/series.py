@@ -22,8 +22,9 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment import experiment
 from khep_twin.lab.experiment.controllers import AnyController, Controller, as_controller, variables
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics
-from khep_twin.lab.experiment.start_poses import StartPose, at_start
+from khep_twin.lab.experiment.start_poses import StartPose
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 

@@ -2,25 +2,21 @@
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import cast, get_args
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, cast, get_args
 
-from khep_twin.errors import PlaypenError, choices
-from khep_twin.placing import no_room
+from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.parts import LightingMode
-from khep_twin.randomness import stream
+from khep_twin.playpen.starts import TRIES, extent, free_pose, no_room, starts_rng
 
 LIGHTINGS = (*get_args(LightingMode), "off")
 """Lighting modes, and "off"."""
 
-_TRIES = 1000
 _GRID_LIMIT = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class StartPose:
+class StartPose(NamedTuple):
     """Pose of a robot at the start of a run.
 
     Attributes:
@@ -53,8 +49,8 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
         PlaypenError: A word is none of these, there is no room, or there is no such robot.
     """
     if not 0 <= robot < len(playpen.robots):
-        among = choices(robot, range(len(playpen.robots)))
-        raise PlaypenError(f"robot = {robot}: not in playpen {playpen.name!r}; {among}")
+        text = f"robot = {robot}: not in playpen {playpen.name!r}"
+        raise PlaypenError(text, key="robot", value=robot, expected=range(len(playpen.robots)))
     found: list[StartPose] = []
     for wish in wishes:
         if wish == "playpen":
@@ -76,14 +72,6 @@ def own_starts(playpen: Playpen, robot: int) -> list[StartPose]:
     return [StartPose(place.x_mm, place.y_mm, place.heading_deg) for place in places]
 
 
-def at_start(playpen: Playpen, robot: int, start: StartPose) -> Playpen:
-    """Return the playpen with a robot at a start pose."""
-    place = {"x_mm": start.x_mm, "y_mm": start.y_mm, "heading_deg": start.heading_deg, "spots": ()}
-    robots = list(playpen.robots)
-    robots[robot] = robots[robot].model_copy(update=place)
-    return playpen.model_copy(update={"robots": tuple(robots)})
-
-
 def lit(playpen: Playpen, lighting: str | None) -> Playpen:
     """Return the playpen with its lamps on all, at random, in sequence, or off; unchanged for None.
 
@@ -93,7 +81,8 @@ def lit(playpen: Playpen, lighting: str | None) -> Playpen:
     if lighting is None:
         return playpen
     if lighting not in LIGHTINGS:
-        raise PlaypenError(f"lighting {lighting!r}: unknown; {choices(lighting, LIGHTINGS)}")
+        found = f"lighting {lighting!r}: unknown"
+        raise PlaypenError(found, key="lighting", value=lighting, expected=LIGHTINGS)
     if lighting == "off":
         return playpen.model_copy(update={"lamps": ()})
     mode = cast(LightingMode, lighting)
@@ -138,7 +127,7 @@ def _single(wish: str, playpen: Playpen, robot: int) -> StartPose:
             "grid:COLUMNSxROWS, random or playpen"
         )
     start = StartPose(*values)
-    if reason := _no_room(playpen, robot, start):
+    if reason := no_room(playpen, robot, start.x_mm, start.y_mm):
         raise PlaypenError(f"start {wish}: {reason}")
     return start
 
@@ -152,7 +141,7 @@ def _grid(wish: str, playpen: Playpen, robot: int) -> list[StartPose]:
             f"start {wish!r}; expected grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as grid:3x2@90, "
             f"of up to {_GRID_LIMIT} places"
         )
-    (left, right), (low, high) = _extent(playpen)
+    (left, right), (low, high) = extent(playpen)
     places = [
         StartPose(
             left + (right - left) * (column + 0.5) / columns,
@@ -162,33 +151,16 @@ def _grid(wish: str, playpen: Playpen, robot: int) -> list[StartPose]:
         for row in range(rows)
         for column in range(columns)
     ]
-    free = [start for start in places if not _no_room(playpen, robot, start)]
+    free = [start for start in places if not no_room(playpen, robot, start.x_mm, start.y_mm)]
     if not free:
         raise PlaypenError(f"start {wish}: none of the {len(places)} places has room for the robot")
     return free
 
 
-def _drawn(playpen: Playpen, robot: int, count: int, seed: int) -> list[StartPose]:
-    chance = stream(seed, "starts")
-    (left, right), (low, high) = _extent(playpen)
-    found: list[StartPose] = []
+def _drawn(playpen: Playpen, robot: int, count: int, seed: int) -> Iterator[StartPose]:
+    rng = starts_rng(seed)
     for _ in range(count):
-        for _ in range(_TRIES):
-            x_mm, y_mm, heading_deg = chance.uniform((left, low, 0), (right, high, 360)).tolist()
-            start = StartPose(round(x_mm, 1), round(y_mm, 1), round(heading_deg, 1))
-            if not _no_room(playpen, robot, start):
-                found.append(start)
-                break
-        else:
-            raise PlaypenError(f"start random: no room for the robot was found in {_TRIES} tries")
-    return found
-
-
-def _extent(playpen: Playpen) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of the arena along x and y [mm]."""
-    xs, ys = zip(*playpen.arena.corners, strict=True)
-    return (min(xs), max(xs)), (min(ys), max(ys))
-
-
-def _no_room(playpen: Playpen, robot: int, start: StartPose) -> str:
-    return no_room(playpen, robot, start.x_mm, start.y_mm)
+        start = free_pose(playpen, robot, rng)
+        if start is None:
+            raise PlaypenError(f"start random: no room for the robot was found in {TRIES} tries")
+        yield StartPose(*start)

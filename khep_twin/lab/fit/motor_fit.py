@@ -164,7 +164,7 @@ def driven(drive: DutyDrive, robot: Calibration) -> Floats:
         world = World(playpen.parse(_FIELD + place, "field"), noise=False, unpaced=True)
     # Proximity is not needed here and takes half of the time.
     world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-    axles = [int(world.model.joint(f"khepera0/{side}_axle").qposadr[0]) for side in ("left", "right")]
+    axles = list(world.robots[0].indices.wheel_angles)
     waiting = deque(drive.sent)
     angles: list[Floats] = []
     for tick in range(int(drive.times_ns[-1]) // TICK_NS + 1):

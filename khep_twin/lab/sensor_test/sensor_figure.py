@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from khep_twin.drawing.map import STYLE
 from khep_twin.drawing.symbols import INK
-from khep_twin.errors import SensorTestError, choices
+from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun
 from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
 
@@ -78,7 +78,8 @@ def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 
         SensorTestError: See `draw`.
     """
     if sensor is not None and sensor not in SENSORS:
-        raise SensorTestError(f"sensor = {sensor}: no such sensor; {choices(sensor, SENSORS)}")
+        found = f"sensor = {sensor}: no such sensor"
+        raise SensorTestError(found, key="sensor", value=sensor, expected=SENSORS)
     kinds = list(dict.fromkeys(f"{run.test.what}, {run.test.motion}" for run in runs))
     if len(kinds) != 1:
         raise SensorTestError(

@@ -78,7 +78,8 @@ class SensorTest:
             SensorTestError: A value is out of its range, or there is not one motion.
         """
         if self.what not in ("proximity", "light"):
-            raise SensorTestError(f"what = {self.what}; expected proximity or light")
+            found = f"what = {self.what}"
+            raise SensorTestError(found, key="what", value=self.what, expected="proximity or light")
         if (self.linear_cm is None) == (self.rotate_deg is None):
             given = "none" if self.linear_cm is None else "both"
             raise SensorTestError(f"linear and rotate: {given} given; expected one of them")
@@ -92,7 +93,7 @@ class SensorTest:
             )
         for name, value, limit in (("speed", self.speed, 127), ("acceleration", self.acceleration, 255)):
             if value is not None and not 1 <= value <= limit:
-                raise SensorTestError(f"{name} = {value}; expected an integer from 1 to {limit}")
+                raise SensorTestError(key=name, value=value, expected=f"an integer from 1 to {limit}")
 
     @property
     def motion(self) -> Literal["linear", "rotational"]:

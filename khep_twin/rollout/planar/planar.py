@@ -21,13 +21,15 @@ from khep_twin import units
 from khep_twin.board.compiled_kernel import another_copy
 from khep_twin.errors import MissingExtraError, PlaypenError
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION, TYRE_FRICTION
 from khep_twin.rollout import episode
-from khep_twin.rollout.mujoco_room import Live, Start
+from khep_twin.rollout.mujoco_room import Live
 from khep_twin.rollout.planar import casting as planar_casting
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar.plane import PlanarRobot, Plane
 from khep_twin.sensing import optics, raycast
+from khep_twin.sensing.robot_indices import RobotIndices
 
 N_CONTACTS = 8
 """Most things that push the robot at once: more than fit around it."""
@@ -68,6 +70,7 @@ class Outline:
     Args:
         playpen: Playpen with one robot.
         model: Model of its scene.
+        at: Indices of the robot.
         step_ns: Step of the plane [ns].
 
     Raises:
@@ -76,7 +79,7 @@ class Outline:
 
     PLACES = (flat.LEFT_ANGLE, flat.RIGHT_ANGLE, 0, 1, flat.X)
 
-    def __init__(self, playpen: Playpen, model: mujoco.MjModel, step_ns: int) -> None:
+    def __init__(self, playpen: Playpen, model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> None:
         for name, items in (("block", playpen.blocks), ("cylinder", playpen.cylinders)):
             for number, item in enumerate(items, 1):
                 if item.movable:
@@ -86,11 +89,10 @@ class Outline:
                     )
         robot = playpen.robots[0]
         self.place = robot.x_mm, robot.y_mm, robot.heading_deg
-        self.chassis = _chassis(model, step_ns)
+        self.chassis = _chassis(model, at, step_ns)
         shell = model.geom(f"{_PREFIX}shell")
         low, high = _span(model, shell.id)
-        cameras = [model.camera(f"{_PREFIX}{sensor.name.lower()}").id for sensor in units.Sensor]
-        self.height = float(model.cam_pos[cameras[0], 2])
+        self.height = float(model.cam_pos[at.cameras[0], 2])
         fixed = np.flatnonzero((model.geom_bodyid == 0) & (model.geom_rgba[:, 3] > 0)).tolist()
         upright = [geom for geom in fixed if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE]
         self.things = np.zeros((len(upright), flat.N_COLUMNS))
@@ -100,12 +102,12 @@ class Outline:
         self.things[:, flat.TOUCHED] = (tops > low) & (bottoms < high)
         self.things[:, flat.SEEN] = (tops >= self.height) & (bottoms <= self.height)
         self.things[:, flat.REFLECTANCE] = model.geom_user[upright, 0]
-        self.mounts = np.array([_mount(model, camera) for camera in cameras])
-        n_rays = int(model.cam_resolution[cameras[0], 0])
-        ways = np.array([_ways(model, camera, n_rays) for camera in cameras])
-        wide = np.zeros((len(cameras), 2, -(-n_rays // WIDE) * WIDE))
+        self.mounts = np.array([_mount(model, camera) for camera in at.cameras])
+        n_rays = int(model.cam_resolution[at.cameras[0], 0])
+        ways = np.array([_ways(model, camera, n_rays) for camera in at.cameras])
+        wide = np.zeros((len(at.cameras), 2, -(-n_rays // WIDE) * WIDE))
         wide[:, :, :n_rays] = ways.transpose(0, 2, 1)
-        self.ways = wide.reshape(len(cameras), -1)
+        self.ways = wide.reshape(len(at.cameras), -1)
         # Towards the inside of a cone: left of its rightmost ray, right of its leftmost.
         left, right = ways[:, 0], ways[:, -1]
         self.cones = np.column_stack([-right[:, 1], right[:, 0], left[:, 1], -left[:, 0]])
@@ -220,30 +222,28 @@ def _plain_episode() -> ModuleType:
     )
 
 
-def _chassis(model: mujoco.MjModel, step_ns: int) -> dict[str, float | int]:
+def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str, float | int]:
     """Return the robot's constants, from the scene."""
-    base = model.body(f"{_PREFIX}base").id
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     masses = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, masses)
-    turning = int(model.joint(f"{_PREFIX}pose").dofadr[0]) + 5
-    axle = int(model.joint(f"{_PREFIX}left_axle").dofadr[0])
+    turning, axle = at.velocity + 5, at.wheel_speeds[0]
     mass, inertia, spin = (
-        float(model.body_subtreemass[base]),
+        float(model.body_subtreemass[at.base]),
         float(masses[turning, turning]),
         float(masses[axle, axle]),
     )
     wheel = float(model.geom(f"{_PREFIX}left_tyre").size[0])
-    left, right = (float(model.body(f"{_PREFIX}{side}_wheel").pos[1]) for side in ("left", "right"))
+    left, right = (float(model.body_pos[wheel, 1]) for wheel in at.wheels)
     track, h = left - right, units.STEP_NS * 1e-9
-    resistance, constant = model.actuator_gainprm[model.actuator(f"{_PREFIX}left_motor").id, :2].tolist()
+    resistance, constant = model.actuator_gainprm[at.motors[0], :2].tolist()
     stall, damping = constant / resistance, constant * constant / resistance
     # Inertia at each wheel, with the body's mass or inertia as if at the rims.
     going = mass / 2 * wheel * wheel + spin
     swinging = 2 * inertia / (track * track) * wheel * wheel + spin
     # Load on the rear support per acceleration: the mass at its height, and the wheels' spin.
-    height = float(data.subtree_com[base, 2])
+    height = float(data.subtree_com[at.base, 2])
     arm = abs(float(model.geom(f"{_PREFIX}front_support").pos[0]))
     weight = mass * abs(float(model.opt.gravity[2]))
     behind = (mass * height + 2 * spin / wheel) / arm

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
@@ -140,8 +141,8 @@ def deaf_to_cr(twin: Twin) -> None:
 
 def crossed_wheels(twin: Twin) -> None:
     """Drives the left motor for the right one."""
-    motors = twin.robot._left_motor, twin.robot._right_motor
-    twin.robot._right_motor, twin.robot._left_motor = motors
+    left, right = twin.robot.indices.motors
+    twin.robot.indices = replace(twin.robot.indices, motors=(right, left))
 
 
 def backwards(twin: Twin) -> None:

@@ -6,13 +6,13 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.lab.experiment.start_poses import (
     StartPose,
-    at_start,
     lit,
     numbers,
     own_starts,
     starts,
     without_nearest_lamp,
 )
+from khep_twin.playpen.starts import at_start
 
 DEFAULT, OBSTACLES, TWO_LAMPS = (playpens.load(name) for name in ("default", "obstacles", "two-lamps"))
 

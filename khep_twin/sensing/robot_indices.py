@@ -1,0 +1,77 @@
+"""Indices of one robot in a compiled scene: the one place where its names become numbers."""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.units import Sensor
+
+_SIDES = ("left", "right")
+_LEDS = ("led_0", "led_1")
+
+
+@dataclass(frozen=True, slots=True)
+class RobotIndices:
+    """Indices of a robot's parts in the arrays of its model; pairs are left and right.
+
+    Attributes:
+        base: Body of the chassis.
+        wheels: Bodies of the wheels.
+        pose: First of the 7 numbers of the pose in qpos.
+        velocity: First of the 6 numbers of the velocity in qvel.
+        wheel_angles: Wheels in qpos.
+        wheel_speeds: Wheels in qvel.
+        motors: Actuators of the wheels.
+        cameras: Cameras of the infrared sensors (8,).
+        rays: Slices of sensordata with the rays of each sensor (8,).
+        leds: Sites of the LEDs.
+        led_lights: Bodies of the LEDs' lights.
+    """
+
+    base: int
+    wheels: tuple[int, int]
+    pose: int
+    velocity: int
+    wheel_angles: tuple[int, int]
+    wheel_speeds: tuple[int, int]
+    motors: tuple[int, int]
+    cameras: tuple[int, ...]
+    rays: tuple[slice, ...]
+    leds: tuple[int, ...]
+    led_lights: tuple[int, ...]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, robot: str) -> Self:
+        """Return the indices of a robot by its name in the scene, e.g. "khepera0".
+
+        Raises:
+            KeyError: The model has no such robot.
+        """
+        pose = model.joint(f"{robot}/pose")
+        left, right = (model.joint(f"{robot}/{side}_axle") for side in _SIDES)
+        sensors = [f"{robot}/{sensor.name.lower()}" for sensor in Sensor]
+        rays = [model.sensor(f"{sensor}_rays") for sensor in sensors]
+        left_wheel, right_wheel = (model.body(f"{robot}/{side}_wheel").id for side in _SIDES)
+        left_motor, right_motor = (model.actuator(f"{robot}/{side}_motor").id for side in _SIDES)
+        return cls(
+            base=model.body(f"{robot}/base").id,
+            wheels=(left_wheel, right_wheel),
+            pose=int(pose.qposadr[0]),
+            velocity=int(pose.dofadr[0]),
+            wheel_angles=(int(left.qposadr[0]), int(right.qposadr[0])),
+            wheel_speeds=(int(left.dofadr[0]), int(right.dofadr[0])),
+            motors=(left_motor, right_motor),
+            cameras=tuple(model.camera(sensor).id for sensor in sensors),
+            rays=tuple(slice(int(each.adr[0]), int(each.adr[0] + each.dim[0])) for each in rays),
+            leds=tuple(model.site(f"{robot}/{led}").id for led in _LEDS),
+            led_lights=tuple(model.body(f"{robot}/{led}_light").id for led in _LEDS),
+        )
+
+    def pose_in(self, qpos: NDArray[np.float64]) -> tuple[float, float, float]:
+        """Return the robot's x, y [m] and heading [rad]."""
+        x, y, _, qw, qx, qy, qz = qpos[self.pose : self.pose + 7].tolist()
+        return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))

@@ -1,0 +1,72 @@
+"""Tests of a robot's indices: each must be that of the name, also for the second robot of a scene."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.units import Sensor
+from khep_twin.world import World
+
+TWO = """
+version = 1
+name = "two"
+[arena]
+width_mm = 600
+height_mm = 500
+[[robot]]
+x_mm = 100
+y_mm = 100
+heading_deg = 0
+turrets = ["gripper"]
+[[robot]]
+x_mm = 400
+y_mm = 300
+heading_deg = 90
+"""
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(playpen.parse(TWO, "two"), noise=False)
+
+
+@pytest.mark.parametrize("name", ["khepera0", "khepera1"])
+def test_each_index_bears_the_name_of_its_part(world: World, name: str) -> None:
+    model, found = world.model, RobotIndices.of(world.model, name)
+    assert model.body(found.base).name == f"{name}/base"
+    assert [model.body(each).name for each in found.wheels] == [f"{name}/left_wheel", f"{name}/right_wheel"]
+    assert [model.actuator(each).name for each in found.motors] == [
+        f"{name}/left_motor",
+        f"{name}/right_motor",
+    ]
+    names = [f"{name}/{sensor.name.lower()}" for sensor in Sensor]
+    assert [model.camera(each).name for each in found.cameras] == names
+    for sensor, rays in zip(names, found.rays, strict=True):
+        assert world.data.sensor(f"{sensor}_rays").data.tolist() == world.data.sensordata[rays].tolist()
+    assert [model.site(each).name for each in found.leds] == [f"{name}/led_0", f"{name}/led_1"]
+    assert [model.body(each).name for each in found.led_lights] == [
+        f"{name}/led_0_light",
+        f"{name}/led_1_light",
+    ]
+    joints = [f"{name}/pose", f"{name}/left_axle", f"{name}/right_axle"]
+    assert [model.joint(each).qposadr[0] for each in joints] == [found.pose, *found.wheel_angles]
+    assert [model.joint(each).dofadr[0] for each in joints] == [found.velocity, *found.wheel_speeds]
+
+
+def test_the_pose_is_that_of_the_playpen(world: World) -> None:
+    start = RobotIndices.of(world.model, "khepera1").pose_in(world.model.qpos0)
+    assert start == pytest.approx((0.4, 0.3, math.pi / 2))
+    assert world.robots[1].indices == RobotIndices.of(world.model, "khepera1")
+
+
+def test_indices_are_of_one_robot_and_do_not_change(world: World) -> None:
+    found = RobotIndices.of(world.model, "khepera0")
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        found.base = 1  # pyright: ignore[reportAttributeAccessIssue]
+    with pytest.raises(KeyError, match="khepera2"):
+        RobotIndices.of(world.model, "khepera2")
+    assert np.intersect1d(found.motors, world.robots[1].indices.motors).size == 0
