@@ -11,11 +11,12 @@ from khep_twin.errors import MissingExtraError
 from khep_twin.rollout import episode
 from khep_twin.rollout.minds import Floats
 from khep_twin.sensing import raycast
+from khep_twin.sensing.buffers import Vector, view
 
 Start = tuple[float, float, float]
 """x [mm], y [mm], heading [deg]."""
 
-Live = tuple[Any, Any, Any, Any, Any, Any]
+Live = tuple[Vector[float], Vector[float], Vector[float], Vector[float], Vector[float], Vector[int]]
 """Live qpos, qvel, ctrl, force, places and warnings, as in `episode.Body`."""
 
 _PREFIX = "khepera0/"
@@ -38,6 +39,7 @@ class MujocoBackend:
         self._model, self._compiled = model, compiled
         self.data = mujoco.MjData(model)
         self.scene: Any
+        self.advance: episode.Advance
         if compiled:
             try:
                 from khep_twin.rollout import compiled as fast
@@ -62,7 +64,7 @@ class MujocoBackend:
         """Arrays that the episode works on."""
         data = self.data
         arrays = (data.qpos, data.qvel, data.ctrl, data.actuator_force, data.xpos.reshape(-1))
-        qpos, qvel, ctrl, force, bodies = arrays if self._compiled else (array.data for array in arrays)
+        qpos, qvel, ctrl, force, bodies = arrays if self._compiled else map(view, arrays)
         return qpos, qvel, ctrl, force, bodies, data.warning.number
 
     @property

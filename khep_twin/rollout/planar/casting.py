@@ -10,7 +10,7 @@ moved since; things are tested in that order, only as long as they can matter.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from khep_twin.rollout.planar import motion, shadows
 from khep_twin.rollout.planar import plane as flat
@@ -32,6 +32,10 @@ from khep_twin.rollout.planar.plane import (
     Plane,
 )
 from khep_twin.sensing import raycast
+from khep_twin.sensing.buffers import Vector
+
+if TYPE_CHECKING:
+    from khep_twin.sensing.optics import Proximity
 
 __all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY", "Scene"]
 
@@ -50,7 +54,7 @@ def step(scene: Scene) -> None:
     motion.step(scene)
 
 
-def heading(qpos: Sequence[float], pose: int) -> tuple[float, float]:
+def heading(qpos: Vector[float], pose: int) -> tuple[float, float]:
     """Return the same as `raycast.heading`."""
     angle = qpos[pose + HEADING]
     return math.cos(angle), math.sin(angle)
@@ -89,7 +93,7 @@ def direction(
     return c * ahead - s * left, s * ahead + c * left, 0.0
 
 
-def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int:
+def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: Vector[float]) -> int:
     """Cast the same rays as `raycast.rays`, but none if nothing can be near enough to count."""
     robot, things, order = scene.robot, scene.things, scene.order
     away = robot.mounts[channel, 4] + robot.last[MOVED]
@@ -193,7 +197,9 @@ def _within(
     return False
 
 
-def surfaces(scene: Scene, channel: int, directions: Any, cutoff: float, found: Any) -> None:
+def surfaces(
+    scene: Scene, channel: int, directions: Vector[float], cutoff: float, found: Vector[float]
+) -> None:
     """Fill in the same as `raycast.surfaces`, from what `rays` has hit."""
     for ray in range(len(found)):
         hit = scene.robot.hits[ray]
