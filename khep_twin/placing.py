@@ -8,13 +8,13 @@ import math
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import TypeVar
 
 import mujoco
 
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Block, Cylinder, Playpen
 from khep_twin.playpen.checks import things
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen.overlap import Thing, placement_problems
@@ -23,6 +23,8 @@ from khep_twin.world import World
 
 _PLACE = struct.Struct("<3d")
 _AFRESH = b"\1"
+
+Movable = TypeVar("Movable", Block, Cylinder)
 
 
 def put(
@@ -100,7 +102,7 @@ def near(playpen: Playpen, index: int, disc: Circle) -> Iterator[Thing]:
 def as_it_stands(world: World) -> Playpen:
     """Return the playpen with the current poses of its robots and movable objects, all taken as upright."""
 
-    def moved(items: tuple[Any, ...], kind: str) -> tuple[Any, ...]:
+    def moved(items: tuple[Movable, ...], kind: str) -> tuple[Movable, ...]:
         return tuple(
             item.model_copy(update=_place(world, f"{kind}{number}", kind)) if item.movable else item
             for number, item in enumerate(items)
