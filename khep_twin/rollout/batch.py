@@ -185,7 +185,7 @@ def _checked_genes(
 def _in_metres(home: tuple[float, float, float, float] | None) -> tuple[float, float, float, float]:
     """Return a home with its lengths in metres, all 0 for none; raise a `ValueError` if it is none."""
     if home is None:
-        return (0.0,) * 4
+        return 0.0, 0.0, 0.0, 0.0
     _check("home", home, "x, y, radius [mm] and duration of a charge [s]", 4)
     if home[2] <= 0 or home[3] <= 0:
         raise ValueError(f"home = {home}; expected a radius and a charge above 0")

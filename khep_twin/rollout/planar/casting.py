@@ -154,7 +154,14 @@ def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: Vec
         light = planar_rays.most(robot, near.weights[channel], offset, math.inf)
         if gain * light * 1.000001 <= -level:
             return 0
-    for ray in range(n_rays):
+    _fill(scene, x, y, found)
+    return len(found)
+
+
+def _fill(scene: Scene, x: float, y: float, found: Vector[float]) -> None:
+    """Fill in length and normal of each ray of a sensor, below 0 and 0 for a miss."""
+    robot, things, n_wide = scene.robot, scene.things, len(scene.robot.hits)
+    for ray in range(len(found) // 4):
         length, hit = robot.lengths[ray], robot.hits[ray]
         found[4 * ray] = -1.0
         found[4 * ray + 1] = found[4 * ray + 2] = found[4 * ray + 3] = 0.0
@@ -172,7 +179,6 @@ def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: Vec
             if face & 2:
                 normal_x, normal_y = -normal_y, normal_x
             found[4 * ray + 1], found[4 * ray + 2] = normal_x, normal_y
-    return len(found)
 
 
 def _within(
