@@ -6,18 +6,20 @@ unless the board is reset, too. A move is an action like those of the host, so t
 
 import math
 import struct
-from typing import Any
+from typing import TypeVar
 
 import mujoco
 
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Block, Cylinder, Playpen
 from khep_twin.playpen.starts import no_room
 from khep_twin.world import World
 
 _PLACE = struct.Struct("<3d")
 _AFRESH = b"\1"
+
+Movable = TypeVar("Movable", Block, Cylinder)
 
 
 def put(
@@ -72,7 +74,7 @@ def scan(world: World) -> None:
 def as_it_stands(world: World) -> Playpen:
     """Return the playpen with the current poses of its robots and movable objects, all taken as upright."""
 
-    def moved(items: tuple[Any, ...], kind: str) -> tuple[Any, ...]:
+    def moved(items: tuple[Movable, ...], kind: str) -> tuple[Movable, ...]:
         return tuple(
             item.model_copy(update=_place(world, f"{kind}{number}", kind)) if item.movable else item
             for number, item in enumerate(items)

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
-from typing import Any, TextIO, cast
+from typing import TextIO, cast
 
 _CLEAR = "\r\033[K"
 """Control sequence: return to the first column and erase the line."""
@@ -63,7 +63,7 @@ class _Above:
         """Write above the status line."""
         return self._line.write_above(self._stream, text)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._stream, name)
 
 
@@ -124,5 +124,5 @@ def _terminal() -> TextIO | None:
     # Programs without a console have no standard streams.
     if sys.stderr is None or not sys.stderr.isatty():  # pyright: ignore[reportUnnecessaryComparison]
         return None
-    stream: Any = sys.stderr
-    return stream._stream if isinstance(stream, _Above) else sys.stderr  # pyright: ignore[reportPrivateUsage]
+    stream = cast("TextIO | _Above", sys.stderr)
+    return stream._stream if isinstance(stream, _Above) else stream  # pyright: ignore[reportPrivateUsage]

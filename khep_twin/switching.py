@@ -3,7 +3,7 @@
 import json
 import struct
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import cast
 
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
@@ -70,12 +70,13 @@ def relight_again(world: World, act: HostEvent) -> None:
         PlaypenError: The bytes are not as `relight` writes them.
     """
     try:
-        wanted = frozen(json.loads(act.data))
-        if not isinstance(wanted, dict):
+        found = json.loads(act.data)
+        if not isinstance(found, dict):
             raise TypeError
+        wanted = frozen(cast(dict[str, object], found))
     except (ValueError, TypeError, RecursionError):
         raise PlaypenError(f"lamps = {act.data[:40]!r}; expected JSON with lamp and lighting") from None
-    checked = check(_Lamps, cast(dict[str, Any], wanted), "lamps", PlaypenError)
+    checked = check(_Lamps, wanted, "lamps", PlaypenError)
     relight(world, checked.lamp, checked.lighting)
 
 

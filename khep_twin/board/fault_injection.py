@@ -14,7 +14,7 @@ so that it changes nothing else in a run; every occurrence is logged.
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,27 +154,35 @@ def _number(text: str, low: float, high: float) -> float:
     return number
 
 
-def _by_chance(probability: str) -> dict[str, Any]:
+class _Values(TypedDict, total=False):
+    """Values of a fault, by the attributes of `Fault`."""
+
+    probability: float
+    delay_ns: int
+    which: int
+
+
+def _by_chance(probability: str) -> _Values:
     return {"probability": _number(probability, 0, 1)}
 
 
-def _late(probability: str, delay_ms: str) -> dict[str, Any]:
+def _late(probability: str, delay_ms: str) -> _Values:
     return {**_by_chance(probability), "delay_ns": to_ns(_number(delay_ms, 0, 10_000) / 1000)}
 
 
-def _stuck(sensor: str) -> dict[str, Any]:
+def _stuck(sensor: str) -> _Values:
     return {"which": [str(number) for number in range(N_SENSORS)].index(sensor)}
 
 
-def _dead(side: str) -> dict[str, Any]:
+def _dead(side: str) -> _Values:
     return {"which": ("left", "right").index(side)}
 
 
-def _plain() -> dict[str, Any]:
+def _plain() -> _Values:
     return {}
 
 
-_KINDS: Mapping[str, tuple[Callable[..., dict[str, Any]], str]] = {
+_KINDS: Mapping[str, tuple[Callable[..., _Values], str]] = {
     "drop": (_by_chance, "drop:PROBABILITY, such as drop:0.01"),
     "garble": (_by_chance, "garble:PROBABILITY, such as garble:0.01"),
     "late": (_late, "late:PROBABILITY:MILLISECONDS, such as late:0.1:60"),

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import matplotlib.style
 import numpy as np
@@ -31,6 +30,7 @@ from khep_twin.drawing.labels import Labels
 from khep_twin.drawing.symbols import (
     FILAMENT,
     INK,
+    Look,
     draw_arena,
     draw_lamps,
     draw_object,
@@ -48,7 +48,7 @@ from khep_twin.units import BODY_RADIUS
 POINT_LIMIT = 20_000
 """Most points of a path that are drawn; longer ones are thinned out evenly."""
 
-STYLE: list[Any] = [
+STYLE: list[str | dict[str, object]] = [
     "default",
     {
         "font.size": 9,
@@ -66,8 +66,8 @@ STYLE: list[Any] = [
 ]
 """Style of drawings, independent of matplotlib's configuration; for `matplotlib.style.context`."""
 
-_START: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
-_END: dict[str, Any] = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
+_START: Look = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
+_END: Look = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
 METADATA: dict[str, dict[str, None]] = {
     "png": {"Software": None},
     "svg": {"Date": None, "Creator": None},
@@ -240,7 +240,7 @@ def _legend_entries(playpen: Playpen, ways: bool) -> Iterator[Line2D | Patch]:
         yield Patch(label="movable", **surface_look(playpen, "white", movable=True))
     if len(playpen.lamps) > 1 and playpen.lighting.mode != "all":
         order = "in sequence" if playpen.lighting.mode == "sequenced" else "at random"
-        look: dict[str, Any] = {"marker": "o", "ms": 6, "mfc": "white", "mec": FILAMENT, "mew": 0.9, "ls": ""}
+        look: Look = {"marker": "o", "ms": 6, "mfc": "white", "mec": FILAMENT, "mew": 0.9, "ls": ""}
         yield Line2D([], [], label=f"one lamp on, {order}", **look)
     if ways:
         yield Line2D([], [], label="start", ls="", **_START)

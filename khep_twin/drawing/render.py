@@ -17,7 +17,6 @@ import warnings
 from collections.abc import Generator
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -145,7 +144,7 @@ def _decorate(spec: mujoco.MjSpec) -> None:
 
 
 @contextlib.contextmanager
-def window_of(model: mujoco.MjModel) -> Generator[Any, None, None]:
+def window_of(model: mujoco.MjModel) -> Generator[object]:
     """Provide a context for MuJoCo to render in: by the screen's driver, or without a screen."""
     screen = bool(os.environ.get("DISPLAY")) or sys.platform != "linux"
     wanted = os.environ.get("MUJOCO_GL", "").lower()

@@ -14,10 +14,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, Patch, Polygon, Rectangle
-from numpy.typing import NDArray
 
 from khep_twin.drawing.labels import Labels
-from khep_twin.drawing.light_map import illumination
+from khep_twin.drawing.light_map import Floats, illumination
 from khep_twin.playpen import (
     BULB_RADIUS_MM,
     Block,
@@ -32,6 +31,9 @@ from khep_twin.playpen import (
 )
 from khep_twin.playpen.polygon import walls_around
 from khep_twin.units import BODY_RADIUS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+
+Look = dict[str, Any]
+"""Keyword arguments of matplotlib's artists, which leave their types open."""
 
 INK = "#2b2f36"
 """Colour of lines and text."""
@@ -81,7 +83,7 @@ def draw_arena(axes: Axes, playpen: Playpen) -> None:
         image.set_clip_path(floor)
 
 
-def _light_at_start(playpen: Playpen, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Any:
+def _light_at_start(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
     """Return the light of the lamps that are on at the start [W/mm^2]; with one drawn at random, the mean."""
     if playpen.lighting.mode == "sequenced":
         playpen = playpen.model_copy(update={"lamps": playpen.lamps[:1]})
@@ -161,7 +163,7 @@ def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
             after = lamps[(index + 1) % len(lamps)]
             ends = (lamp.x_mm, lamp.y_mm), (after.x_mm, after.y_mm)
             # Bent, so that the arrows between two lamps do not coincide.
-            look: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 9, "shrinkB": 9}
+            look: Look = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 9, "shrinkB": 9}
             look["connectionstyle"] = "arc3,rad=0.08"
             arrow = FancyArrowPatch(*ends, ls=(0, (4, 3)), lw=0.9, color=FILAMENT, **look)
             axes.add_patch(arrow).set_zorder(3.5)
@@ -204,9 +206,9 @@ def draw_robot(axes: Axes, labels: Labels, robot: Robot, name: str) -> None:
     labels.add(robot.x_mm, robot.y_mm, radius + 4, name)
 
 
-def surface_look(playpen: Playpen, surface: str, movable: bool) -> dict[str, Any]:
+def surface_look(playpen: Playpen, surface: str, movable: bool) -> Look:
     """Return fill and edge of a patch of this surface."""
-    look: dict[str, Any] = {"facecolor": surface_colour(playpen, surface), "edgecolor": INK, "lw": 0.8}
+    look: Look = {"facecolor": surface_colour(playpen, surface), "edgecolor": INK, "lw": 0.8}
     if movable:
         look |= {"lw": 1.0, "ls": (0, (3, 2)), "hatch": "/////"}
     return look

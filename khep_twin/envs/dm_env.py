@@ -95,7 +95,7 @@ class Physics(mujoco.Physics):
             # Each trial of a world creates a new one, so the view is reloaded.
             self._reload_from_data(wrapper.MjData(self._trial.data))
 
-    def set_control(self, control: Any) -> None:
+    def set_control(self, control: object) -> None:
         """Set the speeds of the next period (2,) [pulses/10 ms], not voltages."""
         self._speeds = cut(control)
 
@@ -124,7 +124,7 @@ class Physics(mujoco.Physics):
         raise TypeError("a trial cannot be copied; expected another environment with the same seed")
 
     @property
-    def _scene(self) -> Any:
+    def _scene(self) -> object:
         return self.data.ptr
 
 
@@ -150,7 +150,7 @@ class TrialTask(control.Task):
         """Return the bounds of the speeds of left and right wheel [pulses/10 ms]."""
         return specs.BoundedArray((2,), np.float64, -TOP_SPEED, TOP_SPEED, name="left\tright")
 
-    def before_step(self, action: Any, physics: Physics) -> None:
+    def before_step(self, action: object, physics: Physics) -> None:
         """Set the speeds."""
         physics.set_control(action)
 

@@ -19,7 +19,7 @@ Action: speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, r
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,12 @@ try:
 except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
 
+Info = dict[str, Any]
+"""Gymnasium's type of metadata, options and ground truth."""
+
 RENDER_MODES = ("rgb_array",)
+
+Result = TypeVar("Result")
 
 
 def spaces(task: Task) -> tuple[Space[Any], Space[Any]]:
@@ -65,7 +70,7 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         labels: Labels of the observation's numbers.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
+    metadata: Info = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
     def __init__(
         self,
@@ -87,16 +92,14 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.labels = self._course.task.labels
         self.observation_space, self.action_space = spaces(self._course.task)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Observation, Info]:
         """Start a trial; a seed makes it and all later trials reproducible."""
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
         self._seed = int((options or {}).get("seed", drawn))
         return self._trial.begin(self._seed)[0], self._info()
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Advance by a control period at these speeds of left and right wheel [pulses/10 ms] (2,)."""
         (outcome,) = self._trial.step([cut(action)])
         return outcome.observation, outcome.reward, outcome.ended, self._trial.over, self._info()
@@ -111,12 +114,12 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Release the resources of rendering."""
         self._painter.close()
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self) -> Info:
         x, y, heading = self._trial.poses[0]
         return {"x": x, "y": y, "heading": heading, "time": self._trial.time_s, "seed": self._seed}
 
 
-class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
+class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]):
     """Many robots, each in a playpen of its own, stepped by threads.
 
     Each gives the same results as a single environment, for any number of threads: robot i starts with the
@@ -129,7 +132,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         options: Options of `KheperaEnvironment`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
+    metadata: ClassVar[Info] = {  # pyright: ignore[reportIncompatibleVariableOverride]
         **KheperaEnvironment.metadata,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -160,8 +163,8 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         self._over = np.zeros(num_envs, np.bool_)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+        self, *, seed: int | Sequence[int | None] | None = None, options: Info | None = None
+    ) -> tuple[Observation, Info]:
         """Start a trial in each environment."""
         if seed is None or isinstance(seed, int):
             seeds = [None if seed is None else seed + index for index in range(self.num_envs)]
@@ -175,10 +178,10 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
 
     def step(
         self, actions: NDArray[np.float32]
-    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+    ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """Advance all by a control period at these speeds [pulses/10 ms] (num_envs, 2)."""
 
-        def one(index: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        def one(index: int) -> tuple[Observation, float, bool, bool, Info]:
             each = self._all[index]
             if self._over[index]:
                 observation, info = each.reset()
@@ -208,9 +211,9 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         for each in self._all:
             each.close()
 
-    def _share_out(self, deed: Callable[[int], Any]) -> list[Any]:
+    def _share_out(self, deed: Callable[[int], Result]) -> list[Result]:
         """Call a function for each environment; each thread has a share."""
-        results: list[Any] = [None] * self.num_envs
+        results: dict[int, Result] = {}
 
         def work(first: int) -> None:
             for index in range(first, self.num_envs, self._threads):
@@ -218,10 +221,10 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
 
         for done in [self._pool.submit(work, first) for first in range(self._threads)]:
             done.result()
-        return results
+        return [results[index] for index in range(self.num_envs)]
 
-    def _infos(self, infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+    def _infos(self, infos: Sequence[Info]) -> Info:
+        found: Info = {}
         for index, info in enumerate(infos):
             found = self._add_info(found, info, index)
         return found

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.envs.gymnasium import RENDER_MODES, spaces
+from khep_twin.envs.gymnasium import RENDER_MODES, Info, spaces
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.envs.trial import TaskEpisode, TaskSetup, cut
 from khep_twin.envs.view import Picture, Renderer, View
@@ -61,7 +61,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         self._chance = seeding.np_random(None)[0]
         self._seed = 0
         self.render_mode = render_mode
-        self.metadata: dict[str, Any] = {
+        self.metadata: Info = {
             "name": f"khep_twin/{self._course.task.name}-v0",
             "render_modes": list(RENDER_MODES),
             "render_fps": 1e9 / self._course.period_ns,
@@ -69,8 +69,8 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         self.possible_agents = [f"khepera{index}" for index in range(robots)]
         self.agents: list[str] = []
         self.labels = self._course.task.labels
-        self.observation_spaces: dict[str, Any] = {}
-        self.action_spaces: dict[str, Any] = {}
+        self.observation_spaces: dict[str, Space[Any]] = {}
+        self.action_spaces: dict[str, Space[Any]] = {}
         for agent in self.possible_agents:
             self.observation_spaces[agent], self.action_spaces[agent] = spaces(self._course.task)
 
@@ -83,8 +83,8 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         return self.action_spaces[agent]
 
     def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        self, seed: int | None = None, options: Info | None = None
+    ) -> tuple[dict[str, Observation], dict[str, Info]]:
         """Start a trial; a seed makes it and all later trials reproducible."""
         if seed is not None:
             self._chance = seeding.np_random(seed)[0]
@@ -101,7 +101,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         dict[str, float],
         dict[str, bool],
         dict[str, bool],
-        dict[str, dict[str, Any]],
+        dict[str, Info],
     ]:
         """Advance by a control period at these speeds [pulses/10 ms] (2,) of each agent.
 
@@ -140,7 +140,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         """Release the resources of rendering."""
         self._painter.close()
 
-    def _infos(self) -> dict[str, dict[str, Any]]:
+    def _infos(self) -> dict[str, Info]:
         """Return the ground truth of each present agent."""
         poses = dict(zip(self.possible_agents, self._trial.poses, strict=True))
         return {

@@ -15,7 +15,6 @@ on its seed and its actions alone, not on earlier trials.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -45,7 +44,7 @@ PERIOD_NS = 50_000_000
 _ENCODERS = (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER)
 
 
-def cut(action: Any) -> tuple[float, float]:
+def cut(action: object) -> tuple[float, float]:
     """Return an action as the speeds of left and right wheel, clipped to the top speed [pulses/10 ms].
 
     Raises:

@@ -5,7 +5,6 @@
 
 from collections.abc import Mapping
 from io import BytesIO
-from typing import Any
 
 from scipy.io import savemat
 
@@ -14,7 +13,7 @@ from khep_twin import __version__
 _TITLE_BYTES = 116
 
 
-def mat_bytes(values: Mapping[str, Any], what: str, *, packed: bool = True) -> bytes:
+def mat_bytes(values: Mapping[str, object], what: str, *, packed: bool = True) -> bytes:
     """Return variables as a MAT file of Matlab 5.
 
     Args:

@@ -10,13 +10,11 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT
 
+_Table = Mapping[str, Any]
+"""Content of a table: its values are tables, arrays and plain values."""
 
-def change(
-    table: MutableMapping[str, Any],
-    before: Mapping[str, Any],
-    after: Mapping[str, Any],
-    bare: Mapping[str, Any],
-) -> None:
+
+def change(table: MutableMapping[str, Any], before: _Table, after: _Table, bare: _Table) -> None:
     """Change a table of a document from `before` to `after`.
 
     Args:
@@ -45,10 +43,7 @@ def change(
 
 
 def _change_list(
-    tables: AoT,
-    before: Sequence[Mapping[str, Any]],
-    after: Sequence[Mapping[str, Any]],
-    bare: Sequence[Mapping[str, Any]],
+    tables: AoT, before: Sequence[_Table], after: Sequence[_Table], bare: Sequence[_Table]
 ) -> None:
     """Change an array of tables; those that stay keep their comments wherever they move to."""
     steps = SequenceMatcher(None, [*map(repr, before)], [*map(repr, after)], autojunk=False).get_opcodes()
@@ -66,14 +61,14 @@ def _change_list(
             tables.insert(start + offset, tomlkit.item(dict(bare[first + offset])))
 
 
-def _tables(values: Sequence[Mapping[str, Any]]) -> AoT:
+def _tables(values: Sequence[_Table]) -> AoT:
     tables = tomlkit.aot()
     for value in values:
         tables.append(tomlkit.item(dict(value)))
     return tables
 
 
-def _set(table: MutableMapping[str, Any], key: str, value: Any) -> None:
+def _set(table: MutableMapping[str, Any], key: str, value: object) -> None:
     """Set the value of a key; the rest of its line stays."""
     if key in table and hasattr(table[key], "trivia"):
         trivia = table[key].trivia

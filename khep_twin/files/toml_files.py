@@ -14,11 +14,12 @@ from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_origin
 
 import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
 from khep_twin.errors import Expected, KhepTwinError, Location, Problem, choices
 from khep_twin.files.atomic import open_regular
@@ -35,6 +36,9 @@ NAME_WISH = "1 to 64 letters, digits, '_' or '-'"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 
 Model = TypeVar("Model", bound="TomlTable")
+
+# As tomllib and pydantic have it: its values are tables, arrays and plain values.
+Table = dict[str, Any]
 
 # A key of thousands of parts takes tomllib seconds and ends in a RecursionError.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){32}""")
@@ -96,7 +100,7 @@ def validate(
     text: str,
     source: str,
     error: type[KhepTwinError],
-    context: Mapping[str, Any] | None = None,
+    context: Mapping[str, object] | None = None,
 ) -> Model:
     """Validate the text of a file as `model`; `context` is passed to its validators.
 
@@ -118,11 +122,11 @@ def validate(
 
 def check(
     model: type[Model],
-    data: Mapping[str, Any],
+    data: Mapping[str, object],
     source: str,
     error: type[KhepTwinError],
     text: str = "",
-    context: Mapping[str, Any] | None = None,
+    context: Mapping[str, object] | None = None,
 ) -> Model:
     """Check the tables of a file, arrays as tuples, against `model`; its text gives the line numbers.
 
@@ -142,7 +146,7 @@ def check(
         ) from None
 
 
-def problems(model: type[Model], data: Mapping[str, Any]) -> list[Problem]:
+def problems(model: type[Model], data: Mapping[str, object]) -> list[Problem]:
     """Return the problems of data as `model`, as reported by `check`; empty if there are none."""
     try:
         model.model_validate(data := frozen(data))
@@ -151,13 +155,15 @@ def problems(model: type[Model], data: Mapping[str, Any]) -> list[Problem]:
     return []
 
 
-def frozen(value: Any) -> Any:
+def frozen(table: Mapping[str, object]) -> dict[str, object]:
     """Return data with its arrays as tuples, as required by strict models."""
+    return {key: _frozen(value) for key, value in table.items()}
+
+
+def _frozen(value: object) -> object:
     if isinstance(value, dict):
-        return {key: frozen(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType]
-    if isinstance(value, list):
-        return tuple(frozen(item) for item in value)  # pyright: ignore[reportUnknownVariableType]
-    return value
+        return frozen(cast(dict[str, object], value))
+    return tuple(map(_frozen, cast(list[object], value))) if isinstance(value, list) else value
 
 
 def dump(table: TomlTable) -> str:
@@ -169,8 +175,8 @@ def edited(
     text: str,
     before: TomlTable,
     after: TomlTable,
-    said: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda before, _: before,
-    bare: Callable[[dict[str, Any]], dict[str, Any]] = lambda after: after,
+    said: Callable[[Table, Table], Table] = lambda before, _: before,
+    bare: Callable[[Table], Table] = lambda after: after,
 ) -> str:
     """Return the text of a file, changed from `before` to `after`; comments and all else stay.
 
@@ -191,7 +197,7 @@ def edited(
     return tomlkit.dumps(document)
 
 
-def schema(model: type[TomlTable]) -> dict[str, Any]:
+def schema(model: type[TomlTable]) -> Table:
     """Return the JSON schema of a model's files."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -220,7 +226,7 @@ def _plain(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _plain_data(table: TomlTable, *, exclude_defaults: bool = False) -> dict[str, Any]:
+def _plain_data(table: TomlTable, *, exclude_defaults: bool = False) -> Table:
     return table.model_dump(by_alias=True, exclude_none=True, exclude_defaults=exclude_defaults, mode="json")
 
 
@@ -260,21 +266,27 @@ def _place(location: Sequence[str | int]) -> tuple[str, str]:
     return " ".join(tables) + (": " if tables else ""), key
 
 
-def _reason(model: type[BaseModel], location: Location, key: str, problem: Any) -> tuple[str, Expected]:
+def _reason(
+    model: type[BaseModel], location: Location, key: str, problem: ErrorDetails
+) -> tuple[str, Expected]:
     """Return the text of a problem, and what was expected."""
-    kind: str = problem["type"]
+    kind = problem["type"]
     field, keys = _field(model, location)
     if kind == "missing":
         return f"{key} is missing; expected {(wish := _wish(field))}", wish
     if location[-1] == "[key]":
         return f"{show(key)} is no name; expected {NAME_WISH}", NAME_WISH
-    given = key if isinstance(problem["input"], dict | tuple) else f"{key} = {show(problem['input'])}"
+    given = _given(key, problem["input"])
     if kind == "extra_forbidden":
         return f"{given}: unknown key; {choices(key, keys)}", tuple(keys)
     if kind == "literal_error" and field is not None:
         literals = _literals(field.annotation)
         return f"{given}: unknown; {choices(_text(problem['input']), literals)}", tuple(literals)
     return f"{given}; expected {(wish := _wish(field))}", wish
+
+
+def _given(key: str, value: object) -> str:
+    return key if isinstance(value, dict | tuple) else f"{key} = {show(value)}"
 
 
 def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[str]]:
@@ -294,14 +306,14 @@ def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[Field
     return field, keys
 
 
-def _table_of(annotation: Any) -> type[BaseModel] | None:
+def _table_of(annotation: object) -> type[BaseModel] | None:
     """Return the table within an annotation such as tuple[Block, ...] or dict[str, Surface]."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next((table for part in get_args(annotation) if (table := _table_of(part)) is not None), None)
 
 
-def _literals(annotation: Any) -> list[object]:
+def _literals(annotation: object) -> list[object]:
     if get_origin(annotation) is Literal:
         return list(get_args(annotation))
     return [literal for part in get_args(annotation) for literal in _literals(part)]
@@ -328,7 +340,7 @@ def _wish(field: FieldInfo | None) -> str:
     return "a table"
 
 
-def _given_type(annotation: Any) -> Any:
+def _given_type(annotation: object) -> object:
     """Return the type of an optional key's value: `float` of `float | None`."""
     parts = [part for part in get_args(annotation) if part is not NoneType]
     return parts[0] if len(parts) == 1 and NoneType in get_args(annotation) else annotation

@@ -103,7 +103,7 @@ class Khepera:
             self._line.halt()
 
     @property
-    def port(self) -> Any:
+    def port(self) -> serial.Serial:
         """Port, of pyserial."""
         return self._line.port
 
@@ -258,14 +258,14 @@ class Khepera:
         self, first: HostCommand[A], second: HostCommand[B], third: HostCommand[C], fourth: HostCommand[D], /
     ) -> tuple[A, B, C, D]: ...
     @overload
-    def burst(self, /, *wanted: HostCommand[Any]) -> tuple[Any, ...]: ...
-    def burst(self, /, *wanted: HostCommand[Any]) -> tuple[Any, ...]:
+    def burst(self, /, *wanted: HostCommand[object]) -> tuple[Any, ...]: ...
+    def burst(self, /, *wanted: HostCommand[object]) -> tuple[object, ...]:
         """Send several commands of `khep_twin.host.commands` at once and return the value of each.
 
         While a reply comes back the next command is under way already, which saves line time. They are
         repeated as a whole, if all may be; after an error some may have been carried out.
         """
-        values: list[Any] = []
+        values: list[object] = []
         for start in range(0, len(wanted), BURST):
             values += self._line.carry_out(wanted[start : start + BURST])
         return tuple(values)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, TypeVar, cast
 
 import serial
 
@@ -20,6 +20,8 @@ from khep_twin.host.commands import HostCommand
 from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
 from khep_twin.ports.link import leads_to_ours
 from khep_twin.signals import clear_at_end
+
+Value = TypeVar("Value")
 
 STOP_WAIT = 0.5
 """Longest wait for the answer to the last command, which stops the motors [s]."""
@@ -70,7 +72,9 @@ class Line:
         self._stood = threading.Event()
         self.name: str = url if isinstance(url, str) else str(url.name)
         speed = SPEEDS[0] if baudrate == "auto" else baudrate
-        self.port: Any = open_port(url, speed, timeout) if isinstance(url, str) else url
+        # Its stubs declare the members of all ports for this kind only.
+        port = open_port(url, speed, timeout) if isinstance(url, str) else cast(serial.Serial, url)
+        self.port = port
         if baudrate == "auto":
             try:
                 find_speed(self.port, self.name, lambda: self.time)
@@ -89,16 +93,16 @@ class Line:
 
     def sleep(self, duration: float) -> None:
         """Wait in the port's own time [s]."""
-        if hasattr(self.port, "sleep"):
+        if (sleep := getattr(self.port, "sleep", None)) is not None:
             self._give_way()
             with self._exchange:
-                self.port.sleep(duration)
+                sleep(duration)
         else:
             time.sleep(duration)
 
     # Exchanges -----------------------------------------------------------------------------------------
 
-    def carry_out(self, commands: Sequence[HostCommand[Any]]) -> list[Any]:
+    def carry_out(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
         """Send commands in one burst and return the values of their replies.
 
         Raises:
@@ -124,7 +128,7 @@ class Line:
             self._ask([request], replies)
         return replies[0]
 
-    def _carry_out(self, commands: Sequence[HostCommand[Any]]) -> list[Any]:
+    def _carry_out(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
         tries = 1 + (self._retries if all(command.repeatable for command in commands) else 0)
         first: PortTimeout | ProtocolError | None = None
         while True:
@@ -170,10 +174,10 @@ class Line:
                 self.listener(request, replies[-1])
         self._unanswered.clear()
 
-    def _read(self, commands: Sequence[HostCommand[Any]], replies: Sequence[str]) -> list[Any]:
+    def _read(self, commands: Sequence[HostCommand[Value]], replies: Sequence[str]) -> list[Value]:
         if len(replies) != len(commands):
             raise ProtocolError(f"{self.name}: {len(commands)} commands got {len(replies)} replies")
-        values: list[Any] = []
+        values: list[Value] = []
         for command, reply in zip(commands, replies, strict=True):
             try:
                 values.append(command.read(reply))

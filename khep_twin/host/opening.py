@@ -6,7 +6,6 @@ import re
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import serial
 
@@ -45,7 +44,7 @@ def numbered(port: str) -> str:
     return meant
 
 
-def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool = False) -> Any:
+def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool = False) -> serial.Serial:
     """Open a port of pyserial as the robot's line has it: eight bits, two stop bits.
 
     Args:
@@ -59,7 +58,7 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
         PortError: It cannot be opened.
     """
     # Not every kind of port can bound its writes: pyserial's RFC 2217 leaves them to the network.
-    bound: dict[str, Any] = {} if url.startswith("rfc2217:") else {"write_timeout": timeout or None}
+    bound = None if url.startswith("rfc2217:") else timeout or None
     try:
         return serial.serial_for_url(
             url,
@@ -67,7 +66,7 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
             stopbits=serial.STOPBITS_TWO,
             timeout=timeout,
             exclusive=exclusive or None,
-            **bound,
+            write_timeout=bound,
         )
     # One error says all; its causes repeat it.
     except serial.SerialException as error:
@@ -78,7 +77,7 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
         raise PortError(*_why_not_opened(url, error)) from None
 
 
-def find_speed(port: Any, name: str, now: Callable[[], float]) -> int:
+def find_speed(port: serial.Serial, name: str, now: Callable[[], float]) -> int:
     """Set a port to the speed at which its robot answers command B.
 
     Args:
@@ -106,7 +105,7 @@ def find_speed(port: Any, name: str, now: Callable[[], float]) -> int:
     return found
 
 
-def _answers_at(port: Any, speed: int, now: Callable[[], float]) -> bool:
+def _answers_at(port: serial.Serial, speed: int, now: Callable[[], float]) -> bool:
     # A twin in this process warns of a wrong speed and understands all the same.
     with warnings.catch_warnings(record=True) as noticed:
         warnings.simplefilter("always")

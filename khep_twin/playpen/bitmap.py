@@ -7,7 +7,6 @@ each step costs a block.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +98,7 @@ def to_playpen(
     thickness = borders.left * mm_per_pixel
     if not borders.equal or not _LEAST_MM <= thickness <= _THICKEST_MM:
         thickness = _THICKNESS_MM
-    data: dict[str, Any] = {
+    data: dict[str, object] = {
         "version": 1,
         "name": name,
         "arena": {

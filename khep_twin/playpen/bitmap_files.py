@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +102,7 @@ def decode(data: bytes, variable: str | None = None, solid: int | None = None) -
     return Bitmap(pixels, name, True)
 
 
-def _chosen(variables: Mapping[str, Variable], wanted: str | None) -> tuple[str, NDArray[Any]]:
+def _chosen(variables: Mapping[str, Variable], wanted: str | None) -> tuple[str, NDArray[np.generic]]:
     told = {_plain(name): value for name, value in variables.items()}
     wanted = SCAN if wanted is None and SCAN in told else wanted
     if wanted is None:

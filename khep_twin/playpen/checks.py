@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
@@ -79,10 +79,10 @@ _ASSIGNMENT_LIMIT = 20_000
 """Most placements of robots at spots that are tried."""
 
 
-def completed(data: dict[str, Any]) -> dict[str, Any]:
+def completed(data: dict[str, object]) -> dict[str, object]:
     """Return a file's content with the keys of robots that follow from their spots and their model."""
     spots = {str(spot.get("name")): spot for spot in _tables(data, "spot")}
-    robots: list[dict[str, Any]] = []
+    robots: list[dict[str, object]] = []
     for robot in _tables(data, "robot"):
         known = [spots[name] for name in map(str, _items(robot, "spots")) if name in spots]
         follows = following(str(robot.get("model")), known)
@@ -93,23 +93,24 @@ def completed(data: dict[str, Any]) -> dict[str, Any]:
     return {**data, "robot": tuple(robots)} if robots else data
 
 
-def following(model: str, spots: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def following(model: str, spots: Sequence[Mapping[str, object]]) -> dict[str, object]:
     """Return the keys of a robot that follow from its model and its spots, if the file does not have them."""
-    first: Mapping[str, Any] = spots[0] if spots else {}
+    first: Mapping[str, object] = spots[0] if spots else {}
     place = {key: first[key] for key in ("x_mm", "y_mm", "heading_deg") if key in first}
     return {**MODELS.get(model, {}), **place}
 
 
-def _tables(data: dict[str, Any], kind: str) -> list[dict[str, Any]]:
+def _tables(data: dict[str, object], kind: str) -> list[dict[str, object]]:
     """Return an array of tables of a file; empty if it is something else."""
     items = _items(data, kind)
-    return list(items) if all(isinstance(item, dict) for item in items) else []
+    tables = [cast(dict[str, object], item) for item in items if isinstance(item, dict)]
+    return tables if len(tables) == len(items) else []
 
 
-def _items(data: dict[str, Any], key: str) -> tuple[Any, ...]:
+def _items(data: dict[str, object], key: str) -> tuple[object, ...]:
     """Return an array of a file; empty if it is something else."""
-    found: Any = data.get(key)
-    return found if isinstance(found, tuple) else ()  # pyright: ignore[reportUnknownVariableType]
+    found = data.get(key)
+    return cast(tuple[object, ...], found) if isinstance(found, tuple) else ()
 
 
 LOWEST_WALL_MM, LOWEST_WALL_WITH_TURRET_MM = 15.0, 30.0

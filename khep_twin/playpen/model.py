@@ -5,14 +5,14 @@ from collections.abc import Mapping
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, ValidationInfo, model_serializer, model_validator
 
 from khep_twin.errors import PlaypenError
 from khep_twin.files import toml_files
-from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, TomlTable
+from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, Table, TomlTable
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
 from khep_twin.playpen.parts import (
     Arena,
@@ -49,13 +49,13 @@ class Playpen(TomlTable):
         return BUILT_IN_SURFACES.get(name) or self.surfaces[name]
 
     @model_serializer(mode="wrap")
-    def _without_empty_arrays(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_empty_arrays(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         # Keep `lamp = []` out of a file: TOML allows no [[lamp]] after it.
         return {key: value for key, value in serialize(self).items() if value not in ([], (), {})}
 
     @model_validator(mode="before")
     @classmethod
-    def _robots_have_what_follows(cls, data: Any) -> Any:
+    def _robots_have_what_follows(cls, data: object) -> object:
         # Until the seed selects a spot, a robot stands at the first of its spots.
         return completed(data) if isinstance(data, dict) else data  # pyright: ignore
 
@@ -117,7 +117,7 @@ def edited(text: str, playpen: Playpen) -> str:
     raise PlaypenError(f"{playpen.name}: this file cannot be changed in place; expected a new one, by `dump`")
 
 
-def schema() -> dict[str, Any]:
+def schema() -> Table:
     """Return the format as JSON schema, for editors that complete and check playpen files."""
     found = toml_files.schema(Playpen)
     robot, place = found["$defs"]["Robot"], ["x_mm", "y_mm", "heading_deg"]
@@ -126,7 +126,7 @@ def schema() -> dict[str, Any]:
     return found
 
 
-def _with_what_follows(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+def _with_what_follows(before: Table, after: Table) -> Table:
     """Return a file's data without the keys of robots that follow from other keys which change."""
     robots = list(before.get("robot", []))
     for index, (old, new) in enumerate(zip(robots, after.get("robot", []), strict=False)):
@@ -139,10 +139,10 @@ def _with_what_follows(before: dict[str, Any], after: dict[str, Any]) -> dict[st
     return {**before, "robot": robots} if robots else before
 
 
-def _bare(playpen: Playpen, data: dict[str, Any]) -> dict[str, Any]:
+def _bare(playpen: Playpen, data: Table) -> Table:
     """Return the data of a playpen, without defaults and without keys of robots that follow from others."""
     spots = {spot.name: spot.model_dump() for spot in playpen.spots}
-    robots: list[dict[str, Any]] = []
+    robots: list[Table] = []
     for robot, found in zip(playpen.robots, data.get("robot", ()), strict=False):
         follows = following(robot.model, [spots[name] for name in robot.spots])
         own = {key: value for key in follows if (value := getattr(robot, key)) != follows[key]}

@@ -10,7 +10,6 @@ force, and a negotiation that cannot be understood is a fault, after which nothi
 
 import struct
 from collections.abc import Callable
-from typing import Any
 
 import serial
 from serial.rfc2217 import PortManager
@@ -104,7 +103,7 @@ class _Line:
         self._baud = baud
         self._data_bits = serial.EIGHTBITS
         self.parity = serial.PARITY_NONE
-        self.stopbits: Any = serial.STOPBITS_TWO
+        self.stopbits: float = serial.STOPBITS_TWO
         self.rtscts = self.xonxoff = self.break_condition = False
         self.rts = self.dtr = self.cts = self.dsr = self.cd = True
         self.ri = False

@@ -15,6 +15,7 @@ give the same run.
 import re
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Self
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -261,7 +262,7 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
     playpen = unquote(parts.netloc + parts.path)
     if not playpen:
         raise TwinPortError(f"{url}: no playpen named; expected a name or a path, such as khep://default")
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key not in _OPTIONS:
             raise TwinPortError(f"{url}: unknown option {key!r}; {choices(key, _OPTIONS)}")
@@ -272,7 +273,7 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
             values[_NAMES.get(key, key)] = convert(value)
         except (KeyError, ValueError):
             raise TwinPortError(f"{url[:200]}: {key} = {value[:40]!r}; expected {wish}") from None
-    return playpen, TwinOptions(**values)
+    return playpen, replace(TwinOptions(), **values)
 
 
 def _whole(text: str) -> int:
@@ -300,7 +301,7 @@ def _digit(text: str) -> int:
 _NAMES = {"fault": "faults"}
 """Options whose names in the URL differ from those in `TwinOptions`."""
 
-_OPTIONS: dict[str, tuple[Callable[[str], Any], str]] = {
+_OPTIONS: dict[str, tuple[Callable[[str], object], str]] = {
     "seed": (_whole, "an integer from 0 to 2**63-1"),
     "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
     "noise": ({"on": True, "off": False}.__getitem__, "on or off"),

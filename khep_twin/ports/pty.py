@@ -18,7 +18,7 @@ import tty
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
@@ -236,7 +236,7 @@ class PtyPort:
             f"the port is open {self._presence.hosts} times at once; each reader takes bytes from the others",
         )
 
-    def _make_raw(self, host_side: int) -> list[Any]:
+    def _make_raw(self, host_side: int) -> list[int | list[bytes | int]]:
         """Make it raw, at the robot's own speed: a host that sets none is taken to have the right one."""
         tty.setraw(host_side)
         flags = termios.tcgetattr(host_side)

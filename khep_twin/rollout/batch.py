@@ -19,7 +19,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.rollout.life import NUMBERS, Episode, EpisodeSetup, Start, is_compiled
 from khep_twin.rollout.minds import Driver, Floats, Network, Policy
+
+P = ParamSpec("P")
 
 BATCH_SIZE = 64
 """Episodes in one call of a policy: enough for arrays to pay, at a bounded use of memory."""
@@ -115,41 +117,10 @@ def rollout(
     fast = is_compiled(compiled)
     ground = _ground(playpen, step_ns, period_ns, planar)
     count = len(seeds)
-    for name, given in (("genes", genes), ("starts", starts), ("lamps", lamps)):
-        if given is not None and len(given) != count:
-            raise ValueError(f"{len(given)} {name} for {count} seeds; expected {count}")
-    if isinstance(driver, Network) and genes is None:
-        raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
-    weights = np.zeros((count, 0)) if genes is None else np.asarray(genes, np.float64)
-    if weights.ndim != 2 or not np.isfinite(weights).all():
-        raise ValueError(f"genes of shape {weights.shape}; expected finite numbers (n, n_genes)")
-    if threads is not None and threads < 1:
-        raise ValueError(f"{threads} threads; expected 1 or more")
-    for index, start in enumerate(() if starts is None else starts):
-        _check(f"starts[{index}]", start, "x, y [mm] and heading [deg]", 3)
-    for index, each in enumerate(() if lamps is None else lamps):
-        if isinstance(each, Lamp):
-            raise ValueError(f"lamps[{index}] is one lamp; expected a list of lamps for each episode")
+    weights = _checked_genes(driver, count, genes, starts, lamps, threads)
     ground.light.during(0, ground.periods(seconds) * ground.wiring.steps_per_period)
-    place = (0.0,) * 4
-    if home is not None:
-        _check("home", home, "x, y, radius [mm] and duration of a charge [s]", 4)
-        if home[2] <= 0 or home[3] <= 0:
-            raise ValueError(f"home = {home}; expected a radius and a charge above 0")
-        place = (units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3])
+    batch = _Batch(ground, seeds, seconds, weights, starts, lamps, noise, spread, _in_metres(home))
     results = _Results(count)
-
-    def begin(life: Episode, index: int) -> None:
-        life.begin(
-            int(seeds[index]),
-            start=None if starts is None else tuple(starts[index]),  # type: ignore[arg-type]
-            noise=noise,
-            spread=spread,
-            light=None if lamps is None else ground.lit(lamps[index]),
-            genes=weights[index],
-            home=place,
-        )
-
     workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
     made = (Episode(ground, driver, compiled=fast) for _ in itertools.count())
     with ThreadPoolExecutor(workers) as pool:
@@ -157,11 +128,9 @@ def rollout(
             lanes = list(itertools.islice(made, min(BATCH_SIZE, count)))
             for first in range(0, count, BATCH_SIZE):
                 group = list(zip(range(first, count), lanes, strict=False))
-                _live_together(pool, workers, driver, group, begin, seeds, seconds, ground, results)
+                _live_together(pool, workers, driver, group, batch, results)
         else:
-            _share_out(
-                pool, list(itertools.islice(made, min(workers, count))), begin, seeds, seconds, results
-            )
+            _share_out(pool, list(itertools.islice(made, min(workers, count))), batch, results)
     return results.lives()
 
 
@@ -186,6 +155,43 @@ def _ground(
     return playpen
 
 
+def _checked_genes(
+    driver: Driver,
+    count: int,
+    genes: Floats | None,
+    starts: Sequence[Start] | None,
+    lamps: Sequence[Sequence[Lamp]] | None,
+    threads: int | None,
+) -> Floats:
+    """Return the genes of each episode; raise a `ValueError` unless there is what each episode needs."""
+    for name, given in (("genes", genes), ("starts", starts), ("lamps", lamps)):
+        if given is not None and len(given) != count:
+            raise ValueError(f"{len(given)} {name} for {count} seeds; expected {count}")
+    if isinstance(driver, Network) and genes is None:
+        raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
+    weights = np.zeros((count, 0)) if genes is None else np.asarray(genes, np.float64)
+    if weights.ndim != 2 or not np.isfinite(weights).all():
+        raise ValueError(f"genes of shape {weights.shape}; expected finite numbers (n, n_genes)")
+    if threads is not None and threads < 1:
+        raise ValueError(f"{threads} threads; expected 1 or more")
+    for index, start in enumerate(() if starts is None else starts):
+        _check(f"starts[{index}]", start, "x, y [mm] and heading [deg]", 3)
+    for index, each in enumerate(() if lamps is None else lamps):
+        if isinstance(each, Lamp):
+            raise ValueError(f"lamps[{index}] is one lamp; expected a list of lamps for each episode")
+    return weights
+
+
+def _in_metres(home: tuple[float, float, float, float] | None) -> tuple[float, float, float, float]:
+    """Return a home with its lengths in metres, all 0 for none; raise a `ValueError` if it is none."""
+    if home is None:
+        return 0.0, 0.0, 0.0, 0.0
+    _check("home", home, "x, y, radius [mm] and duration of a charge [s]", 4)
+    if home[2] <= 0 or home[3] <= 0:
+        raise ValueError(f"home = {home}; expected a radius and a charge above 0")
+    return units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3]
+
+
 def _check(name: str, numbers: Sequence[float], what: str, count: int) -> None:
     """Raise a `ValueError` unless these are `count` finite numbers."""
     try:
@@ -194,6 +200,33 @@ def _check(name: str, numbers: Sequence[float], what: str, count: int) -> None:
         fits = False
     if not fits:
         raise ValueError(f"{name} = {numbers!r}; expected {what}, {count} finite numbers")
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """Arguments of `rollout` for each episode, once checked; home in metres."""
+
+    ground: EpisodeSetup
+    seeds: Sequence[int] | range
+    seconds: float
+    genes: Floats
+    starts: Sequence[Start] | None
+    lamps: Sequence[Sequence[Lamp]] | None
+    noise: bool
+    spread: bool
+    home: tuple[float, float, float, float]
+
+    def begin(self, life: Episode, index: int) -> None:
+        """Begin an episode of the batch."""
+        life.begin(
+            int(self.seeds[index]),
+            start=None if self.starts is None else tuple(self.starts[index]),  # type: ignore[arg-type]
+            noise=self.noise,
+            spread=self.spread,
+            light=None if self.lamps is None else self.ground.lit(self.lamps[index]),
+            genes=self.genes[index],
+            home=self.home,
+        )
 
 
 class _Results:
@@ -220,26 +253,19 @@ class _Results:
         return RolloutResult(self.numbers, self.registers, self.poses, failures)
 
 
-def _share_out(
-    pool: ThreadPoolExecutor,
-    rooms: Sequence[Episode],
-    begin: Callable[[Episode, int], None],
-    seeds: Sequence[int],
-    seconds: float,
-    results: _Results,
-) -> None:
+def _share_out(pool: ThreadPoolExecutor, rooms: Sequence[Episode], batch: _Batch, results: _Results) -> None:
     """Run the next episode on each free room; the assignment makes no difference."""
-    turns = iter(range(len(seeds)))
+    turns = iter(range(len(batch.seeds)))
 
     def work(life: Episode) -> None:
         for index in turns:  # one thread at a time gets the next one
             failure = None
             try:
-                begin(life, index)
-                life.live(seconds)
+                batch.begin(life, index)
+                life.live(batch.seconds)
             except DivergedError as error:
                 failure = error
-            results.keep(index, int(seeds[index]), life, failure)
+            results.keep(index, int(batch.seeds[index]), life, failure)
 
     try:
         for done in [pool.submit(work, life) for life in rooms]:
@@ -255,19 +281,16 @@ def _live_together(
     workers: int,
     policy: Policy,
     group: Sequence[tuple[int, Episode]],
-    begin: Callable[[Episode, int], None],
-    seeds: Sequence[int],
-    seconds: float,
-    ground: EpisodeSetup,
+    batch: _Batch,
     results: _Results,
 ) -> None:
     """Run episodes side by side, one control period at a time."""
     failures: dict[int, DivergedError] = {}
 
-    def attempt(index: int, deed: Callable[..., None], *given: Any) -> None:
+    def attempt(index: int, deed: Callable[P, None], *given: P.args, **named: P.kwargs) -> None:
         if index not in failures:
             try:
-                deed(*given)
+                deed(*given, **named)
             except DivergedError as error:
                 failures[index] = error
 
@@ -279,9 +302,9 @@ def _live_together(
         for done in [pool.submit(work, group[worker::workers]) for worker in range(workers)]:
             done.result()
 
-    all_at_once(lambda index, life: begin(life, index))
-    steps = ground.wiring.steps_per_period
-    for _ in range(ground.periods(seconds)):
+    all_at_once(lambda index, life: batch.begin(life, index))
+    steps = batch.ground.wiring.steps_per_period
+    for _ in range(batch.ground.periods(batch.seconds)):
         living = [(index, life) for index, life in group if index not in failures]
         if not living:
             break
@@ -302,4 +325,4 @@ def _live_together(
             attempt(index, life.drive, left, right)
         all_at_once(lambda _, life: life.go_on(steps))
     for index, life in group:
-        results.keep(index, int(seeds[index]), life, failures.get(index))
+        results.keep(index, int(batch.seeds[index]), life, failures.get(index))

@@ -8,11 +8,12 @@ beside this file, or in the user's cache, until a source changes.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import hashlib
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numba
@@ -27,8 +28,11 @@ from khep_twin.board.compiled_kernel import compiled_copy, compiled_kernel
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.errors import ControllerError
 from khep_twin.rollout import addresses, compiled_casting, episode, fitness, networks
+from khep_twin.rollout.episode import Advance, ControllerState, RobotState, StepInputs
 from khep_twin.sensing import optics, raycast
 from khep_twin.status_line import announced
+
+Function = TypeVar("Function", bound=Callable[..., object])
 
 SOURCES = (kernel, units, fitness, optics, raycast, networks, episode, compiled_casting, addresses)
 """Modules that are compiled."""
@@ -54,7 +58,7 @@ def stamp_of(sources: tuple[ModuleType, ...]) -> int:
     return int.from_bytes(digest.digest()[:7], "big")
 
 
-def stamped(function: Any, sources: tuple[ModuleType, ...]) -> Any:
+def stamped(function: Function, sources: tuple[ModuleType, ...]) -> Function:
     """Return the function, renamed with the stamp of the sources that it calls.
 
     numba caches compiled code in a file of the function's name, and checks only that function's own source
@@ -67,7 +71,7 @@ def stamped(function: Any, sources: tuple[ModuleType, ...]) -> Any:
 class _Announcer(event.Listener):
     """Announces each compilation of one function; code from the cache is not compiled."""
 
-    def __init__(self, function: Any) -> None:
+    def __init__(self, function: object) -> None:
         self._function = function
         self._shown = ExitStack()
 
@@ -84,22 +88,22 @@ COMPILING = "khep_twin: compiling with numba, once per version (10 to 30 s)"
 """Announcement of a compilation."""
 
 
-def announce_compilation(function: Any) -> Any:
+def announce_compilation(function: Function) -> Function:
     """Return a function compiled by numba; its compilations are announced on standard error."""
     event.register("numba:compile", _Announcer(function))
     return function
 
 
-def _advance(body, mind, span, n_steps):
+def _advance(body: RobotState, mind: ControllerState, span: StepInputs, n_steps: int) -> int:
     return _EPISODE.advance(body, mind, span, n_steps)
 
 
-advance: Any = announce_compilation(njit(nogil=True, cache=True)(stamped(_advance, SOURCES)))
+advance: Advance = announce_compilation(njit(nogil=True, cache=True)(stamped(_advance, SOURCES)))
 """`episode.advance`, compiled."""
 
 
 @cache
-def address_of(function: Any) -> int:
+def address_of(function: Callable[..., tuple[float, float]]) -> int:
     """Return the address of a controller, for compiled code.
 
     Args:
@@ -143,7 +147,7 @@ def address_of(function: Any) -> int:
     return int(made.address or 0)
 
 
-_KEPT: list[Any] = []
+_KEPT: list[object] = []
 
 _GENERAL = "Failed in nopython mode"
 """First words of a line of numba's that gives no reason yet."""

@@ -8,13 +8,14 @@ Like `kernel`, this is plain arithmetic that runs interpreted and compiled; `lif
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.rollout import fitness, networks
 from khep_twin.sensing import optics, raycast
+from khep_twin.sensing.buffers import Vector
 
 HOLD, WANDER, NETWORK, FUNCTION = 0, 1, 2, 3
 """Kinds of controller: none (constant speeds), the ROM's Braitenberg vehicle, a network, a function."""
@@ -106,15 +107,15 @@ class RobotState(NamedTuple):
     eyes: optics.Ambient
     bulbs: optics.Bulbs
     wiring: SimIndices
-    registers: Any
-    qpos: Any
-    qvel: Any
-    ctrl: Any
-    force: Any
-    places: Any
-    warnings: Any
-    state: Any
-    voltage: Any
+    registers: kernel.Registers
+    qpos: Vector[float]
+    qvel: Vector[float]
+    ctrl: Vector[float]
+    force: Vector[float]
+    places: Vector[float]
+    warnings: Vector[int]
+    state: Vector[int]
+    voltage: Vector[float]
 
 
 class ControllerState(NamedTuple):
@@ -136,15 +137,15 @@ class ControllerState(NamedTuple):
 
     kind: int
     function: Any
-    sizes: Any
+    sizes: Vector[int]
     recurrent: bool
     top_speed: float
-    genes: Any
-    memory: Any
-    values: Any
-    speeds: Any
-    home: Any
-    sums: Any
+    genes: Vector[float]
+    memory: Vector[float]
+    values: Vector[float]
+    speeds: Vector[float]
+    home: Vector[float]
+    sums: Vector[float]
 
 
 class StepInputs(NamedTuple):
@@ -165,6 +166,9 @@ class StepInputs(NamedTuple):
     proximity: Sequence[float]
     ambient: Sequence[float]
     idle: Sequence[float]
+
+
+Advance = Callable[[RobotState, ControllerState, StepInputs, int], int]
 
 
 def advance(body: RobotState, mind: ControllerState, span: StepInputs, n_steps: int) -> int:
@@ -241,8 +245,8 @@ def advance(body: RobotState, mind: ControllerState, span: StepInputs, n_steps: 
 
 def note(
     registers: kernel.Registers,
-    sums: Any,
-    home: Any,
+    sums: Vector[float],
+    home: Vector[float],
     dark: float,
     floor: float,
     place: tuple[float, float],
@@ -316,7 +320,12 @@ def _control(registers: kernel.Registers, mind: ControllerState, dark: float, fl
 
 
 def _tick(
-    wiring: SimIndices, registers: kernel.Registers, state: Any, qpos: Any, ctrl: Any, voltage: float
+    wiring: SimIndices,
+    registers: kernel.Registers,
+    state: Vector[int],
+    qpos: Vector[float],
+    ctrl: Vector[float],
+    voltage: float,
 ) -> None:
     """Run the board's own control loops once, from encoders to motor voltages."""
     if state[POWERED]:
@@ -329,7 +338,9 @@ def _tick(
     ctrl[wiring.right_motor] = units.duty_voltage(registers[_RIGHT_DUTY], voltage)
 
 
-def _feed(wiring: SimIndices, registers: kernel.Registers, state: Any, force: Any, voltage: float) -> None:
+def _feed(
+    wiring: SimIndices, registers: kernel.Registers, state: Vector[int], force: Vector[float], voltage: float
+) -> None:
     """Measure the supply; below its minimum voltage reset and stop the processor."""
     left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
     current = units.IDLE_CURRENT
@@ -342,14 +353,14 @@ def _feed(wiring: SimIndices, registers: kernel.Registers, state: Any, force: An
         state[POWERED] = 0
 
 
-def _fits(places: Any, speeds: Any, joints: Any, limit: float) -> bool:
+def _fits(places: Vector[float], speeds: Vector[float], joints: Vector[float], limit: float) -> bool:
     """Return whether a state is within the bounds of the physics."""
     if not _square(places) <= len(places) * limit * limit:
         return False
     return _square(speeds) <= len(speeds) * FASTEST * FASTEST and _square(joints) < math.inf
 
 
-def _warned(warnings: Any) -> bool:
+def _warned(warnings: Vector[int]) -> bool:
     """Return whether MuJoCo has warned."""
     for i in range(len(warnings)):
         if warnings[i]:
@@ -357,7 +368,7 @@ def _warned(warnings: Any) -> bool:
     return False
 
 
-def _square(numbers: Any) -> float:
+def _square(numbers: Vector[float]) -> float:
     total = 0.0
     for i in range(len(numbers)):
         total += numbers[i] * numbers[i]

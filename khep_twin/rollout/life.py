@@ -21,7 +21,6 @@ import warnings
 from collections.abc import Sequence
 from operator import index
 from threading import Lock
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -40,7 +39,7 @@ from khep_twin.randomness import stream
 from khep_twin.rollout import episode
 from khep_twin.rollout.minds import ConstantSpeed, Driver, Floats, Function, mind_of
 from khep_twin.rollout.mujoco_room import MujocoBackend
-from khep_twin.rollout.planar.planar import Outline, PlanarRoom, as_record
+from khep_twin.rollout.planar.planar import Numbers, Outline, PlanarRoom, as_record
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import ambient_optics, bulbs
 from khep_twin.sensing.calibration import Calibration
@@ -393,7 +392,7 @@ class Episode:
 
     def _span(self, powers: list[list[float]], conversions: int, feeds: int) -> episode.StepInputs:
         """Return the random draws and supply of the next steps."""
-        draws: list[Any] = [np.zeros(0)] * 3
+        draws: list[Floats] = [np.zeros(0)] * 3
         if self._chance:
             near, ambient, idle = self._chance
             draws = [
@@ -447,17 +446,15 @@ def _refuse(playpen: Playpen) -> None:
         )
 
 
-def _as_arrays(numbers: Any) -> Any:
+def _as_arrays(numbers: Numbers) -> Numbers:
     """Return a named tuple with its lists as arrays, for compiled code."""
-    return type(numbers)(
-        *(
-            np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
-            for name, value in zip(numbers._fields, numbers, strict=True)
-        )
+    return numbers._make(
+        np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
+        for name, value in zip(numbers._fields, numbers, strict=True)
     )
 
 
-def _as_it_is(numbers: Any) -> Any:
+def _as_it_is(numbers: Numbers) -> Numbers:
     return numbers
 
 

@@ -5,10 +5,9 @@ All but a policy run inside the compiled loop; a policy is plain Python and is c
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from khep_twin.errors import ControllerError
 from khep_twin.rollout import episode, networks
@@ -83,7 +82,7 @@ class Policy:
             speeds (n, 2) [pulses/10 ms]; an episode's row may depend on no other row.
     """
 
-    decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], Any]
+    decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], ArrayLike]
 
 
 Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
@@ -125,29 +124,14 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
             raise ControllerError(f"{driver!r} is no controller; {_DRIVERS}")
     sums = np.zeros(episode.N_SUMS)
     sums[episode.CHARGE] = home[3]
+    speeds, layers, weights = np.zeros(2), np.array(sizes, np.int64), np.ascontiguousarray(genes, np.float64)
+    memory, values = np.zeros(n_memory), np.zeros(sum(sizes))
     mind = episode.ControllerState(
-        kind,
-        function,
-        np.array(sizes, np.int64),
-        recurrent,
-        top_speed,
-        np.ascontiguousarray(genes, np.float64),
-        np.zeros(n_memory),
-        np.zeros(sum(sizes)),
-        np.zeros(2),
-        home,
-        sums,
+        kind, function, layers, recurrent, top_speed, weights, memory, values, speeds, home, sums
     )
-    return mind if compiled else _as_lists(mind)
-
-
-def _as_lists(mind: episode.ControllerState) -> episode.ControllerState:
-    """Return the same with lists, which are faster in Python; a function keeps arrays."""
-    if mind.kind == episode.FUNCTION:
+    if compiled or kind == episode.FUNCTION:
         return mind
+    # Lists are faster in Python.
     return mind._replace(
-        sizes=mind.sizes.tolist(),
-        genes=mind.genes.tolist(),
-        memory=mind.memory.tolist(),
-        values=mind.values.tolist(),
+        sizes=layers.tolist(), genes=weights.tolist(), memory=memory.tolist(), values=values.tolist()
     )

@@ -12,9 +12,10 @@ from khep_twin.playpen.starts import Start
 from khep_twin.rollout import episode
 from khep_twin.rollout.minds import Floats
 from khep_twin.sensing import raycast
+from khep_twin.sensing.buffers import Vector, view
 from khep_twin.sensing.robot_indices import RobotIndices
 
-Live = tuple[Any, Any, Any, Any, Any, Any]
+Live = tuple[Vector[float], Vector[float], Vector[float], Vector[float], Vector[float], Vector[int]]
 """Live qpos, qvel, ctrl, force, places and warnings, as in `episode.Body`."""
 
 
@@ -36,6 +37,7 @@ class MujocoBackend:
         self._model, self._robot, self._compiled = model, robot, compiled
         self.data = mujoco.MjData(model)
         self.scene: Any
+        self.advance: episode.Advance
         if compiled:
             try:
                 from khep_twin.rollout import compiled as fast
@@ -59,7 +61,7 @@ class MujocoBackend:
         """Arrays that the episode works on."""
         data = self.data
         arrays = (data.qpos, data.qvel, data.ctrl, data.actuator_force, data.xpos.reshape(-1))
-        qpos, qvel, ctrl, force, bodies = arrays if self._compiled else (array.data for array in arrays)
+        qpos, qvel, ctrl, force, bodies = arrays if self._compiled else map(view, arrays)
         return qpos, qvel, ctrl, force, bodies, data.warning.number
 
     @property

@@ -10,6 +10,8 @@ use plain numbers and are compiled unchanged.
 import math
 from collections.abc import Sequence
 
+from khep_twin.sensing.buffers import Vector
+
 
 def n_genes(sizes: Sequence[int], recurrent: bool) -> int:
     """Return the genome length of a network with these numbers of inputs, neurons per layer and outputs."""
@@ -20,11 +22,11 @@ def n_genes(sizes: Sequence[int], recurrent: bool) -> int:
 
 
 def think(
-    sizes: Sequence[int],
+    sizes: Vector[int],
     recurrent: bool,
-    genes: Sequence[float],
-    memory: list[float],
-    values: list[float],
+    genes: Vector[float],
+    memory: Vector[float],
+    values: Vector[float],
 ) -> int:
     """Evaluate a network once.
 

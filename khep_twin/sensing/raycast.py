@@ -7,14 +7,18 @@ by its Python module and positions are read as lists, which are fastest in Pytho
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin.board.kernel import AMBIENT, PROXIMITY, Registers
+from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.robot_indices import RobotIndices
+
+if TYPE_CHECKING:
+    from khep_twin.sensing.optics import Proximity
 
 Floats = NDArray[np.float64]
 
@@ -122,7 +126,7 @@ def sensor_frame(scene: Scene, channel: int) -> list[float]:
     return scene.frames[channel].tolist()
 
 
-def rays(scene: Scene, near: Any, channel: int, level: float, found: list[float]) -> int:
+def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: list[float]) -> int:
     """Fill in length [m], below 0 for a miss, and normal of each ray of a sensor.
 
     The rangefinders have cast them already; compiled code casts them where something may be near enough to
@@ -245,7 +249,7 @@ def blocked(
     return stopped / len(points.hits)
 
 
-def heading(qpos: Sequence[float], pose: int) -> tuple[float, float]:
+def heading(qpos: Vector[float], pose: int) -> tuple[float, float]:
     """Return cosine and sine of the heading of an upright robot.
 
     Args:
@@ -262,7 +266,11 @@ def step(scene: Scene) -> None:
 
 
 def decide(
-    function: Callable[..., tuple[float, float]], registers: Any, memory: Any, genes: Any, speeds: Any
+    function: Callable[..., tuple[float, float]],
+    registers: Registers,
+    memory: Vector[float],
+    genes: Vector[float],
+    speeds: Vector[float],
 ) -> None:
     """Call a controller.
 

@@ -62,7 +62,7 @@ def function_of(program: Program) -> Callable[..., Any]:
         if is_interruption(error):
             raise
         raise ControllerError(f"{program.file}: {in_a_line(error)}") from error
-    found: Any = vars(module).get(program.function)
+    found: object = vars(module).get(program.function)
     if not callable(found):
         offers = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise ControllerError(f"no function {program.function!r}; {choices(program.function, offers)}")

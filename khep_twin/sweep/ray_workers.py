@@ -15,7 +15,7 @@ import socket
 import sys
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from types import ModuleType
 
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.sweep.results import encoded
@@ -97,9 +97,9 @@ def host_and_port(address: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def _join(ray: Any, address: str | None, workers: int | None) -> None:
+def _join(ray: ModuleType, address: str | None, workers: int | None) -> None:
     """Start Ray here, or join a cluster."""
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    quiet: dict[str, object] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
         if address is not None:
             if address != "auto":
@@ -123,12 +123,12 @@ def _join(ray: Any, address: str | None, workers: int | None) -> None:
         )
 
 
-def _coming(ray: Any, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
+def _coming(ray: ModuleType, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
     """Yield the tasks' results as they arrive."""
     remote = ray.remote(num_cpus=1, max_retries=MOST_RETRIES)(_do)
     shared = ray.put(work)
     following = iter(tasks)
-    pending: dict[Any, Shard] = {}
+    pending: dict[object, Shard] = {}
     while True:
         # A cluster may grow meanwhile.
         room = AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1)

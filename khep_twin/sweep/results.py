@@ -20,7 +20,6 @@ import shutil
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -220,7 +219,7 @@ def summary(table: Path) -> Iterator[str]:
         yield f"and {len(rows) - _MOST_ROWS} more"
 
 
-def _json(file: Path) -> dict[str, Any] | None:
+def _json(file: Path) -> dict[str, object] | None:
     """Return the content of a file; None if there is no file."""
     try:
         found = json.loads(read_regular(file))

@@ -19,7 +19,7 @@ define the format: their attributes are the file's keys, except the tuples of `[
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -181,7 +181,7 @@ class Study(TomlTable):
                     "one of them",
                 )
 
-    def _lists(self) -> Iterator[tuple[Location, tuple[Any, ...]]]:
+    def _lists(self) -> Iterator[tuple[Location, tuple[object, ...]]]:
         for key in ("playpens", "controllers", "fitness"):
             yield (key,), getattr(self, key)
         for key in Grid.model_fields:

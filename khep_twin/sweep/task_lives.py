@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from khep_twin.signals import is_interruption
 from khep_twin.sweep.programs import Program, driver_of, function_of
 from khep_twin.sweep.tasks import Shard, Work
 
-Columns = Mapping[str, Any]
+Columns = Mapping[str, object]
 """Values of each episode by column name; None or NaN for no value."""
 
 NS_PER_MS = 1_000_000

@@ -10,7 +10,6 @@ import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -204,7 +203,7 @@ def _starts(file: StudyFile, place: Playpen) -> Iterator[str]:
 
 def _digest(work: Work, measured: list[str]) -> str:
     """Return a hash of all that results depend on: the study, its files, and the versions of the physics."""
-    told: list[Any] = [
+    told: list[object] = [
         __version__,
         mujoco.__version__,
         work.study.model_dump(mode="json", exclude={"output"}),

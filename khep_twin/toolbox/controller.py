@@ -20,7 +20,7 @@ import sys
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from types import CodeType, FrameType, FunctionType
-from typing import Any, cast
+from typing import cast
 
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
@@ -48,7 +48,7 @@ class ToolboxController(LoopingController):
 
     passes_time = "kheprom(btmap1) in each cycle of a simulated robot, or a command to a real one"
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., object]) -> None:
         super().__init__(function)
         open_ones = [each for each in function.__globals__.values() if isinstance(each, OpenPlaypen)]
         self.playpen = open_ones[0].twin.world.playpen if open_ones else None
@@ -58,7 +58,7 @@ class ToolboxController(LoopingController):
         self, robot: Khepera, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]
     ) -> int | None:
         """Call the function for one run."""
-        function: Callable[..., Any] = self.function
+        function: Callable[..., object] = self.function
         run = _Run(robot, function.__code__, end_cycle, stop)
         run.heard_by = robot.listen(run.hear)
         try:
@@ -117,7 +117,7 @@ class _Run:
             self.ended = self._robot.time
             self._end_cycle()
 
-    def variables(self) -> dict[str, Any]:
+    def variables(self) -> dict[str, object]:
         """Return the function's own variables as of its end."""
         held = {} if self._frame is None else dict(self._frame.f_locals)
         arguments = self._code.co_varnames[: len(ARGUMENTS)]
@@ -151,7 +151,7 @@ class _Cycles(int):
 
 
 @contextmanager
-def _open_for(function: Callable[..., Any], btmap1: OpenPlaypen | None) -> Generator[None]:
+def _open_for(function: Callable[..., object], btmap1: OpenPlaypen | None) -> Generator[None]:
     """Open `btmap1`, and other playpens among a function's globals, within the context."""
     names = function.__globals__
     before = {name: value for name, value in names.items() if isinstance(value, OpenPlaypen)}
@@ -163,7 +163,7 @@ def _open_for(function: Callable[..., Any], btmap1: OpenPlaypen | None) -> Gener
         names.update(before)
 
 
-def _names_the_simulator(function: Callable[..., Any], seen: set[CodeType]) -> bool:
+def _names_the_simulator(function: Callable[..., object], seen: set[CodeType]) -> bool:
     """Return whether a function, or one that it calls in its own file, names a simulated command."""
     code = function.__code__
     if code in seen:
@@ -179,18 +179,18 @@ def _names_the_simulator(function: Callable[..., Any], seen: set[CodeType]) -> b
     )
 
 
-def _globals(function: Callable[..., Any]) -> dict[str, Any]:
+def _globals(function: Callable[..., object]) -> dict[str, object]:
     """Return the global variables that a function names."""
     names = function.__globals__
     return {name: names[name] for name in function.__code__.co_names if name in names}
 
 
-def _returned(value: Any) -> Mapping[str, Any]:
+def _returned(value: object) -> Mapping[str, object]:
     """Return what a function returns by name: as it names them, or var1, var2, ... as the manual has it."""
     if isinstance(value, Mapping):
-        mapping = cast(Mapping[Any, Any], value)
+        mapping = cast(Mapping[object, object], value)
         return {str(name): each for name, each in mapping.items()}
     if value is None:
         return {}
-    several = cast(tuple[Any, ...], value) if isinstance(value, tuple) else (value,)
+    several = cast(tuple[object, ...], value) if isinstance(value, tuple) else (value,)
     return {f"var{number}": each for number, each in enumerate(several, 1)}

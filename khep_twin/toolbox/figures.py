@@ -12,7 +12,7 @@ arguments.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, SupportsFloat
+from typing import TYPE_CHECKING, Literal, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from khep_twin.toolbox.windows import show
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Matrix = NDArray[Any] | Sequence[Sequence[SupportsFloat]]
+Matrix = NDArray[np.generic] | Sequence[Sequence[SupportsFloat]]
 """Readings `dv` (n, 10)."""
 
 

@@ -13,7 +13,7 @@ window where there is a screen; else a picture that is written anew each time.
 # pyright: reportUnknownMemberType=false
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
+
+Floats = NDArray[np.float64]
 
 _BAR, _WIDTH = 0.012, 0.0028
 """Height of a full bar, and width of any [m]."""
@@ -91,7 +93,7 @@ class _View:
         self._picture = Path("khepbase.png") if picture is None else picture
         self._window = picture is None and show(self.figure, "khepbase")
 
-    def set(self, proximity: NDArray[Any], light: NDArray[Any], speed: NDArray[Any]) -> None:
+    def set(self, proximity: Floats, light: Floats, speed: Floats) -> None:
         """Set the lengths of the bars."""
         for name, bars, values in (
             ("proximity", self._proximity, proximity),
@@ -116,7 +118,7 @@ _views: list[_View] = []
 """View that is open."""
 
 
-def _values(name: str, values: Any, count: int) -> NDArray[np.float64]:
+def _values(name: str, values: ArrayLike | None, count: int) -> Floats:
     row = np.asarray(values, np.float64).reshape(-1)
     if len(row) != count or not np.isfinite(row).all():
         raise ValueError(f"khepbase: {name} has {len(row)} values; expected {count} numbers")
@@ -159,7 +161,7 @@ def _sheet() -> "tuple[Figure, Axes]":
     return figure, axes
 
 
-def _bar(axes: "Axes", foot: NDArray[Any], colour: str, *, below: bool = False) -> "Rectangle":
+def _bar(axes: "Axes", foot: Floats, colour: str, *, below: bool = False) -> "Rectangle":
     """Return an empty bar in its frame, which goes down from its foot, too, if it can be negative."""
     from matplotlib.patches import Rectangle
 

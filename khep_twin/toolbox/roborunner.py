@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.files.atomic import write_whole
@@ -32,12 +32,12 @@ from khep_twin.toolbox.windows import show
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-UserFunction = str | Callable[..., Any]
+UserFunction = str | Callable[..., object]
 """Function that is called after each run, or its place, FILE.py:NAME."""
 
 
 def roborun2(
-    ctrl_name: str | AnyController | Callable[..., Any] | None = None,
+    ctrl_name: str | AnyController | Callable[..., object] | None = None,
     *,
     port_id: Port | None = None,
     cycles_per_run: int = 500,

@@ -17,7 +17,7 @@ import atexit
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, SupportsFloat
+from typing import SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +95,7 @@ def open_default(
 
 
 def open_custom(
-    playpen: str | Path | Playpen | NDArray[Any],
+    playpen: str | Path | Playpen | NDArray[np.generic],
     *,
     seed: int = 0,
     noise: bool = True,
@@ -272,7 +272,7 @@ def _robot(port_id: int) -> Khepera:
     return scene.robots[scene.index(port_id)]
 
 
-def _playpen(source: str | Path | Playpen | NDArray[Any]) -> Playpen:
+def _playpen(source: str | Path | Playpen | NDArray[np.generic]) -> Playpen:
     """Return a playpen from any of its sources."""
     if isinstance(source, Playpen):
         return source

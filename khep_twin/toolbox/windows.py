@@ -9,12 +9,13 @@ They stay open when a program has come to its end, until the user closes them or
 import atexit
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from khep_twin.toolbox.serial_commands import ports
 from khep_twin.toolbox.simulator import close_playpen
 
 if TYPE_CHECKING:
+    from matplotlib.backend_bases import FigureCanvasBase, FigureManagerBase
     from matplotlib.figure import Figure
 
 
@@ -30,8 +31,8 @@ def show(figure: "Figure", title: str) -> bool:
     name = matplotlib.get_backend()
     if name.lower() not in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
         return False
-    canvas: Any = backend_registry.load_backend_module(name).FigureCanvas  # pyright: ignore
-    manager: Any = canvas.new_manager(figure, len(_windows) + 1)
+    canvas: type[FigureCanvasBase] = backend_registry.load_backend_module(name).FigureCanvas  # pyright: ignore
+    manager = canvas.new_manager(figure, len(_windows) + 1)
     manager.set_window_title(title)
     manager.show()
     _windows.append(manager)
@@ -71,5 +72,5 @@ atexit.register(wait_until_closed)
 _LOOK = 0.03
 """Interval at which the windows' events are handled [s]."""
 
-_windows: list[Any] = []
+_windows: list["FigureManagerBase"] = []
 """Windows kept, because one without a reference is closed."""

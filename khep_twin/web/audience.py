@@ -9,7 +9,6 @@ import json
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -30,7 +29,7 @@ class Broadcaster:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._last: dict[str, str] = {}
 
-    def tell(self, message: Mapping[str, Any]) -> None:
+    def tell(self, message: Mapping[str, object]) -> None:
         """Send a message to all pages; from any thread."""
         kind = str(message.get("kind"))
         if kind == "picture" and not self.watching:

@@ -12,9 +12,12 @@ import time
 from asyncio import BaseTransport, CancelledError
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+if TYPE_CHECKING:
+    from uvicorn.server import Protocols
 
 PATIENCE: Mapping[str, float] = {"head": 10.0, "body": 60.0, "answer": 30.0, "end": 5.0}
 """Longest time at one thing [s]: at the head of a request, which begins with the
@@ -74,11 +77,11 @@ class Watch:
     """Limit of the time at one thing; ends connections that exceed it when called repeatedly."""
 
     def __init__(self) -> None:
-        self._seen: dict[Any, tuple[tuple[str, object], float]] = {}
+        self._seen: dict[object, tuple[tuple[str, object], float]] = {}
 
-    def look(self, connections: Iterable[Any], now: float) -> None:
+    def look(self, connections: Iterable["Protocols"], now: float) -> None:
         """Check all connections at a time [s]."""
-        seen: dict[Any, tuple[tuple[str, object], float]] = {}
+        seen: dict[object, tuple[tuple[str, object], float]] = {}
         for connection in list(connections):
             stands_at = _stands_at(connection)
             before, since = self._seen.get(connection, (None, now))
@@ -122,7 +125,7 @@ class _Lines(logging.Handler):
             self._tell(f"the page: {text}" + (f": {type(error).__name__}: {error}" if error else ""))
 
 
-def _stands_at(connection: Any) -> tuple[str, object]:
+def _stands_at(connection: "Protocols") -> tuple[str, object]:
     """Return what a connection waits for, and something that changes as it goes on."""
     transport = connection.transport
     if transport.is_closing():
@@ -138,5 +141,5 @@ def _stands_at(connection: Any) -> tuple[str, object]:
     return "work", None
 
 
-def _gone(connection: Any) -> bool:
+def _gone(connection: "Protocols") -> bool:
     return connection.transport.is_closing() and not connection.transport.get_write_buffer_size()

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PlaypenError
@@ -125,7 +124,7 @@ class Documents:
         elif reason := unusable(path):
             raise PlaypenError(f"{name}: cannot be made: {reason}")
 
-    def open(self, name: str) -> dict[str, Any]:
+    def open(self, name: str) -> dict[str, object]:
         """Return a file for the page: its playpen, its version, and the drafts that were left of it.
 
         Raises:
@@ -140,12 +139,12 @@ class Documents:
             "left": self.left(name),
         }
 
-    def new(self, name: str | None) -> dict[str, Any]:
+    def new(self, name: str | None) -> dict[str, object]:
         """Return an empty playpen for a file that does not exist yet, and the drafts that were left of it."""
         draft = blank(Path(name or "playpen.toml").stem)
         return {"file": name, "version": None, "draft": draft, "left": self.left(name)}
 
-    def library(self, name: str) -> dict[str, Any]:
+    def library(self, name: str) -> dict[str, object]:
         """Return a shipped playpen as a new document.
 
         Raises:
@@ -199,7 +198,7 @@ class Documents:
         path = self.path(name, ".toml")
         return _version(self._text(name)) if path.exists() else None
 
-    def keep(self, name: str | None, kept: Mapping[str, Any] | None, page: str = "") -> None:
+    def keep(self, name: str | None, kept: Mapping[str, object] | None, page: str = "") -> None:
         """Write a page's draft beside the file, or delete it.
 
         Args:
@@ -218,21 +217,22 @@ class Documents:
         else:
             write_whole(place, json.dumps(kept).encode("utf-8"))
 
-    def left(self, name: str | None) -> list[dict[str, Any]]:
+    def left(self, name: str | None) -> list[dict[str, object]]:
         """Return the readable drafts of a file, the newest first, each with its "page" and its "time" [s].
 
         Args:
             name: File that the drafts belong to; None for a playpen without a file.
         """
-        found: list[dict[str, Any]] = []
+        found: list[tuple[float, dict[str, object]]] = []
         with suppress(OSError, KhepTwinError):
             path = self._draft_path(name)
             named = re.compile(rf"\.{re.escape(path.name)}(?:\.({_PAGE.pattern}))?\.draft")
             for place in path.parent.iterdir():
                 match = named.fullmatch(place.name)
                 if match is not None and (kept := _kept(place)) is not None:
-                    found.append({**kept, "page": match[1] or ""})
-        return sorted(found, key=lambda kept: -kept["time"])
+                    draft, time = kept
+                    found.append((time, {**draft, "time": time, "page": match[1] or ""}))
+        return [draft for _, draft in sorted(found, key=lambda each: -each[0])]
 
     def _draft_path(self, name: str | None) -> Path:
         """Return the file that the names of its drafts are made from."""
@@ -256,8 +256,8 @@ class Documents:
         return toml_files.read("playpens", self.path(name, ".toml"), PlaypenError)[0]
 
 
-def _kept(place: Path) -> dict[str, Any] | None:
-    """Return what a draft's file holds, with its "time" [s]; None if it cannot be read."""
+def _kept(place: Path) -> tuple[dict[str, object], float] | None:
+    """Return what a draft's file holds, and its time [s]; None if it cannot be read."""
     try:
         if place.is_symlink() or not place.is_file():
             return None
@@ -267,7 +267,7 @@ def _kept(place: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, RequestError):
         return None
     # A draft of an earlier version is the playpen alone.
-    return {**(kept if "draft" in kept else {"draft": kept}), "time": time}
+    return (kept if "draft" in kept else {"draft": kept}), time
 
 
 def _version(text: str) -> str:

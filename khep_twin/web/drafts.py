@@ -3,7 +3,6 @@
 import re
 import unicodedata
 from collections.abc import Mapping
-from typing import Any
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
@@ -11,7 +10,7 @@ from khep_twin.files import toml_files
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 
-Draft = dict[str, Any]
+Draft = dict[str, object]
 
 BLANK = 'version = 1\nname = "{name}"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
 """A playpen to begin with: the toolbox's four walls [mm]."""
@@ -34,7 +33,7 @@ def draft_of(playpen: Playpen) -> Draft:
     return playpen.model_dump(by_alias=True, exclude_none=True, mode="json")
 
 
-def problems_of(draft: Mapping[str, Any]) -> list[dict[str, Any]]:
+def problems_of(draft: Mapping[str, object]) -> list[dict[str, object]]:
     """Return a draft's problems, as `playpen check` reports them: the place and a text each."""
     return [
         {"place": [part for part in problem.location if part != "[key]"], "text": problem.text}
@@ -42,7 +41,7 @@ def problems_of(draft: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def playpen_of(draft: Mapping[str, Any]) -> Playpen:
+def playpen_of(draft: Mapping[str, object]) -> Playpen:
     """Return a draft as a playpen.
 
     Raises:
@@ -53,7 +52,7 @@ def playpen_of(draft: Mapping[str, Any]) -> Playpen:
     )
 
 
-def text_of(draft: Mapping[str, Any], base: str | None) -> str:
+def text_of(draft: Mapping[str, object], base: str | None) -> str:
     """Return the text of a playpen file for a draft.
 
     Args:
@@ -69,6 +68,6 @@ def text_of(draft: Mapping[str, Any], base: str | None) -> str:
     return playpens.edited(base, playpen)
 
 
-def surfaces() -> dict[str, Any]:
+def surfaces() -> dict[str, object]:
     """Return the surfaces that there are in each playpen."""
     return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController
@@ -21,7 +21,7 @@ from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.web.documents import Documents
 from khep_twin.web.requests import RunRequest, SenseRequest
 
-Tell = Callable[[Mapping[str, Any]], None]
+Tell = Callable[[Mapping[str, object]], None]
 """Function that takes a message for the page."""
 
 Progress = Callable[[float], None]

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import TextIO
 
 _TAKES: ContextVar[Callable[[str], object] | None] = ContextVar("_TAKES", default=None)
 
@@ -13,7 +13,7 @@ _TAKES: ContextVar[Callable[[str], object] | None] = ContextVar("_TAKES", defaul
 class _Split(io.TextIOBase):
     """Text stream that is split by thread: to what takes the text, or else to the stream before it."""
 
-    def __init__(self, before: Any) -> None:
+    def __init__(self, before: TextIO) -> None:
         self._before = before
 
     def write(self, text: str, /) -> int:
@@ -26,7 +26,7 @@ class _Split(io.TextIOBase):
     def flush(self) -> None:
         self._before.flush()
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._before, name)  # such as its buffer of bytes
 
 

@@ -7,7 +7,7 @@ type, numbers are finite and within their ranges, texts not too long.
 import json
 import math
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar, cast
 
 from pydantic import AfterValidator, Field
 
@@ -24,7 +24,7 @@ _FAR = 100_000
 """Bound beyond all positions [mm] and turns [degrees] of a page."""
 
 
-def sendable(value: dict[str, Any]) -> dict[str, Any]:
+def sendable(value: dict[str, object]) -> dict[str, object]:
     """Return a value that JSON has.
 
     Raises:
@@ -38,7 +38,7 @@ FileName = Annotated[str, Field(min_length=1, max_length=1024, description="the 
 Text = Annotated[str, Field(max_length=10_000, description="text of up to 10000 characters")]
 Word = Annotated[str, Field(max_length=1024, description="text of up to 1024 characters")]
 Draft = Annotated[
-    dict[str, Any],
+    dict[str, object],
     Field(description="a playpen as an object, of finite numbers and Unicode text"),
     AfterValidator(sendable),
 ]
@@ -213,7 +213,7 @@ def request_of(data: bytes, kind: type[Asked], action: str) -> Asked:
     return toml_files.check(kind, toml_files.frozen(object_of(data)), action, RequestError)
 
 
-def object_of(data: bytes) -> dict[str, Any]:
+def object_of(data: bytes) -> dict[str, object]:
     """Return an object out of JSON, or what Python takes for it: numbers may not be finite.
 
     Raises:
@@ -229,7 +229,7 @@ def object_of(data: bytes) -> dict[str, Any]:
         raise RequestError(f"no JSON: {error}; expected a JSON object") from None
     if not isinstance(found, dict):
         raise RequestError(f"{toml_files.show(found)}: expected a JSON object")
-    return found  # pyright: ignore[reportUnknownVariableType]
+    return cast(dict[str, object], found)
 
 
 def _whole(digits: str) -> float:
@@ -240,10 +240,12 @@ def _whole(digits: str) -> float:
 def _depth(value: object) -> int:
     """Return how many objects and lists lie within each other."""
     depth, level = 0, [value]
-    while level := [_items(each) for each in level if isinstance(each, dict | list)]:
+    while level := [items for each in level if (items := _items(each)) is not None]:
         depth, level = depth + 1, [item for items in level for item in items]
     return depth
 
 
-def _items(value: Any) -> Iterable[object]:
-    return value.values() if isinstance(value, dict) else value  # pyright: ignore[reportUnknownVariableType]
+def _items(value: object) -> Iterable[object] | None:
+    if isinstance(value, dict):
+        return cast(dict[str, object], value).values()
+    return cast(list[object], value) if isinstance(value, list) else None

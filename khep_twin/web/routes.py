@@ -10,7 +10,6 @@ import threading
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -66,44 +65,44 @@ class Page:
             Route("/static/{name}", _asset, methods=["GET"]),
             Route("/import", self._import, methods=["POST"]),
             *(
-                Route(f"/do/{name}", _action(name, *act), methods=["POST"])
-                for name, act in self.actions.items()
+                Route(f"/do/{name}", _endpoint(name, act), methods=["POST"])
+                for name, (_, act) in self.actions.items()
             ),
             WebSocketRoute("/live", self._audience.serve),
         ]
         return Starlette(routes=routes, exception_handlers={Exception: _failed})
 
     @property
-    def actions(self) -> Mapping[str, tuple[type[requests.Request], Callable[[Any], Any]]]:
+    def actions(self) -> Mapping[str, "_Action"]:
         """Return the actions of the page by name: the request's class and the function."""
         documents = self._documents
         return {
-            "hello": (requests.Hello, self._hello),
-            "list": (requests.Request, self._list),
-            "open": (requests.Named, self._open),
-            "library": (requests.Library, lambda asked: documents.library(asked.name)),
-            "left": (requests.MaybeNamed, lambda asked: {"left": documents.left(asked.file)}),
-            "version": (requests.Named, lambda asked: {"version": documents.version(asked.file)}),
-            "check": (requests.Drafted, lambda asked: {"problems": drafts.problems_of(asked.draft)}),
-            "save": (requests.Saved, self._save),
-            "keep": (requests.Kept, self._keep),
-            "preview": (requests.Drafted, self._preview),
-            "start": (requests.StartRequest, self._start),
-            "connect": (requests.Connect, self._connect),
-            "end": (requests.Request, self._end),
-            "pace": (requests.Pace, self._pace),
-            "step": (requests.Request, lambda asked: self._twin().step()),
-            "put": (requests.Put, self._put),
-            "room": (requests.Room, self._room),
-            "switch": (requests.SwitchRequest, self._switch),
-            "run": (requests.RunRequest, self._run),
-            "sense": (
+            "hello": _on(requests.Hello, self._hello),
+            "list": _on(requests.Request, self._list),
+            "open": _on(requests.Named, self._open),
+            "library": _on(requests.Library, lambda asked: documents.library(asked.name)),
+            "left": _on(requests.MaybeNamed, lambda asked: {"left": documents.left(asked.file)}),
+            "version": _on(requests.Named, lambda asked: {"version": documents.version(asked.file)}),
+            "check": _on(requests.Drafted, lambda asked: {"problems": drafts.problems_of(asked.draft)}),
+            "save": _on(requests.Saved, self._save),
+            "keep": _on(requests.Kept, self._keep),
+            "preview": _on(requests.Drafted, self._preview),
+            "start": _on(requests.StartRequest, self._start),
+            "connect": _on(requests.Connect, self._connect),
+            "end": _on(requests.Request, self._end),
+            "pace": _on(requests.Pace, self._pace),
+            "step": _on(requests.Request, lambda asked: self._twin().step()),
+            "put": _on(requests.Put, self._put),
+            "room": _on(requests.Room, self._room),
+            "switch": _on(requests.SwitchRequest, self._switch),
+            "run": _on(requests.RunRequest, self._run),
+            "sense": _on(
                 requests.SenseRequest,
                 lambda asked: self._running().start(jobs.sensing(asked, self._keep_sensed)),
             ),
-            "figure": (requests.Figure, self._figure),
-            "save-sensed": (requests.Named, self._save_sensed),
-            "stop": (requests.Request, lambda asked: self._running().stop()),
+            "figure": _on(requests.Figure, self._figure),
+            "save-sensed": _on(requests.Named, self._save_sensed),
+            "stop": _on(requests.Request, lambda asked: self._running().stop()),
         }
 
     def close(self) -> None:
@@ -113,7 +112,7 @@ class Page:
 
     # Files ---------------------------------------------------------------------------------------------
 
-    def _hello(self, asked: requests.Hello) -> dict[str, Any]:
+    def _hello(self, asked: requests.Hello) -> dict[str, object]:
         """Answer the first request of a page: a document, and what the page needs to know.
 
         A page that is loaded again names its "file". A new page gets the playpen that runs, or else the last
@@ -121,7 +120,7 @@ class Page:
         """
         runs = self._runs()
         file = (
-            asked.file if "file" in asked.model_fields_set else self._file if runs is None else runs["file"]
+            asked.file if "file" in asked.model_fields_set else self._file if runs is None else self._runs_in
         )
         trouble = None
         try:
@@ -146,14 +145,14 @@ class Page:
             "runs": runs,
         }
 
-    def _runs(self) -> dict[str, Any] | None:
+    def _runs(self) -> dict[str, object] | None:
         """Return the playpen that a twin runs in, and the file that it was drawn in; None without a twin."""
         actor = self._actor
         if not isinstance(actor, TwinActor) or not actor.alive:
             return None
         return {"file": self._runs_in, "draft": drafts.draft_of(actor.playpen)}
 
-    def _list(self, asked: requests.Request) -> dict[str, Any]:
+    def _list(self, asked: requests.Request) -> dict[str, object]:
         found = [{"url": port.url, "what": port.what} for port in found_ports()]
         return {
             "files": self._documents.names(),
@@ -162,12 +161,12 @@ class Page:
             "ports": found,
         }
 
-    def _open(self, asked: requests.Named) -> dict[str, Any]:
+    def _open(self, asked: requests.Named) -> dict[str, object]:
         found = self._documents.open(asked.file)
-        self._file = found["file"]
+        self._file = asked.file
         return found
 
-    def _save(self, asked: requests.Saved) -> dict[str, Any]:
+    def _save(self, asked: requests.Saved) -> dict[str, object]:
         name, draft = asked.file, asked.draft
         if asked.rename:
             draft = {**draft, "name": drafts.name_of(Path(name).stem)}
@@ -288,14 +287,20 @@ class Page:
         return actor
 
 
-def _action(
-    name: str, kind: type[requests.Request], act: Callable[[Any], Any]
-) -> Callable[[Request], Awaitable[Response]]:
+_Action = tuple[type[requests.Request], Callable[[bytes, str], object]]
+"""A request's class, and the function of its JSON and the action's name."""
+
+
+def _on(kind: type[requests.Asked], act: Callable[[requests.Asked], object]) -> _Action:
+    return kind, lambda body, name: act(requests.request_of(body, kind, name))
+
+
+def _endpoint(name: str, act: Callable[[bytes, str], object]) -> Callable[[Request], Awaitable[Response]]:
     """Return an endpoint that has JSON and gives JSON."""
 
     async def endpoint(request: Request) -> Response:
         body = await request.body()
-        return await run_in_threadpool(_answered, lambda: act(requests.request_of(body, kind, name)))
+        return await run_in_threadpool(_answered, lambda: act(body, name))
 
     return endpoint
 
@@ -305,7 +310,7 @@ async def _failed(request: Request, error: Exception) -> Response:
     return _refused(f"the designer failed: {type(error).__name__}: {error}", 500)
 
 
-def _answered(act: Callable[[], Any]) -> Response:
+def _answered(act: Callable[[], object]) -> Response:
     try:
         answer = act()
         return answer if isinstance(answer, Response) else JSONResponse({} if answer is None else answer)
@@ -334,7 +339,7 @@ async def _asset(request: Request) -> Response:
     return FileResponse(known[name], media_type=_KINDS[known[name].suffix])
 
 
-def _imported(data: bytes, name: str, mm_per_pixel: float) -> dict[str, Any]:
+def _imported(data: bytes, name: str, mm_per_pixel: float) -> dict[str, object]:
     if not 0.001 <= mm_per_pixel <= 1000:
         raise KhepTwinError(f"{mm_per_pixel:g} mm per pixel: expected 0.001 to 1000")
     found = bitmap_files.decode(data)

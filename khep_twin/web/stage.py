@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.errors import KhepTwinError, PortError
@@ -94,7 +93,7 @@ class WebSession:
             self.tell({"kind": "ended"})
             self._left = True
 
-    def tell(self, message: Mapping[str, Any]) -> None:
+    def tell(self, message: Mapping[str, object]) -> None:
         """Send a message to the page, unless there may be another actor by now."""
         if not self._left:
             self._tell(message)
@@ -268,7 +267,7 @@ class TwinActor(WebSession):
                     paced.busy = False
                     paced.stop_program(False)
 
-    def _cast(self, twin: PacedTwin, cables: list[PtyPort]) -> dict[str, Any]:
+    def _cast(self, twin: PacedTwin, cables: list[PtyPort]) -> dict[str, object]:
         """Return the message about the robots and the log, sent once."""
         return {
             "kind": "twin",
@@ -286,10 +285,10 @@ class TwinActor(WebSession):
             "log": None if self._log is None else self._log.name,
         }
 
-    def _picture(self, twin: PacedTwin, hosts: list[OutsideHost]) -> dict[str, Any]:
+    def _picture(self, twin: PacedTwin, hosts: list[OutsideHost]) -> dict[str, object]:
         """Return the state of the world as it is now."""
         world = twin.world
-        robots: list[dict[str, Any]] = []
+        robots: list[dict[str, object]] = []
         now = as_it_stands(world)
         for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, now.robots, strict=True)):
             registers = robot.registers
@@ -389,7 +388,7 @@ class RobotActor(WebSession):
         self.tell({"kind": "picture", "time": time_s, "busy": busy, "part": self.part, "robots": [reading]})
 
 
-def shape(model: str, sensors: str) -> dict[str, Any]:
+def shape(model: str, sensors: str) -> dict[str, object]:
     """Return a robot's outline and its sensors, for drawing: [mm] and [deg]."""
     body = BODIES[model]
     measured = calibration.read(sensors)[0]

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,7 +21,7 @@ _CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)],
 
 
 @cache
-def at_start(name: str) -> list[dict[str, Any]]:
+def at_start(name: str) -> list[dict[str, object]]:
     """Return the parts of a turret as it stands at start, each with its corners [mm] and its colour.
 
     Raises:

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import serial
 
@@ -94,7 +93,7 @@ class ConformanceReport:
 class CheckedPort:
     """A pyserial port with its own time."""
 
-    def __init__(self, port: Any) -> None:
+    def __init__(self, port: serial.Serial) -> None:
         self.port = port
         port.timeout = 1.0
 

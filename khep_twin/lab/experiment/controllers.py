@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,9 +59,9 @@ class FunctionController(Controller):
         function: Function called once a cycle.
     """
 
-    def __init__(self, function: Callable[[Khepera], Any]) -> None:
+    def __init__(self, function: Callable[[Khepera], object]) -> None:
         self.function = function
-        self._told: Mapping[str, Any] = {}
+        self._told: Mapping[str, object] = {}
 
     def start(self, robot: Khepera) -> None:
         """Forget the variables of the previous run."""
@@ -73,7 +73,7 @@ class FunctionController(Controller):
         if isinstance(told, Mapping):
             self._told = told
 
-    def told(self) -> dict[str, Any]:
+    def told(self) -> dict[str, object]:
         """Return the mapping that the function returned last."""
         return {str(name): value for name, value in self._told.items()}
 
@@ -108,7 +108,8 @@ class LoopingController(FunctionController):
         raise NotImplementedError
 
 
-AnyController = Controller | Callable[[Khepera], Any]
+AnyController = Controller | Callable[[Khepera], object]
+AnyFunction = Callable[..., object]
 
 
 def as_controller(controller: AnyController) -> Controller:
@@ -121,7 +122,7 @@ def name_of(controller: AnyController) -> str:
     return str(getattr(defining(controller), "__name__", type(controller).__name__))
 
 
-def defining(controller: Any) -> Any:
+def defining(controller: AnyController | AnyFunction) -> AnyFunction:
     """Return the function or class that defines a controller or one of its methods."""
     owner = getattr(controller, "__self__", controller)
     if isinstance(owner, FunctionController):
@@ -129,13 +130,13 @@ def defining(controller: Any) -> Any:
     return type(owner) if isinstance(owner, Controller) else owner
 
 
-def variables(controller: Controller) -> dict[str, Any]:
+def variables(controller: Controller) -> dict[str, object]:
     """Return copies of a controller's variables: booleans, numbers, texts, arrays and lists of numbers.
 
     Integers beyond 64 bits become floats.
     """
     held = controller.told() if isinstance(controller, FunctionController) else vars(controller)
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for name, value in sorted(held.items()):
         if name.startswith("_"):
             continue
@@ -145,7 +146,7 @@ def variables(controller: Controller) -> dict[str, Any]:
         elif isinstance(value, bool | int | float):
             found[name] = _plain(value)
         elif isinstance(value, np.generic | np.ndarray | list | tuple):
-            array = _numbers(value)
+            array = _numbers(held[name])
             if array is not None:
                 found[name] = array.item() if array.ndim == 0 else array
     return found
@@ -172,10 +173,10 @@ def _plain(value: bool | int | float) -> bool | int | float:
         return math.copysign(math.inf, value)
 
 
-def _numbers(value: Any) -> NDArray[Any] | None:
+def _numbers(value: object) -> NDArray[np.generic] | None:
     """Return a copy as an array, None if it does not hold numbers."""
     try:
-        array: NDArray[Any] = np.array(value)
+        array = np.array(value)
     except ValueError:  # rows of several lengths
         return None
     return array if array.dtype.kind in "biuf" else None
@@ -193,5 +194,5 @@ def braitenberg(robot: Khepera) -> None:
     )
 
 
-BUILT_IN: Mapping[str, Callable[[Khepera], Any]] = {"braitenberg": braitenberg}
+BUILT_IN: Mapping[str, Callable[[Khepera], object]] = {"braitenberg": braitenberg}
 """Built-in controllers by their names in `khep-twin run`."""

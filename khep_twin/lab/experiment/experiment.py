@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from khep_twin.errors import ControllerError, KhepTwinError, choices, in_a_line
 from khep_twin.host import Khepera
@@ -16,6 +16,7 @@ from khep_twin.lab.experiment.controller_source import ReadOnceLoader
 from khep_twin.lab.experiment.controllers import (
     BUILT_IN,
     AnyController,
+    AnyFunction,
     Controller,
     LoopingController,
     as_controller,
@@ -23,6 +24,13 @@ from khep_twin.lab.experiment.controllers import (
     name_of,
 )
 from khep_twin.signals import is_interruption
+
+if TYPE_CHECKING:
+    from khep_twin.lab.experiment.series import SeriesRun
+
+P = ParamSpec("P")
+Returned = TypeVar("Returned")
+Offered = TypeVar("Offered", bound=type[Controller] | AnyFunction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +127,7 @@ def run(
     return Outcome(done, duration, part >= 1)
 
 
-def call(place: Callable[..., Any], *given: Any) -> Any:
+def call(place: Callable[P, Returned], *given: P.args, **named: P.kwargs) -> Returned:
     """Call a user's function or a controller's method; report its errors with file and line.
 
     Returns:
@@ -129,7 +137,7 @@ def call(place: Callable[..., Any], *given: Any) -> Any:
         ControllerError: It failed.
     """
     try:
-        return place(*given)
+        return place(*given, **named)
     except KhepTwinError:
         raise
     except BaseException as error:
@@ -139,7 +147,7 @@ def call(place: Callable[..., Any], *given: Any) -> Any:
         raise ControllerError(f"{file}{_line_in(error, Path(file))}: {in_a_line(error)}") from error
 
 
-def _source_file(controller: Any) -> str:
+def _source_file(controller: AnyController | AnyFunction) -> str:
     """Return the file that defines a controller or one of its methods; empty if none does."""
     try:
         return inspect.getsourcefile(defining(controller)) or ""
@@ -181,7 +189,7 @@ def find_controller(
     return adapted if adapted is not found else _plain(path, wanted, found, "robot")
 
 
-def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., Any]:
+def find_function(name: str, taking: str, n_parameters: int) -> AnyFunction:
     """Find a function as FILE.py or FILE.py:NAME.
 
     Without NAME, the file's `controller` is used, or its only public function.
@@ -204,7 +212,7 @@ def find_function(name: str, taking: str, n_parameters: int) -> Callable[..., An
     return found
 
 
-def find_after(name: str, controller: AnyController) -> Callable[..., Any]:
+def find_after(name: str, controller: AnyController) -> AnyFunction:
     """Find a function that is called with each run, as FILE.py or FILE.py:NAME.
 
     Without NAME, the file's `after` is used, or its only public function.
@@ -228,7 +236,7 @@ def find_after(name: str, controller: AnyController) -> Callable[..., Any]:
     return _plain(path, wanted, found, "run")
 
 
-def call_after(function: Callable[..., Any], run: Any) -> Any:
+def call_after(function: AnyFunction, run: "SeriesRun") -> object:
     """Call a user's function after a run: with the run, or with those of its variables that it names.
 
     Args:
@@ -258,7 +266,9 @@ def _file_and_name(typed: str) -> tuple[Path | None, str]:
     return (Path(path) if path.endswith(".py") else None), name
 
 
-def _chosen(path: Path, wanted: str, offers: Mapping[str, Any], usual: str, taking: str) -> tuple[str, Any]:
+def _chosen(
+    path: Path, wanted: str, offers: Mapping[str, Offered], usual: str, taking: str
+) -> tuple[str, Offered]:
     """Return an object of a user's file by its name, else the usual one or the only one, and its name."""
     if not wanted:
         wanted = usual if usual in offers or len(offers) != 1 else next(iter(offers))
@@ -269,11 +279,11 @@ def _chosen(path: Path, wanted: str, offers: Mapping[str, Any], usual: str, taki
     return wanted, offers[wanted]
 
 
-def _functions_of(offers: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
+def _functions_of(offers: Mapping[str, type[Controller] | AnyFunction]) -> dict[str, AnyFunction]:
     return {name: offer for name, offer in offers.items() if not isinstance(offer, type)}
 
 
-def _plain(path: Path, name: str, function: Callable[[Any], Any], taking: str) -> Callable[[Any], Any]:
+def _plain(path: Path, name: str, function: AnyFunction, taking: str) -> AnyFunction:
     """Return a user's function; raise a `ControllerError` unless it has one parameter and returns."""
     if len(inspect.signature(function).parameters) != 1:
         takes = inspect.signature(function)
@@ -281,7 +291,7 @@ def _plain(path: Path, name: str, function: Callable[[Any], Any], taking: str) -
     return _returning(path, name, function, "each cycle" if taking == "robot" else "after each run")
 
 
-def _returning(path: Path, name: str, function: Callable[..., Any], when: str) -> Callable[..., Any]:
+def _returning(path: Path, name: str, function: AnyFunction, when: str) -> AnyFunction:
     """Return a user's function; raise a `ControllerError` for a generator or coroutine."""
     if inspect.isgeneratorfunction(function) or inspect.iscoroutinefunction(function):
         raise ControllerError(f"{path}: {name!r} is no plain function; expected one that returns {when}")
@@ -299,7 +309,7 @@ def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
         raise ControllerError(f"{path}{_line_in(error, path)}: {name}() failed: {reason}") from error
 
 
-def _offers_of(module: ModuleType) -> dict[str, Any]:
+def _offers_of(module: ModuleType) -> dict[str, type[Controller] | AnyFunction]:
     """Return the public functions and controllers that a file defines itself."""
     return {
         name: offer

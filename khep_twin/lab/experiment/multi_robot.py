@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Generic, TypeVar
 
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
@@ -24,13 +24,15 @@ from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
+Result = TypeVar("Result")
+
 TIMEOUT = 1.0
 """Longest wait of each script for a reply [s of simulated time]."""
 
 
 def run_together(
-    playpen: str | Path | Playpen, scripts: Sequence[Callable[[Khepera], Any]], options: TwinOptions
-) -> list[Any]:
+    playpen: str | Path | Playpen, scripts: Sequence[Callable[[Khepera], Result]], options: TwinOptions
+) -> list[Result]:
     """Run a script for each robot of a playpen, all on one world; return their results.
 
     Args:
@@ -58,22 +60,22 @@ def run_together(
     return [seat.result for seat in seats]
 
 
-class _Seat:
+class _Seat(Generic[Result]):
     """A script, its thread, and the time that it waits for: the `TimeSource` of its robot's port.
 
     Attributes:
         index: Index of its robot.
         goal_ns: Time that it waits for [ns].
         done: True if it has ended.
-        result: Return value of the script.
+        result: Return value of the script, once it has ended without an error.
         error: Exception of the script, None without.
     """
 
-    def __init__(self, twin: Twin, index: int, script: Callable[[Khepera], Any]) -> None:
+    def __init__(self, twin: Twin, index: int, script: Callable[[Khepera], Result]) -> None:
         self.index = index
         self.goal_ns = 0
         self.done = False
-        self.result: Any = None
+        self.result: Result
         self.error: BaseException | None = None
         self._world, self._script = twin.world, script
         # Its port closes this view; the world goes on for the other scripts.

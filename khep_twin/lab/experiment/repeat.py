@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -191,10 +191,10 @@ def _options(path: Path, text: str) -> TwinOptions:
         settings: object = json.loads(text)
         if not isinstance(settings, dict):
             raise Misfit(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
-        if unknown := [key for key in cast(dict[str, Any], settings) if key not in known]:
+        if unknown := [key for key in cast(dict[str, object], settings) if key not in known]:
             raise Misfit(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
         # A repeated run must not write the log named in the options.
-        wanted = {**cast(dict[str, Any], settings), "log": None}
+        wanted = {**cast(dict[str, object], settings), "log": None}
         return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
     except Misfit as misfit:
         raise misfit.at(path, "configuration.json") from None

@@ -15,7 +15,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.host import Khepera
@@ -82,7 +82,7 @@ class SeriesRun:
     cycles: int
     duration: float
     numbers: Mapping[str, float]
-    variables: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    variables: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def line(self, runs: int) -> str:
         """Return the run as a line of text, as one of `runs`."""

@@ -57,12 +57,12 @@ class SeriesFolder:
         KhepTwinError: It cannot be written.
     """
 
-    def __init__(self, path: Path, settings: Mapping[str, Any], *, resume: bool = False) -> None:
+    def __init__(self, path: Path, settings: Mapping[str, object], *, resume: bool = False) -> None:
         self.path = path
         self._place = path.absolute()  # a controller may go to another folder
         self.rows: list[Row] = []
         # Round trip through JSON, to compare with settings read from the file.
-        self._settings: dict[str, Any] = json.loads(json.dumps(dict(settings)))
+        self._settings: dict[str, object] = json.loads(json.dumps(dict(settings)))
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -106,7 +106,7 @@ class SeriesFolder:
         self._write()
         return True
 
-    def _compare(self, before: Mapping[str, Any]) -> None:
+    def _compare(self, before: Mapping[str, object]) -> None:
         """Raise a `ControllerError` if settings differ from those of the series."""
         for key in sorted({*before, *self._settings}):
             was, now = before.get(key), self._settings.get(key)
@@ -125,7 +125,7 @@ class SeriesFolder:
             write_whole(self._place / f"runs{suffix}", data)
 
 
-def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
+def read_series(path: Path) -> tuple[dict[str, object], list[Row]]:
     """Read the settings and the runs of a folder.
 
     Raises:
@@ -134,7 +134,7 @@ def read_series(path: Path) -> tuple[dict[str, Any], list[Row]]:
     file = path / _INDEX
     try:
         found = json.loads(read_regular(file).decode("utf-8"))
-        settings: dict[str, Any] = dict(found["settings"])
+        settings: dict[str, object] = dict(found["settings"])
         rows: list[Row] = [dict(row) for row in found["runs"]]
         for number, row in enumerate(rows, 1):
             plain = {type(value) for value in row.values()} <= {*_SINGLE}
@@ -157,7 +157,7 @@ def tables(rows: Sequence[Row]) -> dict[str, bytes]:
 
 def row_of(run: SeriesRun) -> Row:
     """Return a run as a row of the tables."""
-    row: dict[str, Any] = {"run": run.number}
+    row: dict[str, int | float | str | bool] = {"run": run.number}
     if run.start is not None:
         row |= {
             "start_x_mm": run.start.x_mm,
@@ -191,35 +191,35 @@ def _parquet(rows: Sequence[Row], names: Sequence[str]) -> bytes:
 
     values = [_alike([row.get(name) for row in rows]) for name in names]
     arrays: list[Any] = [arrow.array(each) for each in values]
-    fields: list[Any] = [
+    fields: list[object] = [
         arrow.field(name, array.type, metadata={"unit": _UNITS.get(name, "")})
         for name, array in zip(names, arrays, strict=True)
     ]
     file = BytesIO()
-    whole: Any = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields))
+    whole: object = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields))
     parquet.write_table(whole, file)
     return file.getvalue()
 
 
-def _alike(values: Sequence[Any]) -> list[Any]:
+def _alike(values: Sequence[int | float | str | None]) -> Sequence[int | float | str | None]:
     """Return a column's values as one type; mixed types become text."""
     there = [value for value in values if value is not None]
     kinds = [kind for kind in (bool, int, float, str) if any(type(value) is kind for value in there)]
     if len(kinds) <= 1:
-        return list(values)
+        return values
     as_one = float if kinds == [int, float] else str
     return [None if value is None else as_one(value) for value in values]
 
 
-def _mat(values: Mapping[str, Any], what: str) -> bytes:
+def _mat(values: Mapping[str, object], what: str) -> bytes:
     """Return variables as the bytes of a MAT file."""
-    named: dict[str, Any] = {}
+    named: dict[str, object] = {}
     for name, value in values.items():
         named[_identifier(name, named)] = np.asarray(value)
     return mat_bytes(named, what)
 
 
-def _identifier(name: str, taken: Mapping[str, Any]) -> str:
+def _identifier(name: str, taken: Mapping[str, object]) -> str:
     """Return a name as a Matlab identifier that is not taken."""
     plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name)
     plain = (plain if plain[:1].isalpha() else f"v{plain}")[:_NAME_LIMIT]
@@ -230,7 +230,7 @@ def _identifier(name: str, taken: Mapping[str, Any]) -> str:
     return found
 
 
-def _where_they_differ(one: Any, other: Any) -> tuple[str, str]:
+def _where_they_differ(one: object, other: object) -> tuple[str, str]:
     """Return two settings shortened; of texts with several lines, the first line that differs."""
     if isinstance(one, str) and isinstance(other, str):
         pairs = zip_longest(one.splitlines(), other.splitlines(), fillvalue="nothing")
@@ -238,6 +238,6 @@ def _where_they_differ(one: Any, other: Any) -> tuple[str, str]:
     return _short(one), _short(other)
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = " ".join(str("none" if value is None else value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."

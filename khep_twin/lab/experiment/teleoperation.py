@@ -176,7 +176,7 @@ class Teleoperation:
         with self._lock:
             way, leds, view = self._switch.way(self._now()), self._leds, self._view
         speeds = way.speeds(view.speed)
-        orders: list[HostCommand[Any]] = [] if speeds == self._sent else [commands.set_speed(*speeds)]
+        orders: list[HostCommand[object]] = [] if speeds == self._sent else [commands.set_speed(*speeds)]
         if leds != self._sent_leds:
             orders += [commands.set_led(led, action) for led, action in enumerate(leds)]
         try:

@@ -4,14 +4,12 @@
 # pyright: reportUnknownMemberType=false
 
 from collections.abc import Sequence
-from typing import Any
 
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
-from numpy.typing import NDArray
 
 from khep_twin.drawing.map import STYLE
 from khep_twin.drawing.symbols import INK
@@ -45,7 +43,7 @@ def draw_fit(tests: Measured, found: Calibration) -> Figure | None:
     with matplotlib.style.context(STYLE):
         figure = Figure(figsize=(10, sum(heights)), facecolor="white", layout="constrained")
         FigureCanvasAgg(figure)
-        rows: NDArray[Any] = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
+        rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
         parts: list[SubFigure] = rows[:, 0].tolist()
         for part, (kind, runs) in zip(parts, kinds.items(), strict=False):
             _draw_sensors(part, *kind, runs, found)

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -57,11 +56,11 @@ class DutyDrive:
     ways: NDArray[np.bool_]
     values: NDArray[np.int64]
 
-    def speeds(self, values: NDArray[Any]) -> Floats:
+    def speeds(self, values: NDArray[np.int64] | Floats) -> Floats:
         """Return speeds from the answers: E as it is, H by its difference to the one before (m, 2)."""
         ticks = np.diff(self.times_ns[self.ways]) / TICK_NS
         gone = np.diff(values[self.ways], axis=0) / ticks[:, None]
-        return np.concatenate([values[~self.ways], gone])
+        return np.concatenate([values[~self.ways], gone], dtype=np.float64)
 
     @property
     def times(self) -> Floats:

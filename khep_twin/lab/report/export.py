@@ -20,7 +20,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,7 +205,7 @@ def matrices(
                 f"{log}: more than {MAT_BYTES >> 20} MiB of numbers and text, which is made in memory for a "
                 "MAT file; expected a shorter log, fewer --channels, or -o FILE.csv or .parquet"
             )
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for channel, found in zip(channels, parts, strict=True):
         name = _identifier(channel.name)
         values[name] = np.concatenate([each.values for each in found]).astype(np.float64)
@@ -320,19 +320,19 @@ class _Parquet:
         from pyarrow import parquet
 
         self._fractional = fractional
-        fields: list[Any] = [arrow.field("time_s", arrow.float64(), metadata={"unit": "s"})]
+        fields = [arrow.field("time_s", arrow.float64(), metadata={"unit": "s"})]
         for channel in channels:
             kind = arrow.float64() if channel.name in fractional else arrow.int64()
             for name, unit in channel.columns:
                 fields.append(arrow.field(name, kind, metadata={"unit": unit, "channel": channel.name}))
-        self._schema: Any = arrow.schema(fields)
-        self._writer: Any = parquet.ParquetWriter(file, self._schema)
+        self._schema = arrow.schema(fields)
+        self._writer = parquet.ParquetWriter(file, self._schema)
 
     def write(self, times_ns: NDArray[np.int64], channels: Sequence[Channel]) -> None:
         """Write a row for each time with the values of the channels."""
         import pyarrow as arrow
 
-        columns: list[Any] = [arrow.array(times_ns / 1e9)]
+        columns = [arrow.array(times_ns / 1e9)]
         for channel in channels:
             rows = _rows(times_ns, channel)
             for values in _numbers(channel, self._fractional).T:
@@ -345,7 +345,7 @@ class _Parquet:
         self._writer.close()
 
 
-def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[Any]:
+def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[np.generic]:
     """Return a channel's values, as integers unless it is fractional."""
     values = channel.series.values
     return values if channel.name in fractional else values.astype(np.int64)

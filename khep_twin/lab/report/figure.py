@@ -4,7 +4,6 @@
 # pyright: reportUnknownMemberType=false
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from khep_twin.drawing.symbols import INK
-from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS
+from khep_twin.drawing.symbols import INK, Look
+from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
@@ -31,6 +30,8 @@ _PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
 _SPEED, _SETPOINT, _CONTACT = "#2f7d5b", "#2b2f36", "#c2452d"
 _MARK_LIMIT = 300
 
+
+Values = NDArray[np.int64] | Floats
 
 WIDTH = 7.1
 """Width of the figures and of a page's text [inch]."""
@@ -65,7 +66,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
             if sensor < 7:
                 axes.tick_params(labelbottom=False)
             if column == 0:
-                place: dict[str, Any] = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
+                place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
                 axes.set_ylabel(SENSORS[sensor], **place)
                 axes.yaxis.set_label_coords(-0.11, 0.5)
             if series is None and sensor == 3:
@@ -107,7 +108,7 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] 
             axes.tick_params(labelbottom=False)
             axes.set_title("wheel speeds", fontsize=9, loc="left", color=INK)
             handles, labels = axes.get_legend_handles_labels()
-            place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 0.98)}
+            place: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.98)}
             axes.legend(handles, labels, ncols=3, fontsize=8, frameon=False, borderpad=0, **place)
         else:
             axes.set_xlabel("time [s]", fontsize=8)
@@ -136,7 +137,7 @@ def _draw_strip(axes: Axes, series: TimeSeries, sensor: int, colour: str, dark: 
     axes.axhline(NEAR_COUNTS if dark is None else dark, color=INK, alpha=0.4, lw=0.5, ls=":")
 
 
-def _thinned(times_s: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _thinned(times_s: Floats, values: Values) -> tuple[Floats, Values]:
     """Return a curve of many points as one of fewer points that looks the same."""
     if len(values) <= 2 * POINT_LIMIT:
         return times_s, values

@@ -15,7 +15,7 @@ import re
 from collections.abc import Mapping
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ from khep_twin.log.reader import read_arrays
 from khep_twin.units import COUNTS_LIMIT
 
 SUFFIXES = (".csv", ".mat", ".mcap")
+
+Number = TypeVar("Number", int, float)
 
 _COLUMNS = ("left_pulses", "right_pulses", *(name.replace(" ", "_") for name in SENSORS))
 _TITLE = "# khep-twin: sensor test"
@@ -136,7 +138,7 @@ def _test(words: Mapping[str, str]) -> SensorTest:
     return test
 
 
-def _number(name: str, text: str, kind: type[Any]) -> Any:
+def _number(name: str, text: str, kind: type[Number]) -> Number:
     try:
         if len(text) > 30:
             raise ValueError
@@ -213,7 +215,7 @@ def _count(name: str, text: str) -> int:
 def _mat(run: SensorRun) -> bytes:
     words = facts(run.test)
     numbers = {key: float(value) for key, value in words.items() if key not in ("what", "motion")}
-    values: dict[str, Any] = {
+    values: dict[str, object] = {
         "dv": run.dv.astype(np.float64),
         "dlgstr": run.text,
         "times": run.times.reshape(-1, 1),

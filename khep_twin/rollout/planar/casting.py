@@ -10,7 +10,7 @@ moved since; things are tested in that order, only as long as they can matter.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from khep_twin.rollout.planar import motion, shadows
 from khep_twin.rollout.planar import plane as flat
@@ -32,6 +32,10 @@ from khep_twin.rollout.planar.plane import (
     Plane,
 )
 from khep_twin.sensing import raycast
+from khep_twin.sensing.buffers import Vector
+
+if TYPE_CHECKING:
+    from khep_twin.sensing.optics import Proximity
 
 __all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY", "Scene"]
 
@@ -50,7 +54,7 @@ def step(scene: Scene) -> None:
     motion.step(scene)
 
 
-def heading(qpos: Sequence[float], pose: int) -> tuple[float, float]:
+def heading(qpos: Vector[float], pose: int) -> tuple[float, float]:
     """Return the same as `raycast.heading`."""
     angle = qpos[pose + HEADING]
     return math.cos(angle), math.sin(angle)
@@ -89,7 +93,7 @@ def direction(
     return c * ahead - s * left, s * ahead + c * left, 0.0
 
 
-def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int:
+def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: Vector[float]) -> int:
     """Cast the same rays as `raycast.rays`, but none if nothing can be near enough to count."""
     robot, things, order = scene.robot, scene.things, scene.order
     away = robot.mounts[channel, 4] + robot.last[MOVED]
@@ -150,7 +154,14 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
         light = planar_rays.most(robot, near.weights[channel], offset, math.inf)
         if gain * light * 1.000001 <= -level:
             return 0
-    for ray in range(n_rays):
+    _fill(scene, x, y, found)
+    return len(found)
+
+
+def _fill(scene: Scene, x: float, y: float, found: Vector[float]) -> None:
+    """Fill in length and normal of each ray of a sensor, below 0 and 0 for a miss."""
+    robot, things, n_wide = scene.robot, scene.things, len(scene.robot.hits)
+    for ray in range(len(found) // 4):
         length, hit = robot.lengths[ray], robot.hits[ray]
         found[4 * ray] = -1.0
         found[4 * ray + 1] = found[4 * ray + 2] = found[4 * ray + 3] = 0.0
@@ -168,7 +179,6 @@ def rays(scene: Scene, near: Any, channel: int, level: float, found: Any) -> int
             if face & 2:
                 normal_x, normal_y = -normal_y, normal_x
             found[4 * ray + 1], found[4 * ray + 2] = normal_x, normal_y
-    return len(found)
 
 
 def _within(
@@ -193,7 +203,9 @@ def _within(
     return False
 
 
-def surfaces(scene: Scene, channel: int, directions: Any, cutoff: float, found: Any) -> None:
+def surfaces(
+    scene: Scene, channel: int, directions: Vector[float], cutoff: float, found: Vector[float]
+) -> None:
     """Fill in the same as `raycast.surfaces`, from what `rays` has hit."""
     for ray in range(len(found)):
         hit = scene.robot.hits[ray]

@@ -7,7 +7,6 @@ Imported only where numba is installed.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 from types import ModuleType
-from typing import Any
 
 from numba import njit
 
@@ -16,6 +15,7 @@ from khep_twin.board import kernel
 from khep_twin.board.compiled_kernel import compiled_copy
 from khep_twin.rollout import compiled_casting, episode, fitness, networks
 from khep_twin.rollout.compiled import SOURCES, announce_compilation, stamped
+from khep_twin.rollout.episode import Advance, ControllerState, RobotState, StepInputs
 from khep_twin.rollout.planar import casting, contact_solver, motion, plane, rays, shadows
 from khep_twin.sensing import optics
 
@@ -46,13 +46,13 @@ _EPISODE = _copy(
 )
 
 
-def _advance(body, mind, span, n_steps):
+def _advance(body: RobotState, mind: ControllerState, span: StepInputs, n_steps: int) -> int:
     return _EPISODE.advance(body, mind, span, n_steps)
 
 
 _SOURCES = (*SOURCES, casting, motion, contact_solver, rays, shadows, plane)
 
-advance: Any = announce_compilation(
+advance: Advance = announce_compilation(
     njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(stamped(_advance, _SOURCES))
 )
 """`episode.advance` in a plane, compiled."""

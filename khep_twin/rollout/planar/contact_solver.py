@@ -7,9 +7,6 @@ All impulses of a substep are solved together, in repeated rounds.
 Left out: tilt, hopping tyres, soft contacts.
 """
 
-# Type checkers cannot infer speeds that depend on each other in a loop.
-# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-
 import math
 
 from khep_twin.rollout.planar import plane as flat
@@ -26,6 +23,7 @@ from khep_twin.rollout.planar.plane import (
     RIGHT_ANGLE,
     SLIPS,
     TOUCHED,
+    PlanarRobot,
     Plane,
     X,
     Y,
@@ -47,96 +45,32 @@ _PASSES = 4
 """Passes that push the disc out of things one by one; between two things it takes several."""
 
 
+_Motion = tuple[float, float, float, float, float]
+"""Speeds forwards and to the left [m/s], of rotation [rad/s], and of the left and right tyre [m/s]."""
+
+_Impulses = tuple[float, float, float]
+"""Impulses of the left tyre, the right tyre, and of both to the left [N s]."""
+
+_Rates = tuple[float, float, float, float, float, float, float]
+"""Half of the track [m], inverse mass and inertia, effective masses of a tyre and of a touch, a tyre's speed
+per impulse, and the part of the lag behind the free speed left after a substep."""
+
+
 def slide(plane: Plane) -> None:
     """Advance by one step in which tyres may slip and things may push."""
-    robot, things = plane.robot, plane.things
+    robot = plane.robot
     joints, speeds, grips, h = robot.joints, robot.speeds, robot.grips, robot.substep
-    x: float = joints[X]
-    y: float = joints[Y]
-    heading: float = joints[HEADING]
-    forward: float = speeds[0]
-    aside: float = speeds[1]
-    spin: float = speeds[2]
-    left: float = robot.wheel * speeds[LEFT_ANGLE]
-    right: float = robot.wheel * speeds[RIGHT_ANGLE]
-    left_aim: float = robot.free_speed * robot.ctrl[0]
-    right_aim: float = robot.free_speed * robot.ctrl[1]
-    half, lightness, nimbleness = robot.track / 2, 1 / robot.mass, 1 / robot.inertia
-    heft = robot.spin + h * robot.damping
-    rim: float = robot.wheel * robot.wheel / heft
-    lag: float = robot.spin / heft
-    tyre = 1 / (lightness + half * half * nimbleness + rim)
-    scrape = 1 / (lightness + robot.radius * robot.radius * nimbleness)
+    x, y, heading = joints[X], joints[Y], joints[HEADING]
+    forward, aside, spin = speeds[0], speeds[1], speeds[2]
+    left, right = robot.wheel * speeds[LEFT_ANGLE], robot.wheel * speeds[RIGHT_ANGLE]
+    rates = _rates(robot)
+    half = rates[0]
     slips = touches = False
     c, s = robot.last[HEADING_COSINE], robot.last[HEADING_SINE]
     for _ in range(robot.n_substeps):
         reach = robot.radius + h * (abs(forward) + abs(aside)) + _NEAR
         count = _gather(plane, x, y, c, s, reach)
-        left += (left_aim - left) * (1 - lag)
-        right += (right_aim - right) * (1 - lag)
-        grip_left: float = grips[0]
-        grip_right: float = grips[1]
-        grip_aside: float = grips[2]
-        forward += (grip_left + grip_right) * lightness
-        aside += grip_aside * lightness
-        spin += (grip_right - grip_left) * half * nimbleness
-        left -= grip_left * rim
-        right -= grip_right * rim
-        for i in range(count):
-            thing = int(robot.contacts[i, 3])
-            along, across = things[thing, ALONG], things[thing, ACROSS]
-            nx, ny = robot.contacts[i, 0], robot.contacts[i, 1]
-            forward += (along * nx - across * ny) * lightness
-            aside += (along * ny + across * nx) * lightness
-            spin -= across * robot.radius * nimbleness
-        for _ in range(_ROUNDS):
-            change_left: float = -(forward - half * spin - left) * tyre
-            change_right: float = -(forward + half * spin - right) * tyre
-            change_aside: float = -aside * robot.mass
-            # Each tyre's impulse along and across is limited by its grip.
-            new_left, new_right = grip_left + change_left, grip_right + change_right
-            new_aside = grip_aside + change_aside
-            most = max(robot.grip * h - robot.relief * lightness * abs(grip_left + grip_right), 0.0)
-            both = new_aside * new_aside / 4
-            left_aside = right_aside = new_aside / 2
-            size = new_left * new_left + both
-            if size > most * most:
-                part = most / math.sqrt(size)
-                new_left, left_aside = new_left * part, left_aside * part
-            size = new_right * new_right + both
-            if size > most * most:
-                part = most / math.sqrt(size)
-                new_right, right_aside = new_right * part, right_aside * part
-            change_left, change_right = new_left - grip_left, new_right - grip_right
-            change_aside = left_aside + right_aside - grip_aside
-            grip_left, grip_right, grip_aside = new_left, new_right, left_aside + right_aside
-            forward += (change_left + change_right) * lightness
-            aside += change_aside * lightness
-            spin += (change_right - change_left) * half * nimbleness
-            left -= change_left * rim
-            right -= change_right * rim
-            most_changed = abs(change_left) + abs(change_right) + abs(change_aside)
-            for i in range(count):
-                thing = int(robot.contacts[i, 3])
-                nx, ny, gap = robot.contacts[i, 0], robot.contacts[i, 1], robot.contacts[i, 2]
-                across = things[thing, ACROSS]
-                side = robot.friction * things[thing, ALONG]
-                new = across - (aside * nx - forward * ny - robot.radius * spin) * scrape
-                new = min(max(new, -side), side)
-                things[thing, ACROSS] = new
-                change = new - across
-                forward -= change * ny * lightness
-                aside += change * nx * lightness
-                spin -= change * robot.radius * nimbleness
-                along = things[thing, ALONG]
-                new = max(along - (forward * nx + aside * ny + gap / h) * robot.mass, 0.0)
-                things[thing, ALONG] = new
-                most_changed += abs(change) + abs(new - along)
-                forward += (new - along) * nx * lightness
-                aside += (new - along) * ny * lightness
-            if most_changed * lightness < _SETTLED:
-                break
-        grips[0], grips[1], grips[2] = grip_left, grip_right, grip_aside
+        forward, aside, spin, left, right = _solve(plane, count, rates, (forward, aside, spin, left, right))
         x += h * (forward * c - aside * s)
         y += h * (forward * s + aside * c)
         joints[LEFT_ANGLE] += h * left / robot.wheel
@@ -158,6 +92,106 @@ def slide(plane: Plane) -> None:
     robot.last[SLIPS] = 1.0 if slips else 0.0
     if not slips:
         grips[0] = grips[1] = grips[2] = 0.0
+
+
+def _rates(robot: PlanarRobot) -> _Rates:
+    half, lightness, nimbleness = robot.track / 2, 1 / robot.mass, 1 / robot.inertia
+    heft = robot.spin + robot.substep * robot.damping
+    rim = robot.wheel * robot.wheel / heft
+    tyre = 1 / (lightness + half * half * nimbleness + rim)
+    scrape = 1 / (lightness + robot.radius * robot.radius * nimbleness)
+    return half, lightness, nimbleness, tyre, scrape, rim, robot.spin / heft
+
+
+def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
+    """Return the motion after a substep's impulses, of the tyres and of `count` contacts."""
+    robot, things, grips = plane.robot, plane.things, plane.robot.grips
+    half, lightness, nimbleness, _, _, rim, lag = rates
+    forward, aside, spin, left, right = motion
+    left += (robot.free_speed * robot.ctrl[0] - left) * (1 - lag)
+    right += (robot.free_speed * robot.ctrl[1] - right) * (1 - lag)
+    impulses = grips[0], grips[1], grips[2]
+    forward += (impulses[0] + impulses[1]) * lightness
+    aside += impulses[2] * lightness
+    spin += (impulses[1] - impulses[0]) * half * nimbleness
+    left -= impulses[0] * rim
+    right -= impulses[1] * rim
+    for i in range(count):
+        thing = int(robot.contacts[i, 3])
+        along, across = things[thing, ALONG], things[thing, ACROSS]
+        nx, ny = robot.contacts[i, 0], robot.contacts[i, 1]
+        forward += (along * nx - across * ny) * lightness
+        aside += (along * ny + across * nx) * lightness
+        spin -= across * robot.radius * nimbleness
+    motion = forward, aside, spin, left, right
+    for _ in range(_ROUNDS):
+        motion, impulses, changed = _hold(robot, rates, motion, impulses)
+        motion, changed = _push(plane, count, rates, motion, changed)
+        if changed * lightness < _SETTLED:
+            break
+    grips[0], grips[1], grips[2] = impulses
+    return motion
+
+
+def _hold(
+    robot: PlanarRobot, rates: _Rates, motion: _Motion, impulses: _Impulses
+) -> tuple[_Motion, _Impulses, float]:
+    """Return motion and impulses after one round of the tyres, and the change of impulses [N s]."""
+    half, lightness, nimbleness, tyre, _, rim, _ = rates
+    forward, aside, spin, left, right = motion
+    grip_left, grip_right, grip_aside = impulses
+    change_left = -(forward - half * spin - left) * tyre
+    change_right = -(forward + half * spin - right) * tyre
+    change_aside = -aside * robot.mass
+    # Each tyre's impulse along and across is limited by its grip.
+    new_left, new_right = grip_left + change_left, grip_right + change_right
+    new_aside = grip_aside + change_aside
+    most = max(robot.grip * robot.substep - robot.relief * lightness * abs(grip_left + grip_right), 0.0)
+    both = new_aside * new_aside / 4
+    left_aside = right_aside = new_aside / 2
+    size = new_left * new_left + both
+    if size > most * most:
+        part = most / math.sqrt(size)
+        new_left, left_aside = new_left * part, left_aside * part
+    size = new_right * new_right + both
+    if size > most * most:
+        part = most / math.sqrt(size)
+        new_right, right_aside = new_right * part, right_aside * part
+    change_left, change_right = new_left - grip_left, new_right - grip_right
+    change_aside = left_aside + right_aside - grip_aside
+    forward += (change_left + change_right) * lightness
+    aside += change_aside * lightness
+    spin += (change_right - change_left) * half * nimbleness
+    left -= change_left * rim
+    right -= change_right * rim
+    changed = abs(change_left) + abs(change_right) + abs(change_aside)
+    return (forward, aside, spin, left, right), (new_left, new_right, left_aside + right_aside), changed
+
+
+def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: float) -> tuple[_Motion, float]:
+    """Return the motion after one round of the contacts, and `changed` with the change of theirs [N s]."""
+    robot, things, h = plane.robot, plane.things, plane.robot.substep
+    _, lightness, nimbleness, _, scrape, _, _ = rates
+    forward, aside, spin, left, right = motion
+    for i in range(count):
+        thing = int(robot.contacts[i, 3])
+        nx, ny, gap = robot.contacts[i, 0], robot.contacts[i, 1], robot.contacts[i, 2]
+        across = things[thing, ACROSS]
+        side = robot.friction * things[thing, ALONG]
+        new = across - (aside * nx - forward * ny - robot.radius * spin) * scrape
+        new = min(max(new, -side), side)
+        things[thing, ACROSS] = new
+        change = new - across
+        forward -= change * ny * lightness
+        aside += change * nx * lightness
+        spin -= change * robot.radius * nimbleness
+        along = things[thing, ALONG]
+        new = max(along - (forward * nx + aside * ny + gap / h) * robot.mass, 0.0)
+        things[thing, ALONG] = new
+        changed += abs(change) + abs(new - along)
+        forward += (new - along) * nx * lightness
+        aside += (new - along) * ny * lightness
+    return (forward, aside, spin, left, right), changed
 
 
 def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) -> int:

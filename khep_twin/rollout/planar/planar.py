@@ -11,7 +11,7 @@ Nothing here is fitted: masses, inertias, friction, motors, positions and height
 import math
 from functools import cache
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
@@ -29,6 +29,7 @@ from khep_twin.rollout.planar import casting as planar_casting
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar.plane import PlanarRobot, Plane
 from khep_twin.sensing import optics, raycast
+from khep_twin.sensing.buffers import Vector, view
 from khep_twin.sensing.robot_indices import RobotIndices
 
 N_CONTACTS = 8
@@ -47,9 +48,10 @@ ROOM = (*LIVE, "grips", "last", "contacts")
 """Fields of `PlanarRobot` that are reset at the start of each episode."""
 
 Floats = NDArray[np.float64]
+Numbers = TypeVar("Numbers", bound=NamedTuple)
 
 
-def as_record(numbers: Any) -> Any:
+def as_record(numbers: Numbers) -> Numbers:
     """Return a named tuple as a record of the same fields: one address to pass in compiled code."""
     values = [np.asarray(value) for value in numbers]
     kinds = [
@@ -128,6 +130,7 @@ class PlanarRoom:
 
     def __init__(self, outline: Outline, compiled: bool) -> None:
         self._outline = outline
+        self.advance: episode.Advance
         if compiled:
             try:
                 from khep_twin.rollout.planar import compiled as compiled_planar
@@ -172,12 +175,12 @@ class PlanarRoom:
                 name: value.data if isinstance(value, np.ndarray) else value
                 for name, value in numbers.items()
             }
-            self.scene = Plane(self._things.data, self._order.data, PlanarRobot(**views))
+            self.scene = Plane(view(self._things), self._order.data, PlanarRobot(**views))
             live = [views[name] for name in LIVE]
 
         # The robot is the only body, and there are no warnings.
         joints, speeds, ctrl, force = live
-        none: Any = np.zeros(0) if compiled else np.zeros(0).data
+        none: Vector[int] = np.zeros(0) if compiled else np.zeros(0).data
         self.live: Live = joints, speeds, ctrl, force, joints[: flat.HEADING], none
 
     def put(self, start: Start | None) -> None:

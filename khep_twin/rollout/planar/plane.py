@@ -1,7 +1,9 @@
 """Data of a plane: a robot's numbers, the things around it, and distances to them."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from khep_twin.sensing.buffers import Matrix, Vector
 
 CENTRE_X, CENTRE_Y, COSINE, SINE, LENGTH, WIDTH, BOTTOM, TOP = 0, 1, 2, 3, 4, 5, 6, 7
 """Columns of `Plane.things`: centre [m], direction of the length, half of length and width [m], heights [m].
@@ -84,23 +86,23 @@ class PlanarRobot(NamedTuple):
     relief: float
     friction: float
     height: float
-    mounts: Any
-    ways: Any
-    cones: Any
-    looks: Any
-    hits: Any
-    lengths: Any
-    shares: Any
+    mounts: Matrix
+    ways: Matrix
+    cones: Matrix
+    looks: Vector[float]
+    hits: Vector[int]
+    lengths: Vector[float]
+    shares: Vector[float]
     n_few: int
-    points: Any
-    hidden: Any
-    contacts: Any
-    joints: Any
-    speeds: Any
-    ctrl: Any
-    force: Any
-    grips: Any
-    last: Any
+    points: Matrix
+    hidden: Vector[int]
+    contacts: Matrix
+    joints: Vector[float]
+    speeds: Vector[float]
+    ctrl: Vector[float]
+    force: Vector[float]
+    grips: Vector[float]
+    last: Vector[float]
 
 
 class Plane(NamedTuple):
@@ -112,12 +114,12 @@ class Plane(NamedTuple):
         robot: Robot with its sensors.
     """
 
-    things: Any
-    order: Any
+    things: Matrix
+    order: Vector[int]
     robot: PlanarRobot
 
 
-def distance_to(things: Any, thing: int, x: float, y: float) -> float:
+def distance_to(things: Matrix, thing: int, x: float, y: float) -> float:
     """Return the distance of a thing from a point [m], 0 within."""
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
     length, width = things[thing, LENGTH], things[thing, WIDTH]
@@ -131,7 +133,7 @@ def distance_to(things: Any, thing: int, x: float, y: float) -> float:
     return math.sqrt(along * along + across * across)
 
 
-def nearest(things: Any, thing: int, x: float, y: float) -> tuple[float, float, float]:
+def nearest(things: Matrix, thing: int, x: float, y: float) -> tuple[float, float, float]:
     """Return the unit vector from a thing to a point, and the distance [m], negative within."""
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
     length, width = things[thing, LENGTH], things[thing, WIDTH]

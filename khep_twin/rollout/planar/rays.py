@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from khep_twin.rollout.planar.plane import (
     CENTRE_X,
@@ -14,9 +13,10 @@ from khep_twin.rollout.planar.plane import (
     PlanarRobot,
     Plane,
 )
+from khep_twin.sensing.buffers import Matrix
 
 
-def in_cone(things: Any, thing: int, x: float, y: float, cone: tuple[float, float, float, float]) -> bool:
+def in_cone(things: Matrix, thing: int, x: float, y: float, cone: tuple[float, float, float, float]) -> bool:
     """Return whether a thing reaches into a cone; its edges are given as unit normals to its inside."""
     right_x, right_y, left_x, left_y = cone
     dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y

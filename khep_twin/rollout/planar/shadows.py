@@ -1,7 +1,6 @@
 """Occlusion of a lamp from a sensor in a plane, by upright things with heights and by the floor."""
 
 import math
-from typing import Any
 
 from khep_twin.rollout.planar.plane import (
     BOTTOM,
@@ -14,6 +13,7 @@ from khep_twin.rollout.planar.plane import (
     WIDTH,
     Plane,
 )
+from khep_twin.sensing.buffers import Matrix
 
 Vector = tuple[float, float, float]
 
@@ -83,7 +83,7 @@ def blocked(
 
 
 def _beside(
-    things: Any,
+    things: Matrix,
     thing: int,
     x: float,
     y: float,
@@ -108,7 +108,7 @@ def _beside(
 
 
 def _stops(
-    things: Any,
+    things: Matrix,
     thing: int,
     x: float,
     y: float,
