@@ -37,6 +37,9 @@ MANUAL_SURFACES = {
 }
 """Its materials that are built-in surfaces; "wood 1" is left out, one wood being enough."""
 
+PEAK_DEG = 6
+"""Largest angle from the peak of readings that count as on axis [degrees]."""
+
 _ON_AXIS_WEIGHT = 8.0
 _PRIOR = 200.0
 _SHARED = np.array([5.58, 1.04, 0.18])
@@ -63,7 +66,7 @@ def sampled(folder: Path) -> list[MeasuredTable]:
 
 def fit_sampled(tables: Sequence[MeasuredTable], sensor: int, heading: float) -> tuple[float, Optics]:
     """Fit one sensor of the sampled robot: heading [rad] and optics, by all bearings, then those on axis."""
-    axes = [table.on_axis(sensor) for table in tables]
+    axes = [on_axis(table, sensor) for table in tables]
 
     def left(x: Floats) -> Floats:
         optics = Optics(x[1] * 1e5, x[2] * 100, *x[3:])
@@ -97,11 +100,24 @@ class Residuals:
     peak: float
 
 
+def peak(table: MeasuredTable, counts: Floats) -> float:
+    """Return the bearing around which readings (n,) are centred [rad]."""
+    return float(np.angle((counts * np.exp(1j * table.bearings)).sum()))
+
+
+def on_axis(table: MeasuredTable, sensor: int) -> Floats:
+    """Return the matrix that maps readings (n,) to their means near the peak, one per distance."""
+    aside = np.angle(np.exp(1j * (table.bearings - peak(table, table.counts[:, sensor]))))
+    near = np.abs(aside) <= np.radians(PEAK_DEG)
+    rows = [near & (table.distances == distance) for distance in np.unique(table.distances)]
+    return np.array([row / row.sum() for row in rows])
+
+
 def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -> Residuals:
     """Return the residuals of a model."""
     measured = table.counts[:, sensor]
     modelled = proximity(table.view(sensor, heading), TANGENTS, optics)
-    axis, distances = table.on_axis(sensor), np.unique(table.distances)
+    axis, distances = on_axis(table, sensor), np.unique(table.distances)
 
     def half(counts: Floats) -> float:
         return float(np.interp(-511.5, -(axis @ counts), distances))
@@ -110,7 +126,7 @@ def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -
         modelled - measured,
         axis @ (modelled - measured),
         half(modelled) - half(measured),
-        float(np.angle(np.exp(1j * (table.peak(modelled) - table.peak(measured))))),
+        float(np.angle(np.exp(1j * (peak(table, modelled) - peak(table, measured))))),
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.infrared_fits import reference, rms, sampled
+from benchmarks.infrared_fits import on_axis, reference, rms, sampled
 from khep_twin.lab.fit.infrared import TANGENTS, Optics, proximity
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
@@ -38,7 +38,7 @@ def draw(target: Path) -> None:
         optics = Optics.of(khepera1.proximity, sensor)
         lines = [Sensor(sensor).name.lower().replace("_", " ")]
         for table, name, colour in zip(tables, ("wall", "cylinder r 27 mm"), (_INK, "#e4572e"), strict=True):
-            axis, millimetres = table.on_axis(sensor), np.unique(table.distances) * 1e3
+            axis, millimetres = on_axis(table, sensor), np.unique(table.distances) * 1e3
             measured = axis @ table.counts[:, sensor]
             modelled = axis @ proximity(table.view(sensor, heading), TANGENTS, optics)
             panel.plot(millimetres, measured, "o", ms=3.5, color=colour, label=f"{name}, robot")

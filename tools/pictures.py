@@ -1,11 +1,13 @@
 """Pictures of the docs that are made by commands or files shown beside them, in full colour.
 
-python tools/pictures.py    # redraws them in docs/pictures; the tutorial's and the README's: tutorial.py
+MUJOCO_GL=egl python tools/pictures.py    # redraws them in docs/pictures
+
+The pictures of the tutorial and the README: tutorial.py.
 """
 
 # MuJoCo's rendering is not typed here.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportAttributeAccessIssue=false, reportPrivateUsage=false
+# pyright: reportAttributeAccessIssue=false, reportPrivateUsage=false, reportGeneralTypeIssues=false
 
 import contextlib
 import copy
@@ -20,7 +22,6 @@ from typer.testing import CliRunner
 
 from benchmarks import library_picture
 from khep_twin.cli.app import app
-from khep_twin.drawing.render import window_of
 from khep_twin.host import Gripper, Khepera
 from khep_twin.world import World
 
@@ -109,17 +110,11 @@ def _seen(world: World) -> Image.Image:
     camera = mujoco.MjvCamera()
     camera.lookat[:] = data.body("khepera0/base").xpos + np.array((0.012, 0, 0.03))
     camera.distance, camera.azimuth, camera.elevation = 0.26, 145, -38
-    scene = mujoco.MjvScene(model, maxgeom=2000)
-    everything = int(mujoco.mjtCatBit.mjCAT_ALL)
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
-    scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-    pixels = np.zeros((800, 960, 3), np.uint8)
-    view = mujoco.MjrRect(0, 0, 960, 800)
-    with window_of(model) as window:
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, window)
-        mujoco.mjr_render(view, scene, window)
-        mujoco.mjr_readPixels(pixels, None, view, window)
-    return Image.fromarray(pixels[::-1]).resize((480, 400), Image.Resampling.LANCZOS)
+    with mujoco.Renderer(model, 800, 960) as renderer:
+        renderer.update_scene(data, camera)
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        picture = Image.fromarray(renderer.render())
+    return picture.resize((480, 400), Image.Resampling.LANCZOS)
 
 
 def _type(*words: str) -> None:

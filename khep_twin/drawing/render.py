@@ -4,22 +4,18 @@ A graphics driver may crash the process that uses it, so the picture is made in 
 `python -m khep_twin.drawing.render` reads a playpen and writes a PNG.
 """
 
-# MuJoCo's renderer and its OpenGL libraries are not typed.
+# MuJoCo's renderer is not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false, reportAttributeAccessIssue=false, reportUnknownParameterType=false
+# pyright: reportUnknownArgumentType=false, reportAttributeAccessIssue=false
 
-import contextlib
-import importlib
 import os
 import subprocess
 import sys
-import warnings
-from collections.abc import Generator
-from io import BytesIO, StringIO
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from khep_twin.errors import KhepTwinError
@@ -31,6 +27,9 @@ WIDTH, HEIGHT = 1280, 960
 
 LONGEST = 60.0
 """Time-out for rendering a picture, wall time [s]."""
+
+_NO_OPENGL, _FAILED = 1, 2
+"""Exit statuses; 1 also if the library is missing: Python ends so when `import mujoco` fails."""
 
 _FLOOR, _LINES = [0.68, 0.76, 0.80], [0.48, 0.57, 0.63]
 """Colours of no surface of the library."""
@@ -50,29 +49,54 @@ def render(playpen: Playpen, target: Path) -> bytes:
         raise KhepTwinError(f"{target}: expected a name that ends in .png", ", or no --perspective")
     command = [sys.executable, "-m", "khep_twin.drawing.render"]
     text = dump(playpen).encode("utf-8")
-    try:
-        done = subprocess.run(command, input=text, capture_output=True, timeout=LONGEST, check=False)
-    except subprocess.TimeoutExpired:
-        raise KhepTwinError(f"{target}: the picture took longer than {LONGEST:g} s") from None
-    if done.returncode:
+    reasons: list[str] = []
+    for library in _libraries():
+        setting = {**os.environ, "MUJOCO_GL": library}
+        try:
+            done = subprocess.run(
+                command, input=text, env=setting, capture_output=True, timeout=LONGEST, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise KhepTwinError(f"{target}: the picture took longer than {LONGEST:g} s") from None
+        if not done.returncode:
+            return done.stdout
         told = done.stderr.decode("utf-8", "replace").strip().splitlines()
         reason = told[-1] if told else f"the graphics driver ended with status {done.returncode}"
-        raise KhepTwinError(f"{target}: {reason}", ", or no --perspective")
-    return done.stdout
+        if done.returncode != _NO_OPENGL:
+            raise KhepTwinError(f"{target}: {reason}", ", or no --perspective")
+        reasons.append(f"{library}: {reason.split(':')[0]}")
+    raise KhepTwinError(
+        f"{target}: there is no OpenGL to render with ({', '.join(reasons)}); expected a graphics driver "
+        "with EGL, or libOSMesa",
+        ", or no --perspective",
+    )
 
 
 def main() -> int:
     """Write a picture of the playpen on standard input to standard output; return the exit status."""
     try:
         picture = _rendered(parse(sys.stdin.buffer.read().decode("utf-8"), "standard input"))
-    except KhepTwinError as error:
-        print(error, file=sys.stderr)
-        return 1
-    sys.stdout.buffer.write(picture)
+    except Exception as error:
+        told = str(error) if isinstance(error, KhepTwinError) else f"{type(error).__name__}: {error}"
+        print(told, file=sys.stderr)
+        return _FAILED
+    if isinstance(picture, str):
+        print(picture, file=sys.stderr)
+        return _NO_OPENGL
+    Image.fromarray(picture).save(sys.stdout.buffer, format="PNG")
     return 0
 
 
-def _rendered(playpen: Playpen) -> bytes:
+def _libraries() -> list[str]:
+    """Return the libraries to try, as `MUJOCO_GL` names them: the screen's, or those that need no screen."""
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    if wanted in ("egl", "osmesa", "glfw"):
+        return [wanted]
+    return ["glfw"] if os.environ.get("DISPLAY") or sys.platform != "linux" else ["egl", "osmesa"]
+
+
+def _rendered(playpen: Playpen) -> NDArray[np.uint8] | str:
+    """Return the pixels, or the name of the error of a library that does not render here."""
     spec = to_spec(playpen)
     _decorate(spec)
     model = spec.compile()
@@ -83,20 +107,16 @@ def _rendered(playpen: Playpen) -> bytes:
     camera.lookat[:] = arena.width_mm / 2000, arena.height_mm / 2000, 0
     camera.distance = 1.4 * max(arena.width_mm, 1.2 * arena.height_mm) / 1000
     camera.azimuth, camera.elevation = 90, -52
-    scene = mujoco.MjvScene(model, maxgeom=20_000)
-    everything = int(mujoco.mjtCatBit.mjCAT_ALL)
     option = mujoco.MjvOption()
     option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = 0
-    mujoco.mjv_updateScene(model, data, option, None, camera, everything, scene)
-    pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-    with window_of(model) as window:
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, window)
-        mujoco.mjr_render(view, scene, window)
-        mujoco.mjr_readPixels(pixels, None, view, window)
-    picture = BytesIO()
-    Image.fromarray(pixels[::-1]).save(picture, format="PNG")
-    return picture.getvalue()
+    try:
+        renderer = mujoco.Renderer(model, HEIGHT, WIDTH, max_geom=20_000)
+    except Exception as error:
+        # Each library raises its own.
+        return type(error).__name__
+    with renderer:
+        renderer.update_scene(data, camera, option)
+        return renderer.render()
 
 
 def _decorate(spec: mujoco.MjSpec) -> None:
@@ -141,36 +161,6 @@ def _decorate(spec: mujoco.MjSpec) -> None:
     place, size = np.array(floor.pos), np.array(floor.size)
     low, high = np.floor(10 * (place - size)) / 10, np.ceil(10 * (place + size)) / 10
     floor.pos, floor.size = [*(low + high)[:2] / 2, 0], [*(high - low)[:2] / 2, 0.01]
-
-
-@contextlib.contextmanager
-def window_of(model: mujoco.MjModel) -> Generator[object]:
-    """Provide a context for MuJoCo to render in: by the screen's driver, or without a screen."""
-    screen = bool(os.environ.get("DISPLAY")) or sys.platform != "linux"
-    wanted = os.environ.get("MUJOCO_GL", "").lower()
-    kinds = [wanted] if wanted in ("egl", "osmesa", "glfw") else (["glfw"] if screen else ["egl", "osmesa"])
-    reasons: list[str] = []
-    for kind in kinds:
-        # These libraries print warnings about what is missing, and raise arbitrary exceptions.
-        try:
-            with warnings.catch_warnings(), contextlib.redirect_stderr(StringIO()):
-                warnings.simplefilter("ignore")
-                context = importlib.import_module(f"mujoco.{kind}").GLContext(WIDTH, HEIGHT)
-                context.make_current()
-                window = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        except Exception as error:
-            reasons.append(f"{kind}: {type(error).__name__}")
-            continue
-        try:
-            yield window
-        finally:
-            window.free()
-            context.free()
-        return
-    raise KhepTwinError(
-        f"there is no OpenGL to render with ({', '.join(reasons)}); expected a graphics driver with EGL, or "
-        "libOSMesa"
-    )
 
 
 if __name__ == "__main__":

@@ -63,7 +63,6 @@ class Line:
     ) -> None:
         url = numbered(url) if isinstance(url, str) else url
         self._url = url if isinstance(url, str) else None
-        self._timeout = timeout
         self._retries = retries
         self._unanswered: set[str] = set()
         self.listener: Callable[[str, str], None] | None = None

@@ -21,14 +21,13 @@ Columns = Mapping[str, object]
 NS_PER_MS = 1_000_000
 
 
-def results(work: Work, task: Shard, threads: int | None = 1, compiled: bool | None = None) -> Columns:
+def results(work: Work, task: Shard, threads: int | None = 1) -> Columns:
     """Run a task.
 
     Args:
         work: Work that the task is part of.
         task: Task to run.
         threads: Number of threads; None for one per core. The results are the same.
-        compiled: Whether to run compiled; None if numba is installed. The results are the same.
 
     Returns:
         Columns, with a row for each episode in order.
@@ -60,7 +59,6 @@ def results(work: Work, task: Shard, threads: int | None = 1, compiled: bool | N
         spread=group.spread,
         home=None if home is None else (home.x_mm, home.y_mm, home.radius_mm, home.charge_s),
         threads=threads,
-        compiled=compiled,
     )
     failed = {failure.index: failure for failure in lives.failures}
     count = task.count

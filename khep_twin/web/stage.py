@@ -163,7 +163,6 @@ class TwinActor(WebSession):
         self.playpen, self._options, self._log = playpen, options, log
         self._paced: PacedTwin | None = None
         self._turrets: list[TurretParts] = []
-        self._ready = threading.Event()
         self.speed, self.paused = 1.0, False
 
     def set_pace(self, speed: float, paused: bool) -> None:

@@ -49,3 +49,13 @@ def test_the_floor_has_a_shadow_beside_a_block_and_lines() -> None:
     colours = {tuple(colour) for colour in inside.reshape(-1, 3)}
     assert len(colours) > 1
     assert max(max(colour) for colour in colours) < 250
+
+
+def test_where_a_library_does_not_render_the_next_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    floor = seen("")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr("khep_twin.drawing.render._libraries", lambda: ["glfw", "egl"])
+    np.testing.assert_array_equal(seen(""), floor)
+    monkeypatch.setattr("khep_twin.drawing.render._libraries", lambda: ["glfw"])
+    with pytest.raises(KhepTwinError, match=r"there is no OpenGL to render with \(glfw: \w+\); expected"):
+        render(playpens.parse(ARENA, "seen"), Path("seen.png"))

@@ -164,16 +164,13 @@ class CheckedPort:
         return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
 
 
-def conform(
-    url: str, *, move: bool = False, baudrate: int = 9600, tell: Callable[[Check], None] | None = None
-) -> ConformanceReport:
+def conform(url: str, *, move: bool = False, baudrate: int = 9600) -> ConformanceReport:
     """Check the robot or twin at a port.
 
     Args:
         url: URL of the port.
         move: If true, also run the checks that move the robot.
         baudrate: Baud rate of the line.
-        tell: Called with each check before it runs.
 
     Raises:
         PortError: The port cannot be opened.
@@ -184,20 +181,14 @@ def conform(
         raise PortError(key="baudrate", value=baudrate, expected="the speed of the line, such as 9600")
     # A broken robot may not even confirm the last stop; the report must survive that.
     with closing(Khepera(url, baudrate=baudrate)) as robot:
-        return examine(CheckedPort(robot.port), url, move=move, tell=tell)
+        return examine(CheckedPort(robot.port), url, move=move)
 
 
-def examine(
-    line: CheckedPort, name: str, *, move: bool = False, tell: Callable[[Check], None] | None = None
-) -> ConformanceReport:
+def examine(line: CheckedPort, name: str, *, move: bool = False) -> ConformanceReport:
     """Run the checks on an open line."""
-    results: list[Result] = []
-    for check in checks(move):
-        if tell is not None:
-            tell(check)
-        results.append(run_check(check, line))
+    results = tuple(run_check(check, line) for check in checks(move))
     skipped = () if move else tuple(check.name for check in checks(True) if check.moves)
-    return ConformanceReport(name, tuple(results), skipped)
+    return ConformanceReport(name, results, skipped)
 
 
 def checks(move: bool) -> Iterator[Check]:

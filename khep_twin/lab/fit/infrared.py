@@ -17,12 +17,8 @@ from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS
 
 Floats = NDArray[np.float64]
 
-
 TANGENTS: Floats = (np.arange(9) + 0.5) / 9 * 2 - 1
 """Tangents of the angles between a sensor's axis and the rays of assets/khepera.xml."""
-
-PEAK_DEG = 6
-"""Largest angle from the peak of readings that count as on axis [degrees]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,17 +100,6 @@ class MeasuredTable:
         if self.radius:
             return bench.cylinder(self.distances, self.bearings, self.radius)
         return bench.wall(self.distances, self.bearings)
-
-    def peak(self, counts: Floats) -> float:
-        """Return the bearing around which readings (n,) are centred [rad]."""
-        return float(np.angle((counts * np.exp(1j * self.bearings)).sum()))
-
-    def on_axis(self, sensor: int) -> Floats:
-        """Return the matrix that maps readings (n,) to their means near the peak, one per distance."""
-        aside = np.angle(np.exp(1j * (self.bearings - self.peak(self.counts[:, sensor]))))
-        near = np.abs(aside) <= np.radians(PEAK_DEG)
-        rows = [near & (self.distances == distance) for distance in np.unique(self.distances)]
-        return np.array([row / row.sum() for row in rows])
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,13 +76,11 @@ class MotorFit:
         motors: Fitted calibration.
         speed_interval: Half of the no-load speed's 95 % confidence interval [rad/s].
         torque_interval: Half of the stall torque's 95 % confidence interval [N m].
-        rms: Root mean square of the speeds' residuals [pulses/10 ms].
     """
 
     motors: MotorCalibration
     speed_interval: float
     torque_interval: float
-    rms: float
 
 
 def read_drive(log: Path) -> DutyDrive:
@@ -151,7 +149,7 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
     motors = MotorCalibration(
         no_load_speed_rad_s=round(no_load, 2), stall_torque_n_m=round(torque_mnm / 1e3, 6)
     )
-    return MotorFit(motors, found.intervals[0], found.intervals[1] / 1e3, found.rms)
+    return MotorFit(motors, found.intervals[0], found.intervals[1] / 1e3)
 
 
 def driven(drive: DutyDrive, robot: Calibration) -> Floats:

@@ -14,6 +14,7 @@ from benchmarks.infrared_fits import (
     facing,
     khepera2_paper,
     materials,
+    peak,
     rms,
     sampled,
 )
@@ -88,7 +89,7 @@ def test_each_sensor_has_the_derived_figures_of_the_real_one(sensor: int) -> Non
     wall, cylinder = bench(0), bench(CYLINDER_RADIUS)
     heading, parameters = optics(sensor)
     before_wall = proximity(wall.view(sensor, heading), TANGENTS, parameters)
-    peak_deg = np.degrees(wall.peak(before_wall) - SET_UP_BEARING)
+    peak_deg = np.degrees(peak(wall, before_wall) - SET_UP_BEARING)
     assert (peak_deg + PEAK_DEG[sensor] + 180) % 360 - 180 == pytest.approx(0, abs=5)
 
     def distance_mm(table: MeasuredTable, counts: np.ndarray, level: float) -> float:
