@@ -113,8 +113,8 @@ def as_it_stands(world: World) -> Playpen:
         )
         for entry, (x, y, heading) in zip(playpen.robots, (robot.pose for robot in world.robots), strict=True)
     )
-    blocks, cylinders = moved(playpen.blocks, "block"), moved(playpen.cylinders, "cylinder")
-    return playpen.model_copy(update={"blocks": blocks, "cylinders": cylinders, "robots": robots})
+    objects = {f"{kind}s": moved(items, kind) for kind, items in playpen.objects.items()}
+    return playpen.model_copy(update={**objects, "robots": robots})
 
 
 def _place(world: World, name: str, kind: str) -> dict[str, float]:
