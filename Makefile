@@ -21,7 +21,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges record soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges record soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -30,6 +30,8 @@ run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated s
 	@mkdir -p out
 	@$(TWIN) run braitenberg --playpen $(PLAYPEN) --seconds 60 --seed 1 --log out/run.mcap --force --picture out/run.png
 	@$(MAKE) --no-print-directory -s $(VENV)/compiled.stamp
+
+setup: $(VENV)/dev.stamp ## the environment with the tools of the test suite; again after a change of pyproject.toml
 
 test: $(VENV)/dev.stamp ## the whole test suite
 	@echo "khep_twin: $(or $(TESTS),the whole test suite: about ten minutes on two cores)"

@@ -6,7 +6,7 @@ unless the board is reset, too. A move is an action like those of the host, so t
 
 import math
 import struct
-from typing import TypeVar
+from collections.abc import Iterable
 
 import mujoco
 
@@ -18,8 +18,6 @@ from khep_twin.world import World
 
 _PLACE = struct.Struct("<3d")
 _AFRESH = b"\1"
-
-Movable = TypeVar("Movable", Block, Cylinder)
 
 
 def put(
@@ -74,7 +72,7 @@ def scan(world: World) -> None:
 def as_it_stands(world: World) -> Playpen:
     """Return the playpen with the current poses of its robots and movable objects, all taken as upright."""
 
-    def moved(items: tuple[Movable, ...], kind: str) -> tuple[Movable, ...]:
+    def moved(items: Iterable[Block | Cylinder], kind: str) -> tuple[Block | Cylinder, ...]:
         return tuple(
             item.model_copy(update=_place(world, f"{kind}{number}", kind)) if item.movable else item
             for number, item in enumerate(items)
@@ -87,8 +85,8 @@ def as_it_stands(world: World) -> Playpen:
         )
         for entry, (x, y, heading) in zip(playpen.robots, (robot.pose for robot in world.robots), strict=True)
     )
-    blocks, cylinders = moved(playpen.blocks, "block"), moved(playpen.cylinders, "cylinder")
-    return playpen.model_copy(update={"blocks": blocks, "cylinders": cylinders, "robots": robots})
+    objects = {f"{kind}s": moved(items, kind) for kind, items in playpen.objects.items()}
+    return playpen.model_copy(update={**objects, "robots": robots})
 
 
 def _place(world: World, name: str, kind: str) -> dict[str, float]:

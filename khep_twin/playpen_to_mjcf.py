@@ -16,6 +16,7 @@ with everything by MuJoCo's own filter.
 import math
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
@@ -65,17 +66,16 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     spec.modelname = playpen.name
     spec.nuser_geom = 2
     spec.nuser_site = 1
-    _set_options(spec, any(item.movable for item in (*playpen.blocks, *playpen.cylinders)))
+    _set_options(spec, any(item.movable for items in playpen.objects.values() for item in items))
     if any(kind.scene is not None for robot in playpen.robots for kind in find(robot.turrets)):
         # A gripped object must not slip: 0.01 mm lost in a minute, instead of 31 mm (measured).
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10
         spec.option.noslip_iterations = 5
     obstacles = _add_arena(spec, playpen)
-    for index, block in merged(playpen.blocks):
-        obstacles.append(_add_block(spec, playpen, f"block{index}", block))
-    for index, cylinder in enumerate(playpen.cylinders):
-        obstacles.append(_add_cylinder(spec, playpen, f"cylinder{index}", cylinder))
+    for kind, items in playpen.objects.items():
+        for index, item in merged(playpen.blocks) if kind == "block" else enumerate(items):
+            obstacles.append(_add_object(spec, playpen, f"{kind}{index}", item))
     for index, wall in enumerate(playpen.walls):
         obstacles += _add_wall(spec, playpen, f"wall{index}", wall)
     for index, patch in enumerate(playpen.patches):
@@ -202,27 +202,15 @@ def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
     return list(walls)
 
 
-def _add_block(spec: mujoco.MjSpec, playpen: Playpen, name: str, block: Block) -> str:
-    height = units.metres(block.height_mm)
-    geom = _stand(spec, name, block, height).add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[units.metres(block.length_mm) / 2, units.metres(block.width_mm) / 2, height / 2],
-    )
-    _place(geom, block, height, units.radians(block.angle_deg))
-    _paint(geom, playpen, block.surface, block.movable)
-    return name
-
-
-def _add_cylinder(spec: mujoco.MjSpec, playpen: Playpen, name: str, cylinder: Cylinder) -> str:
-    height = units.metres(cylinder.height_mm)
-    geom = _stand(spec, name, cylinder, height).add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[units.metres(cylinder.radius_mm), height / 2, 0],
-    )
-    _place(geom, cylinder, height, 0.0)
-    _paint(geom, playpen, cylinder.surface, cylinder.movable)
+def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | Cylinder) -> str:
+    shape, height = item.footprint, units.metres(item.height_mm)
+    if item.movable:
+        body = spec.worldbody.add_body(name=name, **_pose(shape, height))
+        body.add_freejoint()
+        geom = body.add_geom(name=name, mass=units.kilograms(item.mass_g), **_form(shape, height))
+    else:
+        geom = _add_upright(spec, name, shape, height)
+    _paint(geom, playpen, item.surface, item.movable)
     return name
 
 
@@ -243,40 +231,23 @@ def _add_patch(spec: mujoco.MjSpec, playpen: Playpen, name: str, patch: Patch) -
 
 def _add_upright(spec: mujoco.MjSpec, name: str, shape: Footprint, height: float) -> mujoco.MjsGeom:
     """Add a fixed geom with a footprint."""
-    at = [units.metres(shape.x_mm), units.metres(shape.y_mm), height / 2]
+    return spec.worldbody.add_geom(name=name, **_form(shape, height), **_pose(shape, height))
+
+
+def _form(shape: Footprint, height: float) -> dict[str, Any]:
+    """Return type and size of a geom with a footprint."""
     if isinstance(shape, Circle):
         size = [units.metres(shape.radius_mm), height / 2, 0]
-        return spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_CYLINDER, pos=at, size=size)
-    half = units.radians(shape.angle_deg) / 2
-    return spec.worldbody.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=at,
-        quat=[math.cos(half), 0, 0, math.sin(half)],
-        size=[units.metres(shape.length_mm) / 2, units.metres(shape.width_mm) / 2, height / 2],
-    )
+        return {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": size}
+    size = [units.metres(shape.length_mm) / 2, units.metres(shape.width_mm) / 2, height / 2]
+    return {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": size}
 
 
-def _stand(spec: mujoco.MjSpec, name: str, item: Block | Cylinder, height: float) -> mujoco.MjsBody:
-    """Return the body of an object's geom: one of its own if it is movable."""
-    if not item.movable:
-        return spec.worldbody
-    angle = units.radians(item.angle_deg) if isinstance(item, Block) else 0.0
-    body = spec.worldbody.add_body(
-        name=name,
-        pos=[units.metres(item.x_mm), units.metres(item.y_mm), height / 2],
-        quat=[math.cos(angle / 2), 0, 0, math.sin(angle / 2)],
-    )
-    body.add_freejoint()
-    return body
-
-
-def _place(geom: mujoco.MjsGeom, item: Block | Cylinder, height: float, angle: float) -> None:
-    if item.movable:
-        geom.mass = units.kilograms(item.mass_g)
-    else:
-        geom.pos = [units.metres(item.x_mm), units.metres(item.y_mm), height / 2]
-        geom.quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
+def _pose(shape: Footprint, height: float) -> dict[str, Any]:
+    """Return position and orientation of a geom or a body with a footprint on the floor."""
+    half = 0.0 if isinstance(shape, Circle) else units.radians(shape.angle_deg) / 2
+    at = [units.metres(shape.x_mm), units.metres(shape.y_mm), height / 2]
+    return {"pos": at, "quat": [math.cos(half), 0, 0, math.sin(half)]}
 
 
 def _paint(geom: mujoco.MjsGeom, playpen: Playpen, surface_name: str, movable: bool) -> None:

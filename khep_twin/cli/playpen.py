@@ -55,8 +55,7 @@ def check(playpen: PlaypenName) -> None:
     for robot in found.robots:
         calibration.read(robot.calibration)
     kinds = {
-        "block": found.blocks,
-        "cylinder": found.cylinders,
+        **found.objects,
         "wall": found.walls,
         "patch": found.patches,
         "lamp": found.lamps,

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
     """Return the light at points x, y of a playpen (any one shape), in that shape [W/mm^2]."""
-    objects = [(item.footprint, item.height_mm) for item in (*playpen.blocks, *playpen.cylinders)]
+    objects = [(item.footprint, item.height_mm) for items in playpen.objects.values() for item in items]
     objects += [(shape, wall.height_mm) for wall in playpen.walls for shape in wall.footprints]
     if len(playpen.lamps) * len(objects) > SHADOW_LIMIT:
         objects = []

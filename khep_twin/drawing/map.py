@@ -11,6 +11,7 @@ configuration of matplotlib.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 
 import matplotlib.style
@@ -135,7 +136,7 @@ def draw(
             draw_patch(axes, playpen, patch)
         for wall in playpen.walls:
             draw_wall(axes, playpen, wall)
-        for item in (*playpen.blocks, *playpen.cylinders):
+        for item in chain(*playpen.objects.values()):
             draw_object(axes, playpen, item)
         for spot in playpen.spots:
             draw_spot(axes, labels, spot)
@@ -232,7 +233,7 @@ def _draw_ways(
 
 
 def _legend_entries(playpen: Playpen, ways: bool) -> Iterator[Line2D | Patch]:
-    objects = (*playpen.blocks, *playpen.cylinders)
+    objects = list(chain(*playpen.objects.values()))
     painted = (*objects, *playpen.walls, *playpen.patches)
     for surface in dict.fromkeys((playpen.arena.surface, *(item.surface for item in painted))):
         yield Patch(label=surface, **surface_look(playpen, surface, movable=False))

@@ -138,7 +138,7 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
     thickness_mm = playpen.arena.wall_thickness_mm
     movable = [
         (kind, index, item)
-        for kind, items in (("block", playpen.blocks), ("cylinder", playpen.cylinders))
+        for kind, items in playpen.objects.items()
         for index, item in enumerate(items)
         if item.movable and playpen.robots
     ]
@@ -166,12 +166,7 @@ def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
             yield Problem.of(("surfaces", name), f"surfaces {name}: built in", wish)
     known = {**BUILT_IN_SURFACES, **playpen.surfaces}
     users: list[tuple[Location, str, str]] = [(("arena",), "arena", playpen.arena.surface)]
-    for kind, items in (
-        ("block", playpen.blocks),
-        ("cylinder", playpen.cylinders),
-        ("wall", playpen.walls),
-        ("patch", playpen.patches),
-    ):
+    for kind, items in {**playpen.objects, "wall": playpen.walls, "patch": playpen.patches}.items():
         for index, item in enumerate(items):
             users.append(((kind, index), label(kind, index + 1, item.name), item.surface))
     for location, place, surface in users:
@@ -250,10 +245,9 @@ def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
 
 def things(playpen: "Playpen") -> Iterator[Thing]:
     """Yield all parts of a playpen, and the spots where robots may start."""
-    for number, item in enumerate(playpen.blocks, 1):
-        yield Thing("block", number, item.name, item.footprint, 0, item.height_mm, item.movable)
-    for number, item in enumerate(playpen.cylinders, 1):
-        yield Thing("cylinder", number, item.name, item.footprint, 0, item.height_mm, item.movable)
+    for kind, items in playpen.objects.items():
+        for number, item in enumerate(items, 1):
+            yield Thing(kind, number, item.name, item.footprint, 0, item.height_mm, item.movable)
     for number, wall in enumerate(playpen.walls, 1):
         for footprint in wall.footprints:
             yield Thing("wall", number, wall.name, footprint, 0, wall.height_mm, False)

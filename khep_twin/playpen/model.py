@@ -44,6 +44,14 @@ class Playpen(TomlTable):
     spots: Annotated[tuple[Spot, ...], Field(alias="spot")] = ()
     robots: Annotated[tuple[Robot, ...], Field(alias="robot")] = ()
 
+    @property
+    def objects(self) -> dict[str, tuple[Block | Cylinder, ...]]:
+        """Objects that stand on the floor, by the name of their table."""
+        return {
+            "block": self.blocks,
+            "cylinder": self.cylinders,
+        }
+
     def surface(self, name: str) -> Surface:
         """Return the surface of a name, built-in or this playpen's own."""
         return BUILT_IN_SURFACES.get(name) or self.surfaces[name]

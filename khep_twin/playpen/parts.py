@@ -191,6 +191,11 @@ class Cylinder(TomlTable):
     mass_g: Mass = 20.0
 
     @property
+    def angle_deg(self) -> float:
+        """Angle of 0, as it looks the same from all sides."""
+        return 0.0
+
+    @property
     def footprint(self) -> Circle:
         """Area of the floor that it covers."""
         return Circle(self.x_mm, self.y_mm, self.radius_mm)

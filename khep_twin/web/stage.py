@@ -318,13 +318,9 @@ class TwinActor(WebSession):
                 {"power_w": round(power, 3), "off": lamps.turned_off(index)}
                 for index, power in enumerate(lamps.powers)
             ],
-            "block": {
-                index: [each.x_mm, each.y_mm, each.angle_deg]
-                for index, each in enumerate(now.blocks)
-                if each.movable
-            },
-            "cylinder": {
-                index: [each.x_mm, each.y_mm, 0.0] for index, each in enumerate(now.cylinders) if each.movable
+            **{
+                kind: {i: [it.x_mm, it.y_mm, it.angle_deg] for i, it in enumerate(items) if it.movable}
+                for kind, items in now.objects.items()
             },
         }
 

@@ -119,6 +119,12 @@ def test_white_is_the_reference_and_black_hardly_reflects() -> None:
     assert parse().surface("lego") is BUILT_IN_SURFACES["lego"]
 
 
+def test_what_stands_on_the_floor_is_listed_by_table() -> None:
+    playpen = parse(BLOCK, CYLINDER, LAMP, WALL, ROBOT)
+    assert playpen.objects == {"block": playpen.blocks, "cylinder": playpen.cylinders}
+    assert [item.angle_deg for items in playpen.objects.values() for item in items] == [0, 0]
+
+
 def test_a_playpen_does_not_change() -> None:
     with pytest.raises(ValidationError):
         parse().name = "other"  # type: ignore[misc]
@@ -172,8 +178,7 @@ WRONG = {
     'version = 1\nname = "a b"\n' + ARENA: "name = \"a b\"; expected 1 to 64 letters, digits, '_' or '-'",
     HEAD
     + "wdith = 3\n"
-    + ARENA: "wdith = 3: unknown key; (choices: version, name, arena, lighting, surfaces, "
-    "block, cylinder, wall, patch, lamp, spot, robot)",
+    + ARENA: f"wdith = 3: unknown key; (choices: {', '.join(playpens.schema()['properties'])})",
     HEAD + "arena = 3\n": "arena = 3; expected a table",
     HEAD + ARENA + "widht_mm = 3\n": "arena: widht_mm = 3: unknown key; did you mean 'width_mm'? (choices: "
     "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface)",

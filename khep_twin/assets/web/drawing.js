@@ -1,6 +1,6 @@
 // The arena as SVG, in mm with y upwards: one group for each thing, placed by its transform.
 
-import { drawable, KINDS } from "./model.js";
+import { drawable, KINDS, OBJECTS } from "./model.js";
 
 const NS = "http://www.w3.org/2000/svg";
 
@@ -162,13 +162,11 @@ export class Drawing {
   }
 
   shape(kind, thing) {
-    if (kind === "block")
-      return make("g", {}, rectangle(thing.length_mm, thing.width_mm, this.colour(thing.surface)));
-    if (kind === "cylinder") return make("g", {}, make("circle", { r: Math.max(drawable(thing.radius_mm), 0), class: "shape", fill: this.colour(thing.surface) }));
-    if (kind === "patch") {
+    if (kind in OBJECTS || kind === "patch") {
       const fill = this.colour(thing.surface);
-      const shape = thing.radius_mm === undefined ? rectangle(thing.length_mm, thing.width_mm, fill) : make("circle", { r: Math.max(drawable(thing.radius_mm), 0), class: "shape", fill });
-      shape.setAttribute("fill-opacity", "0.55");
+      const round = (OBJECTS[kind] ?? thing).radius_mm !== undefined;
+      const shape = round ? make("circle", { r: Math.max(drawable(thing.radius_mm), 0), class: "shape", fill }) : rectangle(thing.length_mm, thing.width_mm, fill);
+      if (kind === "patch") shape.setAttribute("fill-opacity", "0.55");
       return make("g", {}, shape);
     }
     if (kind === "wall") {

@@ -1,5 +1,7 @@
 // Exact numbers: a field for each key of what is selected, and of the playpen as a whole.
 
+import { OBJECTS } from "./model.js";
+
 const CHOICES = {
   model: ["khepera1", "khepera2"],
   rom: ["5.02", "4.06", "khepera2"],
@@ -7,8 +9,7 @@ const CHOICES = {
   "lighting.law": ["optics", "toolbox"],
 };
 const KEYS = {
-  block: ["name", "x_mm", "y_mm", "angle_deg", "length_mm", "width_mm", "height_mm", "surface", "movable", "mass_g"],
-  cylinder: ["name", "x_mm", "y_mm", "radius_mm", "height_mm", "surface", "movable", "mass_g"],
+  ...Object.fromEntries(Object.entries(OBJECTS).map(([kind, keys]) => [kind, ["name", "x_mm", "y_mm", ...Object.keys(keys)]])),
   wall: ["name", "points_mm", "closed", "thickness_mm", "height_mm", "surface"],
   patch: ["name", "x_mm", "y_mm", "radius_mm", "length_mm", "width_mm", "angle_deg", "surface"],
   lamp: ["name", "x_mm", "y_mm", "z_mm", "power_w", "dim", "rgb", "on_s", "blink_period_s", "blink_duty", "fade_s"],

@@ -4,7 +4,7 @@ import { listen, post, tab, upload } from "./api.js";
 import { Drawing } from "./drawing.js";
 import { Editor } from "./editor.js";
 import { Fields } from "./fields.js";
-import { KINDS, Model } from "./model.js";
+import { KINDS, Model, OBJECTS } from "./model.js";
 import { Running } from "./run.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -298,7 +298,7 @@ function keepNow(more = {}) {
 const PLURALS = { patch: "patches" };
 
 function legend() {
-  const used = new Set([model.draft.arena.surface ?? "white", ...["block", "cylinder", "wall", "patch"].flatMap((kind) => model.list(kind).map((thing) => thing.surface ?? "white"))]);
+  const used = new Set([model.draft.arena.surface ?? "white", ...[...Object.keys(OBJECTS), "wall", "patch"].flatMap((kind) => model.list(kind).map((thing) => thing.surface ?? "white"))]);
   const entries = [...used].map((name) => {
     const box = document.createElement("i");
     box.style.background = drawing.colour(name);

@@ -1,10 +1,15 @@
 // The playpen that is drawn: a draft in the keys of its file, the selection, and the history.
 
-export const KINDS = ["patch", "wall", "block", "cylinder", "spot", "lamp", "robot"];
-
-export const NEW = {
+// What stands on the floor: its keys besides name, x and y, with their values in a new one.
+export const OBJECTS = {
   block: { angle_deg: 0, length_mm: 60, width_mm: 20, height_mm: 50, surface: "white", movable: false, mass_g: 20 },
   cylinder: { radius_mm: 12.5, height_mm: 50, surface: "white", movable: false, mass_g: 20 },
+};
+
+export const KINDS = ["patch", "wall", ...Object.keys(OBJECTS), "spot", "lamp", "robot"];
+
+export const NEW = {
+  ...OBJECTS,
   wall: { closed: false, thickness_mm: 10, height_mm: 50, surface: "white" },
   patch: { radius_mm: 40, surface: "black" },
   lamp: { z_mm: 15, power_w: 7, dim: 1, rgb: [255, 217, 77], blink_period_s: 0, blink_duty: 0.5, fade_s: 0 },

@@ -2,7 +2,7 @@
 
 import { post } from "./api.js";
 import { closed, make, place } from "./drawing.js";
-import { angle, tidy } from "./model.js";
+import { angle, OBJECTS, tidy } from "./model.js";
 import { Panel, SENSORS, write } from "./panel.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -229,7 +229,7 @@ export class Running {
       const box = $(`#switches label:nth-child(${index + 1}) input`);
       if (box && box !== document.activeElement) box.checked = !message.lamps[index].off;
     });
-    for (const kind of ["block", "cylinder"])
+    for (const kind of Object.keys(OBJECTS))
       for (const [index, [x_mm, y_mm, angle_deg]] of Object.entries(message[kind])) {
         const node = this.drawing.nodes.get(`${kind}:${index}`);
         if (node) place(node, { x_mm, y_mm, angle_deg });

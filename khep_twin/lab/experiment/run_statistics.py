@@ -201,7 +201,7 @@ def clearance(places: Floats, playpen: Playpen) -> Floats:
     arena = playpen.arena
     shapes: list[Footprint] = list(walls_around(arena.corners, arena.wall_thickness_mm))
     shapes += [shape for wall in playpen.walls for shape in wall.footprints]
-    shapes += [item.footprint for item in (*playpen.blocks, *playpen.cylinders) if not item.movable]
+    shapes += [item.footprint for items in playpen.objects.values() for item in items if not item.movable]
     nearest = np.full(len(places), np.inf)
     for shape in shapes:
         np.minimum(nearest, _away(places, shape), out=nearest)

@@ -82,7 +82,7 @@ class Outline:
     PLACES = (flat.LEFT_ANGLE, flat.RIGHT_ANGLE, 0, 1, flat.X)
 
     def __init__(self, playpen: Playpen, model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> None:
-        for name, items in (("block", playpen.blocks), ("cylinder", playpen.cylinders)):
+        for name, items in playpen.objects.items():
             for number, item in enumerate(items, 1):
                 if item.movable:
                     raise PlaypenError(
