@@ -6,12 +6,12 @@ type, numbers are finite and within their ranges, texts not too long.
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Literal, TypeVar, cast
 
 from pydantic import AfterValidator, Field
 
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import KhepTwinError, Problem
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import TomlTable
 from khep_twin.randomness import SEED_LIMIT
@@ -50,8 +50,8 @@ Speed = Annotated[float, Field(ge=0, le=1000, description="a number from 0.001 t
 class RequestError(KhepTwinError):
     """A request that is not understood; one line, of the first problem."""
 
-    def __init__(self, message: object = "", option: str = "") -> None:
-        super().__init__(str(message).partition("\n")[0], option)
+    def __init__(self, message: object = "", option: str = "", *, problems: Sequence[Problem] = ()) -> None:
+        super().__init__(str(message).partition("\n")[0], option, problems=problems[:1])
 
 
 class Request(TomlTable):
