@@ -128,10 +128,7 @@ class BatchWriter:
 
     def add(self, channel: int, time_ns: int, message: bytes) -> None:
         """Add one message."""
-        self._begin_anew()
-        head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, 22 + len(message), channel, 0, time_ns, time_ns)
-        self._note(channel, np.array([[time_ns, self._size]], np.uint64))
-        self._append(head + message)
+        self.add_lines(channel, [time_ns], [message])
 
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Add messages of different sizes, at these times in their order."""
