@@ -36,6 +36,16 @@ from khep_twin.log.chunk_index import COMPRESSION, ENTRY_BYTES, ChunkIndex
 from khep_twin.log.record_bytes import LARGEST_CHUNK
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_ROW = [
+    ("opcode", "u1"),
+    ("length", "<u8"),
+    ("channel", "<u2"),
+    ("sequence", "<u4"),
+    ("log_time", "<u8"),
+    ("publish_time", "<u8"),
+]
+"""Fields of `_MESSAGE_HEAD`, for many messages at once."""
+
 _INDEX_HEAD = struct.Struct("<BQHI")
 
 
@@ -149,20 +159,9 @@ class BatchWriter:
         """Add messages of one size, a row each, at these times (n,), rising."""
         self._begin_anew()
         size = messages.itemsize
-        rows = np.zeros(
-            len(messages),
-            [
-                ("opcode", "u1"),
-                ("length", "<u8"),
-                ("channel", "<u2"),
-                ("sequence", "<u4"),
-                ("log_time", "<u8"),
-                ("publish_time", "<u8"),
-                ("data", f"V{size}"),
-            ],
-        )
-        if not len(rows):
+        if not len(messages):
             return
+        rows = np.zeros(len(messages), [*_ROW, ("data", f"V{size}")])
         rows["opcode"] = Opcode.MESSAGE
         rows["length"] = 22 + size
         rows["channel"] = channel

@@ -112,7 +112,7 @@ def _target(path: Path) -> Path:
 def _write(
     salvage: Salvage, path: Path, compression: CompressionType, progress: Progress
 ) -> tuple[int, Rescue]:
-    """Write a whole file that our reader accepts; return the size of its content [bytes] and what is in it."""
+    """Write a file that our reader accepts; return the size of its content [bytes] and what is in it."""
     messages = until_ns = 0
     sieve = _sieve(salvage)
     with path.open("xb") as file:
