@@ -20,7 +20,17 @@ from fuzzing import fuzz
 from log_mutations import Record, put_together, taken_apart
 from mcap.opcode import Opcode
 
-MODULES = ("content", "decoding", "reader", "record_bytes", "recover", "mcap_recovery", "wire")
+MODULES = (
+    "content",
+    "decoding",
+    "messages",
+    "reader",
+    "record_bytes",
+    "recover",
+    "mcap_recovery",
+    "sieve",
+    "wire",
+)
 """Modules of khep_twin.log, whose branches libFuzzer looks for."""
 
 STEP = 6

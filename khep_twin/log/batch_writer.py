@@ -36,6 +36,16 @@ from khep_twin.log.chunk_index import COMPRESSION, ENTRY_BYTES, ChunkIndex
 from khep_twin.log.record_bytes import LARGEST_CHUNK
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_ROW = [
+    ("opcode", "u1"),
+    ("length", "<u8"),
+    ("channel", "<u2"),
+    ("sequence", "<u4"),
+    ("log_time", "<u8"),
+    ("publish_time", "<u8"),
+]
+"""Fields of `_MESSAGE_HEAD`, for many messages at once."""
+
 _INDEX_HEAD = struct.Struct("<BQHI")
 
 
@@ -128,10 +138,7 @@ class BatchWriter:
 
     def add(self, channel: int, time_ns: int, message: bytes) -> None:
         """Add one message."""
-        self._begin_anew()
-        head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, 22 + len(message), channel, 0, time_ns, time_ns)
-        self._note(channel, np.array([[time_ns, self._size]], np.uint64))
-        self._append(head + message)
+        self.add_lines(channel, [time_ns], [message])
 
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Add messages of different sizes, at these times in their order."""
@@ -152,20 +159,9 @@ class BatchWriter:
         """Add messages of one size, a row each, at these times (n,), rising."""
         self._begin_anew()
         size = messages.itemsize
-        rows = np.zeros(
-            len(messages),
-            [
-                ("opcode", "u1"),
-                ("length", "<u8"),
-                ("channel", "<u2"),
-                ("sequence", "<u4"),
-                ("log_time", "<u8"),
-                ("publish_time", "<u8"),
-                ("data", f"V{size}"),
-            ],
-        )
-        if not len(rows):
+        if not len(messages):
             return
+        rows = np.zeros(len(messages), [*_ROW, ("data", f"V{size}")])
         rows["opcode"] = Opcode.MESSAGE
         rows["length"] = 22 + size
         rows["channel"] = channel

@@ -127,10 +127,10 @@ class Encoder:
     def __init__(self) -> None:
         self._data = bytearray()
 
-    def put(self, kind: str, value: float) -> "Encoder":
-        """Append a number, `kind` as in `struct`."""
+    def put(self, kind: str, *values: float) -> "Encoder":
+        """Append numbers, `kind` as in `struct`."""
         self.align(struct.calcsize(kind))
-        self._data += struct.pack("<" + kind, value)
+        self._data += struct.pack(f"<{len(values)}{kind}", *values)
         return self
 
     def text(self, value: str) -> "Encoder":
@@ -164,9 +164,7 @@ class ArrayFrame:
     """
 
     def __init__(self, length: int, kind: str, label: str) -> None:
-        frame = (
-            Encoder().put("I", 1).text(label).put("I", length).put("I", length).put("I", 0).put("I", length)
-        )
+        frame = Encoder().put("I", 1).text(label).put("I", length, length, 0, length)
         values = frame.align(8)
         self._frame = frame.message() + bytes(8 * length)
         self._type = _layout(len(self._frame), {"values": (f"({length},)<{kind}", values)})
@@ -192,9 +190,9 @@ class TransformFrame:
             fields[f"stamp {index}"] = ("(2,)<i4", frame.align(4))
             frame.time(0).text("world").text(name)
             fields[f"position {index}"] = ("(3,)<f8", frame.align(8))
-            frame.put("d", 0.0).put("d", 0.0).put("d", 0.0)
+            frame.put("d", 0, 0, 0)
             fields[f"rotation {index}"] = ("(4,)<f8", frame.align(8))
-            frame.put("d", 0.0).put("d", 0.0).put("d", 0.0).put("d", 1.0)
+            frame.put("d", 0, 0, 0, 1)
         self._size = len(names)
         self._frame = frame.message()
         self._type = _layout(len(self._frame), fields)

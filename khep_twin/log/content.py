@@ -7,7 +7,8 @@ The parts named by the index lie in the file and do not overlap, so that no byte
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import BinaryIO, NamedTuple
 
 from mcap.opcode import Opcode
@@ -76,33 +77,16 @@ class Content:
         self._end = self._size - len(MCAP0_MAGIC) - HEAD.size - _FOOTER.size
         self._indexed = self._read_summary()
 
-    def messages(self, in_order: bool = True) -> Iterator[Entry]:
-        """Yield the messages, in order of time or else of the file."""
-        if not in_order:
-            for _, pieces in self._pieces():
-                yield from pieces
-            return
-        held: list[Entry] = []
-        latest_ns = 0
-        for start_ns, pieces in self._pieces():
-            if start_ns > latest_ns:
-                yield from sorted(held, key=_time)
-                held.clear()
-            for entry in pieces:
-                held.append(entry)
-                latest_ns = max(latest_ns, entry.time_ns)
-        yield from sorted(held, key=_time)
+    def messages(self) -> Iterator[Entry]:
+        """Yield the messages in the order of the file, in which chunks are in order of time."""
+        return chain.from_iterable(entries for _, entries in self._pieces())
 
     def first_messages(self) -> Iterator[Entry]:
         """Yield the first message of each channel, from the chunks that have them by the index."""
         seen: set[str] = set()
-        for start_ns, place, length in sorted(set(self._first.values())) or self._chunks:
-            for entry in sorted(self._entries(self._chunk(place, length), place, start_ns), key=_time):
-                if entry.topic not in seen:
-                    seen.add(entry.topic)
-                    yield entry
-        if not self._indexed:
-            for entry in sorted(self._unindexed(), key=_time):
+        chunks = sorted(set(self._first.values())) or self._chunks
+        for _, entries in self._pieces(chunks):
+            for entry in sorted(entries, key=lambda each: each.time_ns):
                 if entry.topic not in seen:
                     seen.add(entry.topic)
                     yield entry
@@ -206,11 +190,13 @@ class Content:
         self._chunks.sort()
         return bool(self._chunks)
 
-    def _pieces(self) -> Iterator[tuple[int, Iterator[Entry]]]:
+    def _pieces(
+        self, chunks: Sequence[tuple[int, int, int]] | None = None
+    ) -> Iterator[tuple[int, Iterator[Entry]]]:
         """Yield the messages of each chunk, and the time from which on no earlier chunk has any."""
         if not self._indexed:
             yield 0, self._unindexed()
-        for start_ns, place, length in self._chunks:
+        for start_ns, place, length in self._chunks if chunks is None else chunks:
             yield start_ns, self._entries(self._chunk(place, length), place, start_ns)
 
     def _unindexed(self) -> Iterator[Entry]:
@@ -327,10 +313,6 @@ class Content:
         if len(data) < size:
             raise Misfit(f"end of the file at byte {place + len(data)}", f"{size} bytes at {place}")
         return data
-
-
-def _time(entry: Entry) -> int:
-    return entry.time_ns
 
 
 def _numbers(layout: struct.Struct, content: bytes, place: int) -> tuple[int, ...]:

@@ -5,9 +5,9 @@ raised with what was found and what was expected; the caller that reads a file a
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ LATEST_NS = 2**63 - 1
 
 SHOWN = 60
 """Most characters of a value from a file that a message shows."""
+
+_T = TypeVar("_T")
 
 
 class Misfit(ValueError):
@@ -39,6 +41,11 @@ class Misfit(ValueError):
     def __init__(self, found: str, expected: str) -> None:
         super().__init__(f"{found}; expected {expected}")
         self.found, self.expected, self.row = found, expected, 0
+
+    def in_row(self, row: int) -> Self:
+        """Note the row of the invalid message, and return itself."""
+        self.row = row
+        return self
 
     def at(self, path: Path, place: str, time_ns: int | None = None) -> LogError:
         """Return the error that names the file and the place in it."""
@@ -137,31 +144,47 @@ def read_array(message: bytes, kind: str) -> tuple[Any, ...]:
     return values
 
 
-def read_arrays_of(messages: Sequence[bytes], kind: str) -> NDArray[np.int64] | NDArray[np.float64]:
-    """Return the values of several messages of a channel (n, length), `kind` as for `read_array`.
+def read_each(read: Callable[[bytes], _T], messages: Iterable[bytes]) -> list[_T]:
+    """Return the content of several messages.
 
     Raises:
-        Misfit: One, at its `row`, is no such message, or has another length than the first.
+        Misfit: One, at its `row`, is no such message.
     """
-    rows: list[tuple[Any, ...]] = []
-    for row, message in enumerate(messages):
+    found: list[_T] = []
+    for message in messages:
         try:
-            rows.append(read_array(message, kind))
-            if len(rows[-1]) != len(rows[0]):
-                expected = f"{len(rows[0])}, as in the channel's first message"
-                raise Misfit(f"{len(rows[-1])} values", expected)
+            found.append(read(message))
         except Misfit as misfit:
-            misfit.row = row
-            raise
-        length = len(rows[0])
-        # If all begin alike, as a log's writer makes them, the values are at the same place in each.
-        head = message[: len(message) - 8 * length]
-        alike = (len(each) == len(message) and each.startswith(head) for each in messages)
-        if row == 0 and length and all(alike):
-            whole = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
-            values = np.ascontiguousarray(whole[:, len(head) :])
-            return values.view("<i8") if kind == "q" else values.view("<f8")
-    return np.array(rows, np.int64) if kind == "q" else np.array(rows, np.float64)
+            raise misfit.in_row(len(found)) from None
+    return found
+
+
+def read_arrays_of(
+    messages: Sequence[bytes], kind: str, width: int = 0, wish: str = ", as in the channel's first message"
+) -> NDArray[np.int64] | NDArray[np.float64]:
+    """Return the values of one or more messages of a channel (n, width), `kind` as for `read_array`.
+
+    The width is that of the first message if it is 0; `wish` gives its reason in messages of errors.
+
+    Raises:
+        Misfit: One, at its `row`, is no such message, or has another length.
+    """
+    width = width or len(read_array(messages[0], kind))
+
+    def of_width(message: bytes) -> tuple[Any, ...]:
+        values = read_array(message, kind)
+        if len(values) != width:
+            raise Misfit(f"{len(values)} values", f"{width}{wish}")
+        return values
+
+    of_width(messages[0])
+    # If all begin alike, as a log's writer makes them, the values are at the same place in each.
+    size, number = len(messages[0]), "<i8" if kind == "q" else "<f8"
+    head = messages[0][: size - 8 * width]
+    if width and all(len(each) == size and each.startswith(head) for each in messages):
+        whole = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
+        return np.ascontiguousarray(whole[:, len(head) :]).view(number)
+    return np.array(read_each(of_width, messages), number)
 
 
 def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:

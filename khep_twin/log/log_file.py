@@ -73,15 +73,12 @@ class LogFile:
                 self._writer.attach(name, text)
             self._writer.describe("run", facts)
 
-    def add(self, topic: str, schema: str, time_ns: int, message: bytes) -> None:
-        """Write one message."""
+    def add(
+        self, topic: str, schema: str, time_ns: int, message: bytes, descriptors: bytes | None = None
+    ) -> None:
+        """Write one message; `descriptors` define its type if it is in protobuf."""
         with self.guarded():
-            self._writer.add(self._channel(topic, schema), time_ns, message)
-
-    def add_protobuf(self, topic: str, schema: str, descriptors: bytes, time_ns: int, message: bytes) -> None:
-        """Write one message in protobuf, whose type `descriptors` define."""
-        with self.guarded():
-            self._writer.add(self._writer.channel(topic, schema, descriptors), time_ns, message)
+            self._writer.add(self._channel(topic, schema, descriptors), time_ns, message)
 
     def add_rows(
         self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]
@@ -144,8 +141,8 @@ class LogFile:
         self._forget()
         self._file.close()
 
-    def _channel(self, topic: str, schema: str) -> int:
-        return self._writer.channel(topic, schema, channels.SCHEMAS[schema])
+    def _channel(self, topic: str, schema: str, descriptors: bytes | None = None) -> int:
+        return self._writer.channel(topic, schema, descriptors or channels.SCHEMAS[schema])
 
 
 def _no_log(path: Path) -> str:

@@ -1,9 +1,8 @@
 """Reading of logs: recorded data as arrays, without ROS, rerun or the simulator."""
 
-import re
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +10,11 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
-from khep_twin.files.toml_files import NAME_WISH
-from khep_twin.log.channels import FLOATS, INTEGERS, TextLine
+from khep_twin.log.channels import FLOATS, TextLine
 from khep_twin.log.content import Content, Entry
-from khep_twin.log.decoding import (
-    LATEST_NS,
-    Misfit,
-    read_array,
-    read_arrays_of,
-    read_line,
-    read_transforms,
-    shown,
-)
-from khep_twin.log.wire import read_acts, read_states
+from khep_twin.log.decoding import Misfit
+from khep_twin.log.label import Label, label_of, run_facts
+from khep_twin.log.messages import FOR_REPEAT, WIDTHS, Messages, TimeSeries, check_time
 
 PIECE = 32 << 20
 """Most bytes of messages that `read_pieces` reads at a time, besides a chunk."""
@@ -55,21 +46,6 @@ class RobotTrack:
 
 
 @dataclass(frozen=True, slots=True)
-class Label:
-    """Metadata and attachments of a log.
-
-    Attributes:
-        metadata: Seed, versions, settings.
-        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
-        robots: Names of the robots.
-    """
-
-    metadata: Mapping[str, str]
-    attachments: Mapping[str, str]
-    robots: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class LoggedRun:
     """A whole log.
 
@@ -84,19 +60,6 @@ class LoggedRun:
     attachments: Mapping[str, str]
     robots: Mapping[str, RobotTrack]
     events: list[TextLine]
-
-
-@dataclass(frozen=True, slots=True)
-class TimeSeries:
-    """One channel of numbers.
-
-    Attributes:
-        times_ns: Times of the messages (n,) [ns].
-        values: Values as written (n, length).
-    """
-
-    times_ns: NDArray[np.int64]
-    values: NDArray[np.int64] | NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,11 +85,18 @@ def read(path: Path) -> LoggedRun:
     """
     with _opened(path) as content:
         label = _label(path, content)
-        columns = _Columns(path, label.robots)
-        for topic, _, time_ns, data in content.messages():
-            columns.add(topic, time_ns, data)
-        robots = {name: columns.track(name) for name in label.robots}
-    return LoggedRun(label.metadata, label.attachments, robots, columns.lines["/events"])
+        messages = Messages(path, content.messages())
+    times_ns, poses = messages.poses(label.robots)
+    robots = {
+        name: RobotTrack(
+            times_ns,
+            pose,
+            *(messages.samples(name, kind) for kind in WIDTHS),
+            serial=messages.lines(f"/{name}/serial"),
+        )
+        for name, pose in zip(label.robots, poses, strict=True)
+    }
+    return LoggedRun(label.metadata, label.attachments, robots, messages.lines("/events"))
 
 
 def read_label(path: Path) -> Label:
@@ -155,15 +125,11 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
     Raises:
         LogError: It does not exist, or is not whole.
     """
-    messages = _Messages(path)
     with _opened(path) as content:
         label = _label(path, content)
-        for topic, schema, time_ns, data in content.messages():
-            if schema == FLOATS:
-                messages.add(topic, "d", time_ns, data)
-    return label, {
-        topic: (times_ns, values.astype(np.float64)) for topic, times_ns, values in messages.arrays()
-    }
+        messages = Messages(path, (each for each in content.messages() if each.schema == FLOATS))
+    series = messages.series()
+    return label, {topic: (each.times_ns, each.values.astype(np.float64)) for topic, each in series.items()}
 
 
 def read_series(path: Path) -> Recording:
@@ -173,8 +139,7 @@ def read_series(path: Path) -> Recording:
         LogError: It does not exist, or is not whole.
     """
     with _opened(path) as content:
-        # In the file's order, in which each channel is in order of time anyway: sorting all takes long.
-        return _recording(path, _label(path, content), content.messages(in_order=False))
+        return _recording(path, _label(path, content), content.messages())
 
 
 def read_heads(path: Path) -> Recording:
@@ -213,33 +178,15 @@ def read_with_messages(
 
 
 def _recording(path: Path, label: Label, found: Iterable[Entry]) -> Recording:
-    messages, columns = _Messages(path), _Columns(path, label.robots)
-    for topic, schema, time_ns, data in found:
-        kind = _KINDS.get(schema)
-        if topic.rpartition("/")[2] in _FOR_REPEAT:
-            continue
-        if kind is None:
-            columns.add(topic, time_ns, data)
-        else:
-            messages.add(topic, kind, time_ns, data)
-    series = {topic: _in_order(times_ns, values) for topic, times_ns, values in messages.arrays()}
-    for name in label.robots:
-        if len(pose := columns.pose(name)):
-            series[f"/{name}/pose"] = _in_order(np.array(columns.times_ns, np.int64), pose)
-    lines = {topic: sorted(found, key=lambda line: line.time_ns) for topic, found in columns.lines.items()}
-    return Recording(label, series, lines)
-
-
-def _in_order(times_ns: NDArray[np.int64], values: NDArray[np.int64] | NDArray[np.float64]) -> TimeSeries:
-    order = np.argsort(times_ns, kind="stable")
-    return TimeSeries(times_ns[order], values[order])
-
-
-_KINDS = {FLOATS: "d", INTEGERS: "q"}
-"""Format of the numbers of a message type."""
-
-_FOR_REPEAT = ("wire", "state")
-"""Channels without samples, for `khep-twin repeat`, in rows of any length."""
+    messages = Messages(path, (each for each in found if each.topic.rpartition("/")[2] not in FOR_REPEAT))
+    series = messages.series()
+    times_ns, poses = messages.poses(label.robots)
+    if len(times_ns):
+        series |= {
+            f"/{name}/pose": TimeSeries(times_ns, pose)
+            for name, pose in zip(label.robots, poses, strict=True)
+        }
+    return Recording(label, series, messages.all_lines(label.robots))
 
 
 def read_raw(
@@ -261,9 +208,9 @@ def read_raw(
     with _opened(path) as content:
         label = _label(path, content)
         recovered = any(record.name == "recovered" for record in content.metadata())
-        for topic, _, time_ns, data in content.messages(in_order=False):
+        for topic, _, time_ns, data in content.messages():
             if wanted(topic):
-                _check_time(path, topic, time_ns)
+                check_time(path, topic, time_ns)
                 found.setdefault(topic, []).append((time_ns, data))
     return label, found, recovered
 
@@ -285,12 +232,7 @@ def _opened(path: Path) -> Generator[Content, None, None]:
 
 
 def _label(path: Path, content: Content) -> Label:
-    metadata = {
-        key: text
-        for record in content.metadata()
-        if record.name == "run"
-        for key, text in record.metadata.items()
-    }
+    metadata = run_facts(content.metadata())
     if "robots" not in metadata:
         raise LogError(f"{path}: an MCAP file, but no log of khep_twin")
     attachments: dict[str, str] = {}
@@ -302,169 +244,4 @@ def _label(path: Path, content: Content) -> Label:
         except UnicodeDecodeError as error:
             misfit = Misfit(f"byte {each.data[error.start]:#04x} at {error.start}", "UTF-8")
             raise misfit.at(path, each.name) from None
-    try:
-        return Label(metadata, attachments, robot_names(metadata["robots"]))
-    except Misfit as misfit:
-        raise misfit.at(path, "metadata") from None
-
-
-def robot_names(text: str) -> tuple[str, ...]:
-    """Return the names of a log's robots from its metadata.
-
-    Raises:
-        Misfit: They are no valid names.
-    """
-    if not _NAMES.fullmatch(text):
-        raise Misfit(f"robots = {shown(text)}", f"names with commas between, each {NAME_WISH}")
-    names = tuple(text.split(","))
-    if len(set(names)) < len(names):
-        raise Misfit(f"robots = {shown(text)}", "each name once")
-    return names
-
-
-_NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")
-
-
-class Sieve:
-    """Filter of messages that the reader accepts, for writing a log from untrusted data.
-
-    Args:
-        robots: Names of the robots.
-    """
-
-    def __init__(self, robots: Sequence[str]) -> None:
-        self._bases = {f"{robot}/base" for robot in robots}
-        self._columns = _Columns(Path(), robots)
-        self._lengths: dict[tuple[str, str], int] = {}
-
-    def takes(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
-        """Return whether the reader accepts a message after those passed before."""
-        try:
-            return self._fits(topic, schema, time_ns, message)
-        except (Misfit, LogError):
-            return False
-
-    def _fits(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
-        name = topic.rpartition("/")[2]
-        if name == "wire":
-            for _ in read_acts(message):
-                pass
-        if name == "state":
-            read_states(message)
-        kind = _KINDS.get(schema)
-        length = None if kind is None else len(read_array(message, kind))
-        columns = self._columns
-        for kept in (columns.times_ns, columns.poses, columns.lines):
-            kept.clear()
-        columns.add(topic, time_ns, message)
-        # One row defines the length of the others.
-        del columns.arrays.get(topic, [])[1:]
-        if topic == "/tf" and not self._bases <= columns.poses.keys():
-            return False
-        free = name in _FOR_REPEAT and kind == "q"
-        return length is None or free or length == self._lengths.setdefault((topic, schema), length)
-
-
-def _check_time(path: Path, topic: str, time_ns: int) -> None:
-    if time_ns > LATEST_NS:
-        raise Misfit(f"time = {time_ns} ns", f"at most {LATEST_NS} ns").at(path, topic)
-
-
-class _Lines(dict[str, list[TextLine]]):
-    def __missing__(self, topic: str) -> list[TextLine]:
-        return self.setdefault(topic, [])
-
-
-class _Messages:
-    """Messages of numbers by topic, to be decoded many at once."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._found: dict[tuple[str, str], tuple[list[int], list[bytes]]] = {}
-
-    def add(self, topic: str, kind: str, time_ns: int, message: bytes) -> None:
-        _check_time(self._path, topic, time_ns)
-        times_ns, messages = self._found.setdefault((topic, kind), ([], []))
-        times_ns.append(time_ns)
-        messages.append(message)
-
-    def arrays(
-        self,
-    ) -> Iterator[tuple[str, NDArray[np.int64], NDArray[np.int64] | NDArray[np.float64]]]:
-        for (topic, kind), (times_ns, messages) in self._found.items():
-            try:
-                values = read_arrays_of(messages, kind)
-            except Misfit as misfit:
-                raise misfit.at(self._path, topic, times_ns[misfit.row]) from None
-            yield topic, np.array(times_ns, np.int64), values
-
-
-@dataclass
-class _Columns:
-    """Messages sorted by topic while they are read."""
-
-    path: Path
-    robots: Sequence[str]
-    times_ns: list[int] = field(default_factory=list[int])
-    poses: dict[str, list[tuple[float, ...]]] = field(default_factory=dict[str, list[tuple[float, ...]]])
-    arrays: dict[str, list[tuple[float, ...]]] = field(default_factory=dict[str, list[tuple[float, ...]]])
-    lines: _Lines = field(default_factory=_Lines)
-
-    def add(self, topic: str, time_ns: int, message: bytes) -> None:
-        _check_time(self.path, topic, time_ns)
-        try:
-            self._add(topic, time_ns, message)
-        except Misfit as misfit:
-            raise misfit.at(self.path, topic, time_ns) from None
-
-    def _add(self, topic: str, time_ns: int, message: bytes) -> None:
-        _, name, kind = f"//{topic}".rsplit("/", 2)
-        if topic == "/tf":
-            self.times_ns.append(time_ns)
-            for frame, pose in read_transforms(message).items():
-                self.poses.setdefault(frame, []).append(pose)
-        elif topic == "/events" or (kind == "serial" and name in self.robots):
-            self.lines[topic].append(read_line(message))
-        elif kind in _WIDTHS and name in self.robots:
-            row = read_array(message, "q" if kind == "registers" else "d")
-            rows = self.arrays.setdefault(topic, [])
-            width = _WIDTHS[kind] or len(rows[0] if rows else row)
-            if len(row) != width:
-                raise Misfit(f"{len(row)} values", f"{width} of {kind}")
-            if kind != "registers" and not all(-_LARGEST <= value <= _LARGEST for value in row):
-                raise Misfit(f"values {shown(row)}", f"numbers from -{_LARGEST} to {_LARGEST}")
-            rows.append(row)
-
-    def pose(self, name: str) -> NDArray[np.float64]:
-        """Return x, y [m] and heading [rad] of a robot at `times_ns` (n, 3)."""
-        rows = self.poses.get(f"{name}/base", [])
-        if len(rows) != len(self.times_ns):
-            found = f"{name}/base in {len(rows)} of {len(self.times_ns)} messages"
-            raise Misfit(found, "it in each").at(self.path, "/tf")
-        poses = np.array(rows, np.float64).reshape(-1, 7)
-        x, y, z, w = poses[:, 3:].T
-        heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        return np.column_stack([poses[:, :2], heading])
-
-    def track(self, name: str) -> RobotTrack:
-        return RobotTrack(
-            np.array(self.times_ns, np.int64),
-            self.pose(name),
-            self._integers(name, "proximity"),
-            self._integers(name, "ambient"),
-            self._integers(name, "speed"),
-            self._integers(name, "duty"),
-            self._integers(name, "registers"),
-            self.lines[f"/{name}/serial"],
-        )
-
-    def _integers(self, name: str, kind: str) -> NDArray[np.int64]:
-        rows = self.arrays.get(f"/{name}/{kind}", [])
-        return np.array(rows, np.int64).reshape(len(rows), len(rows[0]) if rows else _WIDTHS[kind])
-
-
-_WIDTHS = {"proximity": 8, "ambient": 8, "speed": 4, "duty": 2, "registers": 0}
-"""Numbers of a message by channel; 0 for as many as in the first one."""
-
-_LARGEST = 2**62
-"""Largest number that is accepted as an integer."""
+    return label_of(path, metadata, attachments)

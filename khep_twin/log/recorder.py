@@ -18,15 +18,7 @@ from numpy.typing import NDArray
 
 from khep_twin import __version__
 from khep_twin import playpen as playpens
-from khep_twin.board.kernel import (
-    AMBIENT,
-    DUTIES,
-    N_REGISTERS,
-    PROXIMITY,
-    SETPOINTS,
-    SPEEDS,
-    Board,
-)
+from khep_twin.board.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS, Board
 from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -56,16 +48,12 @@ _NONE: Mapping[str, str] = {}
 
 _SENSORS = ", ".join(sensor.name.lower().replace("_", " ") for sensor in Sensor)
 
+_WHEELS = "left, right, setpoint left, setpoint right"
+
 SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
     ("proximity", FLOATS, "f8", f"{_SENSORS} [counts]", list(PROXIMITY)),
     ("ambient", FLOATS, "f8", f"{_SENSORS} [counts]", list(AMBIENT)),
-    (
-        "speed",
-        FLOATS,
-        "f8",
-        "left, right, setpoint left, setpoint right [pulses/10 ms]",
-        [*SPEEDS, *SETPOINTS],
-    ),
+    ("speed", FLOATS, "f8", f"{_WHEELS} [pulses/10 ms]", [*SPEEDS, *SETPOINTS]),
     ("duty", FLOATS, "f8", "left, right [-255 to 255]", list(DUTIES)),
     ("leds", FLOATS, "f8", "lateral, frontal [1 is lit]", [int(Board.LED_0), int(Board.LED_1)]),
 ]
@@ -264,7 +252,7 @@ class Recorder:
         self._log.add("/robot_description", "std_msgs/msg/String", 0, message)
         self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
         scene = foxglove_scene.scene_update(world.model)
-        self._log.add_protobuf("/scene", foxglove_scene.SCHEMA, foxglove_scene.descriptors(), 0, scene)
+        self._log.add("/scene", foxglove_scene.SCHEMA, 0, scene, foxglove_scene.descriptors())
         self._log.flush()
 
 

@@ -4,7 +4,7 @@ import fcntl
 import os
 import re
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -17,9 +17,10 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, unusable
 from khep_twin.log.decoding import Misfit
+from khep_twin.log.label import robot_names, run_facts
 from khep_twin.log.mcap_recovery import Progress, Salvage
-from khep_twin.log.reader import Sieve, robot_names
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
+from khep_twin.log.sieve import Sieve
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
 
@@ -73,22 +74,14 @@ def recover(path: Path, progress: Progress = None) -> Rescue:
         # It is renamed only when it is whole; if the name was taken meanwhile, that is an error.
         with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
             whole = Path(folder) / target.name
-            written = _write(salvage, whole, CompressionType.ZSTD, progress)
-            if written.size > whole.stat().st_size * _RATIO:
+            size, rescue = _write(salvage, whole, CompressionType.ZSTD, progress)
+            if size > whole.stat().st_size * _RATIO:
                 whole.unlink()
-                written = _write(salvage, whole, CompressionType.NONE, progress)
+                _, rescue = _write(salvage, whole, CompressionType.NONE, progress)
             target.hardlink_to(whole)
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
-    return Rescue(
-        target,
-        written.messages,
-        written.until_ns,
-        written.attachments,
-        salvage.damaged,
-        salvage.torn,
-        written.refused,
-    )
+    return replace(rescue, path=target)
 
 
 def _content(path: Path) -> bytes | mmap:
@@ -116,52 +109,42 @@ def _target(path: Path) -> Path:
     return found
 
 
-@dataclass(slots=True)
-class _Written:
-    """Totals of a new log: messages, the time of the last [ns], attachments, refused items, bytes."""
-
-    messages: int = 0
-    until_ns: int = 0
-    attachments: int = 0
-    refused: int = 0
-    size: int = 0
-
-
-def _write(salvage: Salvage, path: Path, compression: CompressionType, progress: Progress) -> _Written:
-    """Write a whole file that our reader accepts."""
-    written, sieve = _Written(), _sieve(salvage)
+def _write(
+    salvage: Salvage, path: Path, compression: CompressionType, progress: Progress
+) -> tuple[int, Rescue]:
+    """Write a file that our reader accepts; return the size of its content [bytes] and what is in it."""
+    messages = until_ns = 0
+    sieve = _sieve(salvage)
     with path.open("xb") as file:
         writer = Writer(file, compression=compression)
         writer.start(salvage.header.profile, salvage.header.library)
-        for each in salvage.attachments:
-            if len(each.data) > _LARGEST or not _is_text(each):
-                written.refused += 1
-                continue
+        attachments = [each for each in salvage.attachments if len(each.data) <= _LARGEST and _is_text(each)]
+        refused = len(salvage.attachments) - len(attachments)
+        for each in attachments:
             writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
-            written.attachments += 1
         for record in salvage.metadata:
             writer.add_metadata(record.name, record.metadata)
         lost = {"damaged": str(salvage.damaged), "torn": str(salvage.torn).lower()}
         writer.add_metadata("recovered", {"khep_twin": __version__, **lost})
-        schemas, channels, written.size = _defined(salvage, writer)
+        schemas, channels, size = _defined(salvage, writer)
         for message in salvage.messages(progress and (lambda share: progress((1 + share) / 2))):
             if message.channel_id not in channels:
                 continue
             channel = salvage.channels[message.channel_id]
             schema = schemas.get(channel.schema_id, "")
-            fits = len(message.data) <= _LARGEST
-            if not fits or not (
+            if len(message.data) > _LARGEST or not (
                 sieve is None or sieve.takes(channel.topic, schema, message.log_time, message.data)
             ):
-                written.refused += 1
+                refused += 1
                 continue
             number = channels[message.channel_id]
             writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
-            written.messages += 1
-            written.until_ns = max(written.until_ns, message.log_time)
-            written.size += HEAD.size + MESSAGE.size + len(message.data)
+            messages += 1
+            until_ns = max(until_ns, message.log_time)
+            size += HEAD.size + MESSAGE.size + len(message.data)
         writer.finish()
-    return written
+    counts = len(attachments), salvage.damaged, salvage.torn, refused
+    return size, Rescue(path, messages, until_ns, *counts)
 
 
 _LARGEST = LARGEST_CHUNK // 4
@@ -173,11 +156,8 @@ _RATIO = LARGEST_RATIO // 4
 
 def _sieve(salvage: Salvage) -> Sieve | None:
     """Return the filter of messages that our reader accepts; None if this is no log of khep_twin."""
-    facts = {
-        key: text for each in salvage.metadata if each.name == "run" for key, text in each.metadata.items()
-    }
     try:
-        return Sieve(robot_names(facts["robots"]))
+        return Sieve(robot_names(run_facts(salvage.metadata)["robots"]))
     except (KeyError, Misfit):
         return None
 

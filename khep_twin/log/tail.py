@@ -19,8 +19,8 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.invocation import command
-from khep_twin.log.decoding import Misfit
-from khep_twin.log.reader import Label, read_label, robot_names
+from khep_twin.log.label import Label, label_of, run_facts
+from khep_twin.log.reader import read_label
 from khep_twin.log.record_bytes import HEAD, MESSAGE, RecordBytes, parsed, records_in
 
 _BLOCK = 1 << 22
@@ -104,10 +104,7 @@ class GrowingLog:
         """
         if "robots" not in self._facts:
             return None
-        try:
-            return Label(self._facts, self._attachments, robot_names(self._facts["robots"]))
-        except Misfit as misfit:
-            raise misfit.at(self.part, "metadata") from None
+        return label_of(self.part, self._facts, self._attachments)
 
     def new(self) -> list[Message]:
         """Return the messages written since the last call, of a long log a part of them.
@@ -150,8 +147,8 @@ class GrowingLog:
                 self._attach(records.attachment(place, end))
             elif opcode == Opcode.METADATA:
                 record = parsed(opcode, self._rest[place + HEAD.size : end])
-                if isinstance(record, Metadata) and record.name == "run":
-                    self._facts |= record.metadata
+                if isinstance(record, Metadata):
+                    self._facts |= run_facts([record])
             elif opcode == Opcode.DATA_END:
                 self.finished = True
             place = end
