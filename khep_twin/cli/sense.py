@@ -77,7 +77,7 @@ def sense(
     force: Force = False,
 ) -> None:
     """Read a robot's sensors while it drives straight or turns, into files and a picture."""
-    from khep_twin.lab.sensor_test import sensor_figure, sensor_files
+    from khep_twin.lab.sensor_test import sensor_files
     from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
 
     given = {
@@ -117,6 +117,7 @@ def sense(
             broken = error
     if picture is not None and (earlier or done):
         from khep_twin.drawing import map as drawing
+        from khep_twin.lab.sensor_test import sensor_figure
 
         figure = sensor_figure.draw([*earlier, *done], sensor=sensor, y_min=y_min or 0, grid=bool(grid))
         drawing.save(figure, picture)

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from io import BytesIO
 from typing import Any
 
-from scipy.io import savemat
-
 from khep_twin import __version__
 
 _TITLE_BYTES = 116
@@ -22,6 +20,9 @@ def mat_bytes(values: Mapping[str, Any], what: str, *, packed: bool = True) -> b
         what: Description of the file for its title.
         packed: True to compress by zlib.
     """
+    # Every run could save a series; to import scipy would take a fifth of a short run's start.
+    from scipy.io import savemat
+
     file = BytesIO()
     savemat(file, dict(values), do_compression=packed)
     # scipy writes the machine and the time here.
