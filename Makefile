@@ -35,7 +35,7 @@ setup: $(VENV)/dev.stamp ## the environment with the tools of the test suite; ag
 
 test: $(VENV)/dev.stamp ## the whole test suite
 	@echo "khep_twin: $(or $(TESTS),the whole test suite: about ten minutes on two cores)"
-	@$(BIN)/python -m pytest -n auto $(TESTS)
+	@$(BIN)/python -m pytest -n auto --dist worksteal $(TESTS)
 
 wheels: $(VENV)/dev.stamp ## which locked packages have a wheel for Python 3.11 to 3.14, as pip says; a few minutes
 	@$(BIN)/python tools/wheels.py

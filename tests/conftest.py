@@ -1,8 +1,12 @@
 """What several tests need."""
 
+import importlib.util
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -48,6 +52,22 @@ def pytest_configure() -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile episodes once, on two cores, before workers that need them all do so at the same time."""
+    config = session.config
+    if (
+        config.getoption("numprocesses", None)  # not in a worker, nor without any
+        and any(Path(each).is_dir() for each in config.args)
+        and importlib.util.find_spec("numba") is not None
+    ):
+        run = [sys.executable, "-m", "khep_twin", "run", "--fast", "--seconds", "0.02"]
+        compilers = [
+            subprocess.Popen([*run, *more], stdout=subprocess.DEVNULL) for more in ((), ("--planar",))
+        ]
+        for each in compilers:
+            each.wait()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -36,9 +36,7 @@ def fit(
     force: Force = False,
 ) -> None:
     """Fit one robot's wheels, motors and sensors to recorded tests and ruler measurements."""
-    from khep_twin.drawing import map as drawing
     from khep_twin.files.toml_files import dump
-    from khep_twin.lab.fit.fit_figure import draw_fit
     from khep_twin.lab.fit.fit_inputs import measured
     from khep_twin.lab.fit.robot_fit import fit_robot, met, named
     from khep_twin.sensing import calibration
@@ -72,6 +70,10 @@ def fit(
         after = named(found.calibration, output.stem, len(tests))
         write_whole(output, dump(after).encode("utf-8"))
         typer.echo(f"calibration   {output}")
-    if picture is not None and (figure := draw_fit(data, found.calibration)) is not None:
-        drawing.save(figure, picture)
-        typer.echo(f"picture       {picture}")
+    if picture is not None:
+        from khep_twin.drawing import map as drawing
+        from khep_twin.lab.fit.fit_figure import draw_fit
+
+        if (figure := draw_fit(data, found.calibration)) is not None:
+            drawing.save(figure, picture)
+            typer.echo(f"picture       {picture}")

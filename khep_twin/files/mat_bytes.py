@@ -6,8 +6,6 @@
 from collections.abc import Mapping
 from io import BytesIO
 
-from scipy.io import savemat
-
 from khep_twin import __version__
 
 _TITLE_BYTES = 116
@@ -21,6 +19,9 @@ def mat_bytes(values: Mapping[str, object], what: str, *, packed: bool = True) -
         what: Description of the file for its title.
         packed: True to compress by zlib.
     """
+    # Every run could save a series; to import scipy would take a fifth of a short run's start.
+    from scipy.io import savemat
+
     file = BytesIO()
     savemat(file, dict(values), do_compression=packed)
     # scipy writes the machine and the time here.

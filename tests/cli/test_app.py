@@ -15,6 +15,7 @@ from pathlib import Path
 
 import mujoco
 import pytest
+from command_line import khep_twin
 from typer.testing import CliRunner
 
 from khep_twin import __version__, invocation
@@ -25,22 +26,25 @@ from khep_twin.log.reader import read
 GOOD = (toml_files.folder("playpens") / "obstacles.toml").read_text()
 
 
-def khep_twin(
-    *arguments: str | Path, before: Callable[[], None] | None = None, cwd: Path | None = None
-) -> subprocess.CompletedProcess[str]:
+def process(
+    *arguments: str | Path, before: Callable[[], None] | None = None
+) -> "subprocess.CompletedProcess[str]":
+    """A command in a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "khep_twin", *map(str, arguments)],
         capture_output=True,
         text=True,
         timeout=120,
         preexec_fn=before,
-        cwd=cwd,
     )
 
 
-def complaint(*arguments: str | Path, before: Callable[[], None] | None = None) -> str:
+def complaint(*arguments: str | Path) -> str:
     """The one line that a mistake gets."""
-    result = khep_twin(*arguments, before=before)
+    return line_of(khep_twin(*arguments))
+
+
+def line_of(result: "subprocess.CompletedProcess[str]") -> str:
     assert result.returncode in (1, 2), result.stderr
     assert result.stderr.count("\n") == 1, result.stderr
     assert result.stderr.startswith("khep-twin: ")
@@ -48,8 +52,8 @@ def complaint(*arguments: str | Path, before: Callable[[], None] | None = None) 
 
 
 def test_the_version_and_the_help_come_at_once() -> None:
-    assert khep_twin("--version").stdout == f"khep-twin {__version__}\n"
-    assert "Run a controller on a twin or a robot, once or in a series." in khep_twin("--help").stdout
+    assert process("--version").stdout == f"khep-twin {__version__}\n"
+    assert "Run a controller on a twin or a robot, once or in a series." in process("--help").stdout
     program = (
         "import sys, khep_twin.cli; print([m for m in ('mujoco', 'rerun', 'matplotlib') if m in sys.modules])"
     )
@@ -76,7 +80,7 @@ def test_what_is_typed_wrong_gets_one_line(typed: str, told: str) -> None:
 
 
 def test_nothing_typed_gets_the_help() -> None:
-    result = khep_twin()
+    result = process()
     assert result.returncode == 2
     assert "Run a controller on a twin or a robot, once or in a series." in result.stderr
 
@@ -103,7 +107,7 @@ def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path
 
 def test_a_run_draws_its_picture_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     log, picture = tmp_path / "run.mcap", tmp_path / "run.png"
-    result = khep_twin("run", "--seconds", "2", "--log", log, "--picture", picture)
+    result = process("run", "--seconds", "2", "--log", log, "--picture", picture)
     assert result.returncode == 0, result.stderr
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap", "run.png"]
@@ -111,7 +115,7 @@ def test_a_run_draws_its_picture_and_leaves_nothing_half_written(tmp_path: Path)
 
 def test_an_own_controller_is_run_for_its_cycles(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def turn(robot):\n    robot.set_speed(3, -3)\n    robot.sleep(0.1)\n")
-    result = khep_twin("run", "mine.py:turn", "--cycles", "5", cwd=tmp_path)
+    result = khep_twin("run", "mine.py:turn", "--cycles", "5", folder=tmp_path)
     assert result.stdout == "5 cycles in 0.6 s\n"
 
 
@@ -256,9 +260,11 @@ def test_the_readmes_run_can_be_repeated(tmp_path: Path) -> None:
 
 def test_a_full_disk_ends_the_run_and_keeps_what_was_written(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    line = complaint(
-        *("run", "--seconds", "60", "--log", log),
-        before=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000)),
+    line = line_of(
+        process(
+            *("run", "--seconds", "60", "--log", log),
+            before=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000)),
+        )
     )
     assert line.startswith(f"{log}: the log cannot be written any more at ")
     assert "File too large" in line

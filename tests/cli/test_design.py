@@ -8,6 +8,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from command_line import khep_twin
 
 COMMAND = [sys.executable, "-m", "khep_twin", "design"]
 
@@ -50,9 +51,7 @@ def test_a_mistake_is_told_in_one_line(tmp_path: Path, arguments: list[str], tol
     (tmp_path / "folder.toml").mkdir()
     with socket.create_server(("127.0.0.1", 0)) as taken:
         given = [each.format(taken=taken.getsockname()[1]) for each in arguments]
-        done = subprocess.run(
-            [*COMMAND, *given, "--no-browser"], cwd=tmp_path, capture_output=True, text=True, timeout=60
-        )
+        done = khep_twin("design", *given, "--no-browser", folder=tmp_path)
     assert done.returncode in (1, 2)
     assert told in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr

@@ -2,12 +2,12 @@
 
 import re
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import khep_twin
 from drawn_bitmap import drawn, seen_from_above
 from PIL import Image
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
@@ -18,9 +18,8 @@ DRAWN = drawn()
 PAGE = (Path(__file__).parents[2] / "docs" / "import.md").read_text()
 
 
-def command(*arguments: str | int | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-m", "khep_twin", "playpen", *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=60, cwd=cwd, check=False)
+def command(*arguments: str | int | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
+    return khep_twin("playpen", *arguments, folder=cwd)
 
 
 @pytest.fixture

@@ -1,10 +1,10 @@
-"""`khep-twin rollout` from outside."""
+"""The command `khep-twin rollout`."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import khep_twin
 
 OWN = """
 def controller(proximity, ambient):
@@ -18,9 +18,8 @@ def three(proximity, ambient, memory):
 """
 
 
-def rollout(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "khep_twin", "rollout", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd)
+def rollout(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
+    return khep_twin("rollout", *arguments, folder=cwd)
 
 
 def test_a_rollout_tells_how_it_went_and_the_same_again(tmp_path: Path) -> None:

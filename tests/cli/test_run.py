@@ -3,21 +3,19 @@
 import csv
 import os
 import pty
-import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
-from io import StringIO
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from command_line import khep_twin
 from fake_robot import FakeRobot
 from scipy.io import loadmat
 
-from khep_twin.cli.app import main
 from khep_twin.log.reader import read
 from khep_twin.playpen import dump, load
 
@@ -46,34 +44,14 @@ def controller(robot):
 ACROSS = ("--playpen", "obstacles", "--cycles", "60", "--runs", "4")
 
 
-def run(*words: object, folder: Path) -> "subprocess.CompletedProcess[str]":
-    """A command, here in this process: starting one takes longer than most of what is tested."""
-    out, errors, code = StringIO(), StringIO(), 0
-    with (
-        chdir(folder),
-        pytest.MonkeyPatch.context() as patch,
-        redirect_stdout(out),
-        redirect_stderr(errors),
-    ):
-        patch.setattr(sys, "argv", ["khep-twin", *map(str, words)])
-        patch.setattr(sys, "path", [*sys.path])
-        try:
-            main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-    # In a fresh checkout the first compiled run is announced.
-    told = re.sub(r"khep_twin: compiling with numba.*\n", "", errors.getvalue())
-    return subprocess.CompletedProcess(words, code, out.getvalue(), told)
-
-
 def good(*words: object, folder: Path) -> str:
-    result = run(*words, folder=folder)
+    result = khep_twin(*words, folder=folder)
     assert result.returncode == 0, result.stderr
     return result.stdout
 
 
 def complaint(*words: object, folder: Path) -> str:
-    result = run(*words, folder=folder)
+    result = khep_twin(*words, folder=folder)
     assert result.returncode in (1, 2), result.stdout
     assert result.stderr.startswith("khep-twin: ")
     assert result.stderr.count("\n") == 1, result.stderr
@@ -316,7 +294,7 @@ def test_a_twin_that_is_killed_in_mid_run_is_one_error_and_nothing_is_lost(tmp_p
     assert "the motors may still run" in errors
     assert rows(tmp_path / "series")[0]["run"] == "1"
     assert "run" in good("series", "series", folder=tmp_path)
-    recovered = run("recover", "served.mcap.part", folder=tmp_path)
+    recovered = khep_twin("recover", "served.mcap.part", folder=tmp_path)
     assert recovered.returncode in (0, 3), recovered.stderr
     assert len(read(tmp_path / "served.mcap").robots["khepera0"].times_ns) >= 1
 
@@ -424,9 +402,9 @@ def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", [("run",), ("rollout", "--planar", "--period", "20")])
 def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Sequence[str]) -> None:
-    second = run(*kind, "--model", "khepera2", "--seconds", "0.2", folder=tmp_path)
+    second = khep_twin(*kind, "--model", "khepera2", "--seconds", "0.2", folder=tmp_path)
     assert (second.returncode, second.stderr) == (0, "")
-    refused = run(*kind, "--model", "khepera3", folder=tmp_path)
+    refused = khep_twin(*kind, "--model", "khepera3", folder=tmp_path)
     assert refused.stderr == (
         "khep-twin: model = 'khepera3': unknown; did you mean 'khepera2'? (choices: khepera1, khepera2)\n"
     )
@@ -436,19 +414,19 @@ def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Seq
 def test_the_firmware_of_a_khepera_2_alone_is_told_of_in_one_line(
     tmp_path: Path, kind: Sequence[str]
 ) -> None:
-    done = run(*kind, "--rom", "khepera2", "--seconds", "0.2", folder=tmp_path)
+    done = khep_twin(*kind, "--rom", "khepera2", "--seconds", "0.2", folder=tmp_path)
     assert done.returncode == 0
     assert done.stderr == (
         "khep-twin: --rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
         "--model khepera2 changes all three\n"
     )
-    assert run(*kind, "--rom", "4.06", "--seconds", "0.2", folder=tmp_path).stderr == ""
+    assert khep_twin(*kind, "--rom", "4.06", "--seconds", "0.2", folder=tmp_path).stderr == ""
 
 
 def test_starts_have_room_for_the_body_that_is_run(tmp_path: Path) -> None:
     words = ("run", "--start", "29,250,0", "--seconds", "0.1")
-    assert run(*words, folder=tmp_path).returncode == 0
-    assert "start 29,250,0" in run(*words, "--model", "khepera2", folder=tmp_path).stderr
+    assert khep_twin(*words, folder=tmp_path).returncode == 0
+    assert "start 29,250,0" in khep_twin(*words, "--model", "khepera2", folder=tmp_path).stderr
 
 
 TOOLBOX = """
@@ -563,7 +541,7 @@ def test_whatever_a_controller_raises_is_its_fault_and_its_log_is_whole(
     (tmp_path / "mine.py").write_text(BAD_END.format(*parts))
     line = 9 if where == "cycle" else 12
     words = ("run", "mine.py:controller", "--on-run-end", "mine.py", "--cycles", "20", "--log", "run.mcap")
-    result = run(*words, folder=tmp_path)
+    result = khep_twin(*words, folder=tmp_path)
     assert result.returncode == 1
     assert result.stderr == f"khep-twin: {tmp_path / 'mine.py'}:{line}: {told}\n"
     assert [line.text for line in read(tmp_path / "run.mcap").robots["khepera0"].serial][-2:] == [

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+from command_line import khep_twin
 
 from khep_twin.errors import LogError
 from khep_twin.lab.sensor_test.sensor_files import load
@@ -27,9 +28,8 @@ heading_deg = 0
 """
 
 
-def sense(*arguments: str | int | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "khep_twin", "sense", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=cwd)
+def sense(*arguments: str | int | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
+    return khep_twin("sense", *arguments, folder=cwd)
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import zstandard
+from command_line import khep_twin
 from driving import COMMANDS, SECOND
 from log_rewriting import rewritten
 from mcap.reader import make_reader
@@ -165,11 +166,6 @@ def test_messages_outside_of_chunks_are_kept(tmp_path: Path) -> None:
     found = rescued(folder, data[: len(data) // 2])
     assert found is not None
     assert (found.messages, found.torn) == (counts[len(data) // 14], True)
-
-
-def khep_twin(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "khep_twin", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def test_exit_codes_tell_all_part_and_nothing(tmp_path: Path, long_log: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from command_line import khep_twin
 from lateness import lateness
 
 from khep_twin import playpen
@@ -264,9 +265,7 @@ def test_a_killed_server_loses_less_than_a_second_and_is_announced_next_time(tmp
     ],
 )
 def test_wrong_usage_is_one_line_and_no_trace(arguments: list[str], message: str) -> None:
-    result = subprocess.run(
-        [sys.executable, "-m", "khep_twin", "serve", *arguments], capture_output=True, text=True, timeout=60
-    )
+    result = khep_twin("serve", *arguments)
     assert result.returncode in (1, 2)
     assert result.stderr.startswith(message)
     assert result.stderr.count("\n") == 1

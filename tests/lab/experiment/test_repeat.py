@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_line import khep_twin
 from log_rewriting import rewritten
 
 from khep_twin import playpen
@@ -31,7 +32,7 @@ from khep_twin.sensing import calibration
 SECOND = 1_000_000_000
 
 
-def khep_twin(*words: object, seed: int = 1) -> subprocess.CompletedProcess[str]:
+def process(*words: object, seed: int = 1) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "khep_twin", *map(str, words)]
     environment = {**os.environ, "PYTHONHASHSEED": str(seed)}
     return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
@@ -45,7 +46,7 @@ def again(path: Path) -> Divergence | None:
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log of ten seconds of a Braitenberg vehicle."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
-    done = khep_twin("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
+    done = process("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
     assert done.returncode == 0, done.stderr
     return path
 
@@ -64,9 +65,9 @@ def test_a_minute_with_noise_spread_and_faults_is_the_same_in_another_process(tm
         "        robot.sleep(0.1)\n"
     )
     options = ("--playpen", "obstacles", "--seed", 9, "--vary", "on", "--battery-used-min", 20)
-    done = khep_twin("run", program, *options, "--seconds", 60, "--log", path, *words, seed=11)
+    done = process("run", program, *options, "--seconds", 60, "--log", path, *words, seed=11)
     assert done.returncode == 0, done.stderr
-    done = khep_twin("repeat", path, seed=12)
+    done = process("repeat", path, seed=12)
     assert (done.returncode, done.stderr) == (0, ""), done
     assert done.stdout.startswith("identical: 60.")
 

@@ -2,11 +2,11 @@
 
 import math
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import khep_twin
 
 from khep_twin import playpen
 from khep_twin.errors import FitError
@@ -132,8 +132,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[
 
 
 def fit(*words: str) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-m", "khep_twin", "fit", *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return khep_twin("fit", *words)
 
 
 def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(

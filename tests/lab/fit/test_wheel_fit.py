@@ -1,11 +1,10 @@
 """Wheels from drives and a ruler: what a twin with other wheels was made with is found."""
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import khep_twin
 
 from khep_twin import playpen
 from khep_twin.errors import FitError
@@ -71,8 +70,7 @@ def test_the_command_writes_a_calibration_that_a_twin_can_use(hidden: str, tmp_p
     distance, _ = drive(hidden, log, 5_000, 5_000)
     _, turned = drive(hidden, spin, -4_000, 4_000)
     words = [f"{log}={distance * 1000:.0f}mm", f"{spin}={turned / 2 / math.pi:.3f}turns"]
-    command = [sys.executable, "-m", "khep_twin", "fit", *words, "--check", words[0], "-o", str(target)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = khep_twin("fit", *words, "--check", words[0], "-o", target)
     assert done.returncode == 0, done.stderr
     assert "not used for the fit" in done.stdout
     written = calibration.read(str(target))[0]
@@ -108,8 +106,7 @@ def test_contradicting_drives_widen_the_interval() -> None:
 
 @pytest.mark.parametrize("words", ["a.mcap", "a.mcap=5", "a.mcap=5cm", "=5mm", "no-such.mcap=5mm"])
 def test_words_that_make_no_drive_are_one_line(words: str) -> None:
-    command = [sys.executable, "-m", "khep_twin", "fit", words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = khep_twin("fit", words)
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1
     assert words.partition("=")[0] in done.stderr
