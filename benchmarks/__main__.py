@@ -16,11 +16,11 @@ from tempfile import TemporaryDirectory
 
 from benchmarks import growth, peers, record
 from benchmarks.ports import line_row, trip_rows
-from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, life_row, world_row
+from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, episode_row, world_row
 from benchmarks.table import LEGEND, Table, measure, text
 from khep_twin import playpen, units
 from khep_twin.errors import KhepTwinError
-from khep_twin.rollout.life import EpisodeSetup
+from khep_twin.rollout.episode import EpisodeSetup
 
 PLAYPEN = "obstacles"
 PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
@@ -29,21 +29,21 @@ PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
 
 def main_job(part: float, rounds: int) -> Table:
     """Measure the bare loop, the whole twin with its line and log, and episodes without a line."""
-    seconds, lives = max(round(30 * part), 1), 32 if part >= 1 else 8
-    ground = EpisodeSetup(playpen.load(PLAYPEN))
+    seconds, n_episodes = max(round(30 * part), 1), 32 if part >= 1 else 8
+    setup = EpisodeSetup(playpen.load(PLAYPEN))
     with TemporaryDirectory() as folder:
         rows = [
-            bare_row("bare mj_step, rangefinders (floor)", ground, seconds),
-            bare_row("bare mj_step, no sensors", ground, seconds, sensors=False),
+            bare_row("bare mj_step, rangefinders (floor)", setup, seconds),
+            bare_row("bare mj_step, no sensors", setup, seconds, sensors=False),
             world_row("World, told by no line", playpen.load(PLAYPEN), seconds),
             line_row("main job over khep://, no log", PLAYPEN, seconds),
             line_row("main job over khep://, logged", PLAYPEN, seconds, Path(folder) / "run.mcap"),
-            life_row("life, plain", ground, seconds, compiled=False),
-            life_row("life, compiled", ground, seconds),
-            batch_row("batch, 1 thread", ground, lives, 4 * part, 1),
-            batch_row("batch, 2 threads", ground, lives, 4 * part, 2),
-            batch_row("batch, Python policy, 1 thread", ground, lives, 4 * part, 1, POLICY),
-            batch_row("batch, Python policy, 2 threads", ground, lives, 4 * part, 2, POLICY),
+            episode_row("life, plain", setup, seconds, compiled=False),
+            episode_row("life, compiled", setup, seconds),
+            batch_row("batch, 1 thread", setup, n_episodes, 4 * part, 1),
+            batch_row("batch, 2 threads", setup, n_episodes, 4 * part, 2),
+            batch_row("batch, Python policy, 1 thread", setup, n_episodes, 4 * part, 1, POLICY),
+            batch_row("batch, Python policy, 2 threads", setup, n_episodes, 4 * part, 2, POLICY),
         ]
         return measure(f"{PLAYPEN}, steps of 2.5 ms", rows, rounds)
 
@@ -59,19 +59,19 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
         found: Filled with the versions of Kheperax.
     """
     scene = growth.twenty_blocks() if name == growth.TWENTY_BLOCKS else playpen.load(name)
-    seconds, lives = max(round(20 * part), 1), 32 if part >= 1 else 8
+    seconds, n_episodes = max(round(20 * part), 1), 32 if part >= 1 else 8
     fine, coarse = EpisodeSetup(scene), EpisodeSetup(scene, step_ns=4 * units.STEP_NS)
     plane, long_s = EpisodeSetup(scene, planar=True), 60 * part
     rows = [
         bare_row("bare mj_step, rangefinders (floor)", fine, seconds),
-        life_row("life, steps of 2.5 ms", fine, seconds),
-        life_row("life, steps of 10 ms", coarse, seconds),
-        batch_row("batch, 2 threads, 2.5 ms", fine, lives, 4 * part, 2),
-        batch_row("batch, 2 threads, 10 ms", coarse, lives, 4 * part, 2),
-        batch_row("plane, ROM's vehicle, 1 thread", plane, lives, long_s, 1),
-        batch_row("plane, ROM's vehicle, 2 threads", plane, lives, long_s, 2),
-        batch_row("plane, networks, 1 thread", plane, lives, long_s, 1, NETWORK),
-        batch_row("plane, networks, 2 threads", plane, lives, long_s, 2, NETWORK),
+        episode_row("life, steps of 2.5 ms", fine, seconds),
+        episode_row("life, steps of 10 ms", coarse, seconds),
+        batch_row("batch, 2 threads, 2.5 ms", fine, n_episodes, 4 * part, 2),
+        batch_row("batch, 2 threads, 10 ms", coarse, n_episodes, 4 * part, 2),
+        batch_row("plane, ROM's vehicle, 1 thread", plane, n_episodes, long_s, 1),
+        batch_row("plane, ROM's vehicle, 2 threads", plane, n_episodes, long_s, 2),
+        batch_row("plane, networks, 1 thread", plane, n_episodes, long_s, 1, NETWORK),
+        batch_row("plane, networks, 2 threads", plane, n_episodes, long_s, 2, NETWORK),
     ]
     with ExitStack() as stack:
         if python is not None:

@@ -14,11 +14,11 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.scale import bare_row, batch_row, life_row, world_row
+from benchmarks.scale import bare_row, batch_row, episode_row, world_row
 from benchmarks.table import COST, LEGEND, Row, Table, measure, text
 from khep_twin import playpen, playpen_to_mjcf
 from khep_twin.playpen import Arena, Block, Playpen, Robot
-from khep_twin.rollout.life import EpisodeSetup
+from khep_twin.rollout.episode import EpisodeSetup
 
 BLOCKS = (0, 20, 100, 1000)
 ROBOTS = (1, 2, 8)
@@ -47,13 +47,13 @@ def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
     )
     if n_blocks + n_robots > len(grid):
         raise ValueError(f"{n_blocks} blocks and {n_robots} robots; expected {len(grid)} in all")
-    chance = np.random.default_rng(1)
-    angles = chance.uniform(0, 180, len(grid)).round(1).tolist()
-    shifts = chance.uniform(-20, 20, (len(grid), 2)).round(1).tolist()
+    rng = np.random.default_rng(1)
+    angles = rng.uniform(0, 180, len(grid)).round(1).tolist()
+    shifts = rng.uniform(-20, 20, (len(grid), 2)).round(1).tolist()
     at = [((column + 0.5) * PLACE_MM, (row + 0.5) * PLACE_MM) for row, column in grid]
     blocks = tuple(
-        Block(x_mm=x + aside, y_mm=y + ahead, length_mm=60, width_mm=25, height_mm=50, angle_deg=angle)
-        for (x, y), (aside, ahead), angle in zip(
+        Block(x_mm=x + tangential, y_mm=y + ahead, length_mm=60, width_mm=25, height_mm=50, angle_deg=angle)
+        for (x, y), (tangential, ahead), angle in zip(
             at[n_robots : n_robots + n_blocks], shifts[n_robots:], angles[n_robots:], strict=False
         )
     )
@@ -85,17 +85,17 @@ def rays_per_sensor(n_rays: int) -> Generator[None]:
 
 def blocks_tables(seconds: float, rounds: int, numbers: Sequence[int] = BLOCKS) -> Iterator[Table]:
     """Measure an episode and the bare loop among increasing numbers of blocks."""
-    grounds = [(f"{number} blocks", EpisodeSetup(field(number))) for number in numbers]
-    yield from _life_and_bare("blocks", grounds, seconds, rounds)
+    setups = [(f"{number} blocks", EpisodeSetup(field(number))) for number in numbers]
+    yield from _life_and_bare("blocks", setups, seconds, rounds)
 
 
 def rays_tables(seconds: float, rounds: int, numbers: Sequence[int] = RAYS) -> Iterator[Table]:
     """Measure an episode and the bare loop among 20 blocks, with increasing numbers of rays."""
-    grounds: list[tuple[str, EpisodeSetup]] = []
+    setups: list[tuple[str, EpisodeSetup]] = []
     for number in numbers:
         with rays_per_sensor(number):
-            grounds.append((f"{number} ray{'s' * (number > 1)} per sensor", EpisodeSetup(field(20))))
-    yield from _life_and_bare("rays", grounds, seconds, rounds)
+            setups.append((f"{number} ray{'s' * (number > 1)} per sensor", EpisodeSetup(field(20))))
+    yield from _life_and_bare("rays", setups, seconds, rounds)
 
 
 def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -> Table:
@@ -108,8 +108,8 @@ def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -
 
 def lives_table(life_s: float, rounds: int, numbers: Sequence[int] = LIVES) -> Table:
     """Measure batches of increasing numbers of short episodes, on two threads."""
-    ground = EpisodeSetup(playpen.load("default"))
-    rows = [batch_row(f"{number} lives", ground, number, life_s, 2) for number in numbers]
+    setup = EpisodeSetup(playpen.load("default"))
+    rows = [batch_row(f"{number} lives", setup, number, life_s, 2) for number in numbers]
     title = f"lives of {life_s:g} s in a batch, default, 2 threads"
     return measure(title, rows, rounds, unit=COST, cost=True)
 
@@ -130,11 +130,11 @@ def tables(part: float, rounds: int, most: int | None = None) -> Iterator[Table]
 
 
 def _life_and_bare(
-    what: str, grounds: Sequence[tuple[str, EpisodeSetup]], seconds: float, rounds: int
+    what: str, setups: Sequence[tuple[str, EpisodeSetup]], seconds: float, rounds: int
 ) -> Iterator[Table]:
-    lives: list[Row] = [life_row(name, ground, seconds) for name, ground in grounds]
-    bare: list[Row] = [bare_row(name, ground, seconds) for name, ground in grounds]
-    yield measure(f"{what}, compiled life", lives, rounds, unit=COST, cost=True)
+    n_episodes: list[Row] = [episode_row(name, setup, seconds) for name, setup in setups]
+    bare: list[Row] = [bare_row(name, setup, seconds) for name, setup in setups]
+    yield measure(f"{what}, compiled life", n_episodes, rounds, unit=COST, cost=True)
     yield measure(f"{what}, bare mj_step with rangefinders", bare, rounds, unit=COST, cost=True)
 
 

@@ -107,15 +107,15 @@ def peak(table: MeasuredTable, counts: Floats) -> float:
 
 def on_axis(table: MeasuredTable, sensor: int) -> Floats:
     """Return the matrix that maps readings (n,) to their means near the peak, one per distance."""
-    aside = np.angle(np.exp(1j * (table.bearings - peak(table, table.counts[:, sensor]))))
-    near = np.abs(aside) <= np.radians(PEAK_DEG)
+    tangential = np.angle(np.exp(1j * (table.bearings - peak(table, table.counts[:, sensor]))))
+    near = np.abs(tangential) <= np.radians(PEAK_DEG)
     rows = [near & (table.distances == distance) for distance in np.unique(table.distances)]
     return np.array([row / row.sum() for row in rows])
 
 
 def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -> Residuals:
     """Return the residuals of a model."""
-    measured = table.counts[:, sensor]
+    fit_inputs = table.counts[:, sensor]
     modelled = proximity(table.view(sensor, heading), TANGENTS, optics)
     axis, distances = on_axis(table, sensor), np.unique(table.distances)
 
@@ -123,10 +123,10 @@ def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -
         return float(np.interp(-511.5, -(axis @ counts), distances))
 
     return Residuals(
-        modelled - measured,
-        axis @ (modelled - measured),
-        half(modelled) - half(measured),
-        float(np.angle(np.exp(1j * (peak(table, modelled) - peak(table, measured))))),
+        modelled - fit_inputs,
+        axis @ (modelled - fit_inputs),
+        half(modelled) - half(fit_inputs),
+        float(np.angle(np.exp(1j * (peak(table, modelled) - peak(table, fit_inputs))))),
     )
 
 

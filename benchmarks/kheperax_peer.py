@@ -76,7 +76,7 @@ def stage(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
         moved = after.robot.posture.dist_to(state.robot.posture)
         return after, moved
 
-    def life(state: Any, steps: int) -> tuple[Any, Any, Any]:
+    def episode(state: Any, steps: int) -> tuple[Any, Any, Any]:
         after, moved = jax.lax.scan(one_step, state, None, steps)
         return after, moved.sum(), after.robot.collides(maze)
 
@@ -89,10 +89,10 @@ def stage(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
             return one_step(task.reset(key), None)[0]
 
         if robots == 1:
-            run = jax.jit(lambda state: life(state, steps))
+            run = jax.jit(lambda state: episode(state, steps))
             states = jax.jit(begun)(keys[0])
         else:
-            run = jax.jit(jax.vmap(lambda state: life(state, steps)))
+            run = jax.jit(jax.vmap(lambda state: episode(state, steps)))
             states = jax.jit(jax.vmap(begun))(keys)
             turn = jnp.linspace(0, 2 * jnp.pi, robots, endpoint=False)
             posture = states.robot.posture

@@ -29,8 +29,8 @@ def draw(target: Path) -> None:
     panels = figure.subplots(2, 4, sharey=True).ravel()
     for panel, sensor in zip(panels, [0, 1, 2, 7, 5, 4, 3, 6], strict=True):
         counts, modelled = table.counts[:, sensor], ambient_counts(table, sensor, ambient)
-        aside = np.angle(np.exp(1j * (bearings - np.radians(ambient.heading_deg[sensor]))))
-        near = np.abs(aside) <= np.radians(10)
+        tangential = np.angle(np.exp(1j * (bearings - np.radians(ambient.heading_deg[sensor]))))
+        near = np.abs(tangential) <= np.radians(10)
         places = np.unique(distances)
         means = [
             [each[near & (distances == place)].mean() for place in places] for each in (counts, modelled)
@@ -41,8 +41,8 @@ def draw(target: Path) -> None:
         michel = np.where(places < 0.25, 500 - 450 * (1 - places / 0.25), 500)
         panel.plot(places * 1e3, michel, "--", color=_GREY, lw=1.2, label="over distance, Michel's simulator")
         turn = np.isclose(distances, _AWAY)
-        order = np.argsort(aside[turn])
-        degrees = np.degrees(aside[turn][order])
+        order = np.argsort(tangential[turn])
+        degrees = np.degrees(tangential[turn][order])
         upper = panel.twiny()
         upper.plot(degrees, counts[turn][order], ".", ms=3, color=_RED)
         upper.plot(degrees, modelled[turn][order], color=_RED, lw=1.3)

@@ -136,7 +136,7 @@ def corners(shape: Footprint) -> list[tuple[float, float]]:
         (c, s), _ = shape.axes()
         halves = [(along * shape.length_mm / 2, across * shape.width_mm / 2) for along, across in _AROUND]
         offsets = [(along * c - across * s, along * s + across * c) for along, across in halves]
-    return [(shape.x_mm + aside, shape.y_mm + ahead) for aside, ahead in offsets]
+    return [(shape.x_mm + tangential, shape.y_mm + ahead) for tangential, ahead in offsets]
 
 
 _AROUND = ((1, 1), (-1, 1), (-1, -1), (1, -1))

@@ -15,8 +15,8 @@ from khep_twin import playpen, units
 from khep_twin.board import kernel
 from khep_twin.playpen import Playpen
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.life import Episode, EpisodeSetup
-from khep_twin.rollout.minds import Braitenberg, Driver, Floats, Network, Policy
+from khep_twin.rollout.controllers import Braitenberg, Driver, Floats, Network, Policy
+from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.world import World
 
 PLAYPENS = ("default", "obstacles", "looping-maze")
@@ -25,22 +25,22 @@ WHOLE = 1024 * 60
 """Simulated seconds of a generation: 1024 episodes of a minute."""
 
 
-def voltages(ground: EpisodeSetup, seconds: float) -> list[tuple[float, float]]:
+def voltages(setup: EpisodeSetup, seconds: float) -> list[tuple[float, float]]:
     """Return the vehicle's motor voltages, tick by tick."""
-    life = Episode(ground, Braitenberg())
-    life.begin(1)
+    episode = Episode(setup, Braitenberg())
+    episode.begin(1)
     found: list[tuple[float, float]] = []
     for _ in range(round(seconds * 1e9) // units.TICK_NS):
-        left, right = life._data.ctrl.tolist()
+        left, right = episode._data.ctrl.tolist()
         found.append((left, right))
-        life.go_on(ground.wiring.steps_per_tick)
+        episode.step(setup.sim_indices.steps_per_tick)
     return found
 
 
-def bare_row(name: str, ground: EpisodeSetup, seconds: float, *, sensors: bool = True) -> Row:
+def bare_row(name: str, setup: EpisodeSetup, seconds: float, *, sensors: bool = True) -> Row:
     """Return a row of a loop of mj_step alone."""
-    driven = voltages(ground, seconds)
-    model, steps = ground.model if sensors else ground.without_sensors, ground.wiring.steps_per_tick
+    driven = voltages(setup, seconds)
+    model, steps = setup.model if sensors else setup.without_sensors, setup.sim_indices.steps_per_tick
 
     def bare() -> None:
         data = mujoco.MjData(model)
@@ -52,42 +52,42 @@ def bare_row(name: str, ground: EpisodeSetup, seconds: float, *, sensors: bool =
     return Row(name, seconds, timed(bare))
 
 
-def life_row(name: str, ground: EpisodeSetup, seconds: float, *, compiled: bool = True) -> Row:
+def episode_row(name: str, setup: EpisodeSetup, seconds: float, *, compiled: bool = True) -> Row:
     """Return a row of one episode, with its creation."""
 
-    def live() -> None:
-        life = Episode(ground, Braitenberg(), compiled=compiled)
-        life.begin(1)
-        life.live(seconds)
+    def run() -> None:
+        episode = Episode(setup, Braitenberg(), compiled=compiled)
+        episode.begin(1)
+        episode.run(seconds)
 
-    return Row(name, seconds, timed(live))
+    return Row(name, seconds, timed(run))
 
 
 def world_row(name: str, scene: Playpen, seconds: float) -> Row:
     """Return a row of a world whose robots have no line, with its opening."""
 
-    def live() -> None:
+    def run() -> None:
         world = World(scene, seed=1)
-        cells = [robot.registers.data for robot in world.robots]
+        register_view = [robot.registers.data for robot in world.robots]
         for scan in range(round(seconds * 1e9) // units.SCAN_NS):
-            for own in cells:
+            for own in register_view:
                 kernel.wander(own)
             world.advance_to((scan + 1) * units.SCAN_NS)
 
-    return Row(name, seconds, timed(live))
+    return Row(name, seconds, timed(run))
 
 
 def batch_row(
-    name: str, ground: EpisodeSetup, lives: int, life_s: float, threads: int, driver: Driver | None = None
+    name: str, setup: EpisodeSetup, n_episodes: int, life_s: float, threads: int, driver: Driver | None = None
 ) -> Row:
     """Return a row of a batch of episodes, each with its own genes if the controller is a network."""
-    genes = random_genes(lives) if isinstance(driver, Network) else None
+    genes = random_genes(n_episodes) if isinstance(driver, Network) else None
     return Row(
         name,
-        lives * life_s,
+        n_episodes * life_s,
         timed(
             lambda: rollout(
-                ground, driver or Braitenberg(), range(lives), life_s, genes=genes, threads=threads
+                setup, driver or Braitenberg(), range(n_episodes), life_s, genes=genes, threads=threads
             )
         ),
         generation,
@@ -114,16 +114,16 @@ POLICY = Policy(lambda proximity, ambient, which: 10 - proximity[:, [3, 2]] / 10
 def main() -> None:
     for name in PLAYPENS:
         for step_ns in (units.STEP_NS, 2 * units.STEP_NS):
-            ground = EpisodeSetup(playpen.load(name), step_ns=step_ns)
+            setup = EpisodeSetup(playpen.load(name), step_ns=step_ns)
             rows = [
-                bare_row("bare mj_step, rangefinders (floor)", ground, 20.0),
-                bare_row("bare mj_step, no sensors", ground, 20.0, sensors=False),
-                life_row("life, compiled", ground, 20.0),
-                life_row("life, plain", ground, 20.0, compiled=False),
-                batch_row("batch, 1 thread", ground, 32, 4.0, 1),
-                batch_row("batch, 2 threads", ground, 32, 4.0, 2),
-                batch_row("Python policy, 1 thread", ground, 32, 4.0, 1, POLICY),
-                batch_row("Python policy, 2 threads", ground, 32, 4.0, 2, POLICY),
+                bare_row("bare mj_step, rangefinders (floor)", setup, 20.0),
+                bare_row("bare mj_step, no sensors", setup, 20.0, sensors=False),
+                episode_row("life, compiled", setup, 20.0),
+                episode_row("life, plain", setup, 20.0, compiled=False),
+                batch_row("batch, 1 thread", setup, 32, 4.0, 1),
+                batch_row("batch, 2 threads", setup, 32, 4.0, 2),
+                batch_row("Python policy, 1 thread", setup, 32, 4.0, 1, POLICY),
+                batch_row("Python policy, 2 threads", setup, 32, 4.0, 2, POLICY),
             ]
             if step_ns == units.STEP_NS:
                 rows.append(world_row("World, told by no line", playpen.load(name), 20.0))

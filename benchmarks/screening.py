@@ -20,8 +20,8 @@ from benchmarks.scale import NETWORK, random_genes
 from khep_twin import playpen
 from khep_twin.playpen import Arena, Playpen, Robot
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.life import Episode, EpisodeSetup
-from khep_twin.rollout.minds import Braitenberg, ConstantSpeed, Driver, Network
+from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Driver, Network
+from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.rollout.screening import best_first
 
 GENOMES, SEEDS, LIFE_S, ELITE = 200, 3, 30.0, 20
@@ -41,36 +41,36 @@ def scenes() -> dict[str, Playpen]:
     return {**shipped, TWENTY_BLOCKS: twenty_blocks()}
 
 
-def way(ground: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
+def way(setup: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
     """Return the poses of an episode at some times; without a driver speeds change at random every 0.5 s."""
-    life = Episode(ground, driver or ConstantSpeed())
+    episode = Episode(setup, driver or ConstantSpeed())
     genes = random_genes(WAYS)[index] if isinstance(driver, Network) else ()
-    robot = ground.entry
+    robot = setup.entry
     start = (robot.x_mm, robot.y_mm, robot.heading_deg + 3.0 * index)
-    life.begin(index, start=start, noise=False, genes=genes)
-    chance = np.random.default_rng(index)
+    episode.begin(index, start=start, noise=False, genes=genes)
+    rng = np.random.default_rng(index)
     poses: list[tuple[float, float, float]] = []
     for half in range(round(2 * TIMES_S[-1])):
         if driver is None:
-            life.drive(*chance.integers(-10, 16, 2).tolist())
-        life.live(0.5)
+            episode.drive(*rng.integers(-10, 16, 2).tolist())
+        episode.run(0.5)
         if (half + 1) / 2 in TIMES_S:
-            poses.append(life.pose)
+            poses.append(episode.pose)
     return poses
 
 
 def ways(title: str, scene: Playpen, driver: Driver | None) -> None:
     """Print the distances between both."""
     both = [EpisodeSetup(scene), EpisodeSetup(scene, planar=True)]
-    found = np.array([[way(ground, index, driver) for ground in both] for index in range(WAYS)])
+    found = np.array([[way(setup, index, driver) for setup in both] for index in range(WAYS)])
     off = found[:, 0] - found[:, 1]
     away_mm = np.hypot(off[..., 0], off[..., 1]) * 1e3
     turned = np.degrees(np.abs((off[..., 2] + np.pi) % (2 * np.pi) - np.pi))
-    cells = [
+    register_view = [
         f"{np.median(away_mm[:, i]):8.2f} {away_mm[:, i].max():7.1f} {np.median(turned[:, i]):7.2f}"
         for i in range(len(TIMES_S))
     ]
-    print(f"{title:36}{'   '.join(cells)}", flush=True)
+    print(f"{title:36}{'   '.join(register_view)}", flush=True)
 
 
 def ranks(name: str, scene: Playpen) -> None:
@@ -81,7 +81,7 @@ def ranks(name: str, scene: Playpen) -> None:
         seeds = [first + seed for _ in range(GENOMES) for seed in range(SEEDS)]
         found = rollout(scene, NETWORK, seeds, LIFE_S, genes=genes, planar=planar)
         return {
-            number: found.numbers[number].reshape(GENOMES, SEEDS).mean(axis=1)
+            number: found.metrics[number].reshape(GENOMES, SEEDS).mean(axis=1)
             for number in ("obstacle_avoidance", "distance_m")
         }
 

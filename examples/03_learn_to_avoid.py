@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
 from khep_twin.drawing.map import DrawnPath, save
 from khep_twin.drawing.map import draw as drawing
-from khep_twin.envs.trial import TaskSetup
+from khep_twin.envs.task_episode import TaskSetup
 from khep_twin.errors import pip_install
 
 try:
@@ -42,7 +42,7 @@ TRIALS = 20
 
 def environment(**options):
     """Make the environment; actions from -1 to 1, as PPO expects, stand for -20 to 20 pulses/10 ms."""
-    return RescaleAction(gymnasium.make(NAME, spread=True, **options), np.float32(-1), np.float32(1))
+    return RescaleAction(gymnasium.make(NAME, vary=True, **options), np.float32(-1), np.float32(1))
 
 
 def demonstration(seen):
@@ -53,8 +53,8 @@ def demonstration(seen):
 def tried(drive):
     """Return the mean rewards of episodes of a minute (TRIALS,), and the part of the time near obstacles."""
     robot, rewards, near = environment(seconds=60.0), [], []
-    for trial in range(TRIALS):
-        seen, _ = robot.reset(seed=1_000_000 + trial)
+    for episode in range(TRIALS):
+        seen, _ = robot.reset(seed=1_000_000 + episode)
         over, sums, close = False, [], []
         while not over:
             seen, reward, ended, late, _ = robot.step(np.clip(drive(seen), -1, 1).astype(np.float32))

@@ -24,8 +24,8 @@ from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
 from khep_twin.lab.experiment import run_statistics
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.life import Episode, EpisodeSetup
-from khep_twin.rollout.minds import Network
+from khep_twin.rollout.controllers import Network
+from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.units import BODY_RADIUS
 
 try:
@@ -52,21 +52,21 @@ FULL_SPEED = NETWORK.top_speed * 0.008
 
 maze = playpen.load("looping-maze")
 starts = [(spot.x_mm, spot.y_mm, spot.heading_deg + turn) for turn in (0.0, 180.0) for spot in maze.spots]
-ground = EpisodeSetup(maze, step_ns=5_000_000)
+setup = EpisodeSetup(maze, step_ns=5_000_000)
 
 
 def judge(genomes: np.ndarray, first_seed: int) -> np.ndarray:
     """Return the fitness of each genome, the mean over its episodes."""
-    lives = rollout(
-        ground,
+    results = rollout(
+        setup,
         NETWORK,
         np.tile(np.arange(first_seed, first_seed + len(starts)), len(genomes)),
         options.seconds,
         genes=np.repeat(genomes, len(starts), axis=0),
         starts=starts * len(genomes),
     )
-    forwards = np.maximum(lives.numbers["forward_m"], 0) / (options.seconds * FULL_SPEED)
-    fitness = np.nan_to_num(lives.numbers["obstacle_avoidance"] * forwards)
+    forwards = np.maximum(results.metrics["forward_m"], 0) / (options.seconds * FULL_SPEED)
+    fitness = np.nan_to_num(results.metrics["obstacle_avoidance"] * forwards)
     return fitness.reshape(len(genomes), len(starts)).mean(axis=1)
 
 
@@ -91,21 +91,21 @@ if options.genome:
 tracks = []
 print("start            fitness  forwards    turning     laps  collisions  touching")
 for seed, start in enumerate(starts):
-    life = Episode(EpisodeSetup(maze), NETWORK)
-    life.begin(seed, start=start, genes=best)
-    poses = [life.pose]
+    episode = Episode(EpisodeSetup(maze), NETWORK)
+    episode.begin(seed, start=start, genes=best)
+    poses = [episode.pose]
     for _ in range(round(options.check_seconds * 50)):
-        life.live(0.02)
-        poses.append(life.pose)
-    times, way, numbers = np.arange(len(poses)) * 0.02, np.array(poses), life.numbers()
+        episode.run(0.02)
+        poses.append(episode.pose)
+    times, way, metrics = np.arange(len(poses)) * 0.02, np.array(poses), episode.metrics()
     turned = np.abs(np.diff(np.unwrap(way[:, 2]))).sum()
     # Laps around the middle of the maze, which is wall.
     around = np.unwrap(np.arctan2(way[:, 1] - 0.25, way[:, 0] - 0.4))
     hits = run_statistics.collisions(times, way, maze, BODY_RADIUS)
     print(
         f"{start[0]:3g},{start[1]:3g},{start[2]:4g}"
-        f"{numbers['obstacle_avoidance']:12.3f}"
-        f"{1000 * numbers['forward_m'] / times[-1]:6.0f} mm/s"
+        f"{metrics['obstacle_avoidance']:12.3f}"
+        f"{1000 * metrics['forward_m'] / times[-1]:6.0f} mm/s"
         f"{np.degrees(turned) / times[-1]:5.0f} deg/s"
         f"{(around[-1] - around[0]) / (2 * np.pi):7.1f}"
         f"{len(hits.times_s):12}{hits.total_s:8.2f} s"

@@ -63,7 +63,7 @@ class Firmware:
 
     Attributes:
         registers: State of the board (N_REGISTERS,).
-        cells: The same memory as a memoryview, which is faster to index.
+        register_view: The same memory as a memoryview, which is faster to index.
         turrets: Turrets that are plugged on top.
         baud: Speed of the serial line from the next reply on [baud].
         reply_baud: Speed of the line for the last reply [baud]; differs from `baud` after the tool `serial`.
@@ -73,7 +73,7 @@ class Firmware:
 
     def __init__(self, rom: Rom, mode: int = 1, turrets: Mapping[TurretKind, Turret] | None = None) -> None:
         self.registers = np.zeros(kernel.N_REGISTERS, np.int64)
-        self.cells = self.registers.data
+        self.register_view = self.registers.data
         self._rom = rom
         self._mode = rom.modes[mode]
         self._lines = LineReader()
@@ -97,9 +97,9 @@ class Firmware:
         """Run one control period of 10 ms, with the encoders' counts since power-up [pulses]."""
         if not self.powered:
             return
-        kernel.tick(self.cells, left_pulses, right_pulses)
-        if self.running == DEMO and self.cells[Board.SCAN] == 0:
-            kernel.wander(self.cells)
+        kernel.tick(self.register_view, left_pulses, right_pulses)
+        if self.running == DEMO and self.register_view[Board.SCAN] == 0:
+            kernel.wander(self.register_view)
         for turret in self.turrets.values():
             turret.tick()
 
@@ -116,10 +116,10 @@ class Firmware:
 
     def brown_out(self) -> None:
         """Reset and halt the processor, as the supply is too low; the motors keep their duty."""
-        duties = [self.cells[register] for register in kernel.DUTIES]
+        duties = [self.register_view[register] for register in kernel.DUTIES]
         self.reset()
         for register, duty in zip(kernel.DUTIES, duties, strict=True):
-            self.cells[register] = duty
+            self.register_view[register] = duty
         self.powered = False
 
     def reset(self) -> bytes:
@@ -129,7 +129,7 @@ class Firmware:
         """
         if not self.powered:
             return b""
-        kernel.reset(self.cells)
+        kernel.reset(self.register_view)
         self._lines.clear()
         for turret in self.turrets.values():
             turret.reset()
@@ -160,17 +160,19 @@ class Firmware:
     def _start(self, function: str) -> bytes:
         """Start a function of the ROM; return its output."""
         if function == SELF_TEST:
-            return bios.self_test(sensors_alive=any(self.cells[register] for register in kernel.AMBIENT))
+            return bios.self_test(
+                sensors_alive=any(self.register_view[register] for register in kernel.AMBIENT)
+            )
         self.running = function or self.running
         return b""
 
     def _both(self, register: Wheel) -> tuple[int, int]:
         """Return a register of the left and of the right wheel."""
-        return self.cells[LEFT + register], self.cells[RIGHT + register]
+        return self.register_view[LEFT + register], self.register_view[RIGHT + register]
 
     def _set_gains(self, first: Board, gains: tuple[int, ...]) -> None:
         for offset, gain in enumerate(gains):
-            self.cells[first + offset] = min(max(gain, 0), GAIN_LIMIT)
+            self.register_view[first + offset] = min(max(gain, 0), GAIN_LIMIT)
 
     def _a_configure_speed_pid(self, kp: int, ki: int, kd: int) -> bytes:
         self._set_gains(Board.SPEED_KP, (kp, ki, kd))
@@ -180,13 +182,13 @@ class Firmware:
         return reply("B", self._rom.bios, self._rom.protocol)
 
     def _c_go_to_position(self, left: int, right: int) -> bytes:
-        kernel.set_target(self.cells, LEFT, kernel.clip(left, TARGET_LIMIT_PULSES))
-        kernel.set_target(self.cells, RIGHT, kernel.clip(right, TARGET_LIMIT_PULSES))
+        kernel.set_target(self.register_view, LEFT, kernel.clip(left, TARGET_LIMIT_PULSES))
+        kernel.set_target(self.register_view, RIGHT, kernel.clip(right, TARGET_LIMIT_PULSES))
         return reply("C")
 
     def _d_set_speed(self, left: int, right: int) -> bytes:
-        kernel.set_speed(self.cells, LEFT, kernel.clip(left, SPEED_LIMIT_PULSES))
-        kernel.set_speed(self.cells, RIGHT, kernel.clip(right, SPEED_LIMIT_PULSES))
+        kernel.set_speed(self.register_view, LEFT, kernel.clip(left, SPEED_LIMIT_PULSES))
+        kernel.set_speed(self.register_view, RIGHT, kernel.clip(right, SPEED_LIMIT_PULSES))
         return reply("D")
 
     def _e_read_speed(self) -> bytes:
@@ -197,8 +199,8 @@ class Firmware:
         return reply("F")
 
     def _g_set_position(self, left: int, right: int) -> bytes:
-        kernel.set_position(self.cells, LEFT, kernel.wrap(left))
-        kernel.set_position(self.cells, RIGHT, kernel.wrap(right))
+        kernel.set_position(self.register_view, LEFT, kernel.wrap(left))
+        kernel.set_position(self.register_view, RIGHT, kernel.wrap(right))
         return reply("G")
 
     def _h_read_position(self) -> bytes:
@@ -208,48 +210,48 @@ class Firmware:
         if not 0 <= channel < N_CONVERTER_CHANNELS:
             return PROTOCOL_ERROR
         # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to 3, 4 and 5.
-        last = (self.cells[Board.SCAN] - 1) % N_SENSORS
+        last = (self.register_view[Board.SCAN] - 1) % N_SENSORS
         sources = {
             0: Board.SUPPLY,
             1: Board.PROXIMITY + last,
             2: Board.AMBIENT + last,
             6: Board.CURRENT,
         }
-        return reply("I", self.cells[sources[channel]] if channel in sources else 0)
+        return reply("I", self.register_view[sources[channel]] if channel in sources else 0)
 
     def _j_configure_profile(
         self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
     ) -> bytes:
         profiles = ((LEFT, left_speed, left_acceleration), (RIGHT, right_speed, right_acceleration))
         for wheel, speed, acceleration in profiles:
-            self.cells[wheel + Wheel.MAX_SPEED] = min(max(speed, 0), SPEED_LIMIT_PULSES)
-            self.cells[wheel + Wheel.ACCELERATION] = min(max(acceleration, 1), ACCELERATION_LIMIT)
+            self.register_view[wheel + Wheel.MAX_SPEED] = min(max(speed, 0), SPEED_LIMIT_PULSES)
+            self.register_view[wheel + Wheel.ACCELERATION] = min(max(acceleration, 1), ACCELERATION_LIMIT)
         return reply("J")
 
     def _k_read_status(self) -> bytes:
         status: list[int] = []
         for wheel in (LEFT, RIGHT):
-            mode = self.cells[wheel + Wheel.MODE]
-            on_target = self.cells[wheel + Wheel.ON_TARGET]
-            status += [on_target, self._rom.mode_codes[mode], self.cells[wheel + Wheel.ERROR]]
+            mode = self.register_view[wheel + Wheel.MODE]
+            on_target = self.register_view[wheel + Wheel.ON_TARGET]
+            status += [on_target, self._rom.mode_codes[mode], self.register_view[wheel + Wheel.ERROR]]
         return reply("K", *status)
 
     def _l_set_led(self, led: int, action: int) -> bytes:
         if led not in (0, 1) or action not in (0, 1, 2):
             return PROTOCOL_ERROR
         register = Board.LED_0 + led
-        self.cells[register] = 1 - self.cells[register] if action == 2 else action
+        self.register_view[register] = 1 - self.register_view[register] if action == 2 else action
         return reply("L")
 
     def _n_read_proximity(self) -> bytes:
-        return reply("N", *(self.cells[register] for register in kernel.PROXIMITY))
+        return reply("N", *(self.register_view[register] for register in kernel.PROXIMITY))
 
     def _o_read_ambient(self) -> bytes:
-        return reply("O", *(self.cells[register] for register in kernel.AMBIENT))
+        return reply("O", *(self.register_view[register] for register in kernel.AMBIENT))
 
     def _p_set_duty(self, left: int, right: int) -> bytes:
-        kernel.set_duty(self.cells, LEFT, kernel.clip(left, DUTY_LIMIT))
-        kernel.set_duty(self.cells, RIGHT, kernel.clip(right, DUTY_LIMIT))
+        kernel.set_duty(self.register_view, LEFT, kernel.clip(left, DUTY_LIMIT))
+        kernel.set_duty(self.register_view, RIGHT, kernel.clip(right, DUTY_LIMIT))
         return reply("P")
 
     def _r_read_bus(self, address: int) -> bytes:

@@ -69,7 +69,7 @@ class MujocoViewer:
             self._threads = set(threading.enumerate()) - before
             self._look(world)
         self._ahead_ns = world.time_ns - time.monotonic_ns()
-        world.add_tap(self)
+        world.add_observer(self)
 
     def close(self) -> None:
         """Close the window and wait for its last picture; X ends a process that draws without one."""
@@ -90,13 +90,13 @@ class MujocoViewer:
                 break
             time.sleep(min(early_ns / NS_PER_S, _LONGEST_NAP))
 
-    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Ignore bytes on a line."""
 
-    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Ignore a host's action."""
 
-    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Ignore an event."""
 
     def _show(self, world: World) -> None:

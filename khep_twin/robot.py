@@ -44,15 +44,15 @@ class WorldContext(Protocol):
     lamps: Lamps
     time_ns: int
 
-    def tell(self, robot: int | None, text: str) -> None:
+    def log_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
         ...
 
-    def hear(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Log bytes on a line, the last of them at `time_ns`."""
         ...
 
-    def act(self, robot: int, act: HostEvent) -> None:
+    def on_host_event(self, robot: int, event: HostEvent) -> None:
         """Log a host's action now."""
         ...
 
@@ -71,18 +71,18 @@ class Robot:
 
     def __init__(
         self,
-        stage: WorldContext,
+        context: WorldContext,
         index: int,
         *,
         seed: int,
         noise: bool,
         unpaced: bool,
         strict_line: bool,
-        spread: bool,
+        vary: bool,
         faults: Sequence[Fault],
     ) -> None:
-        model, data = stage.model, stage.data
-        entry = stage.playpen.robots[index]
+        model, data = context.model, context.data
+        entry = context.playpen.robots[index]
         self.name = f"khepera{index}"
         turrets = {kind: kind.make() for kind in find(entry.turrets)}
         self.firmware = Firmware(ROMS[entry.rom], entry.mode, turrets)
@@ -92,13 +92,13 @@ class Robot:
             if kind.fit is not None
         ]
         self.registers = self.firmware.registers
-        self._cells = self.firmware.cells
+        self._register_view = self.firmware.register_view
         self.uart = Uart(0 if unpaced else self.firmware.baud)
         self._unpaced = unpaced
         self._baud = self.firmware.baud
         self._host: LineSettings | None = None
         self._warned: set[tuple[int, int]] = set()
-        self._stage = stage
+        self._context = context
         self.index = index
         self._radius = entry.body.radius
         self.indices = RobotIndices.of(model, self.name)
@@ -110,19 +110,19 @@ class Robot:
         self._ctrl: NDArray[np.float64] = data.ctrl
         lights = zip(self.indices.led_lights, self.indices.leds, strict=True)
         self._lights = [_Light(model, light, led) for light, led in lights]
-        chance = partial(stream, seed, "robot", index)
-        self._line_noise = chance("line") if strict_line else None
+        rng = partial(stream, seed, "robot", index)
+        self._line_noise = rng("line") if strict_line else None
         self._faults = None
         if faults:
-            self._faults = Injector(faults, partial(chance, "fault"), partial(stage.tell, index))
+            self._faults = Injector(faults, partial(rng, "fault"), partial(context.log_event, index))
         measured = calibration.read(entry.calibration)[0]
         self._motor_constant = measured.motors.constant
-        if spread:
-            measured = calibration.spread(measured, chance("spread"))
-        lighting = stage.playpen.lighting
-        self._receivers = Receivers(model, self.indices, measured.ambient, stage.lamps, lighting)
+        if vary:
+            measured = calibration.varied(measured, rng("spread"))
+        lighting = context.playpen.lighting
+        self._receivers = Receivers(model, self.indices, measured.ambient, context.lamps, lighting)
         scene = scene_of(model, data, self.indices)
-        self._scan = InfraredScan(scene, self.indices, measured, self._receivers, chance if noise else None)
+        self._scan = InfraredScan(scene, self.indices, measured, self._receivers, rng if noise else None)
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -146,7 +146,7 @@ class Robot:
             robot accepts one stop bit as well as two.
         """
         if host != self._host:
-            self._stage.act(self.index, HostEvent(HostEventKind.SET, self._stage.time_ns, host))
+            self._context.on_host_event(self.index, HostEvent(HostEventKind.SET, self._context.time_ns, host))
         self._host, baud = host, self._baud
         if host is None or host.baud == baud or (host.baud, baud) in self._warned:
             return ""
@@ -161,30 +161,32 @@ class Robot:
 
     def send(self, data: bytes, time_ns: int = 0) -> None:
         """Send bytes of the host, now or at a later time [ns]."""
-        time_ns = max(time_ns, self._stage.time_ns)
-        self._stage.act(self.index, HostEvent(HostEventKind.SEND, time_ns, self._host, data))
+        time_ns = max(time_ns, self._context.time_ns)
+        self._context.on_host_event(self.index, HostEvent(HostEventKind.SEND, time_ns, self._host, data))
         if not self._unpaced:
             self.uart.rx.baud = (self._host and self._host.baud) or self._baud
         self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
 
-    def take_back(self) -> None:
+    def flush(self) -> None:
         """Drop the host's bytes that have not reached the robot yet."""
-        self._stage.act(self.index, HostEvent(HostEventKind.TAKE_BACK, self._stage.time_ns, self._host))
-        self.uart.rx.take_back(self._stage.time_ns)
+        self._context.on_host_event(
+            self.index, HostEvent(HostEventKind.FLUSH, self._context.time_ns, self._host)
+        )
+        self.uart.rx.flush(self._context.time_ns)
 
-    def hang_up(self) -> None:
+    def disconnect(self) -> None:
         """Disconnect the host: execute its whole commands without replies, and drop an incomplete one."""
-        time_ns = self._stage.time_ns
-        self._stage.act(self.index, HostEvent(HostEventKind.HANG_UP, time_ns, self._host))
+        time_ns = self._context.time_ns
+        self._context.on_host_event(self.index, HostEvent(HostEventKind.DISCONNECT, time_ns, self._host))
         rx, tx = self.uart.rx, self.uart.tx
         if sent := rx.read(rx.arrival(len(rx)) or time_ns):
-            self._stage.hear(time_ns, self.index, True, sent)
+            self._context.on_bytes(time_ns, self.index, True, sent)
             self.firmware.receive(sent)
             self._take_speed(self.firmware.baud)
         self.firmware.forget_line()
         tx.read(time_ns)
         for line in (rx, tx):
-            line.take_back(time_ns)
+            line.flush(time_ns)
 
     def next_command_ns(self) -> int | None:
         """Return the time when the firmware takes the next whole command [ns], None without one on the line.
@@ -216,7 +218,7 @@ class Robot:
         rx = self.uart.rx
         while (taken_ns := self.next_command_ns()) is not None and taken_ns <= time_ns:
             line = rx.read(taken_ns, rx.count_to(*LINE_ENDS))
-            self._stage.hear(taken_ns, self.index, True, line)
+            self._context.on_bytes(taken_ns, self.index, True, line)
             answer = self.firmware.receive(line)
             # A restart sets the speed before its banner, the tool `serial` after its reply.
             self._take_speed(self.firmware.reply_baud)
@@ -228,19 +230,22 @@ class Robot:
         if taken_ns is None and count:
             arrival_ns = rx.arrival(count) or time_ns
             begun = rx.read(time_ns)
-            self._stage.hear(arrival_ns, self.index, True, begun)
+            self._context.on_bytes(arrival_ns, self.index, True, begun)
             self.firmware.receive(begun)
 
     def convert(self, channel: int) -> None:
         """Convert one sensor of the scan."""
         proximity, ambient = self._scan.convert(channel)
-        if self._faults is not None and self._faults.stuck(channel, self._stage.time_ns):
-            proximity, ambient = self._cells[_PROXIMITY + channel], self._cells[_AMBIENT + channel]
-        kernel.convert(self._cells, proximity, ambient)
+        if self._faults is not None and self._faults.stuck(channel, self._context.time_ns):
+            proximity, ambient = (
+                self._register_view[_PROXIMITY + channel],
+                self._register_view[_AMBIENT + channel],
+            )
+        kernel.convert(self._register_view, proximity, ambient)
 
     def tick(self) -> None:
         """Run one control period: from encoders to motor voltages."""
-        ctrl, cells = self._ctrl, self._cells
+        ctrl, register_view = self._ctrl, self._register_view
         left, right = self._wheel_pulses()
         for body in self._turret_bodies:
             body.sense()
@@ -248,35 +253,35 @@ class Robot:
         for body in self._turret_bodies:
             body.drive()
         for motor, duty in zip(self.indices.motors, DUTIES, strict=True):
-            ctrl[motor] = units.duty_voltage(cells[duty], self._voltage)
+            ctrl[motor] = units.duty_voltage(register_view[duty], self._voltage)
         if self._faults is not None:
             self._fail(self._faults)
 
-    def feed(self) -> None:
+    def update_supply(self) -> None:
         """Measure the supply; below its minimum voltage the processor is reset and halts."""
-        cells, time_ns = self._cells, self._stage.time_ns
+        register_view, time_ns = self._register_view, self._context.time_ns
         self._voltage = self._supply.voltage(time_ns)
         current = units.IDLE_CURRENT
         for motor, duty in zip(self.indices.motors, DUTIES, strict=True):
-            current += units.supply_current(cells[duty], self._force[motor] / self._motor_constant)
-        kernel.measure(cells, units.supply_counts(self._voltage), round(current * 1000))
+            current += units.supply_current(register_view[duty], self._force[motor] / self._motor_constant)
+        kernel.measure(register_view, units.supply_counts(self._voltage), round(current * 1000))
         if self._voltage < units.PROCESSOR_VOLTAGE and self.firmware.powered:
             self.firmware.brown_out()
-            self.uart.tx.take_back(time_ns)
+            self.uart.tx.flush(time_ns)
             text = (
                 f"the supply fell to {self._voltage:.2f} V: the processor stands still, "
                 "the motors keep their duty"
             )
-            self._stage.tell(self.index, text)
+            self._context.log_event(self.index, text)
 
     def show_leds(self) -> None:
         """Move the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
         for led, light in zip(_LEDS, self._lights, strict=True):
-            light.show(bool(self._cells[led]))
+            light.show(bool(self._register_view[led]))
 
     def reset_motion(self) -> None:
         """Reset counters, setpoints, controllers and LEDs, and cut the motors' voltage."""
-        kernel.reset(self._cells)
+        kernel.reset(self._register_view)
         self.zero_encoders()
         self._ctrl[list(self.indices.motors)] = 0.0
 
@@ -297,7 +302,7 @@ class Robot:
         if self._faults is not None:
             time_ns += self._faults.delay_ns(time_ns)
         answer = self._over_the_line(answer, time_ns)
-        self._stage.hear(self.uart.tx.put(answer, time_ns), self.index, False, answer)
+        self._context.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
 
     @property
     def _mismatched(self) -> bool:
@@ -318,7 +323,7 @@ class Robot:
 
     def _fail(self, faults: Injector) -> None:
         """Apply the faults of a control period."""
-        time_ns = self._stage.time_ns
+        time_ns = self._context.time_ns
         wheels = zip(self.indices.motors, self.indices.wheel_speeds, strict=True)
         for side, (motor, speed) in enumerate(wheels):
             if faults.dead(side, time_ns):

@@ -75,13 +75,13 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
     """Return the numbers of a robot's proximity in a scene."""
     numbers = calibration.proximity
     weights: list[list[float]] = []
-    aside: list[list[float]] = []
+    tangential: list[list[float]] = []
     for channel, (camera, rays) in enumerate(zip(robot.cameras, robot.rays, strict=True)):
         tangents = _tangents(model, camera, (rays.stop - rays.start) // LENGTH_AND_NORMAL)
-        aside.append(tangents.tolist())
+        tangential.append(tangents.tolist())
         weights.append(lobe_weights(tangents, numbers.lobe_exponent[channel]))
     seen = model.geom_user[_visible_geoms(model, robot.base), 0]
-    brightest, n_rays = float(seen.max(initial=0.0)), len(aside[0])
+    brightest, n_rays = float(seen.max(initial=0.0)), len(tangential[0])
     return Proximity(
         gain=[gain * 1e-6 for gain in numbers.gain_counts_mm2],
         threshold=list(numbers.threshold_counts),
@@ -93,7 +93,7 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
         noise=numbers.noise_counts,
         idle=numbers.idle_counts,
         weights=weights,
-        aside=aside,
+        tangential=tangential,
         brightest=brightest,
         uniform=bool(np.all(seen == brightest)),
         found=[0.0] * (LENGTH_AND_NORMAL * n_rays),

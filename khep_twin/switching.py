@@ -29,14 +29,14 @@ def switch(world: World, lamp: int, on: bool) -> None:
     if not 0 <= lamp < len(names):
         found = f"lamp = {lamp}: there is none"
         raise PlaypenError(found, key="lamp", value=lamp, expected=range(len(names)))
-    world.act(0, HostEvent(HostEventKind.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
+    world.on_host_event(0, HostEvent(HostEventKind.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
     world.lamps.turn(lamp, on, world.time_ns)
-    world.tell(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
+    world.log_event(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
 
 
-def switch_again(world: World, act: HostEvent) -> None:
+def repeat_switch(world: World, event: HostEvent) -> None:
     """Switch a lamp as recorded in a log."""
-    switch(world, *_SWITCH.unpack(act.data))
+    switch(world, *_SWITCH.unpack(event.data))
 
 
 def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
@@ -57,25 +57,27 @@ def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
     before = world.playpen
     bare = {"version": before.version, "name": before.name, "arena": before.arena.model_dump()}
     checked = check(Playpen, frozen(bare | wanted), before.name, PlaypenError)
-    world.act(0, HostEvent(HostEventKind.RELIGHT, world.time_ns, None, json.dumps(wanted).encode("utf-8")))
+    world.on_host_event(
+        0, HostEvent(HostEventKind.RELIGHT, world.time_ns, None, json.dumps(wanted).encode("utf-8"))
+    )
     world.relight(before.model_copy(update={"lamps": checked.lamps, "lighting": checked.lighting}))
     places = ", ".join(f"{lamp.power_w:g} W at ({lamp.x_mm:g}, {lamp.y_mm:g})" for lamp in checked.lamps)
-    world.tell(None, f"the lamps are {places or 'gone'}; on: {lighting.mode}")
+    world.log_event(None, f"the lamps are {places or 'gone'}; on: {lighting.mode}")
 
 
-def relight_again(world: World, act: HostEvent) -> None:
+def repeat_relight(world: World, event: HostEvent) -> None:
     """Replace the lamps as recorded in a log.
 
     Raises:
         PlaypenError: The bytes are not as `relight` writes them.
     """
     try:
-        found = json.loads(act.data)
+        found = json.loads(event.data)
         if not isinstance(found, dict):
             raise TypeError
         wanted = frozen(cast(dict[str, object], found))
     except (ValueError, TypeError, RecursionError):
-        raise PlaypenError(f"lamps = {act.data[:40]!r}; expected JSON with lamp and lighting") from None
+        raise PlaypenError(f"lamps = {event.data[:40]!r}; expected JSON with lamp and lighting") from None
     checked = check(_Lamps, wanted, "lamps", PlaypenError)
     relight(world, checked.lamp, checked.lighting)
 

@@ -40,15 +40,15 @@ class Observer(Protocol):
         """Observe the world; called every SAMPLE_NS and at its start."""
         ...
 
-    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Observe bytes that crossed a robot's line, the last of them at `time_ns`."""
         ...
 
-    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Observe an action of a robot's host on the line."""
         ...
 
-    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Observe a logged event."""
         ...
 
@@ -63,7 +63,7 @@ class World:
         seed: Seed of every random stream.
         noise: True for noisy sensors.
         unpaced: True for lines without delay.
-        spread: True to draw each robot's sensors at random around its calibration.
+        vary: True to draw each robot's sensors at random around its calibration.
         strict_line: True to garble the bytes between a robot and a host whose line has another speed.
         faults: Faults of its robots.
 
@@ -73,7 +73,7 @@ class World:
         data: State of the scene.
         lamps: Lamps of the world.
         robots: Robots in the playpen's order.
-        taps: Observers of the world.
+        observers: Observers of the world.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class World:
         *,
         seed: int = 0,
         noise: bool = True,
-        spread: bool = False,
+        vary: bool = False,
         unpaced: bool = False,
         strict_line: bool = False,
         faults: Sequence[Fault] = (),
@@ -90,7 +90,7 @@ class World:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(_keep_quiet)
         self.playpen = playpen = at_spots(playpen, seed)
-        self.taps: list[Observer] = []
+        self.observers: list[Observer] = []
         self._untold: list[tuple[int | None, str]] = []
         self.time_ns = 0
         self.spec = to_spec(playpen)
@@ -104,7 +104,7 @@ class World:
                 index,
                 seed=seed,
                 noise=noise,
-                spread=spread,
+                vary=vary,
                 unpaced=unpaced,
                 strict_line=strict_line,
                 faults=faults,
@@ -118,13 +118,13 @@ class World:
         self._limit = 1.0 + max(units.metres(playpen.arena.width_mm), units.metres(playpen.arena.height_mm))
         self._switch_on()
 
-    def add_tap(self, tap: Observer) -> None:
+    def add_observer(self, observer: Observer) -> None:
         """Add an observer; it receives the current state at once."""
-        self.taps.append(tap)
+        self.observers.append(observer)
         for robot, text in self._untold:
-            tap.event(self.time_ns, robot, text)
+            observer.on_event(self.time_ns, robot, text)
         mujoco.mj_kinematics(self.model, self.data)
-        tap.sample(self)
+        observer.sample(self)
 
     def advance_to(self, time_ns: int) -> None:
         """Advance the world to `time_ns` [ns].
@@ -174,23 +174,23 @@ class World:
         for robot in self.robots:
             robot.relight(self.lamps, playpen.lighting)
 
-    def tell(self, robot: int | None, text: str) -> None:
+    def log_event(self, robot: int | None, text: str) -> None:
         """Send an event to the taps."""
-        if self.time_ns == 0 and not self.taps:
+        if self.time_ns == 0 and not self.observers:
             # No tap could be added yet.
             self._untold.append((robot, text))
-        for tap in self.taps:
-            tap.event(self.time_ns, robot, text)
+        for observer in self.observers:
+            observer.on_event(self.time_ns, robot, text)
 
-    def hear(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Send bytes that crossed a robot's line to the taps."""
-        for tap in self.taps:
-            tap.wire(time_ns, robot, to_robot, data)
+        for observer in self.observers:
+            observer.on_bytes(time_ns, robot, to_robot, data)
 
-    def act(self, robot: int, act: HostEvent) -> None:
+    def on_host_event(self, robot: int, event: HostEvent) -> None:
         """Send a host's action to the taps."""
-        for tap in self.taps:
-            tap.act(self.time_ns, robot, act)
+        for observer in self.observers:
+            observer.on_host_event(self.time_ns, robot, event)
 
     def _switch_on(self) -> None:
         # The rangefinders' first turn comes in the second step.
@@ -201,7 +201,7 @@ class World:
                 robot.convert(channel)
         for robot in self.robots:
             robot.zero_encoders()
-            robot.feed()
+            robot.update_supply()
         self._check_state()
         self._check_warnings()
 
@@ -225,20 +225,20 @@ class World:
         if self._steps % _STEPS_PER_SAMPLE == 0:
             self._check_warnings()
             for robot in self.robots:
-                robot.feed()
+                robot.update_supply()
                 robot.show_leds()
             self._show()
 
     def _light(self) -> None:
         if self.lamps.update(self.time_ns, [robot.disc for robot in self.robots]):
-            self.tell(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
+            self.log_event(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
 
     def _show(self) -> None:
-        if self.taps:
+        if self.observers:
             # A step leaves the bodies' positions as of its start; the taps sample them as of its end.
             mujoco.mj_kinematics(self.model, self.data)
-            for tap in self.taps:
-                tap.sample(self)
+            for observer in self.observers:
+                observer.sample(self)
 
     def _check_warnings(self) -> None:
         """Raise a `DivergedError` if MuJoCo has warned."""
@@ -258,7 +258,7 @@ class World:
 
     def _diverged(self, reason: str) -> DivergedError:
         text = f"the simulation failed at {self.time_ns / 1e9:.4f} s, step {self._steps}: {reason}"
-        self.tell(None, text)
+        self.log_event(None, text)
         self._failure = DivergedError(text)
         return self._failure
 

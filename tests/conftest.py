@@ -62,7 +62,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         and any(Path(each).is_dir() for each in config.args)
         and importlib.util.find_spec("numba") is not None
     ):
-        run = [sys.executable, "-m", "khep_twin", "run", "--fast", "--seconds", "0.02"]
+        run = [sys.executable, "-m", "khep_twin", "rollout", "--seconds", "0.02"]
         compilers = [
             subprocess.Popen([*run, *more], stdout=subprocess.DEVNULL) for more in ((), ("--planar",))
         ]

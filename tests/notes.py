@@ -13,12 +13,12 @@ class Notes:
     def sample(self, world: World) -> None:
         """Nothing."""
 
-    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Nothing."""
 
-    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Nothing."""
 
-    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Keeps it."""
         self.told.append(text)

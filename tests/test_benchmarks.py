@@ -13,11 +13,11 @@ import pytest
 import benchmarks
 from benchmarks import growth, peers, record
 from benchmarks.ports import line_row, trip_rows
-from benchmarks.scale import bare_row, life_row, world_row
+from benchmarks.scale import bare_row, episode_row, world_row
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
 from khep_twin import playpen
 from khep_twin.errors import KhepTwinError
-from khep_twin.rollout.life import EpisodeSetup
+from khep_twin.rollout.episode import EpisodeSetup
 from khep_twin.sensors import proximity_optics
 
 FOLDER = Path(benchmarks.__file__).parent
@@ -130,13 +130,13 @@ def test_fields_grow_around_the_same_blocks() -> None:
 @pytest.mark.parametrize("n_rays", [1, 27])
 def test_cones_have_more_or_fewer_rays_over_the_same_angle(n_rays: int) -> None:
     with growth.rays_per_sensor(n_rays):
-        ground = EpisodeSetup(playpen.load("default"))
-    (first, *_), usual = ground.indices.rays, EpisodeSetup(playpen.load("default"))
+        setup = EpisodeSetup(playpen.load("default"))
+    (first, *_), usual = setup.indices.rays, EpisodeSetup(playpen.load("default"))
     assert first.stop - first.start == 4 * n_rays
     spans = [
-        near.aside[0][-1] * n / max(n - 1, 1)
+        near.tangential[0][-1] * n / max(n - 1, 1)
         for near, n in (
-            (proximity_optics(ground.model, ground.indices, ground.calibration), n_rays),
+            (proximity_optics(setup.model, setup.indices, setup.calibration), n_rays),
             (proximity_optics(usual.model, usual.indices, usual.calibration), 9),
         )
     ]
@@ -146,14 +146,14 @@ def test_cones_have_more_or_fewer_rays_over_the_same_angle(n_rays: int) -> None:
 
 def test_rows_run_what_they_name() -> None:
     scene = playpen.load("default")
-    ground = EpisodeSetup(scene)
+    setup = EpisodeSetup(scene)
     rows = [
-        life_row("plain", ground, 0.1, compiled=False),
+        episode_row("plain", setup, 0.1, compiled=False),
         world_row("world", scene, 0.1),
         line_row("line", "default", 0.1),
     ]
     if importlib.util.find_spec("numba"):
-        rows.append(bare_row("bare", ground, 0.1))
+        rows.append(bare_row("bare", setup, 0.1))
     results = measure("all", rows, 1).results
     assert all(row.median > 0 and row.cpu > 0 and row.ratio > 0 for row in results)
     assert timed(lambda: None)().wall >= 0

@@ -89,29 +89,32 @@ def test_numbers_out_of_range_are_cut_to_it(
     firmware: Firmware, line: str, register: Wheel, left: int, right: int
 ) -> None:
     ask(firmware, line)
-    assert (firmware.cells[LEFT + register], firmware.cells[RIGHT + register]) == (left, right)
+    assert (firmware.register_view[LEFT + register], firmware.register_view[RIGHT + register]) == (
+        left,
+        right,
+    )
 
 
 def test_gains_are_kept_within_sixteen_bits(firmware: Firmware) -> None:
     ask(firmware, "A,-1,40000,5")
-    assert [firmware.cells[Board.SPEED_KP + offset] for offset in range(3)] == [0, 32767, 5]
+    assert [firmware.register_view[Board.SPEED_KP + offset] for offset in range(3)] == [0, 32767, 5]
     ask(firmware, "F,1,2,3")
-    assert [firmware.cells[Board.POSITION_KP + offset] for offset in range(3)] == [1, 2, 3]
+    assert [firmware.register_view[Board.POSITION_KP + offset] for offset in range(3)] == [1, 2, 3]
 
 
 def test_leds_go_on_off_and_over(firmware: Firmware) -> None:
     states = []
     for action in (1, 2, 2, 0):
         ask(firmware, f"L,1,{action}")
-        states.append(firmware.cells[Board.LED_1])
+        states.append(firmware.register_view[Board.LED_1])
     assert states == [1, 0, 1, 0]
-    assert firmware.cells[Board.LED_0] == 0
+    assert firmware.register_view[Board.LED_0] == 0
 
 
 def test_channels_1_and_2_follow_the_sensor_converted_last(firmware: Firmware) -> None:
-    firmware.cells[Board.PROXIMITY + 2] = 321
-    firmware.cells[Board.AMBIENT + 2] = 123
-    firmware.cells[Board.SCAN] = 3
+    firmware.register_view[Board.PROXIMITY + 2] = 321
+    firmware.register_view[Board.AMBIENT + 2] = 123
+    firmware.register_view[Board.SCAN] = 3
     assert (ask(firmware, "I,1"), ask(firmware, "I,2")) == ("i,321", "i,123")
 
 
@@ -131,7 +134,7 @@ def test_restart_puts_all_back_and_shows_the_banner(firmware: Firmware) -> None:
     assert lines[0].startswith(b"ROM of minirobot KHEPERA")
     assert lines[-2:] == [b"Serial Communication Protocol", b""]
     assert ask(firmware, "K") == "k,1,0,0,1,0,0"
-    assert firmware.cells[LEFT + Wheel.SPEED_SETPOINT] == 0
+    assert firmware.register_view[LEFT + Wheel.SPEED_SETPOINT] == 0
 
 
 @given(st.lists(st.binary(max_size=60), max_size=30))

@@ -16,9 +16,9 @@ def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
 
 
 def test_random_changes_end_in_a_result_or_a_line() -> None:
-    chance = random.Random(1)
+    rng = random.Random(1)
     for _ in range(1000):
-        check(bytes([chance.randrange(256)]) + chance.randbytes(STEP * chance.randrange(1, 7)))
+        check(bytes([rng.randrange(256)]) + rng.randbytes(STEP * rng.randrange(1, 7)))
 
 
 def test_the_seeds_do_not_fail(tmp_path: Path) -> None:

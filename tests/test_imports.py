@@ -18,7 +18,7 @@ ORDER = [
     ["firmware", "sensors", "playpen_to_mjcf"],
     ["robot"],
     ["world"],
-    ["placing", "switching", "mujoco_viewer", "drawing"],
+    ["move_robot", "switching", "mujoco_viewer", "drawing"],
     ["log"],
     ["ports"],
     ["host"],

@@ -105,9 +105,9 @@ def pair(model: str, x_mm: float, y_mm: float) -> np.ndarray:
 
 def test_a_khepera_ii_reads_another_one_as_the_manufacturers_report_has_it() -> None:
     # 10 mm from the faces of the front sensors, and of the right one, to the other's shell.
-    ahead, aside = pair("khepera2", 30 + 10 + 35, 0), pair("khepera2", 0, -26.6 - 10 - 35)
+    ahead, tangential = pair("khepera2", 30 + 10 + 35, 0), pair("khepera2", 0, -26.6 - 10 - 35)
     assert ahead[1:5].tolist() == pytest.approx([105, 223, 271, 102], abs=10)
-    assert aside[5] == pytest.approx(274, abs=4)
+    assert tangential[5] == pytest.approx(274, abs=4)
 
 
 def test_with_the_default_calibration_robots_see_each_other_just_before_they_touch() -> None:
@@ -220,7 +220,7 @@ def test_a_draw_without_chance_is_zero() -> None:
 
 
 def test_a_spread_is_another_robot_of_the_same_make() -> None:
-    drawn = [calibration.spread(KHEPERA1, np.random.default_rng(seed)) for seed in range(300)]
+    drawn = [calibration.varied(KHEPERA1, np.random.default_rng(seed)) for seed in range(300)]
     gains = np.array([each.proximity.gain_counts_mm2 for each in drawn]) / KHEPERA1.proximity.gain_counts_mm2
     assert gains.mean() == pytest.approx(1, abs=0.01)
     assert gains.std() == pytest.approx(calibration.GAIN_SPREAD, rel=0.05)
@@ -232,7 +232,7 @@ def test_the_same_seed_spreads_a_robot_alike_and_each_robot_of_a_playpen_on_its_
     text = scene(second, x_mm=948, y_mm=300).replace("x_mm = 972.5", "x_mm = 948")
 
     def read(seed: int) -> list[list[int]]:
-        world = World(playpen.parse(text, "scene"), seed=seed, noise=False, spread=True)
+        world = World(playpen.parse(text, "scene"), seed=seed, noise=False, vary=True)
         return [robot.registers[PROXIMITY].tolist() for robot in world.robots]
 
     first = read(1)

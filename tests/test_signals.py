@@ -53,7 +53,7 @@ def started(
 ) -> "subprocess.Popen[str]":
     """A process that hears all signals, also those that whoever runs the tests has switched off."""
 
-    def hear() -> None:
+    def on_bytes() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         signal.signal(signal.SIGHUP, hang_up)
 
@@ -63,7 +63,7 @@ def started(
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=hear,
+        preexec_fn=on_bytes,
         env=os.environ | more,
     )
 

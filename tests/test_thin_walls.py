@@ -36,11 +36,11 @@ def test_a_contact_is_as_deep_as_the_robot_reaches_into_a_wall(thickness_mm: flo
     data = mujoco.MjData(model)
     start = int(model.joint("khepera0/pose").qposadr[0])
     shell = model.geom("khepera0/shell").id
-    chance = np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     half = np.array([thickness_mm / 2000, 0.05])
     looked = 0
     while looked < 200:
-        x, y = chance.uniform((0.265, 0.065), (0.335, 0.235))
+        x, y = rng.uniform((0.265, 0.065), (0.335, 0.235))
         off = np.abs([x - 0.3, y - 0.15]) - half
         reach = math.hypot(*np.maximum(off, 0)) if off.max() > 0 else off.max()
         if not 0.0005 < (depth := units.BODY_RADIUS - reach) < 0.008:
@@ -75,19 +75,19 @@ angle_deg = 30
 def test_a_robot_at_full_speed_among_thin_walls_stays_upright(
     thickness_mm: float, height_mm: float, seed: int
 ) -> None:
-    chance = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     text = (
         'version = 1\nname = "thin"\n[arena]\nwidth_mm = 400\nheight_mm = 300\n'
         f"wall_thickness_mm = {thickness_mm}\nwall_height_mm = {height_mm}\n"
         + WALLS.format(t=thickness_mm, h=height_mm)
-        + f"[[robot]]\nx_mm = 200\ny_mm = 100\nheading_deg = {chance.uniform(0, 360)}\n"
+        + f"[[robot]]\nx_mm = 200\ny_mm = 100\nheading_deg = {rng.uniform(0, 360)}\n"
     )
     world = World(playpen.parse(text, "thin"), noise=False)
     start = int(world.model.joint("khepera0/pose").qposadr[0])
     while world.time_ns < 10 * NS_PER_S:
-        left, right = COMMANDS[chance.integers(len(COMMANDS))]
+        left, right = COMMANDS[rng.integers(len(COMMANDS))]
         world.robots[0].send(b"D,%d,%d\n" % (left, right))
-        until_ns = world.time_ns + int(chance.integers(10, 150)) * units.TICK_NS
+        until_ns = world.time_ns + int(rng.integers(10, 150)) * units.TICK_NS
         while world.time_ns < until_ns:
             world.advance_to(world.time_ns + units.TICK_NS)
             x, y, z, _, qx, qy, _ = world.data.qpos[start : start + 7]

@@ -52,8 +52,8 @@ def day(hours: float, log: Path) -> float:
     begun, first, next_ns = time.monotonic(), 0.0, WARM_NS
     with ExitStack() as stack:
         twin = stack.enter_context(open_twin("obstacles", TwinOptions(seed=1, log=str(log))))
-        cable = stack.enter_context(closing(PtyPort(None, twin.robot.firmware.baud)))
-        host = stack.enter_context(subprocess.Popen([sys.executable, __file__, "0", "--host", cable.path]))
+        port = stack.enter_context(closing(PtyPort(None, twin.robot.firmware.baud)))
+        host = stack.enter_context(subprocess.Popen([sys.executable, __file__, "0", "--host", port.path]))
         stack.callback(host.kill)
         world = twin.world
 
@@ -73,7 +73,7 @@ def day(hours: float, log: Path) -> float:
 
         # Flush as often in simulated time as otherwise in wall time.
         serve.time = SimpleNamespace(monotonic_ns=lambda: world.time_ns)  # pyright: ignore
-        serve.serve(twin, [cable], serve.WIRE, stop=stop, tell=print)
+        serve.serve(twin, [port], serve.WIRE, stop=stop, tell=print)
         grown = memory() - first
         begun = time.monotonic()
     took, size = time.monotonic() - begun, log.stat().st_size / 1e6

@@ -48,15 +48,15 @@ COMMANDS = [
 
 def text_of(number: int) -> str:
     """Return the playpen of a number, which the check may refuse."""
-    chance = random.Random(number)
-    width, height = chance.uniform(250, 500), chance.uniform(200, 400)
+    rng = random.Random(number)
+    width, height = rng.uniform(250, 500), rng.uniform(200, 400)
     lines = ['version = 1\nname = "edge"\n[arena]', f"width_mm = {width:.0f}", f"height_mm = {height:.0f}"]
     lines += [
-        f"wall_thickness_mm = {chance.choice((1, 2, 3, 5, 8, *[10] * 5))}",
-        f"wall_height_mm = {chance.choice((15, 20, 30, 50, 100))}",
+        f"wall_thickness_mm = {rng.choice((1, 2, 3, 5, 8, *[10] * 5))}",
+        f"wall_height_mm = {rng.choice((15, 20, 30, 50, 100))}",
     ]
-    if chance.random() < 0.3:
-        tip = chance.uniform(0.05, 0.95) * height
+    if rng.random() < 0.3:
+        tip = rng.uniform(0.05, 0.95) * height
         corners = [
             [0, 0],
             [width // 1, 0],
@@ -65,31 +65,30 @@ def text_of(number: int) -> str:
             [0, height // 1],
         ]
         lines.append(f"outline_mm = {corners}")
-    for _ in range(chance.choice((0, 1, 2))):
+    for _ in range(rng.choice((0, 1, 2))):
         points = [
-            [chance.uniform(0, width) // 1, chance.uniform(0, height) // 1]
-            for _ in range(chance.choice((2, 3)))
+            [rng.uniform(0, width) // 1, rng.uniform(0, height) // 1] for _ in range(rng.choice((2, 3)))
         ]
         lines += [
             "[[wall]]",
             f"points_mm = {points}",
-            f"thickness_mm = {_thin(chance)}",
-            f"height_mm = {_low(chance)}",
+            f"thickness_mm = {_thin(rng)}",
+            f"height_mm = {_low(rng)}",
         ]
-    for _ in range(chance.choice((0, 1, 2, 3, 4))):
-        round_one = chance.random() < 0.4
-        lines += ["[[cylinder]]" if round_one else "[[block]]", *_place(chance, width, height)]
+    for _ in range(rng.choice((0, 1, 2, 3, 4))):
+        round_one = rng.random() < 0.4
+        lines += ["[[cylinder]]" if round_one else "[[block]]", *_place(rng, width, height)]
         if round_one:
-            lines.append(f"radius_mm = {_side(chance)}")
+            lines.append(f"radius_mm = {_side(rng)}")
         else:
-            lines += [f"length_mm = {_side(chance)}", f"width_mm = {_side(chance)}"]
-            lines.append(f"angle_deg = {chance.choice((0, 0, 45, chance.uniform(0, 90)))}")
-        lines.append(f"height_mm = {_low(chance)}")
-        if chance.random() < 0.6:
-            lines += ["movable = true", f"mass_g = {chance.choice((5, 5, 20, 100, 1000, 10_000))}"]
-    for _ in range(chance.choice((1, 1, 2))):
-        lines += ["[[robot]]", *_place(chance, width, height), f"heading_deg = {chance.uniform(0, 360)}"]
-        if chance.random() < 0.2:
+            lines += [f"length_mm = {_side(rng)}", f"width_mm = {_side(rng)}"]
+            lines.append(f"angle_deg = {rng.choice((0, 0, 45, rng.uniform(0, 90)))}")
+        lines.append(f"height_mm = {_low(rng)}")
+        if rng.random() < 0.6:
+            lines += ["movable = true", f"mass_g = {rng.choice((5, 5, 20, 100, 1000, 10_000))}"]
+    for _ in range(rng.choice((1, 1, 2))):
+        lines += ["[[robot]]", *_place(rng, width, height), f"heading_deg = {rng.uniform(0, 360)}"]
+        if rng.random() < 0.2:
             lines.append('turrets = ["gripper"]')
     return "\n".join(lines) + "\n"
 
@@ -110,7 +109,7 @@ def playpens(first: int, count: int) -> Iterator[tuple[int, Playpen]]:
 
 def trouble(number: int, made: Playpen, seconds: float = 10.0) -> str | None:
     """Drive around in a playpen; return the finding, None without one."""
-    chance = random.Random(-1 - number)
+    rng = random.Random(-1 - number)
     world = World(made, noise=False, unpaced=True)
     due_ns = [0] * len(world.robots)
     gone: set[str] = set()
@@ -118,10 +117,10 @@ def trouble(number: int, made: Playpen, seconds: float = 10.0) -> str | None:
         while world.time_ns < seconds * NS_PER_S:
             for index, robot in enumerate(world.robots):
                 if world.time_ns >= due_ns[index]:
-                    robot.send(b"D,%d,%d\n" % chance.choice(COMMANDS))
-                    robot.send(b"T,1,E,%d\n" % chance.randrange(256))
-                    robot.send(b"T,1,D,%d\n" % chance.randrange(2))
-                    due_ns[index] = world.time_ns + chance.randrange(5, 150) * units.TICK_NS
+                    robot.send(b"D,%d,%d\n" % rng.choice(COMMANDS))
+                    robot.send(b"T,1,E,%d\n" % rng.randrange(256))
+                    robot.send(b"T,1,D,%d\n" % rng.randrange(2))
+                    due_ns[index] = world.time_ns + rng.randrange(5, 150) * units.TICK_NS
             world.advance_to(world.time_ns + units.TICK_NS)
             if found := next(_broken(world, gone), None):
                 return f"{found} at {world.time_ns / NS_PER_S:g} s" if found != TOPPLED else None
@@ -167,20 +166,20 @@ def _off_its_wheels(world: World, body: int, number: int) -> Iterator[str]:
         yield f"robot {number + 1} goes {speed:.2f} m/s"
 
 
-def _thin(chance: random.Random) -> int:
-    return chance.choice((1, 2, 3, 5, 8))
+def _thin(rng: random.Random) -> int:
+    return rng.choice((1, 2, 3, 5, 8))
 
 
-def _low(chance: random.Random) -> int:
-    return chance.choice((1, 2, 3, 4, 5, 6, 8, 10, 15, 20, 30, 50, 100))
+def _low(rng: random.Random) -> int:
+    return rng.choice((1, 2, 3, 4, 5, 6, 8, 10, 15, 20, 30, 50, 100))
 
 
-def _side(chance: random.Random) -> float:
-    return chance.choice((1, 2, 3, 5, 8, 12, 20, 40, 80))
+def _side(rng: random.Random) -> float:
+    return rng.choice((1, 2, 3, 5, 8, 12, 20, 40, 80))
 
 
-def _place(chance: random.Random, width: float, height: float) -> list[str]:
-    return [f"x_mm = {chance.uniform(0, width):.0f}", f"y_mm = {chance.uniform(0, height):.0f}"]
+def _place(rng: random.Random, width: float, height: float) -> list[str]:
+    return [f"x_mm = {rng.uniform(0, width):.0f}", f"y_mm = {rng.uniform(0, height):.0f}"]
 
 
 def main() -> int:

@@ -36,7 +36,7 @@ def check(data: bytes) -> None:
         if piece == bytes([TICK]):
             encoder += 7
             firmware.tick(encoder, -encoder)
-            kernel.convert(firmware.cells, 512, 300)
+            kernel.convert(firmware.register_view, 512, 300)
         else:
             replies += firmware.receive(piece)
             sent += piece
@@ -49,10 +49,10 @@ def check(data: bytes) -> None:
     assert len(told) >= len(lines), (lines, told)
     assert all(told), replies
     for register in DUTIES:
-        assert -255 <= firmware.cells[register] <= 255
+        assert -255 <= firmware.register_view[register] <= 255
     for wheel in (LEFT, RIGHT):
-        assert -(2**31) <= firmware.cells[wheel + Wheel.POSITION] < 2**31
-        assert firmware.cells[wheel + Wheel.MODE] in (0, 1, 2)
+        assert -(2**31) <= firmware.register_view[wheel + Wheel.POSITION] < 2**31
+        assert firmware.register_view[wheel + Wheel.MODE] in (0, 1, 2)
     version = b"b,%s,%s\r\n" % (rom.bios.encode(), rom.protocol.encode())
     assert firmware.receive(b"\nB\n").endswith(version)
 

@@ -56,7 +56,7 @@ def base() -> tuple[Record, ...]:
         with open_twin("default", TwinOptions(log=str(path))) as twin:
             twin.robot.send(b"N\n")
             twin.advance_to(20_000_000)
-            twin.world.tell(0, "x")
+            twin.world.log_event(0, "x")
         return tuple(small(record) for record in taken_apart(path.read_bytes()))
 
 

@@ -20,11 +20,11 @@ MANY = 4
 
 def single(task: str, seed: int) -> str:
     """Return a hash of all results of one environment."""
-    environment = gymnasium.make(f"khep_twin/{task}-v0", spread=True)
-    chance, digest = np.random.default_rng(seed), hashlib.sha256()
+    environment = gymnasium.make(f"khep_twin/{task}-v0", vary=True)
+    rng, digest = np.random.default_rng(seed), hashlib.sha256()
     digest.update(environment.reset(seed=seed)[0].tobytes())
     for _ in range(STEPS):
-        observation, reward, ended, late, _ = environment.step(chance.uniform(-5, 20, 2).astype(np.float32))
+        observation, reward, ended, late, _ = environment.step(rng.uniform(-5, 20, 2).astype(np.float32))
         digest.update(observation.tobytes() + np.float64(reward).tobytes())
         if ended or late:
             digest.update(environment.reset()[0].tobytes())
@@ -33,11 +33,11 @@ def single(task: str, seed: int) -> str:
 
 def together(task: str, seed: int, threads: int) -> str:
     """Return a hash of all results of MANY environments, STEPS in total."""
-    environments = gymnasium.make_vec(f"khep_twin/{task}-v0", num_envs=MANY, spread=True, threads=threads)
-    chance, digest = np.random.default_rng(seed), hashlib.sha256()
+    environments = gymnasium.make_vec(f"khep_twin/{task}-v0", num_envs=MANY, vary=True, threads=threads)
+    rng, digest = np.random.default_rng(seed), hashlib.sha256()
     digest.update(environments.reset(seed=seed)[0].tobytes())
     for _ in range(STEPS // MANY):
-        observations, rewards, *_ = environments.step(chance.uniform(-5, 20, (MANY, 2)).astype(np.float32))
+        observations, rewards, *_ = environments.step(rng.uniform(-5, 20, (MANY, 2)).astype(np.float32))
         digest.update(observations.tobytes() + rewards.tobytes())
     environments.close()
     return digest.hexdigest()

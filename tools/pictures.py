@@ -39,11 +39,11 @@ _EDGE = 10
 def draw_sensor_tests() -> None:
     """Draw the two tests of docs/sense.md, by its commands."""
     page = (tutorial.PAGE.parent / "sense.md").read_text()
-    bench = next(block.text for block in tutorial.blocks(page) if block.language == "toml")
-    Path("bench.toml").write_text(bench)
+    source = next(block.text for block in tutorial.blocks(page) if block.language == "toml")
+    Path("bench.toml").write_text(source)
     far = ["--linear", "12", "--runs", "5", "--text", "white wall", "-o", "wall.csv"]
     _type("sense", "khep://bench.toml?seed=1", "--speed", "4", *far, "--picture", "sense_linear.png")
-    Path("bench.toml").write_text(bench.replace("x_mm = 847.5", "x_mm = 957.5"))
+    Path("bench.toml").write_text(source.replace("x_mm = 847.5", "x_mm = 957.5"))
     near = ["--rotate", "360", "--grid", "-o", "turn.mat"]
     _type("sense", "khep://bench.toml?seed=1", "--speed", "4", *near, "--picture", "sense_rotational.png")
     for name in ("sense_linear", "sense_rotational"):

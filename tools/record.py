@@ -30,7 +30,7 @@ from khep_twin import playpen
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen_to_mjcf import to_mjcf
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.minds import Braitenberg, Network
+from khep_twin.rollout.controllers import Braitenberg, Network
 
 RECORD = Path(__file__).with_suffix(".json")
 SEEDS = (1, 2)
@@ -45,11 +45,11 @@ chance = random.Random({seed})
 
 def drive(robot):
     for _ in range(4):
-        robot.ask(chance.choice("N O E H K I,3 B R,3 T,1,F".split()))
-    speeds = (chance.randrange(-20, 21), chance.randrange(-20, 21))
-    robot.ask(chance.choice(["D,%d,%d", "D,%d,%d", "C,%d,%d", "G,%d,%d"]) % speeds)
-    robot.ask("L,%d,2" % chance.randrange(2))
-    robot.sleep(chance.uniform(0, 0.2))
+        robot.ask(rng.choice("N O E H K I,3 B R,3 T,1,F".split()))
+    speeds = (rng.randrange(-20, 21), rng.randrange(-20, 21))
+    robot.ask(rng.choice(["D,%d,%d", "D,%d,%d", "C,%d,%d", "G,%d,%d"]) % speeds)
+    robot.ask("L,%d,2" % rng.randrange(2))
+    robot.sleep(rng.uniform(0, 0.2))
 """
 
 
@@ -97,7 +97,7 @@ def rolled(name: str, planar: bool) -> list[str]:
             done = rollout(scene, controller, range(8), float(SECONDS), genes=given, planar=planar)
         except (KhepTwinError, ValueError):
             return []
-        values = [np.asarray(done.numbers[key]).tobytes() for key in done.numbers]
+        values = [np.asarray(done.metrics[key]).tobytes() for key in done.metrics]
         hashes.append(digest(done.registers.tobytes(), done.poses.tobytes(), *values))
     return hashes
 

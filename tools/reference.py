@@ -28,7 +28,7 @@ MODULES = (
     "khep_twin.ports.twin",
     "khep_twin.rollout.screening",
     "khep_twin.envs.tasks",
-    "khep_twin.envs.trial",
+    "khep_twin.envs.task_episode",
     "khep_twin.errors",
     "khep_twin.units",
 )

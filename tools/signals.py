@@ -113,10 +113,10 @@ def end(name: str, seed: int, *, begun: bool | None = None) -> End:
         seed: Seed of signal and moment.
         begun: True if the signal waits for the first output; None for a random choice.
     """
-    chance = random.Random(seed)
-    number = chance.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-    begun = chance.random() < 0.5 if begun is None else begun
-    after = chance.uniform(0, LATEST)
+    rng = random.Random(seed)
+    number = rng.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+    begun = rng.random() < 0.5 if begun is None else begun
+    after = rng.uniform(0, LATEST)
     kind = KINDS[name]
     with tempfile.TemporaryDirectory(prefix="khep-twin-signals-") as top:
         folder, private = Path(top) / "work", Path(top) / "private"

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 STUDY = """version = 1
 name = "kills"
 playpens = ["looping-maze"]
-seeds = {lives}
+seeds = {n_episodes}
 seconds = {seconds}
 step_ms = 5
 rollouts_per_task = 4
@@ -43,7 +43,7 @@ PATIENCE = 120.0
 def study(folder: Path, tasks: int, seconds: int, output: str) -> Path:
     """Write a study of so many tasks, four episodes each."""
     file = folder / f"{output}.toml"
-    file.write_text(STUDY.format(lives=tasks, seconds=seconds, output=output))
+    file.write_text(STUDY.format(n_episodes=tasks, seconds=seconds, output=output))
     return file
 
 
@@ -95,11 +95,11 @@ def listening(parent: int) -> set[str]:
 
 def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kills: int, seed: int) -> int:
     """Kill workers, each time after another part of the tasks is done; return their number."""
-    chance = random.Random(seed)
+    rng = random.Random(seed)
     killed: set[int] = set()
     last = time.monotonic()
     # The last tasks are left out: they may be done before a kill.
-    for threshold in sorted(chance.choices(range(max(tasks - 4, 1)), k=kills)):
+    for threshold in sorted(rng.choices(range(max(tasks - 4, 1)), k=kills)):
         while True:
             assert time.monotonic() - last < PATIENCE, f"nothing happened after {len(killed)} kills"
             if sweep.poll() is not None:
@@ -108,14 +108,14 @@ def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kill
             if there >= threshold:
                 break
             time.sleep(0.05)
-        time.sleep(chance.uniform(0, 0.7))
+        time.sleep(rng.uniform(0, 0.7))
         # Ray may end idle workers by itself.
         while not (alive := [pid for pid in workers_of(sweep.pid) if pid not in killed]):
             if sweep.poll() is not None:
                 return len(killed)
             assert time.monotonic() - last < PATIENCE, f"no worker after {len(killed)} kills"
             time.sleep(0.05)
-        victim = chance.choice(alive)
+        victim = rng.choice(alive)
         os.kill(victim, signal.SIGKILL)
         killed.add(victim)
         last = time.monotonic()
@@ -141,7 +141,7 @@ def trial(folder: Path, tasks: int, kills: int, seconds: int, seed: int) -> int:
         finally:
             sweep.terminate()
     tables = [folder / name / "results.parquet" for name in ("quiet", "disturbed")]
-    found = pq.read_table(tables[1])["life"].to_pylist()
+    found = pq.read_table(tables[1])["episode"].to_pylist()
     assert found == list(range(4 * tasks)), "an episode is missing, or there twice"
     assert tables[0].read_bytes() == tables[1].read_bytes(), "other results than without kills"
     return killed

@@ -70,18 +70,18 @@ class Injector:
 
     Args:
         faults: Faults to inject.
-        chance: Factory of each fault's own random stream, by its text.
+        rng: Factory of each fault's own random stream, by its text.
         tell: Callback that logs a message.
     """
 
     def __init__(
         self,
         faults: Iterable[Fault],
-        chance: Callable[[str], np.random.Generator],
+        rng: Callable[[str], np.random.Generator],
         tell: Callable[[str], None],
     ) -> None:
         self._faults = tuple(faults)
-        self._chance = {fault.text: chance(fault.text) for fault in self._faults}
+        self._rng = {fault.text: rng(fault.text) for fault in self._faults}
         self._tell = tell
         self._begun: set[str] = set()
 
@@ -95,7 +95,7 @@ class Injector:
         for fault in self._active("garble", time_ns):
             hit = self._draw(fault, len(data))
             if hit.any():
-                bits = self._chance[fault.text].integers(0, 8, len(data)).tolist()
+                bits = self._rng[fault.text].integers(0, 8, len(data)).tolist()
                 self._tell(f"fault {fault.text}: {int(hit.sum())} of {data!r} garbled")
                 data = bytes(
                     byte ^ (1 << bit if wrong else 0)
@@ -144,7 +144,7 @@ class Injector:
         return active
 
     def _draw(self, fault: Fault, count: int) -> NDArray[np.bool_]:
-        return self._chance[fault.text].random(count) < fault.probability
+        return self._rng[fault.text].random(count) < fault.probability
 
 
 def _number(text: str, low: float, high: float) -> float:

@@ -42,10 +42,10 @@ class Register(IntEnum):
 
     ARM_TARGET = 0  # target of the arm [places]
     ARM_SETPOINT = 1  # setpoint on the way to the target [places/256]
-    ARM_PLACE = 2  # position of the arm [places]
+    ARM_POSITION = 2  # position of the arm [places]
     FINGER_TARGET = 3
     FINGER_SETPOINT = 4
-    FINGER_PLACE = 5
+    FINGER_POSITION = 5
     BARRIER = 6  # 0 free to 255 dark
     RESISTIVITY = 7  # 255 for an insulator
 
@@ -59,9 +59,9 @@ class GripperElectronics:
 
     def __init__(self) -> None:
         self.registers = np.zeros(len(Register), np.int64)
-        self.registers[[Register.ARM_PLACE, Register.FINGER_PLACE]] = ARM_UP, FINGERS_OPEN
+        self.registers[[Register.ARM_POSITION, Register.FINGER_POSITION]] = ARM_UP, FINGERS_OPEN
         self.registers[Register.RESISTIVITY] = 255
-        self._cells = self.registers.data
+        self._view = self.registers.data
         self.reset()
 
     def receive(self, message: bytes) -> bytes:
@@ -69,22 +69,22 @@ class GripperElectronics:
         order = parse_turret_order(message, _ORDERS)
         if isinstance(order, Malformed):
             return order.reply
-        cells = self._cells
+        view = self._view
         match order.letter, order.arguments:
             case "B", ():
                 return self._reply("B", VERSION, REVISION)
             case "D", (0 | 1 as closed,):
-                cells[Register.FINGER_TARGET] = 0 if closed else FINGERS_OPEN
+                view[Register.FINGER_TARGET] = 0 if closed else FINGERS_OPEN
                 return self._reply("D")
-            case "E", (place,):
-                cells[Register.ARM_TARGET] = min(max(place, ARM_UP), ARM_DOWN)
+            case "E", (position,):
+                view[Register.ARM_TARGET] = min(max(position, ARM_UP), ARM_DOWN)
                 return self._reply("E")
             case "F", ():
-                return self._reply("F", cells[Register.RESISTIVITY])
+                return self._reply("F", view[Register.RESISTIVITY])
             case "G", ():
-                return self._reply("G", cells[Register.BARRIER])
+                return self._reply("G", view[Register.BARRIER])
             case "H", (0 | 1 as arm,):
-                return self._reply("H", cells[Register.ARM_PLACE if arm else Register.FINGER_PLACE])
+                return self._reply("H", view[Register.ARM_POSITION if arm else Register.FINGER_POSITION])
             case "J", ():
                 return self._reply("J", 0)
             case _:
@@ -97,15 +97,15 @@ class GripperElectronics:
 
     def reset(self) -> None:
         """Stop arm and fingers where they are."""
-        cells = self._cells
-        for place in (Register.ARM_PLACE, Register.FINGER_PLACE):
-            target, setpoint = place - 2, place - 1
-            cells[target] = cells[place]
-            cells[setpoint] = cells[place] * FRACTION
+        view = self._view
+        for position in (Register.ARM_POSITION, Register.FINGER_POSITION):
+            target, setpoint = position - 2, position - 1
+            view[target] = view[position]
+            view[setpoint] = view[position] * FRACTION
 
     def _approach(self, setpoint: Register, target: Register, speed: int) -> None:
-        cells = self._cells
-        cells[setpoint] += clip(cells[target] * FRACTION - cells[setpoint], speed)
+        view = self._view
+        view[setpoint] += clip(view[target] * FRACTION - view[setpoint], speed)
 
     def _reply(self, letter: str, *values: int) -> bytes:
         return turret_reply(GRIPPER_NUMBER, letter, *values)

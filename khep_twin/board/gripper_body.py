@@ -12,11 +12,11 @@ from khep_twin.board.gripper import FRACTION, REVISION, VERSION, GripperElectron
 from khep_twin.board.turrets import TurretKind
 from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
-ARM_DEGREES_PER_PLACE = 200 / 255
+ARM_DEGREES_PER_UNIT = 200 / 255
 """Angle of the arm per place; place 255 is 10 degrees below level: elevation = 190 - 200 place / 255 [deg] (a
 simulator's model of the turret)."""
 
-ARM_LEVEL_PLACE_DEG = 190.0
+ARM_LEVEL_DEG = 190.0
 """Elevation that place 0 would have [deg] (likewise)."""
 
 GAP_CLOSED, GAP_OPEN = 0.0005, 0.0275
@@ -49,7 +49,7 @@ class GripperBody:
         self, model: mujoco.MjModel, data: mujoco.MjData, prefix: str, registers: NDArray[np.int64]
     ) -> None:
         self._data = data
-        self._cells = registers.data
+        self._view = registers.data
         self._shoulder, self._slide = (
             int(model.joint(prefix + name).qposadr[0]) for name in ("shoulder", "left_slide")
         )
@@ -63,22 +63,22 @@ class GripperBody:
 
     def sense(self) -> None:
         """Read positions, light barrier and resistivity into the registers."""
-        qpos, cells = self._data.qpos, self._cells
+        qpos, view = self._data.qpos, self._view
         elevation_deg = math.degrees(qpos[self._shoulder])
         half_gap = float(qpos[self._slide])
-        cells[Register.ARM_PLACE] = round((ARM_LEVEL_PLACE_DEG - elevation_deg) / ARM_DEGREES_PER_PLACE)
-        place = (half_gap - GAP_CLOSED) / (GAP_OPEN - GAP_CLOSED) * FINGERS_OPEN
-        cells[Register.FINGER_PLACE] = min(max(round(place), 0), FINGERS_OPEN)
+        view[Register.ARM_POSITION] = round((ARM_LEVEL_DEG - elevation_deg) / ARM_DEGREES_PER_UNIT)
+        position = (half_gap - GAP_CLOSED) / (GAP_OPEN - GAP_CLOSED) * FINGERS_OPEN
+        view[Register.FINGER_POSITION] = min(max(round(position), 0), FINGERS_OPEN)
         free_way = 2 * half_gap + FINGER_THICKNESS - _SLACK
         dark = sum(0 <= self._data.sensordata[ray] < free_way for ray in self._rays)
-        cells[Register.BARRIER] = dark * 255 // N_RAYS
-        cells[Register.RESISTIVITY] = resistivity(self._conductance())
+        view[Register.BARRIER] = dark * 255 // N_RAYS
+        view[Register.RESISTIVITY] = resistivity(self._conductance())
 
     def drive(self) -> None:
         """Drive arm and fingers to the setpoints."""
-        arm = self._cells[Register.ARM_SETPOINT] / FRACTION
-        fingers = self._cells[Register.FINGER_SETPOINT] / FRACTION
-        elevation_deg = ARM_LEVEL_PLACE_DEG - ARM_DEGREES_PER_PLACE * arm
+        arm = self._view[Register.ARM_SETPOINT] / FRACTION
+        fingers = self._view[Register.FINGER_SETPOINT] / FRACTION
+        elevation_deg = ARM_LEVEL_DEG - ARM_DEGREES_PER_UNIT * arm
         self._data.ctrl[self._arm_motor] = math.radians(elevation_deg)
         self._data.ctrl[self._finger_motor] = GAP_CLOSED + (GAP_OPEN - GAP_CLOSED) * fingers / FINGERS_OPEN
 

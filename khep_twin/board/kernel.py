@@ -276,15 +276,15 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
     position = registers[wheel + _PROFILE_POSITION]
     speed = registers[wheel + _PROFILE_SPEED]
     acceleration = max(registers[wheel + _ACCELERATION], 1)
-    way = registers[wheel + _TARGET] * FRACTION - position
-    direction = 1 if way >= 0 else -1
-    way *= direction
+    distance = registers[wheel + _TARGET] * FRACTION - position
+    direction = 1 if distance >= 0 else -1
+    distance *= direction
     speed *= direction
     wanted = min(speed + acceleration, registers[wheel + _MAX_SPEED] * FRACTION)
     if wanted > 0:
         whole, rest = wanted // acceleration, wanted % acceleration
-        if (whole + 1) * (whole * acceleration + 2 * rest) > 2 * way:
-            wanted = _stopping_speed(way, acceleration)
+        if (whole + 1) * (whole * acceleration + 2 * rest) > 2 * distance:
+            wanted = _stopping_speed(distance, acceleration)
     wanted = max(wanted, speed - acceleration)
     registers[wheel + _PROFILE_POSITION] = position + direction * wanted
     registers[wheel + _PROFILE_SPEED] = direction * wanted
@@ -293,19 +293,19 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
         registers[wheel + _ERROR_SUM] = 0
 
 
-def _stopping_speed(way: int, acceleration: int) -> int:
+def _stopping_speed(distance: int, acceleration: int) -> int:
     """Return the fastest speed that can stop within a distance: v + (v - a) + (v - 2 a) + ... <= way.
 
     With v = n a + r and r < a the distance is (n + 1) (n a / 2 + r). The remainder, below n + 1, is covered
     by the speeds that follow.
     """
-    square = 8 * (way // acceleration) + 1
+    square = 8 * (distance // acceleration) + 1
     root, last = square, square + 1
     while root < last:  # Newton's method on integers, from above
         last = root
         root = (root + square // root) // 2
     steps = (last - 1) // 2
-    return steps * acceleration + (way - acceleration * steps * (steps + 1) // 2) // (steps + 1)
+    return steps * acceleration + (distance - acceleration * steps * (steps + 1) // 2) // (steps + 1)
 
 
 def _unwind(registers: Registers, wheel: int) -> None:

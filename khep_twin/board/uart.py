@@ -34,8 +34,8 @@ class HostEventKind(IntEnum):
     """Actions of a host on the line, and of a user on the robot and its world."""
 
     SEND = 0
-    HANG_UP = 1
-    TAKE_BACK = 2
+    DISCONNECT = 1
+    FLUSH = 2
     SET = 3
     PUT = 4
     SWITCH = 5
@@ -51,7 +51,7 @@ class HostEvent:
         kind: Kind of action.
         at_ns: Time of effect, now or later [ns].
         host: Settings of the host's end of the line; None for the robot's own.
-        data: Bytes as the host sent them; new pose of the robot, encoded by `khep_twin.placing`; switched
+        data: Bytes as the host sent them; new pose of the robot, encoded by `khep_twin.move_robot`; switched
             lamp or new lamps, encoded by `khep_twin.switching`.
     """
 
@@ -123,7 +123,7 @@ class SerialLine:
         self.next_ns = self._arrivals[0] if self._arrivals else None
         return data
 
-    def take_back(self, time_ns: int) -> None:
+    def flush(self, time_ns: int) -> None:
         """Drop the bytes that have not arrived by `time_ns`; the line is free then."""
         count = self.arrived(time_ns)
         del self._bytes[count:], self._arrivals[count:]

@@ -176,18 +176,18 @@ def _press(operation: "Teleoperation", key: int) -> None:
     """Apply a key."""
     import curses
 
-    from khep_twin.lab.experiment.teleoperation import Way
+    from khep_twin.lab.experiment.teleoperation import Direction
 
     ways = {
-        curses.KEY_UP: Way.FORWARD,
-        curses.KEY_DOWN: Way.BACK,
-        curses.KEY_LEFT: Way.LEFT,
-        curses.KEY_RIGHT: Way.RIGHT,
-        ord("w"): Way.FORWARD,
-        ord("s"): Way.BACK,
-        ord("a"): Way.LEFT,
-        ord("d"): Way.RIGHT,
-        ord(" "): Way.STOP,
+        curses.KEY_UP: Direction.FORWARD,
+        curses.KEY_DOWN: Direction.BACK,
+        curses.KEY_LEFT: Direction.LEFT,
+        curses.KEY_RIGHT: Direction.RIGHT,
+        ord("w"): Direction.FORWARD,
+        ord("s"): Direction.BACK,
+        ord("a"): Direction.LEFT,
+        ord("d"): Direction.RIGHT,
+        ord(" "): Direction.STOP,
     }
     letter = ord(chr(key).lower()) if key < 128 else key
     if letter in ways:

@@ -13,7 +13,7 @@ from khep_twin.cli.options import complain, usage
 from khep_twin.errors import PortError
 
 if TYPE_CHECKING:
-    from khep_twin.ports.host_connection import Cable
+    from khep_twin.ports.host_port import HostPort
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,24 +39,26 @@ class EndpointOptions:
         int | None, typer.Option(help="Write what hosts open to this descriptor, too, and close it.")
     ] = None
 
-    def open(self, bauds: Mapping[int, int]) -> AbstractContextManager[Sequence["Cable"]]:
+    def open(self, bauds: Mapping[int, int]) -> AbstractContextManager[Sequence["HostPort"]]:
         """Open one cable for each robot, by the speeds of their lines."""
-        from khep_twin.ports.endpoints import far_ends
+        from khep_twin.ports.endpoints import open_endpoints
 
-        return far_ends(bauds, link=self.link, tcp=self.tcp, rfc2217=self.rfc2217, expose=self.allow_remote)
+        return open_endpoints(
+            bauds, link=self.link, tcp=self.tcp, rfc2217=self.rfc2217, expose=self.allow_remote
+        )
 
     @contextmanager
-    def announced(self, cables: Sequence["Cable"], what: str) -> Generator[None]:
+    def announced(self, ports: Sequence["HostPort"], what: str) -> Generator[None]:
         """List what is served for `khep-twin ports`; print what hosts open, to the descriptor, too."""
         from khep_twin.ports.service_registry import registered
 
         with ExitStack() as stack:
             try:
-                stack.enter_context(registered([cable.path for cable in cables], what))
+                stack.enter_context(registered([port.path for port in ports], what))
             except PortError as error:
                 complain(f"not listed by khep-twin ports: {error}")
             complain(f"serving a {what}; hosts open what the next lines name; Ctrl-C ends it")
-            paths = "".join(f"{cable.path}\n" for cable in cables)
+            paths = "".join(f"{port.path}\n" for port in ports)
             typer.echo(paths, nl=False)
             if self.ready_fd is not None:
                 try:

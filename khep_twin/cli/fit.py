@@ -37,7 +37,7 @@ def fit(
 ) -> None:
     """Fit one robot's wheels, motors and sensors to recorded tests and ruler measurements."""
     from khep_twin.files.toml_files import dump
-    from khep_twin.lab.fit.fit_inputs import measured
+    from khep_twin.lab.fit.fit_inputs import fit_inputs
     from khep_twin.lab.fit.robot_fit import fit_robot, met, named
     from khep_twin.sensing import calibration
 
@@ -54,7 +54,7 @@ def fit(
         raise FitError(f"{picture}: expected a name that ends in .png, .svg or .pdf")
     check_apart([start], output, picture)
     check_new(force, output)
-    data, unused = measured(tests), measured(check or [])
+    data, unused = fit_inputs(tests), fit_inputs(check or [])
     if picture is not None and not (data.objects or data.lamps or data.motors):
         raise FitError(
             f"{picture}: measured drives give no picture; expected a sensor test or steps of duty, too"

@@ -41,10 +41,10 @@ def repeat(
 
     recorded = read_recorded(log)
     if port is not None:
-        from khep_twin.lab.experiment.replay_to_port import resend
+        from khep_twin.lab.experiment.replay_to_port import replay_to_port
 
         with progress_bar() as progress:
-            comparison = resend(recorded, port, progress)
+            comparison = replay_to_port(recorded, port, progress)
         typer.echo(comparison.text())
         if not comparison.identical:
             raise typer.Exit(3)

@@ -139,10 +139,10 @@ def random_playpen(
 
     check_new(force, output)
     try:
-        chance = stream(seed, "obstacle field")
+        rng = stream(seed, "obstacle field")
     except ValueError as error:
         raise KhepTwinError(f"--seed {seed}: {error}") from None
-    field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, chance)
+    field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, rng)
     text = f"# khep-twin playpen random --density {density:g} --seed {seed}\n\n{playpens.dump(field)}"
     _write(text, output, "playpen", f": {len(field.blocks)} blocks, {len(field.cylinders)} cylinders")
 
@@ -158,11 +158,11 @@ def _write(text: str, output: Path | None, kind: str, more: str = "") -> None:
 
 def _placed(playpen: "Playpen", seed: int) -> "Playpen":
     """Return a playpen with its robots where a run with this seed puts them."""
-    from khep_twin.playpen import placed
+    from khep_twin.playpen import place_robots
     from khep_twin.randomness import stream
 
     try:
-        return placed(playpen, stream(seed, "spots"))
+        return place_robots(playpen, stream(seed, "spots"))
     except ValueError as error:
         raise KhepTwinError(f"--seed {seed}: {error}") from None
 

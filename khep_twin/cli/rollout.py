@@ -14,7 +14,7 @@ from khep_twin.cli.options import check_apart, check_body, check_picture, compla
 from khep_twin.cli.progress import progress as progress_bar
 
 if TYPE_CHECKING:
-    from khep_twin.rollout.life import Episode
+    from khep_twin.rollout.episode import Episode
 
 
 @grouped
@@ -45,11 +45,11 @@ def rollout(
     import numpy as np
 
     from khep_twin.lab.experiment.experiment import find_function
-    from khep_twin.playpen import placed
+    from khep_twin.playpen import place_robots
     from khep_twin.ports.twin import equipped
     from khep_twin.randomness import stream
-    from khep_twin.rollout.life import SPAN_NS, Episode, EpisodeSetup
-    from khep_twin.rollout.minds import Braitenberg, ConstantSpeed
+    from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed
+    from khep_twin.rollout.episode import SPAN_NS, Episode, EpisodeSetup
 
     check_picture(picture)
     check_apart([scene.playpen], picture)
@@ -59,62 +59,62 @@ def rollout(
     function = None
     if controller != "braitenberg":
         function = find_function(controller, "proximity and ambient light", 2)
-    playpen, on_the_line = equipped(placed(playpen, stream(options.seed, "spots")), options)
+    playpen, on_the_line = equipped(place_robots(playpen, stream(options.seed, "spots")), options)
     check_body(options.rom, (playpen.robots[index] for index in on_the_line))
     try:
         step_ns = None if step is None else round(step * 1e6)
-        ground = EpisodeSetup(playpen, step_ns=step_ns, period_ns=round(period * 1e6), planar=planar)
-        periods = length.cycles or ground.periods(60.0 if length.seconds is None else length.seconds)
+        setup = EpisodeSetup(playpen, step_ns=step_ns, period_ns=round(period * 1e6), planar=planar)
+        periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
     except ValueError as error:
         raise usage(str(error)) from None
-    life = Episode(ground, Braitenberg() if function is None else ConstantSpeed(), compiled=is_compiled())
-    life.begin(options.seed, noise=options.noise, spread=options.spread)
-    way = [life.pose]
+    episode = Episode(setup, Braitenberg() if function is None else ConstantSpeed(), compiled=is_compiled())
+    episode.begin(options.seed, noise=options.noise, vary=options.vary)
+    way = [episode.pose]
     # Where the path is not needed in between, many periods pass at once, with the same results.
-    at_once = 1 if function is not None or picture is not None else max(SPAN_NS // ground.period_ns, 1)
+    at_once = 1 if function is not None or picture is not None else max(SPAN_NS // setup.period_ns, 1)
     with progress_bar() as show:
         for done in range(0, periods, at_once):
             if function is not None:
-                life.drive(*_speeds(function, life))
+                episode.drive(*_speeds(function, episode))
             now = min(at_once, periods - done)
-            life.go_on(now * ground.wiring.steps_per_period)
-            way.append(life.pose)
+            episode.step(now * setup.sim_indices.steps_per_period)
+            way.append(episode.pose)
             if show is not None:
                 show((done + now) / periods)
-    _print_metrics(life, periods)
+    _print_metrics(episode, periods)
     if target is not None:
         from khep_twin.drawing.map import DrawnPath, draw, save
 
-        times = np.arange(len(way)) * ground.period_ns / 1e9
+        times = np.arange(len(way)) * setup.period_ns / 1e9
         save(draw(playpen, [DrawnPath("khepera0", times, 1000 * np.array(way)[:, :2])]), target)
         typer.echo(f"picture  {picture}")
 
 
 def is_compiled() -> bool:
     """Return whether episodes run compiled; print a note where they do not."""
-    from khep_twin.rollout import life
+    from khep_twin.rollout import episode
 
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        compiled = life.is_compiled(None)
+        compiled = episode.is_compiled(None)
     for warning in told:
         complain(str(warning.message))
     return compiled
 
 
-def _print_metrics(life: "Episode", periods: int) -> None:
-    typer.echo(f"{periods} cycles in {life.time_ns / 1e9:.1f} s")
-    for name, value in life.numbers().items():
+def _print_metrics(episode: "Episode", periods: int) -> None:
+    typer.echo(f"{periods} cycles in {episode.time_ns / 1e9:.1f} s")
+    for name, value in episode.metrics().items():
         if not math.isnan(value):  # homing is undefined without a home
             typer.echo(f"{name.replace('_', ' '):20}{value:.4g}")
 
 
-def _speeds(function: Callable[..., Any], life: "Episode") -> tuple[float, float]:
+def _speeds(function: Callable[..., Any], episode: "Episode") -> tuple[float, float]:
     """Return the left and right speed that a user's function makes of the readings [pulses/10 ms]."""
     from khep_twin.errors import ControllerError
     from khep_twin.lab.experiment.experiment import call, name_of
 
-    speeds = call(function, *life.readings())
+    speeds = call(function, *episode.readings())
     try:
         left, right = speeds
         return float(left), float(right)

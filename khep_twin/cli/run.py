@@ -136,15 +136,15 @@ def run(
         # The robot is released, and its log completed, before what remains is cleared up.
         stack.enter_context(answered())
         if port is not None:
-            bench: RobotSource = OneRobot(stack.enter_context(Khepera(port)))
+            robot_source: RobotSource = OneRobot(stack.enter_context(Khepera(port)))
             settings: dict[str, Any] = {"port": port}
         else:
             wishes = series.start or []
             place, begin = scene.load(own), _beginning(stack, logs, viewer)
-            bench, settings = _twins(stack, place, options, wishes, plan.runs, begin)
+            robot_source, settings = _twins(stack, place, options, wishes, plan.runs, begin)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
-        stopped = _run_series(found, bench, plan, folder, logs, series.confirm, gone_to, user_function)
+        stopped = _run_series(found, robot_source, plan, folder, logs, series.confirm, gone_to, user_function)
     logs.finish()
     if folder is not None:
         typer.echo(f"series   {folder.path}      look at it: {command('series', folder.path)}")
@@ -167,7 +167,7 @@ def _check(typed: set[str], port: str | None, playpen: str, log: Path | None, pi
 
 def _run_series(
     controller: "AnyController",
-    bench: "RobotSource",
+    robot_source: "RobotSource",
     plan: "Plan",
     folder: "SeriesFolder | None",
     logs: RunLogs,
@@ -179,9 +179,9 @@ def _run_series(
     from khep_twin.lab.experiment.experiment import call_after
     from khep_twin.lab.experiment.series import run_series
 
-    first, last = 1 if folder is None else bench.first(len(folder.rows), controller), 0
+    first, last = 1 if folder is None else robot_source.first(len(folder.rows), controller), 0
     awaited = "stopping the motors, waiting for the end of this cycle"
-    with stopping(awaited, bench.hold) as asked, progress_bar() as show, chdir(gone_to):
+    with stopping(awaited, robot_source.hold) as asked, progress_bar() as show, chdir(gone_to):
 
         def stop() -> bool:
             # A controller that catches every error catches the log's, too.
@@ -189,7 +189,7 @@ def _run_series(
 
         before = partial(_confirm, stop=stop) if confirm else None
         with closing(
-            run_series(controller, bench, plan, first=first, before=before, progress=show, stop=stop)
+            run_series(controller, robot_source, plan, first=first, before=before, progress=show, stop=stop)
         ) as series:
             try:
                 for each in series:

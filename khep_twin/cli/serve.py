@@ -129,7 +129,7 @@ def _serve_twin(
     with (
         stopping() as stop,
         open_twin(playpen, options) as twin,
-        endpoint.open({robot.index: robot.firmware.baud for robot in twin.robots}) as cables,
+        endpoint.open({robot.index: robot.firmware.baud for robot in twin.robots}) as ports,
         ExitStack() as stack,
     ):
         check_body(options.rom, (twin.world.playpen.robots[robot.index] for robot in twin.robots))
@@ -141,9 +141,9 @@ def _serve_twin(
 
             window = stack.enter_context(closing(MujocoViewer(real_time=False)))
             window.watch(twin.world)
-        with endpoint.announced(cables, f"twin in {playpen}"):
-            pacer = serve_twin(twin, cables, factor, stop=stop, tell=complain)
-        dropped = sum(cable.dropped for cable in cables)
+        with endpoint.announced(ports, f"twin in {playpen}"):
+            pacer = serve_twin(twin, ports, factor, stop=stop, tell=complain)
+        dropped = sum(port.dropped for port in ports)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
     _finish(twin.world.time_ns, dropped, logging, twin.recorder)
@@ -162,7 +162,7 @@ def _serve_robot(port: str, mode: int | None, endpoint: EndpointOptions, logging
     with (
         stopping() as stop,
         closing(Device(port, baud)) as device,
-        endpoint.open({0: baud}) as cables,
+        endpoint.open({0: baud}) as ports,
         ExitStack() as stack,
     ):
         now = since_now()
@@ -172,9 +172,9 @@ def _serve_robot(port: str, mode: int | None, endpoint: EndpointOptions, logging
             recorder = LineRecorder(logging.log, settings, now, carry_on=logging.on_failure)
             stack.enter_context(closing(recorder))
         tell_kept(recorder)
-        stack.enter_context(endpoint.announced(cables, f"robot at {port}"))
-        relay(device, cables[0], recorder, stop=stop, tell=complain)
-        duration_ns, dropped = now(), cables[0].dropped
+        stack.enter_context(endpoint.announced(ports, f"robot at {port}"))
+        relay(device, ports[0], recorder, stop=stop, tell=complain)
+        duration_ns, dropped = now(), ports[0].dropped
     _finish(duration_ns, dropped, logging, recorder)
 
 

@@ -17,7 +17,7 @@ from khep_twin.invocation import command
 from khep_twin.signals import clear_at_end
 
 if TYPE_CHECKING:
-    from khep_twin.sweep.tasks import Shard, Work
+    from khep_twin.sweep.shards import Shard, Work
 
 SECONDS_BETWEEN_LINES = 60.0
 """Interval of the lines about a sweep that no terminal shows [s]."""
@@ -48,32 +48,33 @@ def sweep(
     check: Annotated[bool, typer.Option("--check", help="Only check it, and count its episodes.")] = False,
 ) -> None:
     """Run all the episodes of a study and keep each one's results once, in a Parquet table."""
-    from khep_twin.rollout.life import SlowerWarning
+    from khep_twin.rollout.episode import SlowerWarning
     from khep_twin.sweep import study as studies
     from khep_twin.sweep.results import summary
-    from khep_twin.sweep.sweep import here, run_sweep
-    from khep_twin.sweep.tasks import work_of
+    from khep_twin.sweep.shards import work_of
+    from khep_twin.sweep.sweep import run_locally, run_sweep
 
     _check_address(address, ray, workers)
     file = studies.load(study)
     if check:
         work = work_of(file)
         typer.echo(
-            f"{file.study.name}: {work.lives} episodes of {file.study.seconds:g} s in {len(work.tasks)} tasks"
+            f"{file.study.name}: {work.n_episodes} episodes of {file.study.seconds:g} s "
+            f"in {len(work.tasks)} tasks"
         )
         return
-    doers = here(workers)
+    executor = run_locally(workers)
     if ray:
         from khep_twin.sweep.ray_workers import on_ray
 
-        doers = on_ray(address, workers)
+        executor = on_ray(address, workers)
     is_compiled()
     warnings.simplefilter("ignore", SlowerWarning)  # once is enough
 
     def begin(work: "Work", missing: Sequence["Shard"]) -> None:
-        lives = sum(task.count for task in missing)
-        there = f", {work.lives - lives} are there already" if lives < work.lives else ""
-        typer.echo(f"{file.study.name}: {work.lives} episodes in {len(work.tasks)} tasks{there}")
+        n_episodes = sum(task.count for task in missing)
+        there = f", {work.n_episodes - n_episodes} are there already" if n_episodes < work.n_episodes else ""
+        typer.echo(f"{file.study.name}: {work.n_episodes} episodes in {len(work.tasks)} tasks{there}")
 
     def tell_again() -> None:
         complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
@@ -86,7 +87,9 @@ def sweep(
             def tell(done: int, total: int) -> None:
                 lines(done, total) if show is None else show(done / total)
 
-            table = run_sweep(file, output=output, resume=resume, doers=doers, begin=begin, progress=tell)
+            table = run_sweep(
+                file, output=output, resume=resume, executor=executor, begin=begin, progress=tell
+            )
     except KeyboardInterrupt:
         tell_again()
         raise typer.Exit(130) from None

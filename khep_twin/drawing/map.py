@@ -124,10 +124,10 @@ def draw(
         title: Title above the drawing; by default the playpen's name.
         longer_side: Longer side of the playpen on paper [inch]; letters keep their size.
     """
-    ways = [track for track in tracks if len(track.time_s)]
+    paths = [track for track in tracks if len(track.time_s)]
     with matplotlib.style.context(STYLE):
-        legend = list(_legend_entries(playpen, bool(ways)))
-        figure, axes, columns = _sheet(playpen, longer_side, scale=bool(ways), entries=len(legend))
+        legend = list(_legend_entries(playpen, bool(paths)))
+        figure, axes, columns = _sheet(playpen, longer_side, scale=bool(paths), entries=len(legend))
         labels = Labels(axes, INK)
         axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
         limits = axes.axis()
@@ -145,9 +145,9 @@ def draw(
                 continue  # Its spot is not known yet.
             draw_robot(axes, labels, robot, f"khepera{index}")
         draw_lamps(axes, labels, playpen)
-        if ways:
+        if paths:
             radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
-            _draw_ways(figure, axes, labels, ways, radii)
+            _draw_paths(figure, axes, labels, paths, radii)
         axes.axis(limits)
         labels.write()
         if len(legend) > 1:
@@ -199,7 +199,7 @@ def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -
     return figure, axes, columns
 
 
-def _draw_ways(
+def _draw_paths(
     figure: Figure, axes: Axes, labels: Labels, tracks: Sequence[DrawnPath], radii: Mapping[str, float]
 ) -> None:
     first = min(float(track.time_s[0]) for track in tracks)
@@ -232,7 +232,7 @@ def _draw_ways(
     beside.spines[:].set_visible(False)
 
 
-def _legend_entries(playpen: Playpen, ways: bool) -> Iterator[Line2D | Patch]:
+def _legend_entries(playpen: Playpen, paths: bool) -> Iterator[Line2D | Patch]:
     objects = list(chain(*playpen.objects.values()))
     painted = (*objects, *playpen.walls, *playpen.patches)
     for surface in dict.fromkeys((playpen.arena.surface, *(item.surface for item in painted))):
@@ -243,6 +243,6 @@ def _legend_entries(playpen: Playpen, ways: bool) -> Iterator[Line2D | Patch]:
         order = "in sequence" if playpen.lighting.mode == "sequenced" else "at random"
         look: Look = {"marker": "o", "ms": 6, "mfc": "white", "mec": FILAMENT, "mew": 0.9, "ls": ""}
         yield Line2D([], [], label=f"one lamp on, {order}", **look)
-    if ways:
+    if paths:
         yield Line2D([], [], label="start", ls="", **_START)
         yield Line2D([], [], label="end", ls="", **_END)

@@ -6,7 +6,7 @@
         step = environment.step([10.0, 8.0])
         print(step.observation["proximity"], step.reward, environment.physics.pose())
 
-Observations are the task's senses by name, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units). An
+Observations are the task's senses by name, each 0 to 1 or -1 to 1 (`tasks.TERMS` has order and units). An
 action is the speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to integers. One
 step is one control period, 50 ms by default. A trial ends with discount 1 at its time limit, with 0 when the
 charge has run out.
@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
-from khep_twin.envs.tasks import SENSES, TOP_SPEED, Task
-from khep_twin.envs.trial import StepResult, TaskEpisode, TaskSetup, cut
+from khep_twin.envs.task_episode import StepResult, TaskEpisode, TaskSetup, clipped
+from khep_twin.envs.tasks import TERMS, TOP_SPEED, Task
 from khep_twin.randomness import stream
-from khep_twin.rollout import pair
+from khep_twin.rollout import version_check
 
-pair.check()
+version_check.check()
 
 import dm_env  # noqa: E402
 from dm_control import mujoco  # noqa: E402
@@ -43,40 +43,40 @@ class Physics(mujoco.Physics):
     Time advances by whole control periods: sensors and control loops are part of the step.
 
     Args:
-        trial: Trial to simulate.
+        episode: Trial to simulate.
     """
 
-    def __init__(self, trial: TaskEpisode) -> None:
-        self._trial = trial
+    def __init__(self, episode: TaskEpisode) -> None:
+        self._episode = episode
         self._outcome: StepResult | None = None
         self._speeds = (0.0, 0.0)
-        self._observation = trial.begin(0)[0]
-        super().__init__(wrapper.MjData(trial.data))
+        self._observation = episode.begin(0)[0]
+        super().__init__(wrapper.MjData(episode.data))
 
     def proximity(self) -> NDArray[np.int64]:
         """Return the counts of command N (8,)."""
-        return self._trial.registers[0][PROXIMITY]
+        return self._episode.registers[0][PROXIMITY]
 
     def ambient(self) -> NDArray[np.int64]:
         """Return the counts of command O (8,), low in the light."""
-        return self._trial.registers[0][AMBIENT]
+        return self._episode.registers[0][AMBIENT]
 
     def setpoints(self) -> NDArray[np.int64]:
         """Return the speed setpoints of the wheels (2,) [pulses/10 ms]."""
-        return self._trial.registers[0][SETPOINTS]
+        return self._episode.registers[0][SETPOINTS]
 
     def pose(self) -> NDArray[np.float64]:
         """Return the true x, y [m] and heading [rad] (3,)."""
-        return np.array(self._trial.poses[0])
+        return np.array(self._episode.poses[0])
 
     def time(self) -> float:
         """Return the trial's simulated time [s]."""
-        return self._trial.time_s
+        return self._episode.time_s
 
     @property
-    def trial(self) -> TaskEpisode:
+    def episode(self) -> TaskEpisode:
         """Trial that is simulated."""
-        return self._trial
+        return self._episode
 
     @property
     def outcome(self) -> StepResult | None:
@@ -90,24 +90,24 @@ class Physics(mujoco.Physics):
 
     def begin(self, seed: int) -> None:
         """Start a trial."""
-        self._observation, self._outcome = self._trial.begin(seed)[0], None
-        if self._trial.data is not self._scene:
+        self._observation, self._outcome = self._episode.begin(seed)[0], None
+        if self._episode.data is not self._scene:
             # Each trial of a world creates a new one, so the view is reloaded.
-            self._reload_from_data(wrapper.MjData(self._trial.data))
+            self._reload_from_data(wrapper.MjData(self._episode.data))
 
     def set_control(self, control: object) -> None:
         """Set the speeds of the next period (2,) [pulses/10 ms], not voltages."""
-        self._speeds = cut(control)
+        self._speeds = clipped(control)
 
     def step(self, nstep: int = 1) -> None:
         """Advance by control periods."""
         for _ in range(nstep):
-            (self._outcome,) = self._trial.step([self._speeds])
+            (self._outcome,) = self._episode.step([self._speeds])
             self._observation = self._outcome.observation
 
     def timestep(self) -> float:
         """Return the control period [s]."""
-        return self._trial.course.period_ns / 1e9
+        return self._episode.setup.period_ns / 1e9
 
     def reset(self, keyframe_id: int | None = None) -> None:
         """Do nothing: an episode starts by `begin`, with its seed."""
@@ -138,12 +138,12 @@ class TrialTask(control.Task):
 
     def __init__(self, task: Task, seed: int) -> None:
         self._task = task
-        self._chance = stream(seed, "trials")
+        self._rng = stream(seed, "trials")
         self.seed = 0
 
     def initialize_episode(self, physics: Physics) -> None:
         """Start a trial with the next seed."""
-        self.seed = int(self._chance.integers(2**31))
+        self.seed = int(self._rng.integers(2**31))
         physics.begin(self.seed)
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
@@ -161,8 +161,8 @@ class TrialTask(control.Task):
         """Return each sense by name."""
         found: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
         first = 0
-        for name in self._task.senses:
-            count = len(SENSES[name].names)
+        for name in self._task.observation_terms:
+            count = len(TERMS[name].names)
             found[name] = physics.observation[first : first + count].copy()
             first += count
         return found
@@ -170,8 +170,8 @@ class TrialTask(control.Task):
     def observation_spec(self, physics: Physics) -> "OrderedDict[str, specs.BoundedArray]":
         """Return the bounds of each sense."""
         return OrderedDict(
-            (name, specs.BoundedArray((len(sense.names),), np.float32, sense.low, sense.high, name=name))
-            for name, sense in ((name, SENSES[name]) for name in self._task.senses)
+            (name, specs.BoundedArray((len(term.names),), np.float32, term.low, term.high, name=name))
+            for name, term in ((name, TERMS[name]) for name in self._task.observation_terms)
         )
 
     def get_reward(self, physics: Physics) -> float:
@@ -182,7 +182,7 @@ class TrialTask(control.Task):
         """Return 0 when the charge has run out, 1 at the time limit, else None."""
         if physics.outcome is not None and physics.outcome.ended:
             return 0.0
-        return 1.0 if physics.trial.over else None
+        return 1.0 if physics.episode.over else None
 
 
 def load(task: Task | str, *, seed: int = 0, **options: Any) -> dm_env.Environment:
@@ -193,5 +193,5 @@ def load(task: Task | str, *, seed: int = 0, **options: Any) -> dm_env.Environme
         seed: Seed of its trials; the same seed and actions give the same steps.
         options: Options of `TaskSetup`: playpen, noise, spread, period_ns, seconds, compiled.
     """
-    course = TaskSetup(task, **options)
-    return control.Environment(Physics(TaskEpisode(course)), TrialTask(course.task, seed))
+    setup = TaskSetup(task, **options)
+    return control.Environment(Physics(TaskEpisode(setup)), TrialTask(setup.task, seed))

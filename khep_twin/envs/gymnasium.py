@@ -3,13 +3,13 @@
     import gymnasium
     import khep_twin.envs.gymnasium  # registers the environments
 
-    environment = gymnasium.make("khep_twin/ObstacleAvoidance-v0", spread=True)
+    environment = gymnasium.make("khep_twin/ObstacleAvoidance-v0", vary=True)
     observation, info = environment.reset(seed=1)
     observation, reward, terminated, truncated, info = environment.step(environment.action_space.sample())
 
     many = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
 
-Observation: the task's senses, each 0 to 1 or -1 to 1 (`tasks.SENSES` has order and units).
+Observation: the task's senses, each 0 to 1 or -1 to 1 (`tasks.TERMS` has order and units).
 Action: speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to integers.
 """
 
@@ -24,9 +24,9 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.envs.renderer import Picture, Renderer, View
+from khep_twin.envs.task_episode import TaskEpisode, TaskSetup, clipped
 from khep_twin.envs.tasks import TASKS, TOP_SPEED, Observation, Task
-from khep_twin.envs.trial import TaskEpisode, TaskSetup, cut
-from khep_twin.envs.view import Picture, Renderer, View
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 
 try:
@@ -63,7 +63,7 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         task: Task, or its name.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto" (`view.Painter`).
-        course: Prepared course, in place of the task and options.
+        setup: Prepared course, in place of the task and options.
         options: Options of `TaskSetup`: playpen, noise, spread, period_ns, seconds, compiled.
 
     Attributes:
@@ -78,45 +78,45 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         *,
         render_mode: str | None = None,
         view: View = "auto",
-        course: TaskSetup | None = None,
+        setup: TaskSetup | None = None,
         **options: Any,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
-        self._course = course or TaskSetup(task, **options)
-        self._trial = TaskEpisode(self._course)
+        self._setup = setup or TaskSetup(task, **options)
+        self._episode = TaskEpisode(self._setup)
         self._seed = 0
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": 1e9 / self._course.period_ns}
-        self._painter = Renderer(self._course.playpen, view)
-        self.labels = self._course.task.labels
-        self.observation_space, self.action_space = spaces(self._course.task)
+        self.metadata = {**self.metadata, "render_fps": 1e9 / self._setup.period_ns}
+        self._painter = Renderer(self._setup.playpen, view)
+        self.labels = self._setup.task.labels
+        self.observation_space, self.action_space = spaces(self._setup.task)
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Observation, Info]:
         """Start a trial; a seed makes it and all later trials reproducible."""
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
         self._seed = int((options or {}).get("seed", drawn))
-        return self._trial.begin(self._seed)[0], self._info()
+        return self._episode.begin(self._seed)[0], self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Advance by a control period at these speeds of left and right wheel [pulses/10 ms] (2,)."""
-        (outcome,) = self._trial.step([cut(action)])
-        return outcome.observation, outcome.reward, outcome.ended, self._trial.over, self._info()
+        (outcome,) = self._episode.step([clipped(action)])
+        return outcome.observation, outcome.reward, outcome.ended, self._episode.over, self._info()
 
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
             return None
-        return self._painter.picture(self._trial.data, self._trial.poses)
+        return self._painter.picture(self._episode.data, self._episode.poses)
 
     def close(self) -> None:
         """Release the resources of rendering."""
         self._painter.close()
 
     def _info(self) -> Info:
-        x, y, heading = self._trial.poses[0]
-        return {"x": x, "y": y, "heading": heading, "time": self._trial.time_s, "seed": self._seed}
+        x, y, heading = self._episode.poses[0]
+        return {"x": x, "y": y, "heading": heading, "time": self._episode.time_s, "seed": self._seed}
 
 
 class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]):
@@ -150,12 +150,12 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         for name, number in (("environments", num_envs), ("threads", 1 if threads is None else threads)):
             if number < 1:
                 raise ValueError(f"{number} {name}; expected 1 or more")
-        course = TaskSetup(task, **options)
+        setup = TaskSetup(task, **options)
         self._all = [
-            KheperaEnvironment(course=course, render_mode=render_mode, view=view) for _ in range(num_envs)
+            KheperaEnvironment(setup=setup, render_mode=render_mode, view=view) for _ in range(num_envs)
         ]
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.single_observation_space, self.single_action_space = spaces(course.task)
+        self.single_observation_space, self.single_action_space = spaces(setup.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._threads = min(threads or len(os.sched_getaffinity(0)), num_envs)
@@ -211,13 +211,13 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         for each in self._all:
             each.close()
 
-    def _share_out(self, deed: Callable[[int], Result]) -> list[Result]:
+    def _share_out(self, action: Callable[[int], Result]) -> list[Result]:
         """Call a function for each environment; each thread has a share."""
         results: dict[int, Result] = {}
 
         def work(first: int) -> None:
             for index in range(first, self.num_envs, self._threads):
-                results[index] = deed(index)
+                results[index] = action(index)
 
         for done in [self._pool.submit(work, first) for first in range(self._threads)]:
             done.result()

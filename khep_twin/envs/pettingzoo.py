@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.envs.gymnasium import RENDER_MODES, Info, spaces
+from khep_twin.envs.renderer import Picture, Renderer, View
+from khep_twin.envs.task_episode import TaskEpisode, TaskSetup, clipped
 from khep_twin.envs.tasks import Observation, Task
-from khep_twin.envs.trial import TaskEpisode, TaskSetup, cut
-from khep_twin.envs.view import Picture, Renderer, View
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 
 try:
@@ -55,24 +55,24 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
-        self._course = TaskSetup(task, robots=robots, **options)
-        self._trial = TaskEpisode(self._course)
-        self._painter = Renderer(self._course.playpen, view)
-        self._chance = seeding.np_random(None)[0]
+        self._setup = TaskSetup(task, robots=robots, **options)
+        self._episode = TaskEpisode(self._setup)
+        self._painter = Renderer(self._setup.playpen, view)
+        self._rng = seeding.np_random(None)[0]
         self._seed = 0
         self.render_mode = render_mode
         self.metadata: Info = {
-            "name": f"khep_twin/{self._course.task.name}-v0",
+            "name": f"khep_twin/{self._setup.task.name}-v0",
             "render_modes": list(RENDER_MODES),
-            "render_fps": 1e9 / self._course.period_ns,
+            "render_fps": 1e9 / self._setup.period_ns,
         }
         self.possible_agents = [f"khepera{index}" for index in range(robots)]
         self.agents: list[str] = []
-        self.labels = self._course.task.labels
+        self.labels = self._setup.task.labels
         self.observation_spaces: dict[str, Space[Any]] = {}
         self.action_spaces: dict[str, Space[Any]] = {}
         for agent in self.possible_agents:
-            self.observation_spaces[agent], self.action_spaces[agent] = spaces(self._course.task)
+            self.observation_spaces[agent], self.action_spaces[agent] = spaces(self._setup.task)
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the observation space of a robot."""
@@ -87,11 +87,11 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
     ) -> tuple[dict[str, Observation], dict[str, Info]]:
         """Start a trial; a seed makes it and all later trials reproducible."""
         if seed is not None:
-            self._chance = seeding.np_random(seed)[0]
-        drawn = int(self._chance.integers(2**31))
+            self._rng = seeding.np_random(seed)[0]
+        drawn = int(self._rng.integers(2**31))
         self._seed = int((options or {}).get("seed", drawn))
         self.agents = list(self.possible_agents)
-        seen = self._trial.begin(self._seed)
+        seen = self._episode.begin(self._seed)
         return dict(zip(self.agents, seen, strict=True)), self._infos()
 
     def step(
@@ -117,10 +117,10 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
                 raise KhepTwinError(
                     f"no action for {agent}; expected one for each of {', '.join(self.agents)}"
                 )
-            speeds[self.possible_agents.index(agent)] = cut(actions[agent])
-        became = dict(zip(self.possible_agents, self._trial.step(speeds), strict=True))
+            speeds[self.possible_agents.index(agent)] = clipped(actions[agent])
+        became = dict(zip(self.possible_agents, self._episode.step(speeds), strict=True))
         outcomes, infos = {agent: became[agent] for agent in self.agents}, self._infos()
-        late = self._trial.over
+        late = self._episode.over
         self.agents = [] if late else [agent for agent, outcome in outcomes.items() if not outcome.ended]
         return (
             {agent: outcome.observation for agent, outcome in outcomes.items()},
@@ -134,7 +134,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
             return None
-        return self._painter.picture(self._trial.data, self._trial.poses)
+        return self._painter.picture(self._episode.data, self._episode.poses)
 
     def close(self) -> None:
         """Release the resources of rendering."""
@@ -142,13 +142,13 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
 
     def _infos(self) -> dict[str, Info]:
         """Return the ground truth of each present agent."""
-        poses = dict(zip(self.possible_agents, self._trial.poses, strict=True))
+        poses = dict(zip(self.possible_agents, self._episode.poses, strict=True))
         return {
             agent: {
                 "x": poses[agent][0],
                 "y": poses[agent][1],
                 "heading": poses[agent][2],
-                "time": self._trial.time_s,
+                "time": self._episode.time_s,
                 "seed": self._seed,
             }
             for agent in self.agents

@@ -79,27 +79,27 @@ class ObservationTerm:
     unit: str
 
 
-def _proximity(moment: State) -> Sequence[float]:
-    return [moment.registers[index] / COUNTS_LIMIT for index in PROXIMITY]
+def _proximity(state: State) -> Sequence[float]:
+    return [state.registers[index] / COUNTS_LIMIT for index in PROXIMITY]
 
 
-def _light(moment: State) -> Sequence[float]:
-    dark, floor = moment.dark, moment.floor
-    return [min(max((dark - moment.registers[index]) / (dark - floor), 0.0), 1.0) for index in AMBIENT]
+def _light(state: State) -> Sequence[float]:
+    dark, floor = state.dark, state.floor
+    return [min(max((dark - state.registers[index]) / (dark - floor), 0.0), 1.0) for index in AMBIENT]
 
 
-def _speed(moment: State) -> Sequence[float]:
+def _speed(state: State) -> Sequence[float]:
     top = float(fitness.TOP_SPEED_PULSES)
-    return [min(max(pulses / top, -1.0), 1.0) for pulses in (moment.left, moment.right)]
+    return [min(max(pulses / top, -1.0), 1.0) for pulses in (state.left, state.right)]
 
 
-def _charge(moment: State) -> Sequence[float]:
-    return [moment.charge]
+def _charge(state: State) -> Sequence[float]:
+    return [state.charge]
 
 
 _SENSORS = tuple(sensor.name.lower() for sensor in Sensor)
 
-SENSES = {
+TERMS = {
     "proximity": ObservationTerm(_proximity, _SENSORS, 0.0, 1.0, "1023 counts of command N"),
     "light": ObservationTerm(
         _light, _SENSORS, 0.0, 1.0, "from the dark reading of command O to the brightest one"
@@ -120,7 +120,7 @@ class Task:
     Attributes:
         name: Name of the task, in one word.
         playpen: Name or path of the playpen.
-        senses: Senses in the observation, of `SENSES`.
+        observation_terms: Senses in the observation, of `TERMS`.
         reward: Reward of a control period, 0 to 1.
         seconds: Time limit of a trial [s].
         starts: "anywhere" there is room, or as in the "playpen": the robot's own pose or one of its spots.
@@ -132,7 +132,7 @@ class Task:
 
     name: str
     playpen: str
-    senses: tuple[str, ...]
+    observation_terms: tuple[str, ...]
     reward: Callable[[State], float]
     seconds: float = 60.0
     starts: Literal["anywhere", "playpen"] = "anywhere"
@@ -146,59 +146,61 @@ class Task:
         Raises:
             KhepTwinError: A sense is unknown, or there is none.
         """
-        for sense in self.senses:
-            if sense not in SENSES:
-                raise KhepTwinError(f"task {self.name}: sense {sense!r}: unknown; {choices(sense, SENSES)}")
-        if not self.senses:
-            raise KhepTwinError(f"task {self.name}: no senses; {choices('', SENSES)}")
+        for term in self.observation_terms:
+            if term not in TERMS:
+                raise KhepTwinError(
+                    f"task {self.name}: observation term {term!r}: unknown; {choices(term, TERMS)}"
+                )
+        if not self.observation_terms:
+            raise KhepTwinError(f"task {self.name}: no observation terms; {choices('', TERMS)}")
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of an observation's numbers (n,), e.g. "proximity left_90"."""
-        return tuple(f"{sense} {name}" for sense in self.senses for name in SENSES[sense].names)
+        return tuple(f"{term} {name}" for term in self.observation_terms for name in TERMS[term].names)
 
     @property
     def bounds(self) -> tuple[Observation, Observation]:
         """Lower and upper bounds of an observation (n,), (n,)."""
-        senses = [SENSES[name] for name in self.senses]
-        sizes = [len(sense.names) for sense in senses]
-        low, high = ([sense.low for sense in senses], [sense.high for sense in senses])
+        observation_terms = [TERMS[name] for name in self.observation_terms]
+        sizes = [len(term.names) for term in observation_terms]
+        low, high = ([term.low for term in observation_terms], [term.high for term in observation_terms])
         return np.repeat(np.array(low, np.float32), sizes), np.repeat(np.array(high, np.float32), sizes)
 
-    def observe(self, moment: State) -> Observation:
+    def observe(self, state: State) -> Observation:
         """Return the observation (n,), in the order of `labels`."""
         numbers: list[float] = []
-        for name in self.senses:
-            numbers += SENSES[name].read(moment)
+        for name in self.observation_terms:
+            numbers += TERMS[name].read(state)
         return np.array(numbers, np.float32)
 
 
-def avoiding(moment: State) -> float:
+def avoiding(state: State) -> float:
     """Return V (1 - sqrt(dV)) (1 - i) forwards, 0 backwards.
 
     Floreano and Mondada's V has no sign, so that learners find driving to and fro, which avoids things, too.
     """
-    return avoiding_either_way(moment) if moment.left + moment.right > 0 else 0.0
+    return avoiding_either_way(state) if state.left + state.right > 0 else 0.0
 
 
-def avoiding_either_way(moment: State) -> float:
+def avoiding_either_way(state: State) -> float:
     """Return V (1 - sqrt(dV)) (1 - i) as published: see `fitness.obstacle_avoidance`."""
-    return fitness.obstacle_avoidance(moment.left, moment.right, moment.nearest)
+    return fitness.obstacle_avoidance(state.left, state.right, state.nearest)
 
 
-def seeking_light(moment: State) -> float:
+def seeking_light(state: State) -> float:
     """Return the brightness."""
-    return moment.brightness
+    return state.brightness
 
 
-def homing(moment: State) -> float:
+def homing(state: State) -> float:
     """Return V (1 - i) away from home, 0 at home."""
-    return 0.0 if moment.at_goal else fitness.homing(moment.left, moment.right, moment.nearest)
+    return 0.0 if state.at_goal else fitness.homing(state.left, state.right, state.nearest)
 
 
-def staying(moment: State) -> float:
+def staying(state: State) -> float:
     """Return 1 at the goal, 0 elsewhere."""
-    return float(moment.at_goal)
+    return float(state.at_goal)
 
 
 TASKS = {

@@ -47,9 +47,9 @@ class Gripper:
         """Close the fingers (command D)."""
         self._robot.turret(GRIPPER_NUMBER, "D,1")
 
-    def move_arm(self, place: int) -> None:
+    def move_arm(self, position: int) -> None:
         """Move the arm to a position, 152 (up) to 255 (down) (command E)."""
-        self._robot.turret(GRIPPER_NUMBER, f"E,{place}")
+        self._robot.turret(GRIPPER_NUMBER, f"E,{position}")
 
     def lower(self) -> None:
         """Move the arm down, the fingers to the floor (command E)."""

@@ -19,7 +19,7 @@ from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED, channel_names
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import acts_message
+from khep_twin.log.wire import events_message
 
 ROBOT = "khepera0"
 """Name of the robot in the log."""
@@ -58,7 +58,7 @@ class LineRecorder:
         self._now = now
         self._transcript = Transcript(self._log, [ROBOT])
         self._lines = {True: LineReader(), False: LineReader()}
-        self._acts: list[tuple[int, HostEvent]] = []
+        self._host_events: list[tuple[int, HostEvent]] = []
         self._setpoints = (0, 0)
         self._frames = {
             topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
@@ -79,21 +79,21 @@ class LineRecorder:
         """Error after which the log is no longer written, None if there was none."""
         return self._log.failure
 
-    def wire(self, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, to_robot: bool, data: bytes) -> None:
         """Record bytes that cross the line now."""
         if not self._log.open:
             return
         time_ns = self._now()
-        self._transcript.hear(time_ns, 0, to_robot, data)
+        self._transcript.on_bytes(time_ns, 0, to_robot, data)
         if to_robot:
-            self._acts.append((time_ns, HostEvent(HostEventKind.SEND, time_ns, None, data)))
+            self._host_events.append((time_ns, HostEvent(HostEventKind.SEND, time_ns, None, data)))
         for line in self._lines[to_robot].feed(data):
             if to_robot:
                 self._take_setpoints(line)
             else:
                 self._take_values(time_ns, line)
 
-    def event(self, text: str) -> None:
+    def on_event(self, text: str) -> None:
         """Record an event; flush the file."""
         if self._log.open:
             self._log.add_event(self._now(), ROBOT, text)
@@ -114,9 +114,11 @@ class LineRecorder:
 
     def _write(self) -> None:
         self._transcript.write()
-        if self._acts:
-            self._log.add(f"/{ROBOT}/wire", INTEGERS, self._acts[0][0], acts_message(self._acts))
-            self._acts.clear()
+        if self._host_events:
+            self._log.add(
+                f"/{ROBOT}/wire", INTEGERS, self._host_events[0][0], events_message(self._host_events)
+            )
+            self._host_events.clear()
 
     def _take_setpoints(self, line: bytes) -> None:
         match parse(line):

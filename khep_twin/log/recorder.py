@@ -27,7 +27,7 @@ from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import Answered, acts_message, boards, hashes, states_message
+from khep_twin.log.wire import Answered, boards, events_message, hashes, states_message
 from khep_twin.robot import Robot
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
@@ -104,7 +104,7 @@ class Recorder:
         self._lamps = None if world.lamps.steady else _lamps_frame(world)
         self._powers = np.zeros((_BATCH, len(world.lamps.names)))
         self._answers = Answered(len(world.robots))
-        self._acts: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
+        self._host_events: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
         # Values that follow from these are computed batch by batch.
         self._rows = 0
         self._times_ns = np.zeros(_BATCH, np.int64)
@@ -161,19 +161,19 @@ class Recorder:
         if self._rows == _BATCH:
             self.flush()
 
-    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Record bytes for the transcript."""
         if self._log.open:
-            self._transcript.hear(time_ns, robot, to_robot, data)
+            self._transcript.on_bytes(time_ns, robot, to_robot, data)
             if not to_robot:
-                self._answers.hear(time_ns, robot, data)
+                self._answers.on_bytes(time_ns, robot, data)
 
-    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Record an act of a host."""
         if self._log.open:
-            self._acts[robot].append((time_ns, act))
+            self._host_events[robot].append((time_ns, event))
 
-    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Record an event; flush the file."""
         if self._log.open:
             name = "world" if robot is None else self._world.robots[robot].name
@@ -213,10 +213,10 @@ class Recorder:
             for topic, schema, messages in stream.messages(rows):
                 self._log.add_rows(topic, schema, times_ns, messages)
         self._transcript.write()
-        for robot, acts in zip(self._world.robots, self._acts, strict=True):
-            if acts:
-                self._log.add(f"/{robot.name}/wire", INTEGERS, acts[0][0], acts_message(acts))
-                acts.clear()
+        for robot, events in zip(self._world.robots, self._host_events, strict=True):
+            if events:
+                self._log.add(f"/{robot.name}/wire", INTEGERS, events[0][0], events_message(events))
+                events.clear()
         # Last, so that the part of it in a torn file can be repeated with what came before.
         if rows:
             self._log.add("/state", INTEGERS, int(times_ns[0]), states_message(self._states(rows)))

@@ -32,7 +32,7 @@ class Transcript:
         self._heard: list[tuple[int, int, bool, bytes]] = []
         self._rests: dict[tuple[int, bool], bytes] = {}
 
-    def hear(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Record bytes; they are written with the next `write`."""
         self._heard.append((time_ns, robot, to_robot, data))
 

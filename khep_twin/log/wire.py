@@ -27,17 +27,17 @@ from khep_twin.robot import Robot
 _LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
 
-def acts_message(acts: Sequence[tuple[int, HostEvent]]) -> bytes:
+def events_message(events: Sequence[tuple[int, HostEvent]]) -> bytes:
     """Return acts, with the times when the world learned of them [ns], as a message of /khepera0/wire."""
     numbers: list[int] = []
-    for time_ns, act in acts:
-        baud, stop_bits = (act.host.baud, act.host.stop_bits) if act.host is not None else (-1, -1)
-        numbers += time_ns, act.kind, act.at_ns, baud, stop_bits, len(act.data)
-        numbers += act.data
+    for time_ns, event in events:
+        baud, stop_bits = (event.host.baud, event.host.stop_bits) if event.host is not None else (-1, -1)
+        numbers += time_ns, event.kind, event.at_ns, baud, stop_bits, len(event.data)
+        numbers += event.data
     return _message(np.array(numbers, np.int64), _LABEL)
 
 
-def read_acts(message: bytes) -> Iterator[tuple[int, HostEvent]]:
+def read_events(message: bytes) -> Iterator[tuple[int, HostEvent]]:
     """Yield acts and their times [ns] from their message.
 
     Raises:
@@ -81,14 +81,14 @@ _FASTEST = 10**9
 """Highest speed of a line that is accepted [baud]."""
 
 _SIZES = {
-    HostEventKind.HANG_UP: (0,),
-    HostEventKind.TAKE_BACK: (0,),
+    HostEventKind.DISCONNECT: (0,),
+    HostEventKind.FLUSH: (0,),
     HostEventKind.SET: (0,),
     HostEventKind.PUT: (24, 25),
     HostEventKind.SWITCH: (5,),
     HostEventKind.SCAN: (0,),
 }
-"""Sizes of acts, as `placing` and `switching` make them; others have any number of bytes."""
+"""Sizes of acts, as `move_robot` and `switching` make them; others have any number of bytes."""
 
 
 def states_message(states: NDArray[np.int64]) -> bytes:
@@ -128,7 +128,7 @@ class Answered:
         # One per robot: the order of two robots within a step depends on which is read first.
         self.numbers = [0] * robots
 
-    def hear(self, time_ns: int, robot: int, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, data: bytes) -> None:
         """Add bytes that a robot has answered."""
         self.numbers[robot] = zlib.crc32(b"%d " % time_ns + data, self.numbers[robot])
 

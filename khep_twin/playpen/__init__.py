@@ -11,7 +11,7 @@ the walls, as in mazes. Lamps are bulbs without posts: robots and objects pass t
 none that reaches up to a bulb may start there.
 """
 
-from khep_twin.playpen.model import Playpen, dump, edited, load, names, parse, placed, schema
+from khep_twin.playpen.model import Playpen, dump, edited, load, names, parse, place_robots, schema
 from khep_twin.playpen.parts import (
     BULB_RADIUS_MM,
     Arena,
@@ -42,6 +42,6 @@ __all__ = [
     "load",
     "names",
     "parse",
-    "placed",
+    "place_robots",
     "schema",
 ]

@@ -158,7 +158,7 @@ def _bare(playpen: Playpen, data: Table) -> Table:
     return {**data, "robot": robots} if robots else data
 
 
-def placed(playpen: Playpen, chance: np.random.Generator) -> Playpen:
+def place_robots(playpen: Playpen, rng: np.random.Generator) -> Playpen:
     """Return a playpen whose robots stand at randomly drawn spots.
 
     Raises:
@@ -166,7 +166,7 @@ def placed(playpen: Playpen, chance: np.random.Generator) -> Playpen:
     """
     if not any(robot.spots for robot in playpen.robots):
         return playpen
-    robots = assigned(playpen, lambda spots: [spots[int(i)] for i in chance.permutation(len(spots))])
+    robots = assigned(playpen, lambda spots: [spots[int(i)] for i in rng.permutation(len(spots))])
     if robots is None:
         raise PlaypenError(f"{playpen.name}: the robots do not fit on their spots; expected one spot more")
     return playpen.model_copy(

@@ -24,7 +24,7 @@ _TRIES = 20_000
 
 
 def obstacle_field(
-    name: str, width_mm: float, height_mm: float, density: float, chance: np.random.Generator
+    name: str, width_mm: float, height_mm: float, density: float, rng: np.random.Generator
 ) -> Playpen:
     """Generate an obstacle field.
 
@@ -33,7 +33,7 @@ def obstacle_field(
         width_mm: Width of the arena.
         height_mm: Height of the arena.
         density: Part of the floor that obstacles cover, 0 to `HIGHEST_DENSITY`.
-        chance: Random generator for kinds, sizes, places and angles.
+        rng: Random generator for kinds, sizes, places and angles.
 
     Raises:
         PlaypenError: The density is out of range, or there was not enough room for it.
@@ -52,9 +52,9 @@ def obstacle_field(
             robot = Robot(x_mm=middle.x_mm, y_mm=middle.y_mm, heading_deg=0)
             things = {"block": tuple(blocks), "cylinder": tuple(cylinders), "robot": (robot,)}
             return Playpen.model_validate({"version": 1, "name": name, "arena": arena, **things})
-        size, other, along, across, turn = chance.uniform(size=5).tolist()
+        size, other, along, across, turn = rng.uniform(size=5).tolist()
         item: Block | Cylinder
-        if chance.uniform() < 0.5:
+        if rng.uniform() < 0.5:
             radius_mm = round(12.5 + 45 * size, 1)
             x_mm, y_mm = _place(arena, radius_mm + LANE_MM, along, across)
             if x_mm < 0:

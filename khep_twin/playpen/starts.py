@@ -11,7 +11,7 @@ import numpy as np
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen.checks import things
 from khep_twin.playpen.footprint import Circle
-from khep_twin.playpen.model import Playpen, placed
+from khep_twin.playpen.model import Playpen, place_robots
 from khep_twin.playpen.overlap import Thing, placement_problems
 from khep_twin.randomness import stream
 from khep_twin.units import BODY_HEIGHT
@@ -29,7 +29,7 @@ def at_spots(playpen: Playpen, seed: int) -> Playpen:
     Raises:
         PlaypenError: The spots do not suffice.
     """
-    return placed(playpen, stream(seed, "spots"))
+    return place_robots(playpen, stream(seed, "spots"))
 
 
 def anywhere(playpen: Playpen, seed: int) -> Playpen:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from khep_twin.ports.host_connection import Cable
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
 
@@ -13,14 +13,14 @@ class Connection:
     Args:
         twin: Twin whose world the robot is in.
         robot: Robot at this end.
-        cable: Cable to the host.
+        port: Cable to the host.
         tell: Callback that takes notices for the user.
     """
 
-    def __init__(self, twin: Twin, robot: Robot, cable: Cable, tell: Callable[[str], None]) -> None:
+    def __init__(self, twin: Twin, robot: Robot, port: HostPort, tell: Callable[[str], None]) -> None:
         self._world = twin.world
         self._robot = robot
-        self._cable = cable
+        self._cable = port
         self._tell = tell
 
     def descriptors(self) -> Sequence[int]:
@@ -38,19 +38,19 @@ class Connection:
         Args:
             now: Simulated time by the wall clock, which the world may lag behind a little [ns].
         """
-        robot, cable, uart = self._robot, self._cable, self._robot.uart
+        robot, port, uart = self._robot, self._cable, self._robot.uart
         answered = not len(uart.rx) and not len(uart.tx)
-        received, time_ns = cable.receive(uart.room, answered), 0 if now is None else now()
+        received, time_ns = port.receive(uart.room, answered), 0 if now is None else now()
         for notice in received.notices:
             self._note(notice)
         if received.last:
             robot.send(received.last, time_ns)
         if received.left:
             # What the host has sent still reaches the robot, as on a cable; the answers are dropped.
-            robot.hang_up()
+            robot.disconnect()
             robot.compare_line(None)
         if received.data:
-            if notice := robot.compare_line(cable.settings()):
+            if notice := robot.compare_line(port.settings()):
                 self._note(notice)
             robot.send(received.data, time_ns)
         self.give()
@@ -62,5 +62,5 @@ class Connection:
             self._cable.write(reply)
 
     def _note(self, text: str) -> None:
-        self._world.tell(self._robot.index, text)
+        self._world.log_event(self._robot.index, text)
         self._tell(f"{self._cable.path}: {text}")

@@ -4,15 +4,15 @@ from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 
 from khep_twin.errors import PortError
-from khep_twin.ports.host_connection import Cable
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
 from khep_twin.ports.pty import PtyPort
 
 
 @contextmanager
-def far_ends(
+def open_endpoints(
     bauds: Mapping[int, int], *, link: str | None, tcp: str | None, rfc2217: str | None, expose: bool
-) -> Generator[Sequence[Cable], None, None]:
+) -> Generator[Sequence[HostPort], None, None]:
     """Open one cable for each robot: pseudo-terminals, or TCP servers at consecutive ports.
 
     Args:
@@ -32,11 +32,11 @@ def far_ends(
         raise PortError("--link, --tcp and --rfc2217 are one cable each; expected one of them")
     address = tcp or rfc2217
     with ExitStack() as stack:
-        cables: list[Cable] = []
+        served_ports: list[HostPort] = []
         for count, (robot, baud) in enumerate(bauds.items()):
             if address is None:
                 name = link if link is None or len(bauds) == 1 else f"{link}{robot}"
-                cable: Cable = PtyPort(name, baud)
+                served: HostPort = PtyPort(name, baud)
             else:
                 host, port = parse_address(address)
                 if not is_loopback(host) and not expose:
@@ -45,6 +45,6 @@ def far_ends(
                         f"127.0.0.1:{port}, or --allow-remote if that is wanted"
                     )
                 port += count if port else 0
-                cable = TcpPort(host, port, rfc2217=rfc2217 is not None, baud=baud)
-            cables.append(stack.enter_context(closing(cable)))
-        yield cables
+                served = TcpPort(host, port, rfc2217=rfc2217 is not None, baud=baud)
+            served_ports.append(stack.enter_context(closing(served)))
+        yield served_ports

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
-from khep_twin.ports.host_connection import Received
+from khep_twin.ports.host_port import Received
 from khep_twin.ports.network_host import WAITING_LIMIT, NetworkHost
 from khep_twin.ports.ration import Ration
 
@@ -21,7 +21,7 @@ _SILENT_S, _PROBE_S, _PROBES = 10, 5, 3
 
 
 class TcpPort:
-    """A `Cable` that is a TCP server for one host at a time.
+    """A `HostPort` that is a TCP server for one host at a time.
 
     Args:
         host: Name or address to listen at.

@@ -166,7 +166,7 @@ class Serial(SerialBase):
     def reset_output_buffer(self) -> None:
         """Discard bytes that have not reached the robot yet."""
         self._check_open()
-        self.twin.robot.take_back()
+        self.twin.robot.flush()
 
     def _read(self, wanted: Callable[[], int | None], limit: int | None) -> bytes:
         """Wait until as many bytes as `wanted` returns have arrived, and take them."""
@@ -209,7 +209,7 @@ class Serial(SerialBase):
         robot = self.twin.robot
         notice = robot.compare_line(LineSettings(self._baudrate, 2 if self._stopbits > 1 else 1))
         if notice:
-            self.twin.world.tell(robot.index, notice)
+            self.twin.world.log_event(robot.index, notice)
             warnings.warn(f"{self._port}: {notice}", stacklevel=3)
 
     def _reconfigure_port(self) -> None:
@@ -305,7 +305,7 @@ _OPTIONS: dict[str, tuple[Callable[[str], object], str]] = {
     "seed": (_whole, "an integer from 0 to 2**63-1"),
     "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
     "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
-    "spread": ({"on": True, "off": False}.__getitem__, "on or off"),
+    "vary": ({"on": True, "off": False}.__getitem__, "on or off"),
     "rom": (str, "a version of the firmware, such as 5.02"),
     "model": (str, "a model of the robot, khepera1 or khepera2"),
     "mode": (_digit, "a running mode, one digit from 0 to F"),

@@ -23,7 +23,7 @@ from typing import Self
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.ports.event_sources import open_events
-from khep_twin.ports.host_connection import Received
+from khep_twin.ports.host_port import Received
 from khep_twin.ports.link import Link
 from khep_twin.ports.presence import Presence
 
@@ -56,7 +56,7 @@ _IN_A_MOMENT = "a host came in the moment another left: it may have got replies 
 
 
 class PtyPort:
-    """A `Cable` that is a pseudo-terminal, under its own name and, if wanted, a link.
+    """A `HostPort` that is a pseudo-terminal, under its own name and, if wanted, a link.
 
     Args:
         link: Path of a symbolic link to the terminal; our own leftovers are replaced, anything else is left

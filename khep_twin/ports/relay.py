@@ -19,7 +19,7 @@ import serial
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.log.line_recorder import LineRecorder
-from khep_twin.ports.host_connection import Cable
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.ration import Ration
 from khep_twin.ports.serve import LONGEST_WAIT, Flush
 from khep_twin.units import BITS_PER_BYTE
@@ -133,7 +133,7 @@ class Device:
 
 def relay(
     device: Device,
-    cable: Cable,
+    port: HostPort,
     recorder: LineRecorder | None,
     *,
     stop: Callable[[], bool],
@@ -143,7 +143,7 @@ def relay(
 
     Args:
         device: Port of the robot.
-        cable: Cable to the host.
+        port: Cable to the host.
         recorder: Recorder of the bytes of both.
         stop: Callback that is asked once a turn.
         tell: Callback that takes notices for the user.
@@ -153,32 +153,32 @@ def relay(
     """
 
     def note(text: str) -> None:
-        tell(f"{cable.path}: {text}")
+        tell(f"{port.path}: {text}")
         if recorder is not None:
-            recorder.event(text)
+            recorder.on_event(text)
 
-    def hear(to_robot: bool, data: bytes) -> None:
+    def on_bytes(to_robot: bool, data: bytes) -> None:
         if recorder is not None and data:
-            recorder.wire(to_robot, data)
+            recorder.on_bytes(to_robot, data)
 
     flush = Flush(recorder)
     dialogue, ration = _Dialogue(device), Ration()
     waiting, next_host = b"", b""
     while not stop():
-        _wait(device, cable, room := not waiting and not next_host, bool(waiting))
-        received = cable.receive(_CHUNK if room else 0, room and dialogue.answered)
+        _wait(device, port, room := not waiting and not next_host, bool(waiting))
+        received = port.receive(_CHUNK if room else 0, room and dialogue.answered)
         for notice in received.notices:
             note(notice)
         if received.left:
             # What was held back is of a host that has left, too.
-            hear(True, received.last)
+            on_bytes(True, received.last)
             waiting, next_host = dialogue.end(waiting + next_host + received.last), b""
         if received.data:
-            settings = cable.settings()
+            settings = port.settings()
             if settings is not None and (notice := device.follow(settings)):
                 for text in ration.told([notice]):
                     note(text)
-            hear(True, received.data)
+            on_bytes(True, received.data)
             next_host = received.data
         if next_host and dialogue.ended and len(waiting) > _CHUNK:
             note(f"{len(waiting) - _KEPT} bytes of a host that has left were dropped: the next one waits")
@@ -188,10 +188,10 @@ def relay(
         if waiting:
             waiting = dialogue.send(waiting)
         if reply := device.read():
-            hear(False, reply)
+            on_bytes(False, reply)
             dialogue.heard(reply)
-            if cable.occupied and not dialogue.ended:
-                cable.write(reply)
+            if port.occupied and not dialogue.ended:
+                port.write(reply)
         flush()
 
 
@@ -267,9 +267,9 @@ class _Lines:
         return sum(map(bool, lines))
 
 
-def _wait(device: Device, cable: Cable, room: bool, waiting: bool) -> None:
+def _wait(device: Device, port: HostPort, room: bool, waiting: bool) -> None:
     """Wait until there is something to pass on, and room for it."""
-    descriptors = list(cable.descriptors(room))
+    descriptors = list(port.descriptors(room))
     if device.descriptor is None:
         select.select(descriptors, [], [], _POLL)
     else:

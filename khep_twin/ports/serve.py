@@ -9,7 +9,7 @@ from typing import Protocol
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.event_sources import Timer
-from khep_twin.ports.host_connection import Cable
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
 
@@ -25,7 +25,7 @@ WIRE = 0.0
 
 def serve(
     twin: Twin,
-    cables: Sequence[Cable],
+    ports: Sequence[HostPort],
     speed: float,
     *,
     stop: Callable[[], bool],
@@ -35,7 +35,7 @@ def serve(
 
     Args:
         twin: Twin to serve.
-        cables: Cables to the hosts of its robots, one for each.
+        ports: Cables to the hosts of its robots, one for each.
         speed: Simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
         stop: Callback that is asked once a turn.
         tell: Callback that takes notices for the user, such as a wrong speed of the line.
@@ -44,7 +44,7 @@ def serve(
         The pacer, with the number and sum of the times that had to be given up.
     """
     connections = [
-        Connection(twin, robot, cable, tell) for robot, cable in zip(twin.robots, cables, strict=True)
+        Connection(twin, robot, port, tell) for robot, port in zip(twin.robots, ports, strict=True)
     ]
     timer = Timer()
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
@@ -80,7 +80,7 @@ def _serve_by_clock(
         for connection in connections:
             connection.exchange(None if pacer is None else pacer.due_ns)
         if pacer is not None and (late_ns := pacer.slip(world.time_ns)):
-            world.tell(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
+            world.log_event(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
         flush()
 
 

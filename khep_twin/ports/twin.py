@@ -32,7 +32,7 @@ class TwinOptions:
         seed: Seed of every random stream.
         robot: Number of the robot on the line; None for all of them.
         noise: Add noise to the sensors.
-        spread: Draw the robots' sensors anew around their calibration.
+        vary: Draw the robots' sensors anew around their calibration.
         rom: Version of the robot's firmware.
         mode: Running mode, which sets the line's speed.
         battery_used_min: Time that the robot has run on its cells at start [min].
@@ -46,7 +46,7 @@ class TwinOptions:
     seed: int = 0
     robot: int | None = 0
     noise: bool = True
-    spread: bool = False
+    vary: bool = False
     rom: str | None = None
     mode: int | None = None
     battery_used_min: float | None = None
@@ -146,7 +146,7 @@ class Twin:
         self.recorder = Recorder(
             path, self.world, settings, facts=facts or {}, attachments=attachments or {}, carry_on=carry_on
         )
-        self.world.add_tap(self.recorder)
+        self.world.add_observer(self.recorder)
 
     def close(self) -> None:
         """Complete the log."""
@@ -170,7 +170,7 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
         chosen,
         seed=options.seed,
         noise=options.noise,
-        spread=options.spread,
+        vary=options.vary,
         unpaced=options.unpaced,
         strict_line=options.strict_line,
         faults=faults,

@@ -2,12 +2,12 @@
 
     from khep_twin import playpen
     from khep_twin.rollout.batch import rollout
-    from khep_twin.rollout.minds import Network
+    from khep_twin.rollout.controllers import Network
 
     network = Network(hidden=(5,), recurrent=True)
     genes = numpy.random.default_rng(0).normal(size=(100, network.n_genes))
     results = rollout(playpen.load("looping-maze"), network, range(100), 60.0, genes=genes)
-    print(results.numbers["obstacle_avoidance"].max(), results.failures)
+    print(results.metrics["obstacle_avoidance"].max(), results.failures)
 
 Each episode depends on its own seed, genes, start and lamps alone: results are the same, bit for bit, with
 any number of threads, and the same as those of a single `Episode` with the same setup. Only the results grow
@@ -28,8 +28,8 @@ from khep_twin import units
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, Playpen
-from khep_twin.rollout.life import NUMBERS, Episode, EpisodeSetup, Start, is_compiled
-from khep_twin.rollout.minds import Driver, Floats, Network, Policy
+from khep_twin.rollout.controllers import Driver, Floats, Network, Policy
+from khep_twin.rollout.episode import METRICS, Episode, EpisodeSetup, Start, is_compiled
 
 P = ParamSpec("P")
 
@@ -59,13 +59,13 @@ class RolloutResult:
     """Results of a batch of n episodes.
 
     Attributes:
-        numbers: Metrics of the episodes by name (`life.NUMBERS`), NaN for those that failed, each (n,).
+        metrics: Metrics of the episodes by name (`episode.METRICS`), NaN for those that failed, each (n,).
         registers: Registers of each board at the end (n, N_REGISTERS).
         poses: Final x, y [m] and heading [rad] (n, 3).
         failures: Episodes that ended early, in the batch's order.
     """
 
-    numbers: Mapping[str, Floats]
+    metrics: Mapping[str, Floats]
     registers: NDArray[np.int64]
     poses: Floats
     failures: tuple[Failure, ...]
@@ -81,7 +81,7 @@ def rollout(
     starts: Sequence[Start] | None = None,
     lamps: Sequence[Sequence[Lamp]] | None = None,
     noise: bool = True,
-    spread: bool = False,
+    vary: bool = False,
     home: tuple[float, float, float, float] | None = None,
     step_ns: int | None = None,
     period_ns: int = units.SCAN_NS,
@@ -100,7 +100,7 @@ def rollout(
         starts: Start poses x, y [mm] and heading [deg]; by default the playpen's.
         lamps: Lamps of each episode; by default the playpen's.
         noise: Whether sensors are noisy.
-        spread: Whether each episode has the sensors of another robot, by its seed.
+        vary: Whether each episode has the sensors of another robot, by its seed.
         home: Home x, y, radius [mm] and duration of a charge [s], for the number "homing".
         step_ns: Physics step [ns]: 2.5 ms as on the robot, or 5 or 10 ms; by default 2.5 ms, and 10 ms in a
             plane.
@@ -115,26 +115,26 @@ def rollout(
         PlaypenError: The playpen has a feature that episodes without a serial line do not support.
     """
     fast = is_compiled(compiled)
-    ground = _ground(playpen, step_ns, period_ns, planar)
+    setup = _setup(playpen, step_ns, period_ns, planar)
     count = len(seeds)
     weights = _checked_genes(driver, count, genes, starts, lamps, threads)
-    ground.light.during(0, ground.periods(seconds) * ground.wiring.steps_per_period)
-    batch = _Batch(ground, seeds, seconds, weights, starts, lamps, noise, spread, _in_metres(home))
+    setup.light.during(0, setup.periods(seconds) * setup.sim_indices.steps_per_period)
+    batch = _Batch(setup, seeds, seconds, weights, starts, lamps, noise, vary, _in_metres(home))
     results = _Results(count)
     workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
-    made = (Episode(ground, driver, compiled=fast) for _ in itertools.count())
+    made = (Episode(setup, driver, compiled=fast) for _ in itertools.count())
     with ThreadPoolExecutor(workers) as pool:
         if isinstance(driver, Policy):
             lanes = list(itertools.islice(made, min(BATCH_SIZE, count)))
             for first in range(0, count, BATCH_SIZE):
                 group = list(zip(range(first, count), lanes, strict=False))
-                _live_together(pool, workers, driver, group, batch, results)
+                _run_together(pool, workers, driver, group, batch, results)
         else:
             _share_out(pool, list(itertools.islice(made, min(workers, count))), batch, results)
-    return results.lives()
+    return results.result()
 
 
-def _ground(
+def _setup(
     playpen: Playpen | EpisodeSetup, step_ns: int | None, period_ns: int, planar: bool
 ) -> EpisodeSetup:
     """Return the ground of a batch, as it is if it is prepared already."""
@@ -145,7 +145,7 @@ def _ground(
     given = (
         step_ns not in (None, playpen.step_ns)
         or period_ns not in (units.SCAN_NS, playpen.period_ns)
-        or (planar and playpen.outline is None)
+        or (planar and playpen.planar_scene is None)
     )
     if given:
         raise ValueError(
@@ -192,38 +192,38 @@ def _in_metres(home: tuple[float, float, float, float] | None) -> tuple[float, f
     return units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3]
 
 
-def _check(name: str, numbers: Sequence[float], what: str, count: int) -> None:
+def _check(name: str, metrics: Sequence[float], what: str, count: int) -> None:
     """Raise a `ValueError` unless these are `count` finite numbers."""
     try:
-        fits = np.shape(numbers) == (count,) and bool(np.isfinite(np.asarray(numbers, np.float64)).all())
+        fits = np.shape(metrics) == (count,) and bool(np.isfinite(np.asarray(metrics, np.float64)).all())
     except (TypeError, ValueError):
         fits = False
     if not fits:
-        raise ValueError(f"{name} = {numbers!r}; expected {what}, {count} finite numbers")
+        raise ValueError(f"{name} = {metrics!r}; expected {what}, {count} finite numbers")
 
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
     """Arguments of `rollout` for each episode, once checked; home in metres."""
 
-    ground: EpisodeSetup
+    setup: EpisodeSetup
     seeds: Sequence[int] | range
     seconds: float
     genes: Floats
     starts: Sequence[Start] | None
     lamps: Sequence[Sequence[Lamp]] | None
     noise: bool
-    spread: bool
+    vary: bool
     home: tuple[float, float, float, float]
 
-    def begin(self, life: Episode, index: int) -> None:
+    def begin(self, episode: Episode, index: int) -> None:
         """Begin an episode of the batch."""
-        life.begin(
+        episode.begin(
             int(self.seeds[index]),
             start=None if self.starts is None else tuple(self.starts[index]),  # type: ignore[arg-type]
             noise=self.noise,
-            spread=self.spread,
-            light=None if self.lamps is None else self.ground.lit(self.lamps[index]),
+            vary=self.vary,
+            light=None if self.lamps is None else self.setup.lit(self.lamps[index]),
             genes=self.genes[index],
             home=self.home,
         )
@@ -233,42 +233,44 @@ class _Results:
     """Results collected from each episode."""
 
     def __init__(self, count: int) -> None:
-        self.numbers = {name: np.full(count, np.nan) for name in NUMBERS}
+        self.metrics = {name: np.full(count, np.nan) for name in METRICS}
         self.registers = np.zeros((count, N_REGISTERS), np.int64)
         self.poses = np.zeros((count, 3))
         self.failures: list[Failure] = []
 
-    def keep(self, index: int, seed: int, life: Episode, failure: DivergedError | None) -> None:
+    def keep(self, index: int, seed: int, episode: Episode, failure: DivergedError | None) -> None:
         """Store the results of an episode that has ended."""
-        self.registers[index], self.poses[index] = life.registers, life.pose
+        self.registers[index], self.poses[index] = episode.registers, episode.pose
         if failure is not None:
-            self.failures.append(Failure(index, seed, life.steps, str(failure)))
+            self.failures.append(Failure(index, seed, episode.steps, str(failure)))
             return
-        for name, value in life.numbers().items():
-            self.numbers[name][index] = value
+        for name, value in episode.metrics().items():
+            self.metrics[name][index] = value
 
-    def lives(self) -> RolloutResult:
+    def result(self) -> RolloutResult:
         """Return all results."""
         failures = tuple(sorted(self.failures, key=lambda failure: failure.index))
-        return RolloutResult(self.numbers, self.registers, self.poses, failures)
+        return RolloutResult(self.metrics, self.registers, self.poses, failures)
 
 
-def _share_out(pool: ThreadPoolExecutor, rooms: Sequence[Episode], batch: _Batch, results: _Results) -> None:
+def _share_out(
+    pool: ThreadPoolExecutor, episodes: Sequence[Episode], batch: _Batch, results: _Results
+) -> None:
     """Run the next episode on each free room; the assignment makes no difference."""
     turns = iter(range(len(batch.seeds)))
 
-    def work(life: Episode) -> None:
+    def work(episode: Episode) -> None:
         for index in turns:  # one thread at a time gets the next one
             failure = None
             try:
-                batch.begin(life, index)
-                life.live(batch.seconds)
+                batch.begin(episode, index)
+                episode.run(batch.seconds)
             except DivergedError as error:
                 failure = error
-            results.keep(index, int(batch.seeds[index]), life, failure)
+            results.keep(index, int(batch.seeds[index]), episode, failure)
 
     try:
-        for done in [pool.submit(work, life) for life in rooms]:
+        for done in [pool.submit(work, episode) for episode in episodes]:
             done.result()
     finally:
         # On an interruption, wait for the episodes that have begun, not for all of them.
@@ -276,7 +278,7 @@ def _share_out(pool: ThreadPoolExecutor, rooms: Sequence[Episode], batch: _Batch
             pass
 
 
-def _live_together(
+def _run_together(
     pool: ThreadPoolExecutor,
     workers: int,
     policy: Policy,
@@ -287,28 +289,28 @@ def _live_together(
     """Run episodes side by side, one control period at a time."""
     failures: dict[int, DivergedError] = {}
 
-    def attempt(index: int, deed: Callable[P, None], *given: P.args, **named: P.kwargs) -> None:
+    def attempt(index: int, action: Callable[P, None], *given: P.args, **named: P.kwargs) -> None:
         if index not in failures:
             try:
-                deed(*given, **named)
+                action(*given, **named)
             except DivergedError as error:
                 failures[index] = error
 
-    def all_at_once(deed: Callable[[int, Episode], None]) -> None:
+    def all_at_once(action: Callable[[int, Episode], None]) -> None:
         def work(share: Sequence[tuple[int, Episode]]) -> None:
-            for index, life in share:
-                attempt(index, deed, index, life)
+            for index, episode in share:
+                attempt(index, action, index, episode)
 
         for done in [pool.submit(work, group[worker::workers]) for worker in range(workers)]:
             done.result()
 
-    all_at_once(lambda index, life: batch.begin(life, index))
-    steps = batch.ground.wiring.steps_per_period
-    for _ in range(batch.ground.periods(batch.seconds)):
-        living = [(index, life) for index, life in group if index not in failures]
+    all_at_once(lambda index, episode: batch.begin(episode, index))
+    steps = batch.setup.sim_indices.steps_per_period
+    for _ in range(batch.setup.periods(batch.seconds)):
+        living = [(index, episode) for index, episode in group if index not in failures]
         if not living:
             break
-        board = np.stack([life.registers for _, life in living])
+        board = np.stack([episode.registers for _, episode in living])
         which = np.array([index for index, _ in living])
         decided = policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which)
         try:
@@ -321,8 +323,8 @@ def _live_together(
             raise ValueError(
                 f"the policy returned speeds of shape {speeds.shape}; expected ({len(living)}, 2)"
             )
-        for (index, life), (left, right) in zip(living, speeds.tolist(), strict=True):
-            attempt(index, life.drive, left, right)
-        all_at_once(lambda _, life: life.go_on(steps))
-    for index, life in group:
-        results.keep(index, int(batch.seeds[index]), life, failures.get(index))
+        for (index, episode), (left, right) in zip(living, speeds.tolist(), strict=True):
+            attempt(index, episode.drive, left, right)
+        all_at_once(lambda _, episode: episode.step(steps))
+    for index, episode in group:
+        results.keep(index, int(batch.seeds[index]), episode, failures.get(index))

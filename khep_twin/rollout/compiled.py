@@ -27,18 +27,18 @@ from khep_twin.board import kernel
 from khep_twin.board.compiled_kernel import compiled_copy, compiled_kernel
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.errors import ControllerError
-from khep_twin.rollout import addresses, compiled_casting, episode, fitness, networks
-from khep_twin.rollout.episode import Advance, ControllerState, RobotState, StepInputs
+from khep_twin.rollout import addresses, compiled_casting, fitness, networks, stepping
+from khep_twin.rollout.stepping import Advance, ControllerState, RobotState, StepInputs
 from khep_twin.sensing import optics, raycast
 from khep_twin.status_line import announced
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-SOURCES = (kernel, units, fitness, optics, raycast, networks, episode, compiled_casting, addresses)
+SOURCES = (kernel, units, fitness, optics, raycast, networks, stepping, compiled_casting, addresses)
 """Modules that are compiled."""
 
 _EPISODE = compiled_copy(
-    episode,
+    stepping,
     {
         "kernel": compiled_kernel(),
         "units": compiled_copy(units),
@@ -94,12 +94,12 @@ def announce_compilation(function: Function) -> Function:
     return function
 
 
-def _advance(body: RobotState, mind: ControllerState, span: StepInputs, n_steps: int) -> int:
-    return _EPISODE.advance(body, mind, span, n_steps)
+def _advance(robot: RobotState, controller: ControllerState, inputs: StepInputs, n_steps: int) -> int:
+    return _EPISODE.advance(robot, controller, inputs, n_steps)
 
 
 advance: Advance = announce_compilation(njit(nogil=True, cache=True)(stamped(_advance, SOURCES)))
-"""`episode.advance`, compiled."""
+"""`stepping.advance`, compiled."""
 
 
 @cache

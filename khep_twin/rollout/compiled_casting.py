@@ -47,7 +47,7 @@ class CompiledScene(NamedTuple):
         sizes: Sizes of all geoms (n_geoms, 3) [m].
         reflectances: Reflectances of all geoms (n_geoms,).
         geoms: Buffer for the geoms that rays hit (n_rays,).
-        ways: Buffer for a ray's direction (3,).
+        ray_directions: Buffer for a ray's direction (3,).
         normal: Buffer for a surface normal (3,).
         few: Few points of a bulb (9, 2).
         many: Many points of a bulb (64, 2).
@@ -68,7 +68,7 @@ class CompiledScene(NamedTuple):
     sizes: Floats
     reflectances: Floats
     geoms: NDArray[np.int32]
-    ways: Floats
+    ray_directions: Floats
     normal: Floats
     few: Floats
     many: Floats
@@ -143,35 +143,39 @@ def sensor_frame(scene, channel):
 
 
 @njit
-def direction(scene, frame, channel, ray, aside):
+def direction(scene, frame, channel, ray, tangential):
     """Return the same as `raycast.direction`."""
-    return _through(frame, aside)
+    return _through(frame, tangential)
 
 
 @njit
-def _through(frame, aside):
+def _through(frame, tangential):
     """Return the same as `raycast.through`."""
-    x, y, z = frame[0] * aside - frame[2], frame[3] * aside - frame[5], frame[6] * aside - frame[8]
+    x, y, z = (
+        frame[0] * tangential - frame[2],
+        frame[3] * tangential - frame[5],
+        frame[6] * tangential - frame[8],
+    )
     scale = 1 / np.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
 
 @njit
-def rays(scene, near, channel, level, found):
+def rays(scene, proximity, channel, level, found):
     """Cast the same rays as `raycast.rays`, but none if nothing can be near enough to count."""
     reach = np.inf
     if level < 0:
         # A thing this far away just fails to pass the threshold; a margin is added for rounding.
-        reach = np.sqrt(near.gain[channel] * near.brightest / -level) - near.offset[channel]
+        reach = np.sqrt(proximity.gain[channel] * proximity.brightest / -level) - proximity.offset[channel]
         reach = reach * (1 + 1e-9) + 1e-9
     camera = scene.cameras[channel]
     frame, place = scene.frames[camera], scene.positions[camera]
     if not _anything_within(scene, frame, place, reach):
         return 0
-    aside = near.aside[channel]
-    for ray in range(len(aside)):
-        x, y, z = _through(frame, aside[ray])
-        scene.ways[0], scene.ways[1], scene.ways[2] = x, y, z
+    tangential = proximity.tangential[channel]
+    for ray in range(len(tangential)):
+        x, y, z = _through(frame, tangential[ray])
+        scene.ray_directions[0], scene.ray_directions[1], scene.ray_directions[2] = x, y, z
         _cast_one(scene, place, x, y, z, ray, found)
     return len(found)
 
@@ -230,8 +234,8 @@ def _cast_one(scene, place, x, y, z, ray, found):
         if scene.kinds[i] != _PLANE:
             dx, dy = scene.places[here, 0] - place[0], scene.places[here, 1] - place[1]
             bound = scene.bounds[i] + 1e-9
-            ahead, aside = dx * x + dy * y, dx * y - dy * x
-            if ahead < -bound or aside * aside > bound * bound * flat:
+            ahead, tangential = dx * x + dy * y, dx * y - dy * x
+            if ahead < -bound or tangential * tangential > bound * bound * flat:
                 continue
             if best >= 0 and ahead - bound > best * flat + 1e-9:
                 continue
@@ -255,12 +259,12 @@ def surfaces(scene, channel, directions, cutoff, found):
 @njit
 def stopped(scene, channel, x, y, z, glass):
     """Return the same as `raycast.stopped`."""
-    scene.ways[0], scene.ways[1], scene.ways[2] = x, y, z
+    scene.ray_directions[0], scene.ray_directions[1], scene.ray_directions[2] = x, y, z
     return _stops(scene, scene.positions[scene.cameras[channel]], x, y, glass)
 
 
 @njit
-def blocked(scene, channel, disc, left, up, way, cutoff, glass):
+def blocked(scene, channel, disc, left, up, ray_direction, cutoff, glass):
     """Return the same as `raycast.blocked`."""
     points = scene.few if disc == FEW else scene.many
     place = scene.positions[scene.cameras[channel]]
@@ -268,10 +272,10 @@ def blocked(scene, channel, disc, left, up, way, cutoff, glass):
     hits = 0
     for point in range(n):
         across, upward = points[point, 0], points[point, 1]
-        x = across * left[0] + upward * up[0] + way[0]
-        y = across * left[1] + upward * up[1] + way[1]
-        scene.ways[0], scene.ways[1] = x, y
-        scene.ways[2] = across * left[2] + upward * up[2] + way[2]
+        x = across * left[0] + upward * up[0] + ray_direction[0]
+        y = across * left[1] + upward * up[1] + ray_direction[1]
+        scene.ray_directions[0], scene.ray_directions[1] = x, y
+        scene.ray_directions[2] = across * left[2] + upward * up[2] + ray_direction[2]
         if _stops(scene, place, x, y, glass):
             hits += 1
     return hits / n
@@ -287,8 +291,8 @@ def _stops(scene, place, x, y, glass):
         if scene.kinds[i] != _PLANE:
             dx, dy = scene.places[here, 0] - place[0], scene.places[here, 1] - place[1]
             bound = (scene.bounds[i] + 1e-9) * length
-            ahead, aside = dx * x + dy * y, dx * y - dy * x
-            if ahead < -bound or ahead - bound > flat or abs(aside) > bound:
+            ahead, tangential = dx * x + dy * y, dx * y - dy * x
+            if ahead < -bound or ahead - bound > flat or abs(tangential) > bound:
                 continue
         hit = _length(scene, i, place, np.int64(0))
         if 0 <= hit < glass:
@@ -301,7 +305,7 @@ heading = njit(raycast.heading)
 
 @njit
 def _length(scene, i, place, normal):
-    """Return MuJoCo's length of a ray along `scene.ways` to a solid geom; the normal's address may be 0."""
+    """Return MuJoCo's length of a ray along `ray_directions` to a geom; the normal's address may be 0."""
     here = scene.solid[i]
     return _call_ray_geom(
         scene.calls[3],
@@ -309,7 +313,7 @@ def _length(scene, i, place, normal):
         scene.turns[here].ctypes.data,
         scene.sizes[here].ctypes.data,
         place.ctypes.data,
-        scene.ways.ctypes.data,
+        scene.ray_directions.ctypes.data,
         scene.kinds[i],
         normal,
     )
@@ -360,7 +364,7 @@ def _call_step(typing_context, function, model, data):
 
 
 @intrinsic
-def _call_ray_geom(typing_context, function, place, turn, size, point, way, kind, normal):
+def _call_ray_geom(typing_context, function, place, turn, size, point, ray_direction, kind, normal):
     def generate(context, builder, signature, arguments):
         kinds = [*[_BYTE_POINTER] * 5, _INT, _BYTE_POINTER]
         return _foreign(builder, arguments, kinds, _DOUBLE)

@@ -1,375 +1,470 @@
-"""An episode without a serial line: scan, physics, control loops and controller in one loop.
+"""One episode of one robot in its playpen, without a serial line.
 
-The order and the results are those of `khep_twin.world.World.advance_to`, bit for bit. The controller
-replaces the line's bytes: at the start of every control period it reads the registers and sets both wheels'
-speeds in them at once, as the firmware would on a command D.
+    setup = EpisodeSetup(playpen.load("obstacles"))
+    episode = Episode(setup, Braitenberg())
+    episode.begin(seed=1)
+    episode.run(60.0)
+    print(episode.pose, episode.metrics())
 
-Like `kernel`, this is plain arithmetic that runs interpreted and compiled; `life` provides its data.
+The same seed gives the same counts, registers and positions as a `World` whose robot receives the same speeds
+at the same times over a line without delay, compiled or not, however often the `Episode` was used before.
+Not supported, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but have no effect.
+
+With `EpisodeSetup(..., planar=True)` the robot moves in a plane (`planar`), for screening: the same firmware
+and sensors, thirty times faster and more, and similar trajectories.
 """
 
+import copy
+import importlib.util
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+import warnings
+from collections.abc import Sequence
+from operator import index
+from threading import Lock
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board import kernel
-from khep_twin.rollout import fitness, networks
-from khep_twin.sensing import optics, raycast
-from khep_twin.sensing.buffers import Vector
+from khep_twin.board.battery import Supply
+from khep_twin.board.rom import DEMO, ROMS
+from khep_twin.clock import n_steps, to_ns
+from khep_twin.errors import DivergedError, PlaypenError, pip_install_extra
+from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen.starts import Start, at_spots
+from khep_twin.playpen_to_mjcf import set_step, to_spec
+from khep_twin.randomness import stream
+from khep_twin.rollout import stepping
+from khep_twin.rollout.controllers import ConstantSpeed, Driver, Floats, Function, controller_state
+from khep_twin.rollout.mujoco_backend import MujocoBackend
+from khep_twin.rollout.planar.planar import Numbers, PlanarBackend, PlanarScene, as_record
+from khep_twin.sensing import calibration
+from khep_twin.sensing.ambient import ambient_optics, bulbs
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.occlusion import SightLines
+from khep_twin.sensing.optics import Bulbs
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensors import proximity_optics
 
-HOLD, WANDER, NETWORK, FUNCTION = 0, 1, 2, 3
-"""Kinds of controller: none (constant speeds), the ROM's Braitenberg vehicle, a network, a function."""
+METRICS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
+"""Metrics of an episode: means over its control periods, distance, and distance forwards less backwards."""
 
-FINE, WARNED, OUT_OF_BOUNDS, NO_SPEED = 0, 1, 2, 3
-"""Status of an episode: fine, warned by MuJoCo, physics out of bounds, controller's speed is no number."""
+SPAN_NS = 2_000_000_000
+"""Simulated time per draw of random numbers [ns]."""
 
-STEPS, POWERED, DEMO, TROUBLE = 0, 1, 2, 3
-"""Indices in `RobotState.state`: steps done, whether the processor runs, whether the demo runs, status."""
-N_STATE = 4
+PLANAR_SPAN_NS = 20_000_000_000
+"""Simulated time per draw in a plane [ns]: longer, as steps there are cheap; no effect on results."""
 
-PERIODS, AVOIDANCE, SEEKING, HOMING, FOLLOWING, WAY, CHARGE, LAST_X, LAST_Y = 0, 1, 2, 3, 4, 5, 6, 7, 8
-"""Indices in `ControllerState.sums`: control periods, sums of fitness over them, distance [m], charge left
-[s], last position of the robot [m]."""
-FORWARD = 9
-"""Index in `ControllerState.sums` of the distance forwards less that backwards [m]."""
-N_SUMS = 10
-
-FASTEST = 1000.0
-"""Largest speed of a joint [m/s or rad/s], as in the world."""
-
-_SPEED_LIMIT = 127
-_CONVERSION = units.STEP_NS * 1e-9
-_PROXIMITY, _AMBIENT, _SCAN = (
-    int(kernel.Board.PROXIMITY),
-    int(kernel.Board.AMBIENT),
-    int(kernel.Board.SCAN),
-)
-_RIGHT = kernel.RIGHT
-_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
-_LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
-_SIDES = (int(units.Sensor.LEFT_90), int(units.Sensor.RIGHT_90))
-_N = units.N_SENSORS
-_LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
+PLANAR_STEP_NS = 4 * units.STEP_NS
+"""Step in a plane, one tick [ns]; its only effect is that sensors are converted four at a time."""
 
 
-class SimIndices(NamedTuple):
-    """Indices of the robot in the scene's arrays, and divisions of time.
-
-    Attributes:
-        left_angle: Index of the left wheel's angle in qpos.
-        right_angle: Index of the right wheel's angle in qpos.
-        left_motor: Index of the left motor in ctrl and forces.
-        right_motor: Index of the right motor in ctrl and forces.
-        pose: Index of the robot's pose in qpos.
-        motor_constant: Torque per current [N m/A].
-        limit: Largest coordinate [m].
-        conversions: Sensor conversions in each step.
-        steps_per_tick: Steps per tick of the control loops.
-        steps_per_feed: Steps per measurement of the supply.
-        steps_per_period: Steps per period of the controller.
-    """
-
-    left_angle: int
-    right_angle: int
-    left_motor: int
-    right_motor: int
-    pose: int
-    motor_constant: float
-    limit: float
-    conversions: int
-    steps_per_tick: int
-    steps_per_feed: int
-    steps_per_period: int
+class SlowerWarning(UserWarning):
+    """Warning that episodes run uncompiled, with the same results, as numba is not installed."""
 
 
-class RobotState(NamedTuple):
-    """A robot in its scene.
-
-    Attributes:
-        scene: Scene as the robot's sensors see it.
-        near: Model of proximity.
-        eyes: Model of ambient light.
-        bulbs: Bulbs that may shine.
-        wiring: Indices in the scene's arrays, and divisions of time.
-        registers: State of the board.
-        qpos: Positions of the scene's joints, live.
-        qvel: Speeds of the scene's joints, live.
-        ctrl: Motor voltages, live.
-        force: Actuator forces, live.
-        places: Positions of the scene's bodies, live, flattened [m].
-        warnings: Counters of MuJoCo's warnings, live.
-        state: State of the episode, integers (N_STATE,).
-        voltage: Supply voltage (1,) [V].
-    """
-
-    scene: raycast.Scene
-    near: optics.Proximity
-    eyes: optics.Ambient
-    bulbs: optics.Bulbs
-    wiring: SimIndices
-    registers: kernel.Registers
-    qpos: Vector[float]
-    qvel: Vector[float]
-    ctrl: Vector[float]
-    force: Vector[float]
-    places: Vector[float]
-    warnings: Vector[int]
-    state: Vector[int]
-    voltage: Vector[float]
-
-
-class ControllerState(NamedTuple):
-    """Controller of a robot, and its sums of fitness.
-
-    Attributes:
-        kind: HOLD, WANDER, NETWORK or FUNCTION.
-        function: Address of a compiled function, or the function itself where nothing is compiled.
-        sizes: Sizes of the network: inputs, layers, outputs.
-        recurrent: Whether the network has feedback.
-        top_speed: Speed for an output of 1 [pulses/10 ms].
-        genes: Weights of the network, or parameters of the function.
-        memory: Memory kept from one control period to the next.
-        values: Buffer for the network's values.
-        speeds: Buffer for the speeds of a function (2,) [pulses/10 ms].
-        home: Home x, y and radius [m], and duration of the charge [s]; radius 0 for none.
-        sums: Sums over the episode (N_SUMS,).
-    """
-
-    kind: int
-    function: Any
-    sizes: Vector[int]
-    recurrent: bool
-    top_speed: float
-    genes: Vector[float]
-    memory: Vector[float]
-    values: Vector[float]
-    speeds: Vector[float]
-    home: Vector[float]
-    sums: Vector[float]
-
-
-class StepInputs(NamedTuple):
-    """Random draws and supply of some steps.
-
-    Attributes:
-        powers: Powers of the lamps (n_steps or 1, n_lamps) [W].
-        volts: Supply voltage at each measurement (n_feeds,) [V].
-        noisy: Whether sensors are noisy; if not, the next three are not used.
-        proximity: Standard normal draws (n_conversions,).
-        ambient: Standard normal draws (n_conversions,).
-        idle: Standard exponential draws (n_conversions,).
-    """
-
-    powers: Sequence[Sequence[float]]
-    volts: Sequence[float]
-    noisy: bool
-    proximity: Sequence[float]
-    ambient: Sequence[float]
-    idle: Sequence[float]
-
-
-Advance = Callable[[RobotState, ControllerState, StepInputs, int], int]
-
-
-def advance(body: RobotState, mind: ControllerState, span: StepInputs, n_steps: int) -> int:
-    """Run the episode for some steps; return its status, FINE or the reason why it ended.
-
-    Each step runs in this order:
-
-        1. at the start of a control period the controller, and its fitness
-        2. physics, with the motor voltages of the last control tick
-        3. the sensors due are converted, at the pose of the step's start
-        4. every 10 ms the control tick: encoders, speed, controllers, duty, voltage
-        5. every 20 ms the supply is measured
-
-    Args:
-        body: Robot in its scene.
-        mind: Controller of the robot.
-        span: Random draws and supply of these steps.
-        n_steps: Number of steps, below 0 to switch the robot on: the scan before time 0, so that every
-            register holds a conversion, with encoders and supply.
-    """
-    # Functions are passed only the parts that they need: passing whole bodies makes compiling slow.
-    state, wiring, registers, qpos = body.state, body.wiring, body.registers, body.qpos
-    conversions = wiring.conversions
-    on, feeds = n_steps >= 0, 0
-    if not on:
-        raycast.step(body.scene)
-    for i in range(n_steps if on else _N // conversions):
-        step = state[STEPS] if on else i
-        if on and step % wiring.steps_per_period == 0:
-            if state[POWERED] and not _control(registers, mind, body.eyes.dark, body.eyes.floor):
-                state[TROUBLE] = NO_SPEED
-                break
-            period = wiring.steps_per_period * conversions * _CONVERSION
-            place = qpos[wiring.pose], qpos[wiring.pose + 1]
-            ahead = raycast.heading(qpos, wiring.pose)
-            note(registers, mind.sums, mind.home, body.eyes.dark, body.eyes.floor, place, ahead, period)
-        raycast.step(body.scene)
-        row = 0 if len(span.powers) == 1 else i
-        for turn in range(conversions):
-            chance, draw = (0.0, 0.0, 0.0), i * conversions + turn
-            if span.noisy:
-                chance = (span.proximity[draw], span.ambient[draw], span.idle[draw])
-            channel = (step * conversions + turn) % _N
-            proximity, ambient = optics.convert(
-                body.scene, body.near, body.eyes, body.bulbs, span.powers[row], channel, chance
-            )
-            kernel.convert(registers, proximity, ambient)
-        if not on:
-            continue
-        state[STEPS] = step + 1
-        if (step + 1) % wiring.steps_per_tick == 0:
-            if not _fits(body.places, body.qvel, qpos, wiring.limit):
-                state[TROUBLE] = OUT_OF_BOUNDS
-                break
-            _tick(wiring, registers, state, qpos, body.ctrl, body.voltage[0])
-        if (step + 1) % wiring.steps_per_feed == 0:
-            if _warned(body.warnings):
-                state[TROUBLE] = WARNED
-                break
-            body.voltage[0] = span.volts[feeds]
-            _feed(wiring, registers, state, body.force, body.voltage[0])
-            feeds += 1
-    if not on:
-        registers[_LEFT_ENCODER] = units.wheel_pulses(qpos[wiring.left_angle])
-        registers[_RIGHT_ENCODER] = units.wheel_pulses(qpos[wiring.right_angle])
-        body.voltage[0] = span.volts[0]
-        _feed(wiring, registers, state, body.force, body.voltage[0])
-        if not _fits(body.places, body.qvel, qpos, wiring.limit):
-            state[TROUBLE] = OUT_OF_BOUNDS
-        elif _warned(body.warnings):
-            state[TROUBLE] = WARNED
-    return state[TROUBLE]
-
-
-def note(
-    registers: kernel.Registers,
-    sums: Vector[float],
-    home: Vector[float],
-    dark: float,
-    floor: float,
-    place: tuple[float, float],
-    ahead: tuple[float, float],
-    period: float,
-) -> None:
-    """Add the fitness at the start of a control period, with the speeds just set.
-
-    Args:
-        registers: State of the board.
-        sums: Sums over the episode, changed in place (N_SUMS,).
-        home: Home as in `ControllerState`.
-        dark: Ambient reading in the dark [counts].
-        floor: Ambient reading in the brightest light [counts].
-        place: Robot x and y [m].
-        ahead: Cosine and sine of the robot's heading.
-        period: Control period [s].
-    """
-    nearest, darkest = registers[_PROXIMITY], registers[_AMBIENT]
-    for sensor in range(1, _N):
-        nearest = max(nearest, registers[_PROXIMITY + sensor])
-        darkest = min(darkest, registers[_AMBIENT + sensor])
-    side = max(registers[_PROXIMITY + _SIDES[0]], registers[_PROXIMITY + _SIDES[1]]) / units.COUNTS_LIMIT
-    left, right = float(registers[_LEFT_SETPOINT]), float(registers[_RIGHT_SETPOINT])
-    part = nearest / units.COUNTS_LIMIT
-    x, y = place
-    dx, dy = x - sums[LAST_X], y - sums[LAST_Y]
-    if sums[PERIODS] > 0:
-        sums[WAY] += math.sqrt(dx * dx + dy * dy)
-        sums[FORWARD] += dx * ahead[0] + dy * ahead[1]
-    sums[LAST_X], sums[LAST_Y] = x, y
-    sums[PERIODS] += 1
-    sums[AVOIDANCE] += fitness.obstacle_avoidance(left, right, part)
-    sums[SEEKING] += fitness.light_seeking(float(darkest), dark, floor)
-    sums[FOLLOWING] += fitness.wall_following(left, right, side)
-    if home[2] > 0 and sums[CHARGE] > 0:
-        dx, dy = x - home[0], y - home[1]
-        if dx * dx + dy * dy <= home[2] * home[2]:
-            sums[CHARGE] = home[3]  # at home the fitness is 0 and the cells are full at once
-        else:
-            sums[HOMING] += fitness.homing(left, right, part)
-            sums[CHARGE] -= period
-
-
-def drive(registers: kernel.Registers, left: float, right: float) -> bool:
-    """Set both speeds [pulses/10 ms] as command D does, rounded and clipped; return False if not finite."""
-    if not (math.isfinite(left) and math.isfinite(right)):
-        return False
-    limit = float(_SPEED_LIMIT)
-    kernel.set_speed(registers, 0, round(min(max(left, -limit), limit)))
-    kernel.set_speed(registers, _RIGHT, round(min(max(right, -limit), limit)))
-    return True
-
-
-def _control(registers: kernel.Registers, mind: ControllerState, dark: float, floor: float) -> bool:
-    """Run the controller once; return False if a speed is not finite."""
-    if mind.kind == WANDER:
-        kernel.wander(registers)
-    elif mind.kind == NETWORK:
-        values = mind.values
-        for sensor in range(_N):
-            values[sensor] = registers[_PROXIMITY + sensor] / units.COUNTS_LIMIT
-        for sensor in range(mind.sizes[0] - _N):
-            values[_N + sensor] = (dark - registers[_AMBIENT + sensor]) / (dark - floor)
-        out = networks.think(mind.sizes, mind.recurrent, mind.genes, mind.memory, values)
-        return drive(registers, mind.top_speed * values[out], mind.top_speed * values[out + 1])
-    elif mind.kind == FUNCTION:
-        raycast.decide(mind.function, registers, mind.memory, mind.genes, mind.speeds)
-        return drive(registers, mind.speeds[0], mind.speeds[1])
-    return True
-
-
-def _tick(
-    wiring: SimIndices,
-    registers: kernel.Registers,
-    state: Vector[int],
-    qpos: Vector[float],
-    ctrl: Vector[float],
-    voltage: float,
-) -> None:
-    """Run the board's own control loops once, from encoders to motor voltages."""
-    if state[POWERED]:
-        left = units.wheel_pulses(qpos[wiring.left_angle])
-        right = units.wheel_pulses(qpos[wiring.right_angle])
-        kernel.tick(registers, left, right)
-        if state[DEMO] and registers[_SCAN] == 0:
-            kernel.wander(registers)
-    ctrl[wiring.left_motor] = units.duty_voltage(registers[_LEFT_DUTY], voltage)
-    ctrl[wiring.right_motor] = units.duty_voltage(registers[_RIGHT_DUTY], voltage)
-
-
-def _feed(
-    wiring: SimIndices, registers: kernel.Registers, state: Vector[int], force: Vector[float], voltage: float
-) -> None:
-    """Measure the supply; below its minimum voltage reset and stop the processor."""
-    left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
-    current = units.IDLE_CURRENT
-    current += units.supply_current(left, force[wiring.left_motor] / wiring.motor_constant)
-    current += units.supply_current(right, force[wiring.right_motor] / wiring.motor_constant)
-    kernel.measure(registers, units.supply_counts(voltage), round(current * 1000))
-    if voltage < units.PROCESSOR_VOLTAGE and state[POWERED]:
-        kernel.reset(registers)
-        registers[_LEFT_DUTY], registers[_RIGHT_DUTY] = left, right
-        state[POWERED] = 0
-
-
-def _fits(places: Vector[float], speeds: Vector[float], joints: Vector[float], limit: float) -> bool:
-    """Return whether a state is within the bounds of the physics."""
-    if not _square(places) <= len(places) * limit * limit:
-        return False
-    return _square(speeds) <= len(speeds) * FASTEST * FASTEST and _square(joints) < math.inf
-
-
-def _warned(warnings: Vector[int]) -> bool:
-    """Return whether MuJoCo has warned."""
-    for i in range(len(warnings)):
-        if warnings[i]:
-            return True
+def is_compiled(wish: bool | None) -> bool:
+    """Return whether episodes run compiled; None means if numba is installed, with a warning if not."""
+    if wish is not None:
+        return wish
+    if importlib.util.find_spec("numba") is not None:
+        return True
+    warnings.warn(
+        "numba is not installed: episodes run uncompiled, many times slower, with the same results; "
+        f"to install it: {pip_install_extra('batch')}",
+        SlowerWarning,
+        stacklevel=3,
+    )
     return False
 
 
-def _square(numbers: Vector[float]) -> float:
-    total = 0.0
-    for i in range(len(numbers)):
-        total += numbers[i] * numbers[i]
-    return total
+class EpisodeLamps:
+    """Lamps of an episode: positions, occlusion, and power at each step.
+
+    Args:
+        playpen: Playpen with these lamps.
+        model: Model of the scene.
+        robot: Indices of the robot.
+        step_ns: Physics step of the scene [ns].
+    """
+
+    def __init__(self, playpen: Playpen, model: mujoco.MjModel, robot: RobotIndices, step_ns: int) -> None:
+        # Lamps that are all on draw no random numbers.
+        self._lamps = Lamps(playpen, stream(0, "lamps"))
+        self._step_ns = step_ns
+        self.bulbs: Bulbs = bulbs(SightLines(model, robot, self._lamps.positions), playpen.lighting)
+        self._first = list(self._lamps.powers)
+        self._rows: list[list[float]] = []
+        self._turn = Lock()
+
+    def at_start(self) -> list[list[float]]:
+        """Return the powers before the first step (1, n_lamps) [W]."""
+        return [self._first]
+
+    def during(self, first: int, count: int) -> list[list[float]]:
+        """Return the powers after each of some steps, or one row if they are constant (n, n_lamps) [W]."""
+        if self._lamps.steady:
+            return [self._first]
+        # Environments in threads share the ground, and so its light.
+        with self._turn:
+            while len(self._rows) < first + count:
+                self._lamps.update((len(self._rows) + 1) * self._step_ns, ())
+                self._rows.append(list(self._lamps.powers))
+        return self._rows[first : first + count]
+
+
+class EpisodeSetup:
+    """A playpen prepared for any number of episodes; threads may share it.
+
+    Args:
+        playpen: Playpen with one robot.
+        step_ns: Physics step [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; by default 2.5 ms, and
+            10 ms in a plane.
+        period_ns: Control period [ns], whole ticks of 10 ms.
+        planar: Whether the robot moves in a plane instead of MuJoCo.
+
+    Raises:
+        PlaypenError: The playpen has a feature that episodes without a serial line do not support.
+        ValueError: The step or the period does not fit into whole ticks.
+        TypeError: The step or the period is not an integer.
+    """
+
+    def __init__(
+        self,
+        playpen: Playpen,
+        *,
+        step_ns: int | None = None,
+        period_ns: int = units.SCAN_NS,
+        planar: bool = False,
+    ) -> None:
+        _refuse(playpen)
+        # `index` rejects floats such as 5e6.
+        period_ns, step_ns = index(period_ns), None if step_ns is None else index(step_ns)
+        if period_ns <= 0 or period_ns % units.TICK_NS:
+            raise ValueError(
+                f"control period of {period_ns / 1e6:g} ms; expected whole ticks of "
+                f"{units.TICK_NS / 1e6:g} ms"
+            )
+        mujoco.set_mju_user_warning(_keep_quiet)
+        if step_ns is None:
+            step_ns = PLANAR_STEP_NS if planar else units.STEP_NS
+        self.playpen, self.step_ns, self.period_ns = playpen, step_ns, period_ns
+        spec = to_spec(playpen)
+        if step_ns != units.STEP_NS:
+            set_step(spec, step_ns)
+        self.model = spec.compile()
+        # Compiled episodes cast rays themselves, only where something is near enough to be seen.
+        self.without_sensors = copy.copy(self.model)
+        self.without_sensors.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        self.entry = playpen.robots[0]
+        self.calibration = calibration.read(self.entry.calibration)[0]
+        self.indices = at = RobotIndices.of(self.model, "khepera0")
+        self.light = self.lit(playpen.lamps)
+        self.planar_scene = PlanarScene(playpen, self.model, at, step_ns) if planar else None
+        width, height = playpen.arena.width_mm, playpen.arena.height_mm
+        self.sim_indices = stepping.SimIndices(
+            *(
+                (*at.wheel_angles, *at.motors, at.pose)
+                if self.planar_scene is None
+                else PlanarScene.JOINT_ADDRESSES
+            ),
+            self.calibration.motors.constant,
+            1.0 + max(units.metres(width), units.metres(height)),
+            step_ns // units.STEP_NS,
+            n_steps(units.TICK_NS, step_ns),
+            n_steps(units.SCAN_NS, step_ns),
+            n_steps(period_ns, step_ns),
+        )
+
+    def periods(self, seconds: float) -> int:
+        """Return the number of control periods in a time [s].
+
+        Raises:
+            ValueError: The number is not whole, or is below 0.
+        """
+        if not 0 <= seconds < math.inf:
+            raise ValueError(f"{seconds} s; expected a time from 0, of whole control periods")
+        duration_ns = to_ns(seconds)
+        if duration_ns % self.period_ns:
+            raise ValueError(
+                f"{seconds:g} s; expected a whole number of control periods of {self.period_ns / 1e6:g} ms"
+            )
+        return duration_ns // self.period_ns
+
+    def lit(self, lamps: Sequence[Lamp]) -> EpisodeLamps:
+        """Return the light of other lamps on this ground."""
+        lamp_playpen = self.playpen.model_copy(update={"lamps": tuple(lamps)})
+        return EpisodeLamps(lamp_playpen, self.model, self.indices, self.step_ns)
+
+    def start(self, seed: int) -> Start:
+        """Return the robot's start: its own pose, or the spot that the seed draws."""
+        robot = self.entry
+        if robot.spots:
+            robot = at_spots(self.playpen, seed).robots[0]
+        return robot.x_mm, robot.y_mm, robot.heading_deg
+
+    def another(self, seed: int) -> Calibration:
+        """Return the calibration of another robot of the same make, drawn by the seed."""
+        return calibration.varied(self.calibration, stream(seed, "robot", 0, "spread"))
+
+
+class Episode:
+    """One episode at a time; `begin` starts a new one in the same memory.
+
+    Args:
+        setup: Setup of the episodes.
+        driver: Controller; a policy is left to the caller.
+        compiled: Whether to run compiled; None if numba is installed.
+
+    Attributes:
+        registers: State of the board (N_REGISTERS,).
+    """
+
+    def __init__(
+        self, setup: EpisodeSetup, driver: Driver | None = None, *, compiled: bool | None = None
+    ) -> None:
+        self._setup, self._driver = setup, driver or ConstantSpeed()
+        self._compiled = is_compiled(compiled)
+        self.registers: NDArray[np.int64] = np.zeros(kernel.N_REGISTERS, np.int64)
+        self._to_data = _as_arrays if self._compiled else _as_it_is
+        self._optics_data = as_record if self._compiled and setup.planar_scene else self._to_data
+        self._backend: MujocoBackend | PlanarBackend
+        if setup.planar_scene is None:
+            model = setup.without_sensors if self._compiled else setup.model
+            self._backend = MujocoBackend(model, setup.indices, self._compiled)
+        else:
+            self._backend = PlanarBackend(setup.planar_scene, self._compiled)
+        self._state = np.zeros(stepping.N_STATE, np.int64)
+        self._proximity = self._optics_data(proximity_optics(setup.model, setup.indices, setup.calibration))
+        self._ambient = self._optics_data(ambient_optics(setup.calibration.ambient))
+        self._supply = Supply(setup.entry.battery_used_min)
+        self._rng: list[np.random.Generator] = []
+        self._seed = 0
+        self._light = setup.light
+        self._begun = False
+
+    def begin(
+        self,
+        seed: int = 0,
+        *,
+        start: Start | None = None,
+        noise: bool = True,
+        vary: bool = False,
+        light: EpisodeLamps | None = None,
+        genes: Sequence[float] | Floats = (),
+        home: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    ) -> None:
+        """Start an episode.
+
+        Args:
+            seed: Seed of every random stream.
+            start: Start x, y [mm] and heading [deg]; None for the playpen's.
+            noise: Whether sensors are noisy.
+            vary: Whether to draw the sensors of another robot.
+            light: Other lamps than the playpen's (`EpisodeSetup.lit`).
+            genes: Genes of the controller.
+            home: Home x, y, radius [m] and duration of a charge [s]; radius 0 for none.
+
+        Raises:
+            ControllerError: The genes do not fit the controller.
+            DivergedError: The physics leaves its bounds at once.
+        """
+        setup, backend = self._setup, self._backend
+        self._seed, self._light = seed, light or setup.light
+        proximity, ambient = self._proximity, self._ambient
+        if vary:
+            measured = setup.another(seed)
+            proximity = self._optics_data(proximity_optics(setup.model, setup.indices, measured))
+            ambient = self._optics_data(ambient_optics(measured.ambient))
+        self._rng = []
+        if noise:
+            self._rng = [stream(seed, "robot", 0, name) for name in ("proximity", "ambient", "idle")]
+        begins = start or setup.start(seed)
+        own = setup.entry.x_mm, setup.entry.y_mm, setup.entry.heading_deg
+        backend.put(None if begins == own else begins)
+        self.registers[:] = 0
+        kernel.reset(self.registers.data)
+        driver = self._driver
+        rom = ROMS[setup.entry.rom]
+        self._state[:] = 0, 1, rom.modes[setup.entry.mode].function == DEMO, stepping.FINE
+        self._robot = stepping.RobotState(
+            backend.scene,
+            proximity,
+            ambient,
+            self._to_data(self._light.bulbs),
+            setup.sim_indices,
+            self.registers if self._compiled else self.registers.data,
+            *backend.arrays,
+            self._state if self._compiled else self._state.data,
+            np.zeros(1),
+        )
+        weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
+        self._controller = controller_state(driver, weights, place, self._compiled)
+        self._begun = True
+        if isinstance(driver, ConstantSpeed) and (driver.left or driver.right):
+            self.drive(driver.left, driver.right)
+        self._backend.advance(
+            self._robot, self._controller, self._inputs(self._light.at_start(), units.N_SENSORS, 1), -1
+        )
+        self._complain()
+
+    @property
+    def _data(self) -> mujoco.MjData:
+        """State of MuJoCo's scene, if there is one."""
+        if isinstance(self._backend, PlanarBackend):
+            raise ValueError(
+                "an episode in a plane has no MuJoCo scene; expected one on ground that is not planar"
+            )
+        return self._backend.data
+
+    @property
+    def steps(self) -> int:
+        """Number of physics steps done."""
+        return int(self._state[stepping.STEPS])
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time [ns]."""
+        return self.steps * self._setup.step_ns
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """True x, y [m] and heading [rad] in the playpen."""
+        return self._backend.pose
+
+    @property
+    def joints(self) -> Floats:
+        """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers."""
+        return self._backend.joints
+
+    def readings(self) -> tuple[list[int], list[int]]:
+        """Return proximity and ambient counts of the registers, each (8,)."""
+        return self.registers[kernel.PROXIMITY].tolist(), self.registers[kernel.AMBIENT].tolist()
+
+    def run(self, seconds: float) -> None:
+        """Run the episode for a time [s], in whole control periods.
+
+        Raises:
+            ValueError: The time is not a whole number of control periods, or no episode has begun.
+            DivergedError: The physics left its bounds, or the controller gave a speed that is no number.
+        """
+        steps = self._setup.periods(seconds) * self._setup.sim_indices.steps_per_period
+        longest = (SPAN_NS if self._setup.planar_scene is None else PLANAR_SPAN_NS) // self._setup.step_ns
+        while steps > 0:
+            self.step(min(steps, longest))
+            steps -= longest
+
+    def step(self, steps: int) -> None:
+        """Run the episode for some steps; errors are those of `run`."""
+        self._insist()
+        sim_indices = self._setup.sim_indices
+        n_supplies = steps // sim_indices.steps_per_supply + 1
+        inputs = self._inputs(
+            self._light.during(self.steps, steps), steps * sim_indices.conversions, n_supplies
+        )
+        if self._backend.advance(self._robot, self._controller, inputs, steps):
+            self._complain()
+
+    def drive(self, left: float, right: float) -> None:
+        """Set both speeds [pulses/10 ms], as a controller does.
+
+        Raises:
+            DivergedError: A speed is no number.
+        """
+        self._insist()
+        if self._state[stepping.POWERED] and not stepping.drive(self.registers.data, left, right):
+            self._state[stepping.TERMINATION] = stepping.NO_SPEED
+            self._complain()
+
+    def metrics(self) -> dict[str, float]:
+        """Return the metrics so far (`METRICS`); "homing" is NaN without a home."""
+        self._insist()
+        sums = self._controller.sums
+        periods = max(float(sums[stepping.PERIODS]), 1.0)
+        means = [
+            float(sums[each]) / periods
+            for each in (stepping.AVOIDANCE, stepping.SEEKING, stepping.HOMING, stepping.FOLLOWING)
+        ]
+        if not self._controller.home[2]:
+            means[2] = math.nan
+        ray_directions = [float(sums[each]) for each in (stepping.DISTANCE, stepping.FORWARD)]
+        return dict(zip(METRICS, [*means, *ray_directions], strict=True))
+
+    def _insist(self) -> None:
+        """Raise a `ValueError` unless an episode has begun."""
+        if not self._begun:
+            raise ValueError("no episode has begun; expected begin() first")
+
+    def _inputs(self, powers: list[list[float]], conversions: int, n_supplies: int) -> stepping.StepInputs:
+        """Return the random draws and supply of the next steps."""
+        draws: list[Floats] = [np.zeros(0)] * 3
+        if self._rng:
+            proximity, ambient, idle = self._rng
+            draws = [
+                proximity.standard_normal(conversions),
+                ambient.standard_normal(conversions),
+                idle.standard_exponential(conversions),
+            ]
+        sim_indices, step_ns = self._setup.sim_indices, self._setup.step_ns
+        fed = self.steps // sim_indices.steps_per_supply + (n_supplies > 1 or self.steps > 0)
+        feed_ns = sim_indices.steps_per_supply * step_ns
+        if self._supply.steady:
+            volts = np.full(n_supplies, self._supply.voltage(0))
+        else:
+            volts = np.array([self._supply.voltage((fed + i) * feed_ns) for i in range(n_supplies)])
+        noisy = bool(self._rng)
+        if not self._compiled:
+            return stepping.StepInputs(powers, volts.tolist(), noisy, *(draw.tolist() for draw in draws))
+        return stepping.StepInputs(np.array(powers).reshape(len(powers), -1), volts, noisy, *draws)  # type: ignore
+
+    def _complain(self) -> None:
+        """Raise a `DivergedError` if the episode has failed."""
+        trouble = int(self._state[stepping.TERMINATION])
+        if trouble == stepping.FINE:
+            return
+        reason = "the physics left its bounds"
+        if trouble == stepping.WARNED:
+            reason = f"MuJoCo warns of {self._backend.warning}"
+        elif trouble == stepping.NO_SPEED:
+            reason = "the controller gave a speed that is no number"
+            if isinstance(self._driver, Function):
+                reason += ", or raised an error"
+        raise DivergedError(
+            f"episode of seed {self._seed} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: {reason}"
+        )
+
+
+def _refuse(playpen: Playpen) -> None:
+    """Raise a `PlaypenError` if the playpen has a feature that episodes without a serial line lack."""
+    name, robots = playpen.name, playpen.robots
+    if len(robots) != 1:
+        raise PlaypenError(f"{name}: {len(robots)} robots; expected one for an episode without a serial line")
+    if robots[0].turrets:
+        raise PlaypenError(
+            f"{name}: robot 1: turrets = {list(robots[0].turrets)}; expected none for an episode without a "
+            "serial line"
+        )
+    if playpen.lighting.mode != "all":
+        raise PlaypenError(
+            f"{name}: lighting: mode = {playpen.lighting.mode!r}; expected 'all' for an episode without a "
+            "serial line"
+        )
+
+
+def _as_arrays(values: Numbers) -> Numbers:
+    """Return a named tuple with its lists as arrays, for compiled code."""
+    return values._make(
+        np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
+        for name, value in zip(values._fields, values, strict=True)
+    )
+
+
+def _as_it_is(values: Numbers) -> Numbers:
+    return values
+
+
+def _keep_quiet(warning: str) -> None:
+    """Ignore a warning; MuJoCo's counters are checked instead."""

@@ -21,7 +21,7 @@ def n_genes(sizes: Sequence[int], recurrent: bool) -> int:
     return total + (sizes[1] * sizes[1] if recurrent else 0)
 
 
-def think(
+def forward(
     sizes: Vector[int],
     recurrent: bool,
     genes: Vector[float],

@@ -18,8 +18,8 @@ from khep_twin import units
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.life import NUMBERS
-from khep_twin.rollout.minds import Driver, Floats
+from khep_twin.rollout.controllers import Driver, Floats
+from khep_twin.rollout.episode import METRICS
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +61,17 @@ def screen(
         seeds: Seeds of each genome's episodes.
         seconds: Duration of each episode [s].
         elite: Number of the best that are evaluated again in MuJoCo; all, if there are fewer.
-        number: Metric to rank by, larger is better (`life.NUMBERS`).
+        number: Metric to rank by, larger is better (`episode.METRICS`).
         starts: Start pose for each seed; by default the playpen's.
         step_ns: Step of MuJoCo's physics [ns].
-        options: `noise`, `spread`, `home`, `period_ns`, `threads` and `compiled`, as for `batch.rollout`.
+        options: `noise`, `vary`, `home`, `period_ns`, `threads` and `compiled`, as for `batch.rollout`.
 
     Raises:
         ValueError: The number is unknown, its home is missing, there is no seed or no elite, or starts or
             genes do not fit.
     """
-    if number not in NUMBERS:
-        raise ValueError(f"number = {number!r}; expected one of {', '.join(NUMBERS)}")
+    if number not in METRICS:
+        raise ValueError(f"number = {number!r}; expected one of {', '.join(METRICS)}")
     if not len(seeds) or not len(genes) or elite < 1:
         raise ValueError(
             f"{len(genes)} genomes, {len(seeds)} seeds and an elite of {elite}; expected 1 or more of each"
@@ -94,7 +94,7 @@ def screen(
             **how,
             **options,
         )
-        return found.numbers[number].reshape(len(which), len(seeds)).mean(axis=1)
+        return found.metrics[number].reshape(len(which), len(seeds)).mean(axis=1)
 
     planar = judge(np.arange(len(genes)), planar=True)
     ranked = best_first(planar)
@@ -104,6 +104,6 @@ def screen(
     return Screening(planar, ranked, again[order], judged[order])
 
 
-def best_first(numbers: Floats) -> NDArray[np.int64]:
+def best_first(metrics: Floats) -> NDArray[np.int64]:
     """Return the indices that sort numbers, largest first, equal ones in their order, NaN last (n,)."""
-    return np.argsort(-np.where(np.isnan(numbers), -np.inf, numbers), kind="stable")
+    return np.argsort(-np.where(np.isnan(metrics), -np.inf, metrics), kind="stable")

@@ -159,9 +159,9 @@ GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
 their gain for lamps (4 to 7 % measured)."""
 
 
-def spread(calibration: Calibration, chance: np.random.Generator) -> Calibration:
+def varied(calibration: Calibration, rng: np.random.Generator) -> Calibration:
     """Return a robot of the same make with random gain, threshold and gain for lamps of each sensor."""
-    gains, thresholds = 1 + np.array([[GAIN_SPREAD], [THRESHOLD_SPREAD]]) * chance.standard_normal(
+    gains, thresholds = 1 + np.array([[GAIN_SPREAD], [THRESHOLD_SPREAD]]) * rng.standard_normal(
         (2, N_SENSORS)
     )
     proximity, ambient = calibration.proximity, calibration.ambient
@@ -175,7 +175,7 @@ def spread(calibration: Calibration, chance: np.random.Generator) -> Calibration
     }
     lamps = tuple(
         gain * max(1 + LAMP_SPREAD * float(factor), 0.2)
-        for gain, factor in zip(ambient.gain_counts_mm2_per_w, chance.standard_normal(N_SENSORS), strict=True)
+        for gain, factor in zip(ambient.gain_counts_mm2_per_w, rng.standard_normal(N_SENSORS), strict=True)
     )
     return calibration.model_copy(
         update={

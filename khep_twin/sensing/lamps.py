@@ -22,7 +22,7 @@ class Lamps:
 
     Args:
         playpen: Playpen with the lamps and the lighting.
-        chance: Random stream for the next lamp in mode "random".
+        rng: Random stream for the next lamp in mode "random".
         time_ns: Current time [ns].
 
     Attributes:
@@ -32,10 +32,10 @@ class Lamps:
         steady: True if the powers never change.
     """
 
-    def __init__(self, playpen: Playpen, chance: np.random.Generator, time_ns: int = 0) -> None:
+    def __init__(self, playpen: Playpen, rng: np.random.Generator, time_ns: int = 0) -> None:
         self._lamps, self._lighting = playpen.lamps, playpen.lighting
         self._corners = [(metres(x_mm), metres(y_mm)) for x_mm, y_mm in playpen.arena.corners]
-        self._chance = chance
+        self._rng = rng
         self._near_lamp = self._near_wall = True
         self.names = [lamp.name or f"lamp{index}" for index, lamp in enumerate(self._lamps)]
         self.positions = [(metres(lamp.x_mm), metres(lamp.y_mm), metres(lamp.z_mm)) for lamp in self._lamps]
@@ -46,7 +46,7 @@ class Lamps:
         self._lit: int | None = None
         if one_by_one:
             random = self._lighting.mode == "random"
-            self._lit = int(chance.integers(len(self._lamps))) if random else 0
+            self._lit = int(rng.integers(len(self._lamps))) if random else 0
         self._time_ns = time_ns
         self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
 
@@ -101,7 +101,7 @@ class Lamps:
             return False
         step = 1
         if self._lighting.mode == "random":
-            step = 1 + int(self._chance.integers(len(self._lamps) - 1))
+            step = 1 + int(self._rng.integers(len(self._lamps) - 1))
         self._lit = (lit + step) % len(self._lamps)
         self._near_lamp = self._near(self._lit, reach, robots)
         return True

@@ -39,7 +39,7 @@ class Proximity(NamedTuple):
         noise: Standard deviation of one reading [counts].
         idle: Mean of the noise with nothing in reach [counts].
         weights: Weights of each sensor's rays (8, n_rays).
-        aside: Tangents of the rays' angles off the sensor's axis, to its right (8, n_rays).
+        tangential: Tangents of the rays' angles off the sensor's axis, to its right (8, n_rays).
         brightest: Largest reflectance in the scene.
         uniform: True if all that can be hit has that reflectance.
         found: Buffer for the lengths and normals of rays (4 n_rays,).
@@ -58,7 +58,7 @@ class Proximity(NamedTuple):
     noise: float
     idle: float
     weights: Sequence[Sequence[float]]
-    aside: Sequence[Sequence[float]]
+    tangential: Sequence[Sequence[float]]
     brightest: float
     uniform: bool
     found: list[float]
@@ -123,71 +123,73 @@ class Bulbs(NamedTuple):
 
 def convert(
     scene: raycast.Scene,
-    near: Proximity,
-    eyes: Ambient,
+    proximity: Proximity,
+    ambient: Ambient,
     bulbs: Bulbs,
     powers: Sequence[float],
     channel: int,
-    chance: tuple[float, float, float],
+    draws: tuple[float, float, float],
 ) -> tuple[int, int]:
     """Return proximity and ambient counts of one sensor, for the pose at the start of the last step.
 
     Args:
         scene: Scene around the robot.
-        near: Numbers of proximity.
-        eyes: Numbers of ambient light.
+        proximity: Numbers of proximity.
+        ambient: Numbers of ambient light.
         bulbs: Lamps of the world.
         powers: Powers of the lamps (n,) [W].
         channel: Number of the sensor.
-        chance: Random draws for proximity and ambient counts, with standard deviation 1, and for idle counts,
+        draws: Random draws for proximity and ambient counts, with standard deviation 1, and for idle counts,
             with mean 1.
     """
-    noise = eyes.noise * chance[1]
+    noise = ambient.noise * draws[1]
     # The floor is the first argument, so that NaN counts as the floor until it is noticed.
-    level = max(eyes.floor, eyes.dark - light(scene, eyes, bulbs, powers, channel))
-    range_left = (level - eyes.floor) / (eyes.dark - eyes.floor)
-    ambient = max(min(round(level + noise), eyes.ceiling), 0)
-    return proximity(scene, near, channel, chance[0], chance[2], range_left), ambient
+    level = max(ambient.floor, ambient.dark - light_counts(scene, ambient, bulbs, powers, channel))
+    range_left = (level - ambient.floor) / (ambient.dark - ambient.floor)
+    counts = max(min(round(level + noise), ambient.ceiling), 0)
+    return proximity_counts(scene, proximity, channel, draws[0], draws[2], range_left), counts
 
 
-def proximity(
-    scene: raycast.Scene, near: Proximity, channel: int, noise: float, idle: float, range_left: float
+def proximity_counts(
+    scene: raycast.Scene, proximity: Proximity, channel: int, noise: float, idle: float, range_left: float
 ) -> int:
     """Return the counts of reflected light.
 
     Args:
         scene: Scene around the robot.
-        near: Numbers of proximity.
+        proximity: Numbers of proximity.
         channel: Number of the sensor.
         noise: Random draw with standard deviation 1.
         idle: Random draw with mean 1.
         range_left: Part of the range that ambient light leaves, 0 to 1.
     """
-    level = near.noise * noise - near.threshold[channel]
-    found, nearest = near.found, -1.0
-    for i in range(0, raycast.rays(scene, near, channel, level, found), raycast.LENGTH_AND_NORMAL):
+    level = proximity.noise * noise - proximity.threshold[channel]
+    found, nearest = proximity.found, -1.0
+    for i in range(0, raycast.rays(scene, proximity, channel, level, found), raycast.LENGTH_AND_NORMAL):
         length = found[i]
         if length >= 0 and (length < nearest or nearest < 0):
             nearest = length
     if nearest >= 0:
         # Mostly nothing is near enough; light that cannot pass the threshold is not summed up.
-        gain, reach = near.gain[channel], nearest + near.offset[channel]
-        if gain * near.brightest / (reach * reach) > -level:
-            _look(scene, near, channel, found)
-            level += gain * _reflected(found, near, channel)
-    limit = int(near.limit * range_left)
-    counts = min(round(min(level, float(limit)) / near.quantum) * near.quantum, limit)
-    return max(counts, min(int(near.idle * idle), limit), near.floor)
+        gain, reach = proximity.gain[channel], nearest + proximity.offset[channel]
+        if gain * proximity.brightest / (reach * reach) > -level:
+            _look(scene, proximity, channel, found)
+            level += gain * _reflected(found, proximity, channel)
+    limit = int(proximity.limit * range_left)
+    counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
+    return max(counts, min(int(proximity.idle * idle), limit), proximity.floor)
 
 
-def light(scene: raycast.Scene, eyes: Ambient, bulbs: Bulbs, powers: Sequence[float], channel: int) -> float:
+def light_counts(
+    scene: raycast.Scene, ambient: Ambient, bulbs: Bulbs, powers: Sequence[float], channel: int
+) -> float:
     """Return the light of all lamps at one receiver, below its dark level [counts]."""
     total = 0.0
     if not len(bulbs.places):
         return total
     place, frame = raycast.position(scene, channel), raycast.body_frame(scene)
     x, y, z = place[0], place[1], place[2]
-    ahead, left = eyes.ahead[channel], eyes.left[channel]
+    ahead, left = ambient.ahead[channel], ambient.left[channel]
     axis_x = ahead * frame[0] + left * frame[1]
     axis_y = ahead * frame[3] + left * frame[4]
     axis_z = ahead * frame[6] + left * frame[7]
@@ -202,9 +204,9 @@ def light(scene: raycast.Scene, eyes: Ambient, bulbs: Bulbs, powers: Sequence[fl
             distance = BULB_RADIUS
         cosine = (dx * axis_x + dy * axis_y + dz * axis_z) / distance
         if bulbs.by_toolbox:
-            total += power * received_by_toolbox(eyes, bulbs, channel, distance, cosine)
+            total += power * received_by_toolbox(ambient, bulbs, channel, distance, cosine)
             continue
-        counts = power * received(eyes, channel, distance, cosine)
+        counts = power * received(ambient, channel, distance, cosine)
         if counts <= _NOTHING:
             continue
         if clear(bulbs, lamp, x, y):
@@ -216,21 +218,23 @@ def light(scene: raycast.Scene, eyes: Ambient, bulbs: Bulbs, powers: Sequence[fl
     return total
 
 
-def received(eyes: Ambient, channel: int, distance: float, cosine: float) -> float:
+def received(ambient: Ambient, channel: int, distance: float, cosine: float) -> float:
     """Return the light of a lamp of 1 W in full sight, below the dark level [counts/W].
 
     Args:
-        eyes: Numbers of the receivers.
+        ambient: Numbers of the receivers.
         channel: Number of the sensor.
         distance: Distance from the receiver to the bulb's centre [m].
         cosine: Cosine of the lamp's direction off the receiver's axis.
     """
-    straight = cosine ** eyes.lobe_exponent[channel] if cosine > 0 else 0.0
-    lobe = (1 - eyes.diffuse) * straight + eyes.diffuse * (1 + cosine) / 2
-    return lobe * _falling_off(eyes, channel, distance)
+    straight = cosine ** ambient.lobe_exponent[channel] if cosine > 0 else 0.0
+    lobe = (1 - ambient.diffuse) * straight + ambient.diffuse * (1 + cosine) / 2
+    return lobe * _falling_off(ambient, channel, distance)
 
 
-def received_by_toolbox(eyes: Ambient, bulbs: Bulbs, channel: int, distance: float, cosine: float) -> float:
+def received_by_toolbox(
+    ambient: Ambient, bulbs: Bulbs, channel: int, distance: float, cosine: float
+) -> float:
     """Return the light by the toolbox's law, with distance and angle as on a map [counts/W]."""
     angle_deg = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
     lobe = 1.0
@@ -238,7 +242,7 @@ def received_by_toolbox(eyes: Ambient, bulbs: Bulbs, channel: int, distance: flo
         lobe = 0.0
     elif angle_deg > bulbs.min_angle_deg:
         lobe = math.cos(math.radians(angle_deg * 90 / bulbs.max_angle_deg))
-    return lobe * _falling_off(eyes, channel, distance)
+    return lobe * _falling_off(ambient, channel, distance)
 
 
 def clear(bulbs: Bulbs, lamp: int, x: float, y: float) -> bool:
@@ -304,36 +308,40 @@ def reflected(
     return total
 
 
-def _reflected(found: Sequence[float], near: Proximity, channel: int) -> float:
+def _reflected(found: Sequence[float], proximity: Proximity, channel: int) -> float:
     """Return `reflected` for the rays cast."""
     return reflected(
         found[:: raycast.LENGTH_AND_NORMAL],
-        near.incidences,
-        near.reflectances,
-        near.weights[channel],
-        near.offset[channel],
-        near.incidence_exponent[channel],
+        proximity.incidences,
+        proximity.reflectances,
+        proximity.weights[channel],
+        proximity.offset[channel],
+        proximity.incidence_exponent[channel],
     )
 
 
-def _look(scene: raycast.Scene, near: Proximity, channel: int, found: Sequence[float]) -> None:
+def _look(scene: raycast.Scene, proximity: Proximity, channel: int, found: Sequence[float]) -> None:
     """Fill in the rays' incidences and reflectances."""
     frame = raycast.sensor_frame(scene, channel)
-    aside = near.aside[channel]
+    tangential = proximity.tangential[channel]
     farthest = -1.0
-    for i in range(len(aside)):
+    for i in range(len(tangential)):
         first = raycast.LENGTH_AND_NORMAL * i
         if found[first] > farthest:
             farthest = found[first]
-        if near.uniform and found[first] < 0:
+        if proximity.uniform and found[first] < 0:
             continue  # it is not cast again and adds no light
-        dx, dy, dz = raycast.direction(scene, frame, channel, i, aside[i])
-        near.directions[3 * i], near.directions[3 * i + 1], near.directions[3 * i + 2] = dx, dy, dz
-        near.incidences[i] = -(found[first + 1] * dx + found[first + 2] * dy + found[first + 3] * dz)
-    if not near.uniform:
-        raycast.surfaces(scene, channel, near.directions, farthest + _SLACK, near.reflectances)
+        dx, dy, dz = raycast.direction(scene, frame, channel, i, tangential[i])
+        proximity.directions[3 * i], proximity.directions[3 * i + 1], proximity.directions[3 * i + 2] = (
+            dx,
+            dy,
+            dz,
+        )
+        proximity.incidences[i] = -(found[first + 1] * dx + found[first + 2] * dy + found[first + 3] * dz)
+    if not proximity.uniform:
+        raycast.surfaces(scene, channel, proximity.directions, farthest + _SLACK, proximity.reflectances)
 
 
-def _falling_off(eyes: Ambient, channel: int, distance: float) -> float:
-    reach_mm = max(distance * 1e3 - eyes.offset_mm, _CLOSEST_MM)
-    return eyes.gain_mm2[channel] / (reach_mm * reach_mm)
+def _falling_off(ambient: Ambient, channel: int, distance: float) -> float:
+    reach_mm = max(distance * 1e3 - ambient.offset_mm, _CLOSEST_MM)
+    return ambient.gain_mm2[channel] / (reach_mm * reach_mm)

@@ -126,7 +126,7 @@ def sensor_frame(scene: Scene, channel: int) -> list[float]:
     return scene.frames[channel].tolist()
 
 
-def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: list[float]) -> int:
+def rays(scene: Scene, proximity: "Proximity", channel: int, level: float, found: list[float]) -> int:
     """Fill in length [m], below 0 for a miss, and normal of each ray of a sensor.
 
     The rangefinders have cast them already; compiled code casts them where something may be near enough to
@@ -134,7 +134,7 @@ def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: lis
 
     Args:
         scene: Scene of the robot.
-        near: Numbers of proximity.
+        proximity: Numbers of proximity.
         channel: Number of the sensor.
         level: Reading with nothing in view, before clipping [counts].
         found: Buffer to fill (4 n_rays,).
@@ -147,7 +147,7 @@ def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: lis
 
 
 def direction(
-    scene: Scene, frame: Sequence[float], channel: int, ray: int, aside: float
+    scene: Scene, frame: Sequence[float], channel: int, ray: int, tangential: float
 ) -> tuple[float, float, float]:
     """Return the direction of a ray in the world, computed as MuJoCo does, to the last bit.
 
@@ -156,14 +156,18 @@ def direction(
         frame: Orientation of the sensor (9,).
         channel: Number of the sensor.
         ray: Number of the ray.
-        aside: Tangent of its angle off the sensor's axis.
+        tangential: Tangent of its angle off the sensor's axis.
     """
-    return through(frame, aside)
+    return through(frame, tangential)
 
 
-def through(frame: Sequence[float], aside: float) -> tuple[float, float, float]:
+def through(frame: Sequence[float], tangential: float) -> tuple[float, float, float]:
     """Return the unit vector of a ray at a tangent off the axis of a frame."""
-    x, y, z = frame[0] * aside - frame[2], frame[3] * aside - frame[5], frame[6] * aside - frame[8]
+    x, y, z = (
+        frame[0] * tangential - frame[2],
+        frame[3] * tangential - frame[5],
+        frame[6] * tangential - frame[8],
+    )
     scale = 1 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
@@ -197,9 +201,9 @@ def surfaces(scene: Scene, channel: int, directions: list[float], cutoff: float,
 
 def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: float) -> bool:
     """Return whether light along a vector from a sensor [m] is stopped before a part of it, 0 to 1."""
-    way = np.array((x, y, z))
+    ray_direction = np.array((x, y, z))
     position = scene.positions[channel]
-    hit = mujoco.mj_ray(scene.model, scene.data, position, way, None, True, scene.body, None)
+    hit = mujoco.mj_ray(scene.model, scene.data, position, ray_direction, None, True, scene.body, None)
     return 0 <= hit < glass
 
 
@@ -209,7 +213,7 @@ def blocked(
     disc: int,
     left: tuple[float, float, float],
     up: tuple[float, float, float],
-    way: tuple[float, float, float],
+    ray_direction: tuple[float, float, float],
     cutoff: float,
     glass: float,
 ) -> float:
@@ -221,19 +225,19 @@ def blocked(
         disc: FEW or MANY points.
         left: Vector to the bulb's left edge, as seen from the sensor [m].
         up: Vector to the bulb's upper edge [m].
-        way: Vector from the sensor to the bulb's centre [m].
-        cutoff: Range of the rays, in lengths of `way`.
-        glass: Start of the bulb, in lengths of `way`.
+        ray_direction: Vector from the sensor to the bulb's centre [m].
+        cutoff: Range of the rays, in lengths of `ray_direction`.
+        glass: Start of the bulb, in lengths of `ray_direction`.
     """
     points = scene.discs[disc]
     # Element by element, so that the result is the same to the last bit on any machine.
-    frame = np.array((left, up, way))
-    ways = points.across * frame[0] + points.up * frame[1] + frame[2]
+    frame = np.array((left, up, ray_direction))
+    ray_directions = points.across * frame[0] + points.up * frame[1] + frame[2]
     mujoco.mj_multiRay(
         scene.model,
         scene.data,
         scene.positions[channel],
-        ways.ravel(),
+        ray_directions.ravel(),
         None,
         True,
         scene.body,

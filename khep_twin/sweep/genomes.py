@@ -9,7 +9,7 @@ import numpy as np
 from khep_twin.files.atomic import read_regular
 from khep_twin.files.toml_files import show
 from khep_twin.randomness import stream
-from khep_twin.rollout.minds import Floats
+from khep_twin.rollout.controllers import Floats
 from khep_twin.sweep.study import NetworkTable, StudyFile
 
 
@@ -22,8 +22,8 @@ def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int)
     table = file.study.networks[index] if kind == "network" else file.study.programs[index]
     wanted = table.network().n_genes if isinstance(table, NetworkTable) else None
     if isinstance(table, NetworkTable) and table.drawn is not None:
-        chance = stream(table.drawn_seed, "genomes", table.name)
-        return chance.normal(0.0, table.drawn_sd, (table.drawn, wanted or 0))
+        rng = stream(table.drawn_seed, "genomes", table.name)
+        return rng.normal(0.0, table.drawn_sd, (table.drawn, wanted or 0))
     if table.genomes is None:
         return np.zeros((1, 0))
     place = (kind, index, "genomes")

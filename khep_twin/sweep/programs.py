@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from khep_twin.errors import ControllerError, choices, in_a_line
-from khep_twin.rollout.minds import Driver, Function
+from khep_twin.rollout.controllers import Driver, Function
 from khep_twin.signals import is_interruption
 
 

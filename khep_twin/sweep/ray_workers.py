@@ -19,9 +19,9 @@ from types import ModuleType
 
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.sweep.results import encoded
+from khep_twin.sweep.run_shard import run_shard
+from khep_twin.sweep.shards import Shard, Work, versions
 from khep_twin.sweep.sweep import Executor
-from khep_twin.sweep.task_lives import results
-from khep_twin.sweep.tasks import Shard, Work, versions
 
 MOST_RETRIES = 30
 """Most workers that a task may lose before it counts as their killer (assumed)."""
@@ -156,7 +156,7 @@ def _do(work: Work, task: Shard) -> tuple[bytes, str]:
     if work.versions != versions():
         return b"", f"ray: a worker has {versions()}; expected {work.versions}, as here"
     try:
-        return encoded(work, task, results(work, task)), ""
+        return encoded(work, task, run_shard(work, task)), ""
     except KhepTwinError as error:
         return b"", str(error)
 

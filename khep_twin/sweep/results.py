@@ -27,9 +27,9 @@ import pyarrow.parquet as pq
 from khep_twin import __version__
 from khep_twin.errors import StudyError
 from khep_twin.files.atomic import is_part, open_regular, read_regular, write_whole
+from khep_twin.sweep.run_shard import Columns
+from khep_twin.sweep.shards import Shard, Work
 from khep_twin.sweep.study import COLUMNS
-from khep_twin.sweep.task_lives import Columns
-from khep_twin.sweep.tasks import Shard, Work
 
 _STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
 
@@ -85,7 +85,7 @@ class SweepFolder:
     def missing(self) -> list[Shard]:
         """Return the tasks without complete results."""
         if self.table.exists():
-            if not self._holds(self.table, self._work.lives):
+            if not self._holds(self.table, self._work.n_episodes):
                 raise StudyError(f"{self.table}: damaged; delete it, and use --resume")
             return []
         return [
@@ -132,7 +132,7 @@ class SweepFolder:
         if known is None or not self._has_results():
             told = {
                 "name": work.study.name,
-                "lives": work.lives,
+                "episodes": work.n_episodes,
                 "tasks": len(work.tasks),
                 "khep_twin": __version__,
                 "digest": work.digest,
@@ -159,7 +159,7 @@ class SweepFolder:
     def _part(self, task: Shard) -> Path:
         return self._parts / f"task-{task.index:06}.parquet"
 
-    def _holds(self, file: Path, lives: int, task: bytes | None = None) -> bool:
+    def _holds(self, file: Path, n_episodes: int, task: bytes | None = None) -> bool:
         """Return whether a file is complete, with the episodes of this study."""
         try:
             with open_regular(file) as content:
@@ -168,7 +168,7 @@ class SweepFolder:
             return False
         told = known.metadata or {}
         ours = told.get(_STUDY) == self._work.digest.encode() and told.get(_TASK) == task
-        return ours and known.num_rows == lives
+        return ours and known.num_rows == n_episodes
 
     def _join(self) -> None:
         scratch = self.table.with_name(f".{self.table.name}.part")
@@ -193,7 +193,7 @@ class SweepFolder:
             # read_table would turn folders such as a=1 into columns.
             with pq.ParquetFile(file) as part:
                 table = part.read()
-            whole = table["life"].to_pylist() == list(range(task.first, task.first + task.count))
+            whole = table["episode"].to_pylist() == list(range(task.first, task.first + task.count))
         except (OSError, pa.ArrowException):
             table, whole = pa.table({}), False
         if not whole:

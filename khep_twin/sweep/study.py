@@ -29,18 +29,18 @@ from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable, show
 from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
+from khep_twin.rollout.controllers import Network
+from khep_twin.rollout.episode import METRICS
 from khep_twin.rollout.fitness import TOP_SPEED_PULSES
-from khep_twin.rollout.life import NUMBERS
-from khep_twin.rollout.minds import Network
 
 Fitness = Literal[
     "obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m"
 ]
-"""Metrics of an episode; `life.NUMBERS`."""
+"""Metrics of an episode; `episode.METRICS`."""
 
 COLUMNS = frozenset(
-    "life playpen controller genome seed noise spread lighting start start_x_mm start_y_mm start_heading_deg "
-    "end_x_m end_y_m end_heading_rad failed_step failure".split()
+    "episode playpen controller genome seed noise vary lighting start start_x_mm start_y_mm "
+    "start_heading_deg end_x_m end_y_m end_heading_rad failed_step failure".split()
 )
 """Columns of the results besides the metrics."""
 
@@ -92,7 +92,7 @@ class Grid(TomlTable):
     """Parameters, each with the list of its values."""
 
     noise: Switches = (True,)
-    spread: Switches = (False,)
+    vary: Switches = (False,)
     lighting: Lightings = ("all",)
     starts: Texts = ("playpen",)
 
@@ -125,7 +125,7 @@ class Study(TomlTable):
     step_ms: Annotated[float | None, Field(gt=0, description="2.5, 5 or 10")] = None
     period_ms: Annotated[int, Field(ge=10, le=10**4, multiple_of=10, description="a multiple of 10")] = 20
     fitness: Annotated[
-        tuple[Fitness, ...], Field(min_length=1, description=f"a list of {', '.join(NUMBERS)}")
+        tuple[Fitness, ...], Field(min_length=1, description=f"a list of {', '.join(METRICS)}")
     ] = ("obstacle_avoidance", "distance_m")
     home: Home | None = None
     grid: Grid = Grid()
@@ -163,7 +163,7 @@ class Study(TomlTable):
                         "a unique name",
                     )
                 taken.add(table.name)
-        columns = {*COLUMNS, *NUMBERS}
+        columns = {*COLUMNS, *METRICS}
         for index, table in enumerate(self.measures):
             if table.name in columns:
                 yield Problem.of(

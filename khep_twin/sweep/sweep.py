@@ -13,15 +13,15 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from khep_twin.sweep.results import SweepFolder, encoded
+from khep_twin.sweep.run_shard import run_shard
+from khep_twin.sweep.shards import Shard, Work, work_of
 from khep_twin.sweep.study import StudyFile
-from khep_twin.sweep.task_lives import results
-from khep_twin.sweep.tasks import Shard, Work, work_of
 
 Executor = Callable[[Work, Sequence[Shard]], AbstractContextManager[Iterable[tuple[Shard, bytes]]]]
 """Function that runs tasks, in any order, and yields the results of each as soon as they arrive."""
 
 
-def here(threads: int | None = None) -> Executor:
+def run_locally(threads: int | None = None) -> Executor:
     """Return a function that runs one task after another on this machine's cores.
 
     Args:
@@ -30,7 +30,7 @@ def here(threads: int | None = None) -> Executor:
 
     def done(work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
         for task in tasks:
-            yield task, encoded(work, task, results(work, task, threads))
+            yield task, encoded(work, task, run_shard(work, task, threads))
 
     return lambda work, tasks: nullcontext(done(work, tasks))
 
@@ -40,7 +40,7 @@ def run_sweep(
     *,
     output: Path | None = None,
     resume: bool = False,
-    doers: Executor | None = None,
+    executor: Executor | None = None,
     begin: Callable[[Work, Sequence[Shard]], None] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -50,7 +50,7 @@ def run_sweep(
         file: Study.
         output: Folder of the results; by default the study's.
         resume: Whether to resume with the results in the folder.
-        doers: Workers; by default this process's threads.
+        executor: Workers; by default this process's threads.
         begin: Called with all the work and the tasks to be run.
         progress: Called with the number of finished episodes and the number that were missing at the start.
 
@@ -70,7 +70,7 @@ def run_sweep(
             begin(work, missing)
         if missing:
             total, done = sum(task.count for task in missing), 0
-            with (doers or here())(work, missing) as coming:
+            with (executor or run_locally())(work, missing) as coming:
                 for task, data in coming:
                     folder.keep(task, data)
                     done += task.count

@@ -60,7 +60,7 @@ class ToolboxController(LoopingController):
         """Call the function for one run."""
         function: Callable[..., object] = self.function
         run = _Run(robot, function.__code__, end_cycle, stop)
-        run.heard_by = robot.listen(run.hear)
+        run.heard_by = robot.listen(run.on_reply)
         try:
             with simulator.lent(robot) as btmap1, host.lent(robot, self.port_id) as port_id:
                 if self.unpaced and btmap1 is None:
@@ -106,7 +106,7 @@ class _Run:
             raise _Stopped
         self.counts, self.count = True, int(count)
 
-    def hear(self, request: str, reply: str) -> None:
+    def on_reply(self, request: str, reply: str) -> None:
         """Pass an exchange on; a function that does not count by `compare` ends a cycle with each speed."""
         if self.heard_by is not None:
             self.heard_by(request, reply)

@@ -73,7 +73,7 @@ class SeriesJob:
                     "stopped": stopped,
                     "cycles": run.cycles,
                     "seconds": run.duration,
-                    "numbers": {name: value for name, value in run.numbers.items() if math.isfinite(value)},
+                    "metrics": {name: value for name, value in run.metrics.items() if math.isfinite(value)},
                 }
             )
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from khep_twin.board.protocol import LINE_ENDS
 from khep_twin.ports.connection import Connection
-from khep_twin.ports.host_connection import Cable
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
 
@@ -23,19 +23,19 @@ class OutsideHost:
     Args:
         twin: Twin whose world the robot is in.
         robot: Robot of the line.
-        cable: Cable to the host.
+        port: Cable to the host.
         tell: Callback that takes notices for the user.
 
     Attributes:
         robot: Robot of the line.
-        cable: Cable to the host.
+        port: Cable to the host.
         commands: Number of lines that it has put in between others so far.
     """
 
-    def __init__(self, twin: Twin, robot: Robot, cable: Cable, tell: Callable[[str], None]) -> None:
-        self.robot, self.cable = robot, cable
+    def __init__(self, twin: Twin, robot: Robot, port: HostPort, tell: Callable[[str], None]) -> None:
+        self.robot, self.port = robot, port
         self.commands = 0
-        self._alone = Connection(twin, robot, cable, tell)
+        self._alone = Connection(twin, robot, port, tell)
         self._tell = tell
         self._begun = bytearray()
 
@@ -64,14 +64,14 @@ class OutsideHost:
         if len(uart.rx) or len(uart.tx):
             return
         answered = not any(end in self._begun for end in LINE_ENDS)
-        received = self.cable.receive(max(_LINE_LIMIT - len(self._begun), 0), answered)
+        received = self.port.receive(max(_LINE_LIMIT - len(self._begun), 0), answered)
         for notice in received.notices:
             self._tell(notice)
         if received.left:
             # What the host has sent still reaches the robot; the answers are dropped.
             if last := bytes(self._begun) + received.last:
                 self.robot.send(last)
-            self.robot.hang_up()
+            self.robot.disconnect()
             self._begun.clear()
         self._begun += received.data
         end = min((at for at in map(self._begun.find, map(_byte, LINE_ENDS)) if at >= 0), default=-1)

@@ -76,10 +76,10 @@ class PacedTwin:
         self._shown = self._listened = 0.0
         self._lock = threading.Lock()
 
-    def wish(self, act: Callable[[], None]) -> None:
+    def wish(self, action: Callable[[], None]) -> None:
         """Have the thread of the twin do something between two slices of time; from any thread."""
         with self._lock:
-            self._wishes.append(act)
+            self._wishes.append(action)
 
     def step(self) -> None:
         """Let one step pass while it is paused."""
@@ -192,8 +192,8 @@ class PacedTwin:
     def _fulfil(self) -> None:
         while self._wishes:
             with self._lock:
-                act = self._wishes.popleft()
-            act()
+                action = self._wishes.popleft()
+            action()
 
     def _picture(self) -> None:
         now = time.monotonic()

@@ -31,10 +31,10 @@ from khep_twin.playpen.starts import at_spots
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensing.bars import BARS
 from khep_twin.web import drafts, jobs, requests
-from khep_twin.web.audience import Broadcaster
+from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.printed import taken_by
-from khep_twin.web.stage import RobotActor, TwinActor, WebSession, shape
+from khep_twin.web.session import RobotActor, TwinActor, WebSession, shape
 from khep_twin.web.turret_outlines import at_start
 
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
@@ -52,7 +52,7 @@ class Page:
 
     def __init__(self, documents: Documents, file: str | None) -> None:
         self._documents, self._file = documents, file
-        self._audience = Broadcaster()
+        self._broadcaster = Broadcaster()
         self._actor: WebSession | None = None
         self._changing = threading.Lock()
         self._sensed: SensorRun | None = None
@@ -65,10 +65,10 @@ class Page:
             Route("/static/{name}", _asset, methods=["GET"]),
             Route("/import", self._import, methods=["POST"]),
             *(
-                Route(f"/do/{name}", _endpoint(name, act), methods=["POST"])
-                for name, (_, act) in self.actions.items()
+                Route(f"/do/{name}", _endpoint(name, action), methods=["POST"])
+                for name, (_, action) in self.actions.items()
             ),
-            WebSocketRoute("/live", self._audience.serve),
+            WebSocketRoute("/live", self._broadcaster.serve),
         ]
         return Starlette(routes=routes, exception_handlers={Exception: _failed})
 
@@ -179,7 +179,7 @@ class Page:
             page=asked.tab,
         )
         self._file = name
-        self._audience.tell({"kind": "saved", "file": name, "version": version, "tab": asked.tab})
+        self._broadcaster.tell({"kind": "saved", "file": name, "version": version, "tab": asked.tab})
         return {"file": name, "version": version, "name": draft.get("name")}
 
     def _keep(self, asked: requests.Kept) -> None:
@@ -214,7 +214,7 @@ class Page:
             raise PortError("there is no robot; expected one in the playpen")
         options = TwinOptions(seed=asked.seed, noise=asked.noise)
         path = self._documents.new_path(asked.log, ".mcap") if asked.log else None
-        actor = TwinActor(playpen, options, path, self._audience.tell)
+        actor = TwinActor(playpen, options, path, self._broadcaster.tell)
         actor.set_pace(_speed(asked), asked.paused)
         self._replace(actor)
         self._runs_in = asked.file
@@ -225,7 +225,7 @@ class Page:
         if url not in known and not url.startswith(("/dev/", "socket://", "rfc2217://")):
             wish = "expected a path in /dev, socket://HOST:PORT or rfc2217://HOST:PORT"
             raise PortError(f"{url[:80]}: {wish}; {choices(url, sorted(known))}")
-        self._replace(RobotActor(url, self._audience.tell))
+        self._replace(RobotActor(url, self._broadcaster.tell))
 
     def _replace(self, actor: WebSession) -> None:
         # Two that come at once would both end the last one only.
@@ -291,16 +291,16 @@ _Action = tuple[type[requests.Request], Callable[[bytes, str], object]]
 """A request's class, and the function of its JSON and the action's name."""
 
 
-def _on(kind: type[requests.Asked], act: Callable[[requests.Asked], object]) -> _Action:
-    return kind, lambda body, name: act(requests.request_of(body, kind, name))
+def _on(kind: type[requests.Asked], action: Callable[[requests.Asked], object]) -> _Action:
+    return kind, lambda body, name: action(requests.request_of(body, kind, name))
 
 
-def _endpoint(name: str, act: Callable[[bytes, str], object]) -> Callable[[Request], Awaitable[Response]]:
+def _endpoint(name: str, action: Callable[[bytes, str], object]) -> Callable[[Request], Awaitable[Response]]:
     """Return an endpoint that has JSON and gives JSON."""
 
     async def endpoint(request: Request) -> Response:
         body = await request.body()
-        return await run_in_threadpool(_answered, lambda: act(body, name))
+        return await run_in_threadpool(_answered, lambda: action(body, name))
 
     return endpoint
 
@@ -310,9 +310,9 @@ async def _failed(request: Request, error: Exception) -> Response:
     return _refused(f"the designer failed: {type(error).__name__}: {error}", 500)
 
 
-def _answered(act: Callable[[], object]) -> Response:
+def _answered(action: Callable[[], object]) -> Response:
     try:
-        answer = act()
+        answer = action()
         return answer if isinstance(answer, Response) else JSONResponse({} if answer is None else answer)
     except OutsideError as error:
         return _refused(error.plain, 403)

@@ -85,7 +85,7 @@ def test_a_lower_voltage_drives_slower_at_the_same_duty() -> None:
 def test_below_4_volts_the_processor_stands_still_and_the_motors_do_not() -> None:
     notes = Notes()
     robot, world = connect(battery_used_min=40.96)
-    world.taps.append(notes)
+    world.observers.append(notes)
     with pytest.raises(PortError, match="the motors may still run"), robot:  # noqa: PT012
         robot.set_led(0, 1)
         robot.set_duty(10, -10)
@@ -109,10 +109,10 @@ def test_below_4_volts_the_processor_stands_still_and_the_motors_do_not() -> Non
 def test_a_processor_without_supply_does_not_start_anew_after_a_brown_out_fault() -> None:
     notes = Notes()
     twin = open_twin("default", TwinOptions(battery_used_min=41.2, faults=("brown-out@0.05",)))
-    twin.world.taps.append(notes)
+    twin.world.observers.append(notes)
     with Serial.of(twin, timeout=0.5) as port:
-        twin.robot.firmware.cells[DUTIES[0]] = 20
+        twin.robot.firmware.register_view[DUTIES[0]] = 20
         assert port.read(100) == b""
         assert notes.told[-1] == "fault brown-out@0.05 begins"
         # The motors keep their duty all the same.
-        assert (twin.robot.firmware.powered, twin.robot.firmware.cells[DUTIES[0]]) == (False, 20)
+        assert (twin.robot.firmware.powered, twin.robot.firmware.register_view[DUTIES[0]]) == (False, 20)

@@ -100,7 +100,7 @@ def test_run_demo_starts_it_and_restart_ends_it(firmware: Firmware) -> None:
     firmware.receive(b"restart\n")
     firmware.tick(0, 0)
     assert firmware.registers[SETPOINTS].tolist() == [0, 0]
-    assert firmware.cells[LEFT] == 0
+    assert firmware.register_view[LEFT] == 0
 
 
 def test_mode_7_reports_a_self_test_at_a_reset() -> None:

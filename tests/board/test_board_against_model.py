@@ -169,9 +169,9 @@ class Session(RuleBasedStateMachine):
     def convert(self, counts: list[tuple[int, int]], supply: tuple[int, int]) -> None:
         """Converts some sensors, and the supply."""
         for proximity, ambient in counts:
-            kernel.convert(self.firmware.cells, proximity, ambient)
+            kernel.convert(self.firmware.register_view, proximity, ambient)
             self.model.convert(proximity, ambient)
-        kernel.measure(self.firmware.cells, *supply)
+        kernel.measure(self.firmware.register_view, *supply)
         self.model.supply = supply
 
 

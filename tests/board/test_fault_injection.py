@@ -14,7 +14,7 @@ from khep_twin.errors import FaultError
 def open_with(fault: str, seed: int = 1) -> tuple[Any, Notes]:
     port = serial.serial_for_url(f"khep://default?seed={seed}&fault={fault}", timeout=0.5)
     notes = Notes()
-    port.twin.world.taps.append(notes)
+    port.twin.world.observers.append(notes)
     return port, notes
 
 

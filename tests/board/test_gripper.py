@@ -40,10 +40,10 @@ def test_every_order_gets_its_reply(gripper: GripperElectronics, order: str, rep
     assert gripper.receive(order.encode("latin-1")) == reply.encode() + b"\r\n"
 
 
-@pytest.mark.parametrize(("sent", "place"), [(0, 152), (151, 152), (200, 200), (256, 255), (99999, 255)])
-def test_the_arm_goes_no_further_than_its_ends(gripper: GripperElectronics, sent: int, place: int) -> None:
+@pytest.mark.parametrize(("sent", "position"), [(0, 152), (151, 152), (200, 200), (256, 255), (99999, 255)])
+def test_the_arm_goes_no_further_than_its_ends(gripper: GripperElectronics, sent: int, position: int) -> None:
     gripper.receive(b"E,%d" % sent)
-    assert gripper.registers[Register.ARM_TARGET] == place
+    assert gripper.registers[Register.ARM_TARGET] == position
 
 
 def test_arm_and_fingers_run_at_their_speed_and_stop_where_they_are_sent(gripper: GripperElectronics) -> None:
@@ -61,7 +61,7 @@ def test_a_reset_stops_both_where_they_are(gripper: GripperElectronics) -> None:
     gripper.receive(b"E,255")
     for _ in range(20):
         gripper.tick()
-    gripper.registers[[Register.ARM_PLACE, Register.FINGER_PLACE]] = 170, 90
+    gripper.registers[[Register.ARM_POSITION, Register.FINGER_POSITION]] = 170, 90
     gripper.reset()
     gripper.tick()
     assert gripper.registers[[Register.ARM_SETPOINT, Register.FINGER_SETPOINT]].tolist() == [

@@ -78,14 +78,14 @@ def test_it_starts_with_the_arm_up_and_the_fingers_open(pair: tuple[Khepera, Wor
     assert (gripper.arm(), gripper.fingers(), gripper.barrier()) == (152, 200, 0)
 
 
-@pytest.mark.parametrize("place", [152, 180, 220, 255])
-def test_the_arm_goes_to_the_elevation_of_its_place(pair: tuple[Khepera, World], place: int) -> None:
+@pytest.mark.parametrize("position", [152, 180, 220, 255])
+def test_the_arm_goes_to_the_elevation_of_its_place(pair: tuple[Khepera, World], position: int) -> None:
     robot, world = pair
-    Gripper(robot).move_arm(place)
+    Gripper(robot).move_arm(position)
     robot.sleep(2)
     elevation_deg = math.degrees(world.data.joint("khepera0/gripper/shoulder").qpos[0])
-    assert elevation_deg == pytest.approx(190 - 200 * place / 255, abs=0.8)
-    assert Gripper(robot).arm() == pytest.approx(place, abs=1)
+    assert elevation_deg == pytest.approx(190 - 200 * position / 255, abs=0.8)
+    assert Gripper(robot).arm() == pytest.approx(position, abs=1)
 
 
 def test_the_arm_comes_down_within_a_second_and_bumps_into_nothing(pair: tuple[Khepera, World]) -> None:
@@ -105,8 +105,8 @@ def test_the_fingers_stop_at_what_they_grip(radius_mm: float) -> None:
     with robot:
         gripper = grip(robot)
         # Half the gap is the radius, less half a millimetre that rubber and motor give.
-        place = (radius_mm / 1000 - GAP_CLOSED) / (GAP_OPEN - GAP_CLOSED) * 200
-        assert gripper.fingers() == pytest.approx(place, abs=4)
+        position = (radius_mm / 1000 - GAP_CLOSED) / (GAP_OPEN - GAP_CLOSED) * 200
+        assert gripper.fingers() == pytest.approx(position, abs=4)
 
 
 def test_with_nothing_between_them_the_fingers_close_and_the_barrier_stays_free() -> None:
@@ -147,11 +147,11 @@ def test_what_is_gripped_stays_gripped_for_a_minute(pair: tuple[Khepera, World])
     gripper = grip(robot)
     gripper.lift()
     gripper.wait()
-    (place, axis), height = cylinder(world), 0.06
-    assert place[2] > height
+    (position, axis), height = cylinder(world), 0.06
+    assert position[2] > height
     robot.sleep(60)
     later, later_axis = cylinder(world)
-    assert np.linalg.norm(later - place) < 0.0005
+    assert np.linalg.norm(later - position) < 0.0005
     assert math.degrees(math.acos(min(1.0, float(axis @ later_axis)))) < 1
 
 
@@ -164,9 +164,9 @@ def test_jolts_do_not_shake_it_out(pair: tuple[Khepera, World]) -> None:
         robot.set_speed(*speeds)
         robot.sleep(0.6)
     x, y, _ = world.robots[0].pose
-    place = cylinder(world)[0]
-    assert math.hypot(place[0] - x, place[1] - y) < 0.03
-    assert place[2] > 0.06
+    position = cylinder(world)[0]
+    assert math.hypot(position[0] - x, position[1] - y) < 0.03
+    assert position[2] > 0.06
     assert gripper.barrier() == 255
 
 
@@ -179,8 +179,8 @@ def test_opened_fingers_let_it_fall_down_and_stand(pair: tuple[Khepera, World]) 
     gripper.wait()
     gripper.open()
     robot.sleep(2)
-    place, axis = cylinder(world)
-    assert place[2] == pytest.approx(0.02, abs=0.0005)
+    position, axis = cylinder(world)
+    assert position[2] == pytest.approx(0.02, abs=0.0005)
     assert axis[2] > 0.999
     assert (gripper.barrier(), gripper.resistivity()) == (255, 255)
 

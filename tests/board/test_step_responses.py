@@ -33,7 +33,7 @@ def response(command: str, register: Wheel, ticks: int) -> np.ndarray:
 def rows(letter: str) -> dict[int, list[int]]:
     """Rows of the table about a command: its argument, then numbers."""
     found = re.findall(rf"^\| `{letter},(\d+),\d+` \|(.*)\|$", TABLE, re.MULTILINE)
-    return {int(step): [int(cell) for cell in cells.split("|")] for step, cells in found}
+    return {int(step): [int(cell) for cell in register_view.split("|")] for step, register_view in found}
 
 
 def settled(values: np.ndarray, goal: int, band: float) -> int:

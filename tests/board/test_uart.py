@@ -52,7 +52,7 @@ def test_what_is_taken_back_frees_the_line() -> None:
     line = SerialLine(9600)
     line.put(b"abc", 0)
     now_ns = line.arrival(1) or 0
-    line.take_back(now_ns)
+    line.flush(now_ns)
     assert line.put(b"d", now_ns) == now_ns + 11_000_000_000 // 9600
     assert line.read(10**9) == b"ad"
 

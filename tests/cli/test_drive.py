@@ -247,8 +247,8 @@ def test_a_drive_on_a_twin_in_this_process_takes_its_time_and_is_logged(tmp_path
     track = read(log).robots["khepera0"]
     window.late.excuse(MOST_LATE)
     # One press at 40 mm/s, for as long on the robot's clock as on the wall's.
-    way = abs(track.pose[-1, :2] - track.pose[0, :2]).sum()
-    assert 0.5 * FIRST_HOLD * 0.04 < way < 4 * FIRST_HOLD * 0.04
+    direction = abs(track.pose[-1, :2] - track.pose[0, :2]).sum()
+    assert 0.5 * FIRST_HOLD * 0.04 < direction < 4 * FIRST_HOLD * 0.04
 
 
 def test_without_a_terminal_it_says_so(fake: FakeRobot) -> None:

@@ -216,7 +216,7 @@ def test_a_refused_series_leaves_an_earlier_log_alone(tmp_path: Path) -> None:
 def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         PLAIN + "\nseen = []\n\ndef after(run):\n"
-        "    seen.append(run.numbers['fitness'])\n"
+        "    seen.append(run.metrics['fitness'])\n"
         "    print('after', run.number, run.cycles, len(seen), run.variables['near'])\n"
     )
     words = ("run", "mine.py", "--on-run-end", "mine.py", "--cycles", "3", "--noise", "off", "--save", "s")

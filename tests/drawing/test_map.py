@@ -112,11 +112,11 @@ def boxes(figure: Figure) -> list[Bbox]:
 
 def test_labels_do_not_overlap_where_ways_end_together() -> None:
     time_s = np.linspace(0, 1, 5)
-    ways = [
+    paths = [
         DrawnPath(f"starts-{k:03d}", time_s, np.stack((200 + 3 * k * time_s, 100 + time_s), axis=1))
         for k in range(6)
     ]
-    found = boxes(draw(SCENE, ways))
+    found = boxes(draw(SCENE, paths))
     assert len(found) == 9  # two robots, a lamp and six ends
     for index, box in enumerate(found):
         assert not any(box.overlaps(other) for other in found[:index])
@@ -194,8 +194,8 @@ def test_the_axes_end_at_the_walls() -> None:
 
 def test_all_tracks_share_one_scale_of_time() -> None:
     figure = draw(SCENE, [track(), track(start_s=5)])
-    ways = [item for item in figure.axes[0].collections if isinstance(item, LineCollection)]
-    assert [(way.norm.vmin, way.norm.vmax) for way in ways] == [(0, 15), (0, 15)]
+    paths = [item for item in figure.axes[0].collections if isinstance(item, LineCollection)]
+    assert [(way.norm.vmin, way.norm.vmax) for way in paths] == [(0, 15), (0, 15)]
     assert {"time [s]", "start", "end"} <= texts(figure)
 
 

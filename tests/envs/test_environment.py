@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from khep_twin.envs.renderer import MapWarning, Renderer
+from khep_twin.envs.task_episode import TaskEpisode, TaskSetup, clipped
 from khep_twin.envs.tasks import TASKS
-from khep_twin.envs.trial import TaskEpisode, TaskSetup, cut
-from khep_twin.envs.view import MapWarning, Renderer
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.playpen import Spot
 from khep_twin.playpen import load as load_playpen
-from khep_twin.rollout import pair
+from khep_twin.rollout import version_check
 
 SHORT = {"seconds": 0.5, "compiled": False}
 
@@ -80,11 +80,11 @@ def test_the_physics_names_what_it_has() -> None:
     environment = dm("LightSeeking", seed=4)
     environment.reset()
     environment.step([5.0, 9.0])
-    physics, trial = environment.physics, environment.physics.trial
+    physics, episode = environment.physics, environment.physics.episode
     environment.step([5.0, 9.0])
     assert physics.setpoints().tolist() == [5, 9]
     assert physics.proximity().shape == physics.ambient().shape == (8,)
-    assert tuple(physics.pose()) == trial.poses[0]
+    assert tuple(physics.pose()) == episode.poses[0]
     # MuJoCo's bodies are where they were at the start of the last step of 2.5 ms.
     assert physics.named.data.xpos["khepera0/base"][:2] == pytest.approx(physics.pose()[:2], abs=3e-4)
     with pytest.raises(TypeError, match="same seed"):
@@ -105,7 +105,7 @@ def test_the_physics_follows_a_world_that_is_made_anew_each_time() -> None:
 def test_another_pair_of_versions_is_refused_at_import(monkeypatch: pytest.MonkeyPatch) -> None:
     dm("Homing")  # so that only our own module is imported anew
     monkeypatch.delitem(sys.modules, "khep_twin.envs.dm_env")
-    monkeypatch.setattr(pair.metadata, "version", {"mujoco": "4.0.0", "dm-control": "1.0.50"}.get)
+    monkeypatch.setattr(version_check.metadata, "version", {"mujoco": "4.0.0", "dm-control": "1.0.50"}.get)
     with pytest.raises(KhepTwinError, match=r"mujoco 4\.0\.0 and dm-control 1\.0\.50 are not known to"):
         importlib.import_module("khep_twin.envs.dm_env")
 
@@ -113,16 +113,16 @@ def test_another_pair_of_versions_is_refused_at_import(monkeypatch: pytest.Monke
 def test_without_dm_control_the_import_is_one_line_that_tells_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    installed = pair.metadata.version
+    installed = version_check.metadata.version
 
     def version(name: str) -> str:
         if name == "dm-control":
-            raise pair.metadata.PackageNotFoundError(name)
+            raise version_check.metadata.PackageNotFoundError(name)
         return installed(name)
 
     dm("Homing")  # so that only our own module is imported anew
     monkeypatch.delitem(sys.modules, "khep_twin.envs.dm_env")
-    monkeypatch.setattr(pair.metadata, "version", version)
+    monkeypatch.setattr(version_check.metadata, "version", version)
     with pytest.raises(KhepTwinError, match=r"^dm-control is not installed; .* --no-deps .*==1\.0\.50$"):
         importlib.import_module("khep_twin.envs.dm_env")
 
@@ -156,9 +156,9 @@ def test_gymnasium_finds_nothing_wrong(task: str) -> None:
 
 def test_gymnasium_is_the_same_again_by_its_seed() -> None:
     def way(seed: int) -> list[bytes]:
-        environment, seen = gym("LoopingMaze", noise=True, spread=True), []
-        for trial in range(2):
-            seen.append(environment.reset(seed=seed if not trial else None)[0].tobytes())
+        environment, seen = gym("LoopingMaze", noise=True, vary=True), []
+        for episode in range(2):
+            seen.append(environment.reset(seed=seed if not episode else None)[0].tobytes())
             seen += [environment.step(action)[0].tobytes() for action in actions(10)]
         return seen
 
@@ -286,7 +286,7 @@ def test_a_trial_lasts_whole_control_periods(seconds: float) -> None:
 @pytest.mark.parametrize("action", [[1.0], [1.0, 2.0, 3.0], 5.0, "ab", None])
 def test_an_action_that_is_not_two_speeds_is_told_in_a_line(action: Any) -> None:
     with pytest.raises(ValueError, match=r"action .*; expected two speeds, left and right, from -20 to 20"):
-        cut(action)
+        clipped(action)
 
 
 def test_as_many_actions_as_environments_are_wanted() -> None:
@@ -303,13 +303,13 @@ def test_as_many_actions_as_environments_are_wanted() -> None:
 
 def test_a_map_shows_where_the_robot_is_and_looking_changes_nothing() -> None:
     trials = [TaskEpisode(TaskSetup("LoopingMaze", **SHORT)) for _ in range(2)]
-    painter = Renderer(trials[0].course.playpen, "map")
-    for trial in trials:
-        trial.begin(1)
+    painter = Renderer(trials[0].setup.playpen, "map")
+    for episode in trials:
+        episode.begin(1)
     pictures = []
     for _ in range(5):
         pictures.append(painter.picture(trials[0].data, trials[0].poses))
-        looked, not_looked = (trial.step([(20, 15)])[0].observation for trial in trials)
+        looked, not_looked = (episode.step([(20, 15)])[0].observation for episode in trials)
         assert (looked == not_looked).all()
     assert all(picture.dtype == np.uint8 and picture.shape == pictures[0].shape for picture in pictures)
     assert (pictures[0] != pictures[-1]).any()
@@ -322,17 +322,17 @@ def test_without_gl_auto_is_a_map_with_a_warning_and_a_scene_is_refused(
         raise RuntimeError("no library.")
 
     monkeypatch.setattr("mujoco.Renderer", without)
-    trial = TaskEpisode(TaskSetup("LoopingMaze", **SHORT))
-    trial.begin(0)
-    painter = Renderer(trial.course.playpen, "auto")
+    episode = TaskEpisode(TaskSetup("LoopingMaze", **SHORT))
+    episode.begin(0)
+    painter = Renderer(episode.setup.playpen, "auto")
     with pytest.warns(MapWarning, match=r"cannot render here \(no library\); expected MUJOCO_GL"):
-        drawn = painter.picture(trial.data, trial.poses)
+        drawn = painter.picture(episode.data, episode.poses)
     assert painter.view == "map"
-    assert (painter.picture(trial.data, trial.poses) == drawn).all()
+    assert (painter.picture(episode.data, episode.poses) == drawn).all()
     with pytest.raises(KhepTwinError, match="MuJoCo cannot render here"):
-        Renderer(trial.course.playpen, "scene").picture(trial.data, trial.poses)
+        Renderer(episode.setup.playpen, "scene").picture(episode.data, episode.poses)
     with pytest.raises(KhepTwinError, match="choices: auto, scene, map"):
-        Renderer(trial.course.playpen, "film")  # type: ignore[arg-type]
+        Renderer(episode.setup.playpen, "film")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("package", "module"), [("gymnasium", "gymnasium"), ("pettingzoo", "pettingzoo")])

@@ -7,102 +7,104 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
+from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
 from khep_twin.envs.tasks import TASKS, State, Task, avoiding, avoiding_either_way
-from khep_twin.envs.trial import TaskEpisode, TaskSetup
 from khep_twin.errors import DivergedError, KhepTwinError, PlaypenError
 from khep_twin.playpen.starts import anywhere
-from khep_twin.rollout import pair
-from khep_twin.rollout.stages import several
+from khep_twin.rollout import version_check
+from khep_twin.rollout.backends import with_robots
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 SHORT = {"seconds": 0.5, "compiled": False}
 
 
-def driven(trial: TaskEpisode, seed: int, speeds: tuple[float, float] = (12, 7)) -> list[tuple[bytes, float]]:
+def driven(
+    episode: TaskEpisode, seed: int, speeds: tuple[float, float] = (12, 7)
+) -> list[tuple[bytes, float]]:
     """A trial from its start to its end: what was seen and gained in each step."""
-    seen = [(trial.begin(seed)[0].tobytes(), 0.0)]
-    while not trial.over:
-        (outcome,) = trial.step([speeds])
+    seen = [(episode.begin(seed)[0].tobytes(), 0.0)]
+    while not episode.over:
+        (outcome,) = episode.step([speeds])
         seen.append((outcome.observation.tobytes(), outcome.reward))
     return seen
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_what_is_seen_lies_within_its_bounds_and_has_a_label_for_each_number(name: str) -> None:
-    course = TaskSetup(name, **SHORT)
-    low, high = course.task.bounds
-    trial = TaskEpisode(course)
-    seen = trial.begin(3)
+    setup = TaskSetup(name, **SHORT)
+    low, high = setup.task.bounds
+    episode = TaskEpisode(setup)
+    seen = episode.begin(3)
     for speeds in ((20, 20), (-127, 127), (127, -127)):
-        outcome = trial.step([speeds])[0]
+        outcome = episode.step([speeds])[0]
         assert 0 <= outcome.reward <= 1
         seen.append(outcome.observation)
     for row in seen:
         assert row.dtype == np.float32
-        assert len(row) == len(course.task.labels) == len(low)
+        assert len(row) == len(setup.task.labels) == len(low)
         assert (low <= row).all()
         assert (row <= high).all()
 
 
 def test_a_trial_depends_on_its_seed_and_actions_and_not_on_what_was_before() -> None:
-    course = TaskSetup("Homing", **SHORT)
-    trial = TaskEpisode(course)
-    first = driven(trial, 5)
-    other = driven(trial, 6)
+    setup = TaskSetup("Homing", **SHORT)
+    episode = TaskEpisode(setup)
+    first = driven(episode, 5)
+    other = driven(episode, 6)
     assert other != first
-    assert driven(trial, 5) == first
-    assert driven(TaskEpisode(course), 5) == first
+    assert driven(episode, 5) == first
+    assert driven(TaskEpisode(setup), 5) == first
 
 
 def test_a_trial_in_a_life_is_the_same_as_in_a_world() -> None:
     alone = TaskSetup("LoopingMaze", **SHORT)
     world = TaskSetup("LoopingMaze", **SHORT)
-    world._ground = None
+    world._setup = None
     assert driven(TaskEpisode(alone), 2) == driven(TaskEpisode(world), 2)
 
 
 @pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
 def test_a_compiled_trial_is_the_same_as_a_plain_one() -> None:
-    plain = TaskSetup("LightSeeking", seconds=0.5, compiled=False, spread=True)
-    compiled = TaskSetup("LightSeeking", seconds=0.5, compiled=True, spread=True)
+    plain = TaskSetup("LightSeeking", seconds=0.5, compiled=False, vary=True)
+    compiled = TaskSetup("LightSeeking", seconds=0.5, compiled=True, vary=True)
     assert driven(TaskEpisode(plain), 8) == driven(TaskEpisode(compiled), 8)
 
 
 def test_spread_gives_each_trial_another_robot() -> None:
     options = {**SHORT, "noise": False}
     same = TaskEpisode(TaskSetup("LightSeeking", **options))
-    spread = TaskEpisode(TaskSetup("LightSeeking", spread=True, **options))
-    assert driven(spread, 1) != driven(same, 1)
-    assert driven(spread, 1) == driven(spread, 1)
+    vary = TaskEpisode(TaskSetup("LightSeeking", vary=True, **options))
+    assert driven(vary, 1) != driven(same, 1)
+    assert driven(vary, 1) == driven(vary, 1)
 
 
 def test_starts_anywhere_differ_by_seed_and_have_room() -> None:
-    trial = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
+    episode = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
     places = set()
     for seed in range(5):
-        trial.begin(seed)
-        places.add(trial.poses[0])
+        episode.begin(seed)
+        places.add(episode.poses[0])
     assert len(places) == 5
 
 
 def test_robots_that_start_anywhere_do_not_overlap() -> None:
-    scene = anywhere(several(playpen.load("default"), 6), 1)
+    scene = anywhere(with_robots(playpen.load("default"), 6), 1)
     assert playpen.parse(playpen.dump(scene), "scene") == scene  # which refuses overlaps
 
 
 def test_where_there_is_no_room_for_all_an_error_says_so() -> None:
-    crowd = several(playpen.load("default"), 200)
+    crowd = with_robots(playpen.load("default"), 200)
     with pytest.raises(PlaypenError, match=r"no room for robot \d+ was found in 1000 tries"):
         anywhere(crowd, 0)
 
 
 def test_a_charge_runs_out_away_from_home_and_is_full_again_there() -> None:
     task = dataclasses.replace(TASKS["Homing"], charge_s=0.2)
-    trial = TaskEpisode(TaskSetup(task, **SHORT))
-    trial.begin(0)
+    episode = TaskEpisode(TaskSetup(task, **SHORT))
+    episode.begin(0)
     charges, ends = [], []
     for _ in range(4):
-        (outcome,) = trial.step([(0, 0)])
+        (outcome,) = episode.step([(0, 0)])
         charges.append(float(outcome.observation[-1]))
         ends.append(outcome.ended)
     assert charges == pytest.approx([0.75, 0.5, 0.25, 0])
@@ -119,41 +121,41 @@ def test_only_beside_the_cylinder_is_there_a_reward() -> None:
     for y_mm, reward in ((230.0 - 60, 1.0), (230.0 - 80, 0.0)):
         place = {"x_mm": 250.0, "y_mm": y_mm, "heading_deg": 0.0, "spots": ()}
         robots = (scene.robots[0].model_copy(update=place),)
-        trial = TaskEpisode(
+        episode = TaskEpisode(
             TaskSetup("WallOrCylinder", playpen=scene.model_copy(update={"robots": robots}), **SHORT)
         )
-        trial.begin(0)
-        assert trial.step([(0, 0)])[0].reward == reward
+        episode.begin(0)
+        assert episode.step([(0, 0)])[0].reward == reward
 
 
 def test_avoiding_is_rewarded_by_what_the_wheels_did() -> None:
-    def moment(left: float, right: float, count: int) -> State:
+    def state(left: float, right: float, count: int) -> State:
         return State([count] * 100, left, right, 500, 50, False, 1)
 
-    assert avoiding(moment(20, 20, 0)) == 1
-    assert avoiding(moment(10, 10, 0)) == 0.5
-    assert avoiding(moment(20, -20, 0)) == 0
-    assert avoiding(moment(-20, -20, 0)) == 0
-    assert avoiding_either_way(moment(-20, -20, 0)) == 1
-    assert avoiding(moment(20, 20, 1023)) == 0
+    assert avoiding(state(20, 20, 0)) == 1
+    assert avoiding(state(10, 10, 0)) == 0.5
+    assert avoiding(state(20, -20, 0)) == 0
+    assert avoiding(state(-20, -20, 0)) == 0
+    assert avoiding_either_way(state(-20, -20, 0)) == 1
+    assert avoiding(state(20, 20, 1023)) == 0
 
 
 def test_speeds_that_are_no_numbers_end_the_trial_and_the_next_one_begins() -> None:
-    trial = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
-    before = driven(trial, 1)
-    trial.begin(1)
+    episode = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
+    before = driven(episode, 1)
+    episode.begin(1)
     with pytest.raises(DivergedError, match="no number"):
-        trial.step([(float("nan"), 0)])
-    assert driven(trial, 1) == before
+        episode.step([(float("nan"), 0)])
+    assert driven(episode, 1) == before
 
 
 def test_a_trial_that_is_over_or_not_begun_takes_no_step() -> None:
-    trial = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
+    episode = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
     with pytest.raises(ValueError, match="begin another"):
-        trial.step([(0, 0)])
-    driven(trial, 0)
+        episode.step([(0, 0)])
+    driven(episode, 0)
     with pytest.raises(ValueError, match="begin another"):
-        trial.step([(0, 0)])
+        episode.step([(0, 0)])
 
 
 def test_wrong_words_are_told_with_what_would_be_right() -> None:
@@ -170,6 +172,8 @@ def test_wrong_words_are_told_with_what_would_be_right() -> None:
 
 
 def test_only_the_known_pair_of_mujoco_and_dm_control_is_taken() -> None:
-    assert pair.problem("3.17.0", "1.0.50") == pair.problem("3.17.3", "1.0.50") == ""
+    assert version_check.problem("3.17.0", "1.0.50") == version_check.problem("3.17.3", "1.0.50") == ""
     for mujoco, dm_control in (("4.0.0", "1.0.50"), ("3.17.0", "1.0.49"), ("3.1.7", "1.0.50")):
-        assert pair.problem(mujoco, dm_control).endswith(" --no-deps 'mujoco~=3.17.0' dm-control==1.0.50")
+        assert version_check.problem(mujoco, dm_control).endswith(
+            " --no-deps 'mujoco~=3.17.0' dm-control==1.0.50"
+        )

@@ -24,7 +24,7 @@ from khep_twin.playpen import bitmap_files
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
 from khep_twin.sweep import study
-from khep_twin.sweep.tasks import work_of
+from khep_twin.sweep.shards import work_of
 
 LONG = 60.0
 """How long anything may take on a busy machine [s]."""

@@ -21,5 +21,5 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
         drive(twin)
-        twin.world.tell(0, "taken away")
+        twin.world.log_event(0, "taken away")
     return path

@@ -19,14 +19,14 @@ DAY = 172_800
 
 
 def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
-    buffer, chance = Buffer(), np.random.default_rng(1)
+    buffer, rng = Buffer(), np.random.default_rng(1)
     writer = BatchWriter(buffer, "ros2", "a library")
     channels = [writer.channel(f"/{number}", "type", "int8 x") for number in range(5)]
     for chunk in range(1100):
         for channel in channels:
-            for number in range(chance.integers(0, 3)):
+            for number in range(rng.integers(0, 3)):
                 time_ns = int(chunk * 10**9 + number + channel)
-                writer.add(channel, time_ns, chance.bytes(int(chance.integers(0, 40))))
+                writer.add(channel, time_ns, rng.bytes(int(rng.integers(0, 40))))
         writer.flush()
     writer.finish()
     summary = make_reader(BytesIO(buffer.data)).get_summary()
@@ -63,9 +63,9 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
 
 
 def test_a_day_of_chunks_takes_little_memory() -> None:
-    chance, share = np.random.default_rng(1), DAY // 10
-    lengths = chance.integers(9000, 12000, share).tolist()
-    times_ns = (chance.integers(0, 3, share) * 20_000_000).tolist()
+    rng, share = np.random.default_rng(1), DAY // 10
+    lengths = rng.integers(9000, 12000, share).tolist()
+    times_ns = (rng.integers(0, 3, share) * 20_000_000).tolist()
     index, place = ChunkIndex(), 0
     tracemalloc.start()
     try:

@@ -204,7 +204,7 @@ def fill(twin: Twin) -> None:
 def test_a_full_device_under_the_log_takes_nothing_of_what_is_there(tmp_path: Path, start: Start) -> None:
     twin = start(tmp_path / "run.mcap")
     drive(twin)
-    twin.world.tell(None, "still good")
+    twin.world.log_event(None, "still good")
     fill(twin)
     with pytest.raises(LogError, match="No space left on device"):
         twin.advance_to(20 * SECOND)
@@ -219,7 +219,7 @@ def test_a_log_that_fails_is_told_once_and_the_run_is_the_same_without_it(
     twin.record(tmp_path / "run.mcap", carry_on=told.append)
     fill(twin)
     drive(twin, 6)
-    twin.world.tell(None, "after")
+    twin.world.log_event(None, "after")
     twin.close()
     twin.close()
     (line,) = told
@@ -238,15 +238,15 @@ def test_a_relay_is_told_once_too_and_no_other_file_gets_its_bytes(tmp_path: Pat
     size = (tmp_path / "run.mcap.part").stat().st_size
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
-        recorder.wire(True, b"N\n")
+        recorder.on_bytes(True, b"N\n")
         recorder.flush()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     other = tmp_path / "other.txt"
     with other.open("wb") as file:
         file.flush()
-        recorder.wire(False, b"n,1,2,3,4,5,6,7,8\r\n")
-        recorder.event("too late")
+        recorder.on_bytes(False, b"n,1,2,3,4,5,6,7,8\r\n")
+        recorder.on_event("too late")
         recorder.flush()
         recorder.close()
     assert len(told) == 1

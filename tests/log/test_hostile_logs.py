@@ -14,13 +14,13 @@ from log_rewriting import rewritten
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
 from khep_twin.lab.experiment.repeat import read_recorded, repeat
-from khep_twin.lab.experiment.replay_to_port import resend
+from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.lab.report.report import report
 from khep_twin.log.attached import shapes_of
 from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, TextLine, line_message
 from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
 from khep_twin.log.viewer.replay import view
-from khep_twin.log.wire import acts_message
+from khep_twin.log.wire import events_message
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 TIME_NS = 1_000_000_000
@@ -112,7 +112,7 @@ def test_messages_of_a_wrong_shape_are_refused_with_their_place(
     use = again if topic in ("/khepera0/wire", "/state") else read
     if topic == "/events":
         with open_twin("obstacles", TwinOptions(log=str(tmp_path / "event.mcap"))) as twin:
-            twin.world.tell(0, "taken away")
+            twin.world.log_event(0, "taken away")
         path = rewritten(tmp_path / "event.mcap", path, instead(topic, MESSAGES[topic]))
     line = told(use, path)
     assert line.startswith(f"{path}: {topic} at 0.0"), line
@@ -207,7 +207,7 @@ def test_attached_files_that_cannot_be_are_one_line(
     ],
 )
 def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: bytes) -> None:
-    message = acts_message([(0, HostEvent(HostEventKind.RELIGHT, 0, None, data))])
+    message = events_message([(0, HostEvent(HostEventKind.RELIGHT, 0, None, data))])
     told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
 
 
@@ -217,31 +217,31 @@ def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: by
 def test_places_that_cannot_be_are_one_line(
     small: Path, tmp_path: Path, place: tuple[float, float, float]
 ) -> None:
-    message = acts_message([(0, HostEvent(HostEventKind.PUT, 0, None, struct.pack("<3d", *place)))])
+    message = events_message([(0, HostEvent(HostEventKind.PUT, 0, None, struct.pack("<3d", *place)))])
     told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
 
 
 def test_a_lamp_that_there_is_not_is_one_line(small: Path, tmp_path: Path) -> None:
-    message = acts_message([(0, HostEvent(HostEventKind.SWITCH, 0, None, struct.pack("<i?", -7, True)))])
+    message = events_message([(0, HostEvent(HostEventKind.SWITCH, 0, None, struct.pack("<i?", -7, True)))])
     told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
 
 
 def test_a_robot_s_speed_that_is_no_number_is_one_line(small: Path, tmp_path: Path) -> None:
-    message = acts_message([(0, HostEvent(HostEventKind.SEND, 0, None, b"B\n"))])
+    message = events_message([(0, HostEvent(HostEventKind.SEND, 0, None, b"B\n"))])
     facts = {"baud": "9" * 5000}
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message), facts=facts)
-    line = told(lambda path: resend(read_recorded(path), "khep://obstacles"), path)
+    line = told(lambda path: replay_to_port(read_recorded(path), "khep://obstacles"), path)
     assert "baud = 9999" in line
 
 
 def test_a_host_that_set_its_line_is_still_believed(small: Path, tmp_path: Path) -> None:
-    acts = [
+    events = [
         (0, HostEvent(HostEventKind.SET, 0, LineSettings(3_000_000, 2))),
         (5, HostEvent(HostEventKind.SET, 0, LineSettings(0, 1))),
-        (5, HostEvent(HostEventKind.HANG_UP, 0)),
+        (5, HostEvent(HostEventKind.DISCONNECT, 0)),
     ]
-    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", acts_message(acts)))
-    assert [(time_ns, act) for time_ns, _, act in read_recorded(path).acts] == acts
+    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", events_message(events)))
+    assert [(time_ns, event) for time_ns, _, event in read_recorded(path).events] == events
 
 
 def test_times_beyond_all_bounds_are_one_line(small: Path, tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def test_the_same_run_gives_the_same_bytes_under_any_name(tmp_path: Path, start:
     for path in paths:
         with start(path) as twin:
             drive(twin)
-            twin.world.tell(None, "the end")
+            twin.world.log_event(None, "the end")
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
@@ -139,8 +139,8 @@ def test_lines_are_whole_however_their_bytes_arrive(tmp_path: Path, start: Start
     with start(tmp_path / "run.mcap") as twin:
         assert twin.recorder is not None
         for time_ns, data in ((1, b"D,"), (2, b"5,"), (3, b"5\r"), (4, b"\nN\nO"), (5, b"\n\n")):
-            twin.recorder.wire(time_ns, 0, True, data)
-        twin.recorder.wire(6, 0, True, b"E")
+            twin.recorder.on_bytes(time_ns, 0, True, data)
+        twin.recorder.on_bytes(6, 0, True, b"E")
     lines = read(tmp_path / "run.mcap").robots["khepera0"].serial
     assert [(line.time_ns, line.text) for line in lines] == [(0, "E"), (3, "D,5,5"), (4, "N"), (5, "O")]
 
@@ -148,8 +148,8 @@ def test_lines_are_whole_however_their_bytes_arrive(tmp_path: Path, start: Start
 def test_noise_on_the_line_is_written_as_escapes(tmp_path: Path, start: Start) -> None:
     with start(tmp_path / "run.mcap") as twin:
         assert twin.recorder is not None
-        twin.recorder.wire(1, 0, True, b"N\x00\xff\x1b\\\n")
-        twin.recorder.wire(2, 0, True, b"\xaa" * 5000)
+        twin.recorder.on_bytes(1, 0, True, b"N\x00\xff\x1b\\\n")
+        twin.recorder.on_bytes(2, 0, True, b"\xaa" * 5000)
     first, *others = read(tmp_path / "run.mcap").robots["khepera0"].serial
     assert first.time_ns in (0, 1)
     assert r"N\x00\xff\x1b\\" in {first.text, *(line.text for line in others)}
@@ -184,7 +184,7 @@ def test_ctrl_c_in_the_middle_of_a_write_waits_for_its_end(
         with start(tmp_path / "run.mcap") as twin:
             drive(twin)
             monkeypatch.setattr(os, "write", interrupted)
-            twin.world.tell(None, "halfway")
+            twin.world.log_event(None, "halfway")
             after.append("never")
 
     # What runs in the background of a shell has Ctrl-C switched off.
@@ -279,7 +279,7 @@ def test_a_full_disk_is_told_once_and_what_was_saved_stays(
     path = tmp_path / "run.mcap"
     twin = start(path)
     drive(twin, 1)
-    twin.world.tell(None, "still good")
+    twin.world.log_event(None, "still good")
     saved = len([record for record in records(twin.recorder.part) if isinstance(record, Message)])
     tried = fill_disk_after(size, monkeypatch)
     with pytest.raises(
@@ -287,7 +287,7 @@ def test_a_full_disk_is_told_once_and_what_was_saved_stays(
     ):
         drive_on(twin)
     calls = len(tried)
-    twin.world.tell(None, "too late")
+    twin.world.log_event(None, "too late")
     twin.advance_to(twin.world.time_ns + SECOND)
     twin.close()
     assert len(tried) == calls
@@ -302,7 +302,7 @@ def drive_on(twin: Twin) -> None:
     """Until the disk is full."""
     for _ in range(100):
         twin.advance_to(twin.world.time_ns + SECOND)
-        twin.world.tell(None, "another second")
+        twin.world.log_event(None, "another second")
 
 
 def test_a_disk_that_is_full_at_the_end_leaves_the_unfinished_file(

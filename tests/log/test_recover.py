@@ -39,7 +39,7 @@ def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for command in COMMANDS:
                 twin.robot.send(command)
                 twin.advance_to(twin.world.time_ns + SECOND)
-            twin.world.tell(None, "so far")
+            twin.world.log_event(None, "so far")
             twin.advance_to(twin.world.time_ns + SECOND)
     return path
 
@@ -112,11 +112,11 @@ def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) ->
 def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(tmp_path: Path, long_log: Path) -> None:
     data = long_log.read_bytes()
     whole = {(topic, each.log_time, each.data) for topic, each in contents(long_log)}
-    chance = random.Random(2)
+    rng = random.Random(2)
     for _ in range(300):
-        place = chance.randrange(8, len(data))
+        place = rng.randrange(8, len(data))
         damaged = bytearray(data)
-        damaged[place] ^= 1 << chance.randrange(8)
+        damaged[place] ^= 1 << rng.randrange(8)
         salvage = Salvage(bytes(damaged))
         # Channels are named in the summary, too: only the chunk that was hit is lost.
         kept = {
@@ -276,13 +276,13 @@ def test_what_reads_no_log_is_left_out_and_said(tmp_path: Path, long_log: Path) 
 
 
 def test_what_is_rescued_of_random_damage_can_be_read(tmp_path: Path, long_log: Path) -> None:
-    data, chance = long_log.read_bytes(), random.Random(5)
+    data, rng = long_log.read_bytes(), random.Random(5)
     opened = 0
     for _ in range(12):
         damaged = bytearray(data)
-        for _ in range(chance.randrange(1, 30)):
-            place, size = chance.randrange(len(data)), chance.choice((1, 1, 8, 100, 5000))
-            damaged[place : place + size] = chance.choice((chance.randbytes(size), bytes(size), b""))
+        for _ in range(rng.randrange(1, 30)):
+            place, size = rng.randrange(len(data)), rng.choice((1, 1, 8, 100, 5000))
+            damaged[place : place + size] = rng.choice((rng.randbytes(size), bytes(size), b""))
         if (found := rescued(tmp_path, bytes(damaged))) is None:
             continue
         try:

@@ -255,7 +255,7 @@ heading_deg = 0
     with open_twin(tmp_path / "wall.toml", options) as twin:
         twin.robot.send(b"D,5,5\n")
         twin.advance_to(300_000_000)
-        twin.world.tell(0, "a note")
+        twin.world.log_event(0, "a note")
         twin.advance_to(1_000_000_000)
     view([tmp_path / "wall.mcap"], tmp_path / "wall.rrd")
     return tmp_path / "wall.rrd"

@@ -30,7 +30,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
             twin.advance_to(tenth * SECOND // 10)
             if tenth % 13 == 0:
                 twin.recorder.flush()
-        twin.world.tell(0, "taken away")
+        twin.world.log_event(0, "taken away")
     return path
 
 

@@ -683,7 +683,7 @@ TWO_SPOTS = SPOT + SPOT.replace('"a"', '"b"').replace("300", "100")
 
 
 def drawn(text: str, seed: int) -> list[float]:
-    playpen = playpens.placed(parse(text), np.random.default_rng(seed))
+    playpen = playpens.place_robots(parse(text), np.random.default_rng(seed))
     assert not any(robot.spots for robot in playpen.robots)
     return [robot.x_mm for robot in playpen.robots]
 

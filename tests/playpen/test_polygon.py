@@ -60,8 +60,8 @@ def test_the_distance_to_a_polygon_is_that_to_its_nearest_edge_or_corner() -> No
 def test_walls_around_a_polygon_are_outside_it_and_leave_no_gap(points: list[tuple[float, float]]) -> None:
     walls = walls_around(points, 10)
     assert len(walls) == len(points)
-    chance = np.random.default_rng(3)
-    for x, y in chance.uniform(-40, 640, (4000, 2)).tolist():
+    rng = np.random.default_rng(3)
+    for x, y in rng.uniform(-40, 640, (4000, 2)).tolist():
         inside = contains(points, x, y)
         assert not (inside and covers(walls, x, y))
         if not inside and distance(points, x, y) < 9.9:

@@ -11,7 +11,7 @@ from contextlib import closing
 
 import pytest
 
-from khep_twin.ports.host_connection import Received
+from khep_twin.ports.host_port import Received
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.network_host import ANSWERS_LIMIT, LAST_LIMIT, QUEUE_LIMIT, WAITING_LIMIT, NetworkHost
 from khep_twin.ports.ration import Ration

@@ -333,7 +333,7 @@ def test_a_read_ends_with_any_text_or_at_a_number_of_bytes() -> None:
 def test_a_host_that_hangs_up_leaves_the_line_at_the_speed_that_it_set() -> None:
     with connect(timeout=1) as port:
         port.write(b"serial 38400\n")
-        port.twin.robot.hang_up()
+        port.twin.robot.disconnect()
         port.baudrate = 38400
         start_ns = port.time_ns
         port.write(b"B\n")

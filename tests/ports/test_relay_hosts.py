@@ -6,7 +6,7 @@ from typing import cast
 import pytest
 
 from khep_twin.board.uart import LineSettings
-from khep_twin.ports.host_connection import Received
+from khep_twin.ports.host_port import Received
 from khep_twin.ports.relay import Device, relay
 
 

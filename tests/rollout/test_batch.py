@@ -13,8 +13,8 @@ from khep_twin.errors import ControllerError
 from khep_twin.playpen import Lamp
 from khep_twin.rollout import batch
 from khep_twin.rollout.batch import RolloutResult, rollout
-from khep_twin.rollout.life import NUMBERS, Episode, EpisodeSetup
-from khep_twin.rollout.minds import Braitenberg, ConstantSpeed, Function, Network, Policy
+from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, Network, Policy
+from khep_twin.rollout.episode import METRICS, Episode, EpisodeSetup
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
@@ -34,36 +34,36 @@ LAMPS = [
 
 
 def batch_of(compiled: bool, **options: Any) -> RolloutResult:
-    found = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "spread": True, "compiled": compiled}
+    found = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "vary": True, "compiled": compiled}
     return rollout(SCENE, NETWORK, range(N), SECONDS, **(found | options))
 
 
 def same(one: RolloutResult, other: RolloutResult) -> bool:
-    numbers = all(one.numbers[name].tobytes() == other.numbers[name].tobytes() for name in NUMBERS)
-    return numbers and bool((one.registers == other.registers).all() and (one.poses == other.poses).all())
+    metrics = all(one.metrics[name].tobytes() == other.metrics[name].tobytes() for name in METRICS)
+    return metrics and bool((one.registers == other.registers).all() and (one.poses == other.poses).all())
 
 
 @with_numba
-def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_lives() -> None:
+def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_episodes() -> None:
     first = batch_of(True, threads=1)
     assert same(first, batch_of(True, threads=2))
     assert same(first, batch_of(True, threads=5))
     assert same(first, batch_of(False))
-    assert len(set(first.numbers["distance_m"].tolist())) == N
+    assert len(set(first.metrics["distance_m"].tolist())) == N
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_each_life_of_a_batch_is_a_single_life(compiled: bool) -> None:
+def test_each_episode_of_a_batch_is_a_single_episode(compiled: bool) -> None:
     found = batch_of(compiled, threads=2)
-    ground = EpisodeSetup(SCENE)
+    setup = EpisodeSetup(SCENE)
     for index in (0, 3):
-        life = Episode(ground, NETWORK, compiled=compiled)
-        light = ground.lit(LAMPS[index])
-        life.begin(index, start=STARTS[index], spread=True, light=light, genes=GENES[index])
-        life.live(SECONDS)
-        assert found.registers[index].tolist() == life.registers.tolist()
-        assert tuple(found.poses[index].tolist()) == life.pose
-        assert found.numbers["obstacle_avoidance"][index] == life.numbers()["obstacle_avoidance"]
+        episode = Episode(setup, NETWORK, compiled=compiled)
+        light = setup.lit(LAMPS[index])
+        episode.begin(index, start=STARTS[index], vary=True, light=light, genes=GENES[index])
+        episode.run(SECONDS)
+        assert found.registers[index].tolist() == episode.registers.tolist()
+        assert tuple(found.poses[index].tolist()) == episode.pose
+        assert found.metrics["obstacle_avoidance"][index] == episode.metrics()["obstacle_avoidance"]
 
 
 def along(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
@@ -95,7 +95,7 @@ def test_one_that_fails_is_told_by_seed_and_step_and_harms_no_other(compiled: bo
     (failure,) = found.failures
     assert (failure.index, failure.seed, failure.step) == (1, 12, 40)
     assert "no number" in failure.reason
-    assert np.isnan(found.numbers["distance_m"]).tolist() == [False, True, False]
+    assert np.isnan(found.metrics["distance_m"]).tolist() == [False, True, False]
     without = rollout(SCENE, divides, [11, 13], 0.2, genes=genes[::2], **options)
     assert (found.registers[::2] == without.registers).all()
 
@@ -118,7 +118,7 @@ def test_physics_that_fail_in_several_threads_at_once_harm_no_other(
     assert (found.registers[::2] == even.registers).all()
 
 
-def test_memory_does_not_grow_with_the_number_of_lives(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_does_not_grow_with_the_number_of_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Episode] = []
 
     class Counted(Episode):
@@ -137,7 +137,7 @@ def test_memory_does_not_grow_with_the_number_of_lives(monkeypatch: pytest.Monke
     assert peaks[1] - peaks[0] < 30 * 5000
 
 
-def test_what_does_not_fit_is_refused_before_anything_lives() -> None:
+def test_what_does_not_fit_is_refused_before_anything_episodes() -> None:
     with pytest.raises(ValueError, match="5 genes for 6 seeds; expected 6"):
         batch_of(False, genes=GENES[:5])
     with pytest.raises(ValueError, match="genes of shape"):
@@ -175,9 +175,9 @@ def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_l
         import numba  # pyright: ignore[reportMissingTypeStubs]
 
         decide = numba.njit(beyond)  # pyright: ignore
-    lives = rollout(SCENE, Function(decide), range(2), 0.04, compiled=True)
-    assert [failure.step for failure in lives.failures] == [0, 0]
-    assert lives.failures[0].reason.endswith(
+    results = rollout(SCENE, Function(decide), range(2), 0.04, compiled=True)
+    assert [failure.step for failure in results.failures] == [0, 0]
+    assert results.failures[0].reason.endswith(
         "the controller gave a speed that is no number, or raised an error"
     )
 
@@ -193,7 +193,7 @@ def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_l
         ({"lamps": [Lamp(x_mm=60, y_mm=60, power_w=1)]}, r"lamps\[0\] is one lamp"),
     ],
 )
-def test_what_lives_begin_with_is_checked_before_anything_lives(options: Any, message: str) -> None:
+def test_what_episodes_begin_with_is_checked_before_anything_lives(options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         rollout(SCENE, Braitenberg(), [1], 0.02, compiled=False, **options)
 
@@ -216,10 +216,10 @@ def test_what_is_no_driver_or_no_playpen_is_told_so() -> None:
 
 
 def test_ground_that_is_made_ready_takes_no_other_step_period_or_plane() -> None:
-    ground = EpisodeSetup(SCENE)
+    setup = EpisodeSetup(SCENE)
     for options in ({"step_ns": 5_000_000}, {"period_ns": 40_000_000}, {"planar": True}):
         with pytest.raises(ValueError, match="given with a prepared ground, which has its own"):
-            rollout(ground, Braitenberg(), [1], 0.04, compiled=False, **options)
+            rollout(setup, Braitenberg(), [1], 0.04, compiled=False, **options)
     flat = EpisodeSetup(SCENE, planar=True, period_ns=40_000_000)
     assert not rollout(flat, Braitenberg(), [1], 0.04, compiled=False, planar=True).failures
     with pytest.raises(TypeError):
@@ -227,5 +227,5 @@ def test_ground_that_is_made_ready_takes_no_other_step_period_or_plane() -> None
 
 
 def test_constant_speeds_that_are_no_numbers_fail() -> None:
-    lives = rollout(SCENE, ConstantSpeed(math.nan, 1), [1], 0.02, compiled=False)  # type: ignore[arg-type]
-    assert "no number" in lives.failures[0].reason
+    results = rollout(SCENE, ConstantSpeed(math.nan, 1), [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    assert "no number" in results.failures[0].reason

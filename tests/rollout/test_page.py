@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from khep_twin.rollout.life import SlowerWarning
+from khep_twin.rollout.episode import SlowerWarning
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "scale.md"
@@ -20,9 +20,9 @@ def test_the_programs_of_the_page_run() -> None:
     with contextlib.redirect_stdout(io.StringIO()) as said:
         for program in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL):
             exec(compile(program, "docs/scale.md", "exec"), names)
-    assert names["lives"].failures == ()
+    assert names["results"].failures == ()
     assert len(said.getvalue().splitlines()) >= 3
     (shown,) = re.findall(r"```python\n([^`]*rollout\(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     exec(compile(shown, "README.md", "exec"), names)
-    assert len(names["lives"].numbers["obstacle_avoidance"]) == 10
+    assert len(names["results"].metrics["obstacle_avoidance"]) == 10
     assert names["controller"]([0] * 8, [500] * 8) == (10, 10)

@@ -12,11 +12,11 @@ from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.rollout.batch import RolloutResult, rollout
-from khep_twin.rollout.life import Episode, EpisodeSetup
-from khep_twin.rollout.minds import Braitenberg, ConstantSpeed, Network
+from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Network
+from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.rollout.planar.casting import rays
 from khep_twin.rollout.planar.motion import step
-from khep_twin.rollout.planar.planar import Outline, PlanarRoom, _plain_episode
+from khep_twin.rollout.planar.planar import PlanarBackend, PlanarScene, _plain_episode
 from khep_twin.rollout.planar.plane import TOUCHED, Plane, distance_to, nearest
 from khep_twin.sensing.optics import Proximity
 from khep_twin.sensors import proximity_optics
@@ -63,55 +63,55 @@ def arena() -> Playpen:
     return playpen.parse(playpen.dump(playpen.load("obstacles")) + THINGS, "arena")
 
 
-def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: float) -> PlanarRoom:
+def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: float) -> PlanarBackend:
     """A plane, as Python has it, with its robot put down."""
-    ground = EpisodeSetup(scene)
-    room = PlanarRoom(Outline(scene, ground.model, ground.indices, step_ns), compiled=False)
-    room.put((x_mm, y_mm, heading_deg))
-    return room
+    setup = EpisodeSetup(scene)
+    backend = PlanarBackend(PlanarScene(scene, setup.model, setup.indices, step_ns), compiled=False)
+    backend.put((x_mm, y_mm, heading_deg))
+    return backend
 
 
-def drive(room: PlanarRoom, left: float, right: float, steps: int) -> None:
-    robot = room.scene.robot
+def drive(backend: PlanarBackend, left: float, right: float, steps: int) -> None:
+    robot = backend.scene.robot
     robot.ctrl[0], robot.ctrl[1] = left, right
     for _ in range(steps):
-        step(room.scene)
+        step(backend.scene)
 
 
 def test_a_robot_straight_on_follows_its_voltage_as_one_lag() -> None:
-    room = put(playpen.parse(OPEN, "open"), units.TICK_NS, 4500, 4500, 30)
-    robot = room.scene.robot
-    drive(room, 0.8, 0.8, 40)
+    backend = put(playpen.parse(OPEN, "open"), units.TICK_NS, 4500, 4500, 30)
+    robot = backend.scene.robot
+    drive(backend, 0.8, 0.8, 40)
     lag = (robot.mass / 2 * robot.wheel**2 + robot.spin) / robot.damping
     fastest, h = 0.8 * robot.free_speed, robot.substep
     left = 1 / (1 + h / lag)
     way = fastest * sum(h * (1 - left ** (k + 1)) for k in range(160))
-    x, y, heading = room.pose
+    x, y, heading = backend.pose
     assert (x - 4.5, y - 4.5) == pytest.approx((way * math.cos(math.pi / 6), way * math.sin(math.pi / 6)))
     assert heading == pytest.approx(math.pi / 6)
-    assert room.joints[3:].tolist() == pytest.approx([way / robot.wheel] * 2)
+    assert backend.joints[3:].tolist() == pytest.approx([way / robot.wheel] * 2)
     # And that is the lag itself, but for the length of a substep.
     assert way == pytest.approx(fastest * (0.4 - lag * (1 - math.exp(-0.4 / lag))), rel=0.006)
 
 
 def test_turning_in_place_is_the_speed_of_the_tyres_over_half_the_track() -> None:
-    room = put(playpen.parse(OPEN, "open"), units.TICK_NS, 4500, 4500, 0)
-    drive(room, -0.3, 0.3, 100)
-    before = room.joints[2]
-    drive(room, -0.3, 0.3, 100)
-    robot = room.scene.robot
-    assert room.joints[2] - before == pytest.approx(2 * 0.3 * robot.free_speed / robot.track, rel=1e-6)
-    assert room.pose[:2] == pytest.approx((4.5, 4.5), abs=1e-9)
+    backend = put(playpen.parse(OPEN, "open"), units.TICK_NS, 4500, 4500, 0)
+    drive(backend, -0.3, 0.3, 100)
+    before = backend.joints[2]
+    drive(backend, -0.3, 0.3, 100)
+    robot = backend.scene.robot
+    assert backend.joints[2] - before == pytest.approx(2 * 0.3 * robot.free_speed / robot.track, rel=1e-6)
+    assert backend.pose[:2] == pytest.approx((4.5, 4.5), abs=1e-9)
 
 
 def test_a_circle_closes_with_the_radius_of_its_speeds() -> None:
-    room = put(playpen.parse(OPEN, "open"), units.TICK_NS, 4500, 4500, 0)
-    drive(room, 0.3, 0.5, 200)
+    backend = put(playpen.parse(OPEN, "open"), units.TICK_NS, 4500, 4500, 0)
+    drive(backend, 0.3, 0.5, 200)
     places = []
     for _ in range(800):
-        drive(room, 0.3, 0.5, 1)
-        places.append(room.pose[:2])
-    robot = room.scene.robot
+        drive(backend, 0.3, 0.5, 1)
+        places.append(backend.pose[:2])
+    robot = backend.scene.robot
     turn = 0.2 * robot.free_speed / robot.track
     whole = round(2 * math.pi / turn / 0.01)
     (x0, y0), (x1, y1) = places[0], places[whole]
@@ -122,29 +122,29 @@ def test_a_circle_closes_with_the_radius_of_its_speeds() -> None:
 
 
 def test_a_tyre_slips_when_it_would_need_more_than_its_grip() -> None:
-    room = put(playpen.parse(OPEN, "open"), units.STEP_NS, 4500, 4500, 0)
-    drive(room, 4.0, 4.0, 12)
-    robot = room.scene.robot
-    forward = room.pose[0] - 4.5
+    backend = put(playpen.parse(OPEN, "open"), units.STEP_NS, 4500, 4500, 0)
+    drive(backend, 4.0, 4.0, 12)
+    robot = backend.scene.robot
+    forward = backend.pose[0] - 4.5
     # As hard as both tyres can push, with what the wheels' own speeding up and the mass put on the support.
     fastest = 2 * robot.grip / (robot.mass + 2 * robot.relief)
     h = robot.substep
     assert forward == pytest.approx(fastest * h * h * 12 * 13 / 2, rel=0.01)
-    assert room.joints[3] * robot.wheel > 4 * forward
+    assert backend.joints[3] * robot.wheel > 4 * forward
 
 
 def test_the_disc_is_never_in_anything_however_it_is_driven() -> None:
     scene = arena()
-    chance = np.random.default_rng(0)
-    room = put(scene, units.TICK_NS, 330, 300, 0)
+    rng = np.random.default_rng(0)
+    backend = put(scene, units.TICK_NS, 330, 300, 0)
     touched = 0
     for _ in range(60):
-        drive(room, *chance.uniform(-2, 5, 2).tolist(), 8)
-        x, y, _ = room.pose
+        drive(backend, *rng.uniform(-2, 5, 2).tolist(), 8)
+        x, y, _ = backend.pose
         gaps = [
-            nearest(room.scene.things, thing, x, y)[2] - units.BODY_RADIUS
-            for thing in range(len(room.scene.things))
-            if room.scene.things[thing, TOUCHED]
+            nearest(backend.scene.things, thing, x, y)[2] - units.BODY_RADIUS
+            for thing in range(len(backend.scene.things))
+            if backend.scene.things[thing, TOUCHED]
         ]
         assert min(gaps) > -1e-9
         touched += min(gaps) < 1e-6
@@ -154,12 +154,12 @@ def test_the_disc_is_never_in_anything_however_it_is_driven() -> None:
 def test_a_robot_slides_along_a_wall_as_in_mujoco() -> None:
     ends: list[tuple[float, float, float]] = []
     for planar in (False, True):
-        life = Episode(
+        episode = Episode(
             EpisodeSetup(playpen.load("default"), planar=planar), ConstantSpeed(10, 10), compiled=False
         )
-        life.begin(noise=False, start=(150.0, 40.0, -20.0))
-        life.live(0.8)
-        ends.append(life.pose)
+        episode.begin(noise=False, start=(150.0, 40.0, -20.0))
+        episode.run(0.8)
+        ends.append(episode.pose)
     assert ends[1][1] == pytest.approx(units.BODY_RADIUS, abs=1e-9)
     assert ends[1][:2] == pytest.approx(ends[0][:2], abs=0.006)
     assert ends[0][0] > 0.19
@@ -167,37 +167,38 @@ def test_a_robot_slides_along_a_wall_as_in_mujoco() -> None:
 
 
 def test_wheels_stand_before_a_wall_and_spin_when_they_are_driven_harder() -> None:
-    room = put(playpen.load("default"), units.TICK_NS, 100, 28, -90)
-    drive(room, 0.6, 0.6, 60)
-    x, y, heading = room.pose
+    backend = put(playpen.load("default"), units.TICK_NS, 100, 28, -90)
+    drive(backend, 0.6, 0.6, 60)
+    x, y, heading = backend.pose
     assert (x, y) == pytest.approx((0.1, units.BODY_RADIUS), abs=1e-4)
     assert heading == pytest.approx(-math.pi / 2, abs=1e-6)
-    stands = room.joints[3]
-    drive(room, 0.6, 0.6, 10)
-    assert room.joints[3] == pytest.approx(stands, abs=1e-6)  # the tyres hold; the motors stand
-    drive(room, 3.0, 3.0, 20)
-    assert room.joints[3] > stands + 1  # the tyres do not
+    stands = backend.joints[3]
+    drive(backend, 0.6, 0.6, 10)
+    assert backend.joints[3] == pytest.approx(stands, abs=1e-6)  # the tyres hold; the motors stand
+    drive(backend, 3.0, 3.0, 20)
+    assert backend.joints[3] > stands + 1  # the tyres do not
 
 
 @pytest.mark.parametrize("name", ["arena", "looping-maze", "two-lamps"])
 def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
     scene = arena() if name == "arena" else playpen.load(name)
     true, plane = (Episode(EpisodeSetup(scene, planar=planar), compiled=False) for planar in (False, True))
-    chance = np.random.default_rng(3)
+    rng = np.random.default_rng(3)
     floor, tried, seen, apart = scene.arena, 0, 0, []
-    room = put(scene, units.TICK_NS, 0, 0, 0)
+    backend = put(scene, units.TICK_NS, 0, 0, 0)
     while tried < 60:
-        x, y = chance.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist()
+        x, y = rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist()
         clear = min(
-            distance_to(room.scene.things, thing, x / 1e3, y / 1e3) for thing in range(len(room.scene.things))
+            distance_to(backend.scene.things, thing, x / 1e3, y / 1e3)
+            for thing in range(len(backend.scene.things))
         )
         if not units.BODY_RADIUS + 1e-3 < clear < 0.05:
             continue
         tried += 1
-        start = (x, y, float(chance.uniform(-180, 180)))
-        for life in (true, plane):
-            life.begin(0, start=start, noise=False)
-        near, far = (life.registers[[*PROXIMITY, *AMBIENT]] for life in (true, plane))
+        start = (x, y, float(rng.uniform(-180, 180)))
+        for episode in (true, plane):
+            episode.begin(0, start=start, noise=False)
+        near, far = (episode.registers[[*PROXIMITY, *AMBIENT]] for episode in (true, plane))
         apart.append(np.abs(near - far))
         seen += int((near[:8] > 50).sum())
     assert seen > 60
@@ -209,26 +210,24 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
 @pytest.mark.parametrize("name", ["arena", "looping-maze"])
 def test_rays_that_end_early_change_no_count(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = arena() if name == "arena" else playpen.load(name)
-    ground = EpisodeSetup(scene, planar=True)
-    near = proximity_optics(ground.model, ground.indices, ground.calibration)
-    room = put(scene, units.TICK_NS, 0, 0, 0)
+    setup = EpisodeSetup(scene, planar=True)
+    near = proximity_optics(setup.model, setup.indices, setup.calibration)
+    backend = put(scene, units.TICK_NS, 0, 0, 0)
     plain = _plain_episode().optics
-    chance, floor, seen, ended = np.random.default_rng(8), scene.arena, 0, 0
+    rng, floor, seen, ended = np.random.default_rng(8), scene.arena, 0, 0
 
     def whole(scene: Plane, near: Proximity, channel: int, level: float, found: list[float]) -> int:
         return rays(scene, near, channel, 0.0, found)
 
     for _ in range(100):
-        room.put(
-            (*chance.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), chance.uniform(0, 360))
-        )
-        drive(room, 0.5, 0.5, 1)
-        for channel, noise in enumerate(chance.normal(size=8).tolist()):
-            early = plain.proximity(room.scene, near, channel, noise, 1.0, 1.0)
-            looked = rays(room.scene, near, channel, 40 * noise - near.threshold[channel], near.found)
+        backend.put((*rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), rng.uniform(0, 360)))
+        drive(backend, 0.5, 0.5, 1)
+        for channel, noise in enumerate(rng.normal(size=8).tolist()):
+            early = plain.proximity_counts(backend.scene, near, channel, noise, 1.0, 1.0)
+            looked = rays(backend.scene, near, channel, 40 * noise - near.threshold[channel], near.found)
             with monkeypatch.context() as patch:
                 patch.setattr(plain.raycast, "rays", whole)
-                assert plain.proximity(room.scene, near, channel, noise, 1.0, 1.0) == early
+                assert plain.proximity_counts(backend.scene, near, channel, noise, 1.0, 1.0) == early
             seen, ended = seen + (early > 10), ended + (looked == 0)
     assert seen > 50
     assert ended > 50
@@ -240,15 +239,15 @@ def test_what_is_movable_is_refused() -> None:
         EpisodeSetup(playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena"), planar=True)
 
 
-def test_a_life_in_a_plane_goes_about_mujocos_way() -> None:
+def test_a_episode_in_a_plane_goes_about_mujocos_way() -> None:
     ends = []
     for planar in (False, True):
-        life = Episode(
+        episode = Episode(
             EpisodeSetup(playpen.load("default"), planar=planar), ConstantSpeed(8, 6), compiled=False
         )
-        life.begin(noise=False)
-        life.live(3.0)
-        ends.append(life.pose)
+        episode.begin(noise=False)
+        episode.run(3.0)
+        ends.append(episode.pose)
     assert ends[1][:2] == pytest.approx(ends[0][:2], abs=5e-4)
     assert ends[1][2] == pytest.approx(ends[0][2], abs=0.005)
 
@@ -257,36 +256,36 @@ NETWORK = Network(hidden=(4,), recurrent=True, ambient=True)
 
 
 def batch_of(compiled: bool, **options: object) -> RolloutResult:
-    chance = np.random.default_rng(5)
-    genes = chance.normal(size=(6, NETWORK.n_genes))
+    rng = np.random.default_rng(5)
+    genes = rng.normal(size=(6, NETWORK.n_genes))
     starts = [(120.0, 290.0, 25.0), *((350.0 + 10 * i, 300.0, 60.0 * i) for i in range(5))]
-    found = {"genes": genes, "starts": starts, "spread": True, "compiled": compiled, "planar": True}
+    found = {"genes": genes, "starts": starts, "vary": True, "compiled": compiled, "planar": True}
     return rollout(arena(), NETWORK, range(6), 3.0, **(found | options))  # type: ignore[arg-type]
 
 
 @with_numba
-def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_lives() -> None:
+def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_episodes() -> None:
     first = batch_of(True, threads=1)
     assert same(first, batch_of(True, threads=2))
     assert same(first, batch_of(False))
-    assert len(set(first.numbers["distance_m"].tolist())) == 6
+    assert len(set(first.metrics["distance_m"].tolist())) == 6
 
 
 @with_numba
 @pytest.mark.parametrize("step_ns", [units.STEP_NS, 2 * units.STEP_NS, 4 * units.STEP_NS])
-def test_compiled_lives_are_the_plain_ones_in_used_room_and_in_pieces(step_ns: int) -> None:
-    ground = EpisodeSetup(arena(), step_ns=step_ns, planar=True)
+def test_compiled_episodes_are_the_plain_ones_in_used_room_and_in_pieces(step_ns: int) -> None:
+    setup = EpisodeSetup(arena(), step_ns=step_ns, planar=True)
     plain, fast = (
-        Episode(ground, Braitenberg(), compiled=False),
-        Episode(ground, Braitenberg(), compiled=True),
+        Episode(setup, Braitenberg(), compiled=False),
+        Episode(setup, Braitenberg(), compiled=True),
     )
     fast.begin(9, start=(40.0, 290.0, 170.0))
-    fast.live(1.0)
-    for life in (plain, fast):
-        life.begin(1)
-    plain.live(2.0)
+    fast.run(1.0)
+    for episode in (plain, fast):
+        episode.begin(1)
+    plain.run(2.0)
     for _ in range(100):
-        fast.live(0.02)
+        fast.run(0.02)
     assert plain.registers.tolist() == fast.registers.tolist()
     assert plain.joints.tobytes() == fast.joints.tobytes()
 
@@ -294,5 +293,5 @@ def test_compiled_lives_are_the_plain_ones_in_used_room_and_in_pieces(step_ns: i
 def test_a_robot_far_off_is_a_failure_as_in_mujoco() -> None:
     starts = [(1e6, 0.0, 0.0), (100.0, 150.0, 0.0)]
     for planar in (False, True):
-        lives = rollout(arena(), Braitenberg(), range(2), 0.1, starts=starts, planar=planar, compiled=False)
-        assert [failure.index for failure in lives.failures] == [0]
+        results = rollout(arena(), Braitenberg(), range(2), 0.1, starts=starts, planar=planar, compiled=False)
+        assert [failure.index for failure in results.failures] == [0]

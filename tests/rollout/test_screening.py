@@ -7,7 +7,7 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.minds import Network
+from khep_twin.rollout.controllers import Network
 from khep_twin.rollout.screening import best_first, screen
 
 COMPILED = importlib.util.find_spec("numba") is not None
@@ -24,7 +24,7 @@ def test_the_elite_of_the_plane_is_ranked_anew_in_mujoco() -> None:
     again = rollout(
         SCENE, NETWORK, [0, 1] * 3, 1.0, genes=np.repeat(GENES[found.elite], 2, axis=0), compiled=COMPILED
     )
-    judged = again.numbers["obstacle_avoidance"].reshape(3, 2).mean(axis=1)
+    judged = again.metrics["obstacle_avoidance"].reshape(3, 2).mean(axis=1)
     assert found.judged.tolist() == judged.tolist() == sorted(judged.tolist(), reverse=True)
 
 

@@ -41,9 +41,11 @@ def test_light_falls_with_the_square_of_the_distance() -> None:
 
 
 def test_off_the_axis_a_lobe_and_a_diffuse_part_are_left() -> None:
-    ahead, aside, behind = (optics.received(RECEIVERS, LEFT_10, 0.2, cosine) for cosine in (1.0, 0.5, -1.0))
+    ahead, tangential, behind = (
+        optics.received(RECEIVERS, LEFT_10, 0.2, cosine) for cosine in (1.0, 0.5, -1.0)
+    )
     part, exponent = KHEPERA1.diffuse, KHEPERA1.lobe_exponent[LEFT_10]
-    assert aside / ahead == pytest.approx((1 - part) * 0.5**exponent + part * 0.75)
+    assert tangential / ahead == pytest.approx((1 - part) * 0.5**exponent + part * 0.75)
     assert behind == 0
 
 

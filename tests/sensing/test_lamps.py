@@ -130,14 +130,14 @@ def test_a_robot_that_drives_to_a_lamp_sees_the_next_one_come_on() -> None:
     class Listener:
         def sample(self, world: World) -> None: ...
 
-        def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None: ...
+        def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None: ...
 
-        def act(self, time_ns: int, robot: int, act: object) -> None: ...
+        def on_host_event(self, time_ns: int, robot: int, event: object) -> None: ...
 
-        def event(self, time_ns: int, robot: int | None, text: str) -> None:
+        def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
             told.append(text)
 
-    world.add_tap(Listener())
+    world.add_observer(Listener())
     world.robots[0].send(b"D,10,10\n")
     world.advance_to(2_500_000_000)
     front, back = world.robots[0].registers[AMBIENT][[2, 6]]

@@ -42,17 +42,17 @@ def test_where_a_line_is_clear_rays_reach_all_of_the_bulb(name: str) -> None:
 
 
 def test_things_in_all_directions_and_sizes_are_seen() -> None:
-    chance = np.random.default_rng(3)
+    rng = np.random.default_rng(3)
     for _ in range(5):
         text = 'version = 1\nname = "many"\n[arena]\nwidth_mm = 800\nheight_mm = 600\n'
         text += "[[robot]]\nx_mm = 30\ny_mm = 30\nheading_deg = 0\n"
-        for x, y, length, angle in chance.uniform((80, 80, 5, -180), (760, 560, 90, 180), (6, 4)).tolist():
+        for x, y, length, angle in rng.uniform((80, 80, 5, -180), (760, 560, 90, 180), (6, 4)).tolist():
             text += (
                 f"[[block]]\nx_mm = {x}\ny_mm = {y}\nlength_mm = {length}\nwidth_mm = 8\nheight_mm = 50\n"
                 f"angle_deg = {angle}\n"
                 f"[[cylinder]]\nx_mm = {y}\ny_mm = {x * 0.7}\nradius_mm = {length / 4}\nheight_mm = 50\n"
             )
-        for x, y in chance.uniform((10, 10), (790, 590), (3, 2)).tolist():
+        for x, y in rng.uniform((10, 10), (790, 590), (3, 2)).tolist():
             text += f"[[lamp]]\nx_mm = {x}\ny_mm = {y}\npower_w = 1\nz_mm = 40\n"
         assert share_of_clear(text, 200) > 0.02
 

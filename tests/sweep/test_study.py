@@ -7,7 +7,7 @@ import pytest
 
 from khep_twin.errors import StudyError
 from khep_twin.sweep import study as studies
-from khep_twin.sweep.tasks import work_of
+from khep_twin.sweep.shards import work_of
 
 STUDY = """version = 1
 name = "mine"
@@ -96,17 +96,17 @@ def test_a_mistake_is_told_by_file_line_key_and_value(
     assert "\n" not in str(found.value)
 
 
-def test_there_is_a_life_for_each_point_of_the_grid_genome_and_seed_in_tasks_of_one_kind(
+def test_there_is_a_episode_for_each_point_of_the_grid_genome_and_seed_in_tasks_of_one_kind(
     tmp_path: Path,
 ) -> None:
     more = '[grid]\nnoise = [true, false]\nstarts = ["playpen", "grid:2x2"]\n'
     more += '[[network]]\nname = "drawn"\nhidden = [2]\ndrawn = 5\n'
     work = work_of(loaded(tmp_path, STUDY + more))
     # Two controllers with 1 and 5 genomes, five starts, three seeds, with and without noise.
-    assert work.lives == (1 + 5) * 5 * 3 * 2
+    assert work.n_episodes == (1 + 5) * 5 * 3 * 2
     assert [task.index for task in work.tasks] == list(range(len(work.tasks)))
     numbers = [number for task in work.tasks for number in range(task.first, task.first + task.count)]
-    assert numbers == list(range(work.lives))
+    assert numbers == list(range(work.n_episodes))
     assert max(task.count for task in work.tasks) == 4
 
 
@@ -140,14 +140,14 @@ def test_the_study_of_the_page_is_as_large_as_it_says(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "sweep.md").read_text()
     text = page.partition("```toml\n")[2].partition("```")[0]
     work = work_of(loaded(tmp_path, text))
-    assert f"noise: {work.lives} episodes of 20 s in {len(work.tasks)} tasks" in page
+    assert f"noise: {work.n_episodes} episodes of 20 s in {len(work.tasks)} tasks" in page
 
 
-def test_what_a_plane_cannot_have_is_told_before_any_life(tmp_path: Path) -> None:
+def test_what_a_plane_cannot_have_is_told_before_any_episode(tmp_path: Path) -> None:
     text = (studies.toml_files.folder("playpens") / "default.toml").read_text()
     movable = "\n[[cylinder]]\nx_mm = 400\ny_mm = 100\nradius_mm = 10\nheight_mm = 30\nmovable = true\n"
     (tmp_path / "loose.toml").write_text(text + movable)
     study = STUDY.replace('"default"', '"loose.toml"')
-    assert work_of(loaded(tmp_path, study)).lives == 3
+    assert work_of(loaded(tmp_path, study)).n_episodes == 3
     with pytest.raises(StudyError, match=r"study.toml:3: playpens: .*cylinder 1 is movable; expected fixed"):
         work_of(loaded(tmp_path, study + "planar = true\n"))

@@ -24,11 +24,11 @@ from khep_twin.cli.app import app
 from khep_twin.errors import KhepTwinError, MissingExtraError, StudyError
 from khep_twin.invocation import command
 from khep_twin.sweep import ray_workers
+from khep_twin.sweep.shards import Shard, Work, work_of
 from khep_twin.sweep.study import COLUMNS
-from khep_twin.sweep.sweep import here, run_sweep
-from khep_twin.sweep.tasks import Shard, Work, work_of
+from khep_twin.sweep.sweep import run_locally, run_sweep
 
-pytestmark = pytest.mark.filterwarnings("ignore::khep_twin.rollout.life.SlowerWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::khep_twin.rollout.episode.SlowerWarning")
 
 HAS_RAY = importlib.util.find_spec("ray") is not None
 
@@ -63,7 +63,7 @@ file = "waits.py:waited"
 """
 
 
-def waiting(folder: Path, lives: int) -> str:
+def waiting(folder: Path, n_episodes: int) -> str:
     """A measure by which a sweep comes to a stop after so many lives, until there is a file `go`."""
     # The function is read anew for each task, so what it remembers is a file.
     (folder / "waits.py").write_text(
@@ -72,7 +72,7 @@ def waiting(folder: Path, lives: int) -> str:
         f"    folder = pathlib.Path({str(folder)!r})\n"
         "    with (folder / 'measured').open('a') as file:\n"
         "        file.write('.')\n"
-        f"    while (folder / 'measured').stat().st_size > {lives} and not (folder / 'go').exists():\n"
+        f"    while (folder / 'measured').stat().st_size > {n_episodes} and not (folder / 'go').exists():\n"
         "        time.sleep(0.01)\n"
         "    return 0.0\n"
     )
@@ -89,7 +89,7 @@ class Counted:
     @contextmanager
     def __call__(self, work: Work, tasks: Sequence[Shard]) -> Iterator[Iterator[tuple[Shard, bytes]]]:
         def coming() -> Iterator[tuple[Shard, bytes]]:
-            with here(1)(work, tasks) as done:
+            with run_locally(1)(work, tasks) as done:
                 for task, data in done:
                     if task.index == self._stop:
                         raise KhepTwinError("stopped")
@@ -99,10 +99,10 @@ class Counted:
         yield coming()
 
 
-def test_every_life_is_in_the_table_once_with_what_it_was(tmp_path: Path) -> None:
+def test_every_episode_is_in_the_table_once_with_what_it_was(tmp_path: Path) -> None:
     rows = pq.read_table(swept(tmp_path)).to_pylist()
     assert {*rows[0]} == {*COLUMNS, "obstacle_avoidance", "distance_m"}
-    assert [row["life"] for row in rows] == list(range(24))
+    assert [row["episode"] for row in rows] == list(range(24))
     kinds = [(row["controller"], row["noise"], row["genome"], row["seed"]) for row in rows]
     assert kinds == [
         (name, noise, genome, seed)
@@ -120,8 +120,8 @@ def test_a_sweep_ends_with_its_means_and_where_they_are_from(tmp_path: Path) -> 
     (tmp_path / "study.toml").write_text(STUDY + MORE)
     ended = CliRunner().invoke(app, ["sweep", str(tmp_path / "study.toml")])
     assert ended.exit_code == 0, ended.output
-    _, lives, *means, results = ended.stdout.splitlines()
-    assert lives == "24 episodes, 0 failed; means:"
+    _, n_episodes, *means, results = ended.stdout.splitlines()
+    assert n_episodes == "24 episodes, 0 failed; means:"
     assert [line.split()[:2] for line in means] == [
         ["default", name] for name in ("braitenberg", "drawn", "mine")
     ]
@@ -132,30 +132,30 @@ def test_a_sweep_ends_with_its_means_and_where_they_are_from(tmp_path: Path) -> 
     assert means[2].endswith(f"distance_m {mean:.4g}")
 
 
-def test_tasks_of_any_size_and_any_number_of_threads_give_the_same_lives(tmp_path: Path) -> None:
-    whole = pq.read_table(swept(tmp_path, doers=here(2)))
+def test_tasks_of_any_size_and_any_number_of_threads_give_the_same_episodes(tmp_path: Path) -> None:
+    whole = pq.read_table(swept(tmp_path, executor=run_locally(2)))
     small = STUDY.replace("rollouts_per_task = 4", "rollouts_per_task = 1") + MORE
-    assert pq.read_table(swept(tmp_path, small, doers=here(1), output=tmp_path / "b")).equals(whole)
+    assert pq.read_table(swept(tmp_path, small, executor=run_locally(1), output=tmp_path / "b")).equals(whole)
 
 
 def test_a_sweep_that_stopped_goes_on_with_only_what_is_missing_to_the_same_bytes(tmp_path: Path) -> None:
     expected = swept(tmp_path, output=tmp_path / "whole").read_bytes()
     with pytest.raises(KhepTwinError, match="stopped"):
-        swept(tmp_path, doers=Counted(stop_before=3))
+        swept(tmp_path, executor=Counted(stop_before=3))
     # One part is damaged, as by a disk, and one is of another study.
     parts = tmp_path / "out" / "parts"
     assert sorted(each.name for each in parts.iterdir()) == [f"task-00000{i}.parquet" for i in range(3)]
     (parts / "task-000001.parquet").write_bytes(b"PAR1")
     following = Counted()
-    assert swept(tmp_path, doers=following, resume=True).read_bytes() == expected
+    assert swept(tmp_path, executor=following, resume=True).read_bytes() == expected
     assert following.done == [1, 3, 4, 5, 6, 7]
     again = Counted()
-    assert swept(tmp_path, doers=again, resume=True).read_bytes() == expected
+    assert swept(tmp_path, executor=again, resume=True).read_bytes() == expected
     assert again.done == []
 
 
 def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
-    text = STUDY.replace("seeds = 3", "seeds = 40") + waiting(tmp_path, lives=18)
+    text = STUDY.replace("seeds = 3", "seeds = 40") + waiting(tmp_path, n_episodes=18)
     file = loaded(tmp_path, text)
     parts = tmp_path / "out" / "parts"
     words = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml")]
@@ -168,11 +168,11 @@ def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
     assert len(list(parts.glob("task-*.parquet"))) == 4
     (tmp_path / "go").touch()
     following = Counted()
-    table = run_sweep(file, resume=True, doers=following)
+    table = run_sweep(file, resume=True, executor=following)
     assert following.done == list(range(4, 10))
     expected = run_sweep(file, output=tmp_path / "whole")
     assert table.read_bytes() == expected.read_bytes()
-    assert pq.read_table(table)["life"].to_pylist() == list(range(40))
+    assert pq.read_table(table)["episode"].to_pylist() == list(range(40))
 
 
 def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None:
@@ -191,12 +191,12 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None
 def test_a_sweep_that_came_to_nothing_is_begun_anew_as_it_is_or_mended(tmp_path: Path) -> None:
     for text in (STUDY, STUDY, STUDY + MORE):
         with pytest.raises(KhepTwinError, match="stopped"):
-            swept(tmp_path, text, doers=Counted(stop_before=0))
+            swept(tmp_path, text, executor=Counted(stop_before=0))
     assert pq.read_table(swept(tmp_path)).num_rows == 24
 
 
 def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done_then(tmp_path: Path) -> None:
-    text = STUDY.replace("seeds = 3", "seeds = 40") + waiting(tmp_path, lives=10)
+    text = STUDY.replace("seeds = 3", "seeds = 40") + waiting(tmp_path, n_episodes=10)
     file = loaded(tmp_path, text)
     output = tmp_path / "another one"
     words = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml"), "-o", str(output)]
@@ -212,15 +212,15 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done
     assert len(list(output.glob("parts/task-*.parquet"))) == 2
     (tmp_path / "go").touch()
     following = Counted()
-    table = run_sweep(file, output=output, resume=True, doers=following)
+    table = run_sweep(file, output=output, resume=True, executor=following)
     assert following.done == list(range(2, 10))
-    assert pq.read_table(table)["life"].to_pylist() == list(range(40))
+    assert pq.read_table(table)["episode"].to_pylist() == list(range(40))
 
 
 def test_what_is_damaged_is_told_by_file(tmp_path: Path) -> None:
     text = STUDY.replace("seeds = 3", "seeds = 12")
     with pytest.raises(KhepTwinError, match="stopped"):
-        swept(tmp_path, text, doers=Counted(stop_before=2))
+        swept(tmp_path, text, executor=Counted(stop_before=2))
     # Its end is whole, but not what comes before.
     part = tmp_path / "out" / "parts" / "task-000001.parquet"
     data = part.read_bytes()
@@ -259,13 +259,13 @@ def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:
     def meanwhile(work: Work, tasks: Sequence[Shard]) -> Iterator[Iterator[tuple[Shard, bytes]]]:
         with pytest.raises(StudyError, match=r"out: in use by another sweep"):
             swept(tmp_path, STUDY, resume=True)
-        with here(1)(work, tasks) as done:
+        with run_locally(1)(work, tasks) as done:
             yield iter(done)
 
-    swept(tmp_path, STUDY, doers=meanwhile)
+    swept(tmp_path, STUDY, executor=meanwhile)
 
 
-def test_a_life_that_fails_is_told_in_its_row_and_the_others_live_on(tmp_path: Path) -> None:
+def test_a_episode_that_fails_is_told_in_its_row_and_the_others_live_on(tmp_path: Path) -> None:
     (tmp_path / "wild.py").write_text(
         "def steer(proximity, ambient, memory, genes):\n    return genes[0] * 1e308 * 10, 1.0\n"
     )
@@ -281,7 +281,7 @@ def test_a_life_that_fails_is_told_in_its_row_and_the_others_live_on(tmp_path: P
     assert failed[2]["distance_m"] is None
 
 
-def test_lives_are_measured_by_functions_of_ones_own(tmp_path: Path) -> None:
+def test_episodes_are_measured_by_functions_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "score.py").write_text(
         "def twice(numbers, registers, pose):\n    return 2 * numbers['forward_m']\n\n\n"
         "def place(numbers, registers, pose):\n    return pose[0] + registers[0]\n\n\n"
@@ -342,7 +342,7 @@ def test_rays_workers_may_be_killed_and_each_result_is_there_once(tmp_path: Path
     assert trial(tmp_path, tasks=8, kills=2, seconds=40, seed=0) >= 1
 
 
-def test_a_study_in_a_plane_leads_planar_lives(tmp_path: Path) -> None:
+def test_a_study_in_a_plane_leads_planar_episodes(tmp_path: Path) -> None:
     (tmp_path / "flat").mkdir()
     ways = [
         pq.read_table(swept(folder, text)).to_pylist()[0]

@@ -87,7 +87,7 @@ def test_a_function_is_run_at_a_port_and_its_variables_are_kept_and_handed_on(
     assert first["cycle_count"].item() == 60
     # What is global lasts from run to run.
     assert [run.variables["seen"] for run in runs] == [1, 2]
-    assert runs[0].numbers["speed_mean"] > 3
+    assert runs[0].metrics["speed_mean"] > 3
     assert capsys.readouterr().out.count("60 cycles in") == 2
 
 
@@ -97,7 +97,7 @@ def test_a_function_for_the_simulator_is_run_in_the_playpen_that_is_open() -> No
     (run,) = names.roborun2(simsamp, cycles_per_run=100)
     assert btmap1.time == run.duration == 5
     assert run.cycles == 100
-    assert run.numbers["proximity_max"] > 900
+    assert run.metrics["proximity_max"] > 900
     assert "btmap1" not in globals()
 
 

@@ -91,7 +91,9 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     visit.wait("document.querySelector('#clock').textContent === 'not running'")
     recorded = read_recorded(tmp_path / "run.mcap")
     assert [
-        act.kind for _, _, act in recorded.acts if act.kind in (HostEventKind.PUT, HostEventKind.SWITCH)
+        event.kind
+        for _, _, event in recorded.events
+        if event.kind in (HostEventKind.PUT, HostEventKind.SWITCH)
     ] == [
         HostEventKind.PUT,
         HostEventKind.SWITCH,
@@ -255,7 +257,9 @@ def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: P
     page.click("#end")
     tablet.wait("document.querySelector('#clock').textContent === 'not running'")
     recorded = read_recorded(tmp_path / "run.mcap")
-    (put,) = [struct.unpack("<3d", act.data) for _, _, act in recorded.acts if act.kind is HostEventKind.PUT]
+    (put,) = [
+        struct.unpack("<3d", event.data) for _, _, event in recorded.events if event.kind is HostEventKind.PUT
+    ]
     assert put[:2] == pytest.approx((300, 200), abs=2)
     assert abs(put[2]) == pytest.approx(180, abs=2)
 

@@ -41,7 +41,7 @@ def draw(view: DriveView, name: str, width: int, height: int) -> list[str]:
         "",
         f"{'wheels':{_LABEL}}left {view.measured.left:4}  right {view.measured.right:4} pulses/10 ms"
         f"   ({left:.0f}, {right:.0f} mm/s)",
-        f"{'drives':{_LABEL}}{view.way.name.lower()}, speed {view.speed}{lost}",
+        f"{'drives':{_LABEL}}{view.direction.name.lower()}, speed {view.speed}{lost}",
         f"{'LEDs':{_LABEL}}lateral {_ON[view.leds[0]]:3}  frontal {_ON[view.leds[1]]:3}{supply}",
         "",
         *KEYS,

@@ -69,7 +69,7 @@ class HostMetrics:
         nearest = max(self._proximity or (0,)) / units.COUNTS_LIMIT
         self._cycles.append((obstacle_avoidance(left, right, nearest), (left + right) / 2))
 
-    def numbers(self) -> dict[str, float]:
+    def metrics(self) -> dict[str, float]:
         """Return the metrics by name; those of sensors that were not read are left out."""
         found: dict[str, float] = {}
         if self._cycles:
@@ -100,7 +100,7 @@ class GroundTruthMetrics:
         self._poses: list[tuple[float, float, float]] = []
         self._counts: list[NDArray[np.int64]] = []
         self._columns = [*PROXIMITY, *AMBIENT]
-        world.add_tap(self)
+        world.add_observer(self)
         self.sample(world)
 
     def sample(self, world: World) -> None:
@@ -112,21 +112,21 @@ class GroundTruthMetrics:
         self._poses.append(robot.pose)
         self._counts.append(robot.registers[self._columns])  # a copy
 
-    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Ignore bytes: `HostMetrics` counts them."""
 
-    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Ignore acts: their effect is recorded."""
 
-    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Ignore events."""
 
     def end(self) -> None:
         """Record the last sample and remove the tap."""
-        self._world.taps.remove(self)
+        self._world.observers.remove(self)
         self.sample(self._world)
 
-    def numbers(self) -> dict[str, float]:
+    def metrics(self) -> dict[str, float]:
         """Return the metrics by name."""
         times_s, pose = np.array(self._times_ns) / 1e9, np.array(self._poses)
         proximity, ambient = np.hsplit(np.array(self._counts), 2)
@@ -149,11 +149,11 @@ class GroundTruthMetrics:
         }
 
 
-def coverage(places: statistics.Floats, playpen: Playpen, radius: float) -> float:
+def coverage(positions: statistics.Floats, playpen: Playpen, radius: float) -> float:
     """Return the share of cells that a robot's centre visited, of those with room for it in their middle.
 
     Args:
-        places: Positions of the centre (n, 2) [m].
+        positions: Positions of the centre (n, 2) [m].
         playpen: Playpen of the robot.
         radius: Radius of the robot [m].
     """
@@ -165,7 +165,7 @@ def coverage(places: statistics.Floats, playpen: Playpen, radius: float) -> floa
     middles = corner + (cells + 0.5) * CELL
     inside = np.array([contains(playpen.arena.corners, x * 1e3, y * 1e3) for x, y in middles.tolist()])
     free = inside & (statistics.clearance(middles, playpen) >= radius)
-    been = np.clip(((places - corner) // CELL).astype(np.int64), 0, np.array(counts) - 1)
+    been = np.clip(((positions - corner) // CELL).astype(np.int64), 0, np.array(counts) - 1)
     visited = np.unique(been[:, 0] * counts[1] + been[:, 1])
     return float(free[visited].sum() / free.sum()) if free.any() else 0.0
 

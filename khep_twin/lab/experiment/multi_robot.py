@@ -53,7 +53,7 @@ def run_together(
         while waiting := [seat for seat in seats if not seat.done]:
             seat = min(waiting, key=lambda seat: (seat.goal_ns, seat.index))
             twin.advance_to(seat.goal_ns)
-            seat.go_on()
+            seat.resume()
     for seat in seats:
         if seat.error is not None:
             raise seat.error
@@ -88,7 +88,7 @@ class _Seat(Generic[Result]):
         """Start the thread, which waits for its turn."""
         self._thread.start()
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Run the script until it waits again or ends."""
         self._turn.release()
         self._pause.acquire()

@@ -25,11 +25,11 @@ from khep_twin.log.decoding import LATEST_NS, Misfit, first_line, read_line, sho
 from khep_twin.log.reader import Label, read_raw
 from khep_twin.log.recorder import versions
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import Answered, boards, hashes, read_acts, read_states
-from khep_twin.placing import put_again, scan
+from khep_twin.log.wire import Answered, boards, hashes, read_events, read_states
+from khep_twin.move_robot import repeat_move, scan
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.switching import relight_again, switch_again
+from khep_twin.switching import repeat_relight, repeat_switch
 from khep_twin.world import SAMPLE_NS, World
 
 
@@ -40,7 +40,7 @@ class Recorded:
     Attributes:
         path: Path of the log.
         label: Metadata and attachments of the log.
-        acts: World time [ns], robot index and act of its host, in order.
+        events: World time [ns], robot index and act of its host, in order.
         states: Hash of each sample.
         lines: Transcripts by robot.
         torn: True if the end of the run may be missing.
@@ -48,7 +48,7 @@ class Recorded:
 
     path: Path
     label: Label
-    acts: Sequence[tuple[int, int, HostEvent]]
+    events: Sequence[tuple[int, int, HostEvent]]
     states: Sequence[int]
     lines: Sequence[Sequence[TextLine]]
     torn: bool
@@ -90,18 +90,18 @@ def read_recorded(path: Path) -> Recorded:
             raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
         states += hashed
     last_ns = (len(states) - 1) * SAMPLE_NS + _OVERTIME_NS if states and not recovered else LATEST_NS
-    acts: list[tuple[int, int, HostEvent]] = []
+    events: list[tuple[int, int, HostEvent]] = []
     lines: list[list[TextLine]] = [[] for _ in label.robots]
     for index, name in enumerate(label.robots):
-        for _, done in _decoded(path, found, f"/{name}/wire", lambda data: list(read_acts(data))):
-            acts += [(at_ns, index, act) for at_ns, act in done]
+        for _, done in _decoded(path, found, f"/{name}/wire", lambda data: list(read_events(data))):
+            events += [(at_ns, index, event) for at_ns, event in done]
         lines[index] = [line for _, line in _decoded(path, found, f"/{name}/serial", read_line)]
-    for time_ns in (*(at_ns for at_ns, _, _ in acts), *(line.time_ns for each in lines for line in each)):
+    for time_ns in (*(at_ns for at_ns, _, _ in events), *(line.time_ns for each in lines for line in each)):
         if time_ns > last_ns:
             wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
             raise Misfit(f"something at {time_ns / NS_PER_S:.2f} s", wish).at(path, "/wire and /serial")
     # Robots do not interact on their lines, so acts at the same time may be in the order of the robots.
-    return Recorded(path, label, sorted(acts, key=lambda each: each[0]), states, lines, recovered)
+    return Recorded(path, label, sorted(events, key=lambda each: each[0]), states, lines, recovered)
 
 
 _OVERTIME_NS = 10 * NS_PER_S
@@ -229,44 +229,44 @@ def _calibrated(recorded: Recorded, playpen: Playpen, folder: Path) -> Playpen:
 def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | None) -> Divergence | None:
     world = twin.world
     watch = _Watch(world, recorded)
-    world.add_tap(watch)
+    world.add_observer(watch)
     last_ns = max([recorded.end_ns, *(line.time_ns for lines in recorded.lines for line in lines)])
-    acts = [each for each in recorded.acts if not recorded.torn or each[0] <= recorded.end_ns]
+    events = [each for each in recorded.events if not recorded.torn or each[0] <= recorded.end_ns]
     end: list[tuple[int, int, HostEvent | None]] = [(recorded.end_ns if recorded.torn else last_ns, 0, None)]
-    for time_ns, index, act in [*acts, *end]:
+    for time_ns, index, event in [*events, *end]:
         while world.time_ns < time_ns and watch.difference is None:
             world.advance_to(min(time_ns, world.time_ns + NS_PER_S))
             if progress is not None:
                 progress(min(world.time_ns / max(last_ns, 1), 1.0))
         if watch.difference is not None:
             break
-        if act is not None:
-            _act(twin, index, act)
+        if event is not None:
+            _repeat_event(twin, index, event)
     return min(filter(None, [watch.difference, *watch.lines(recorded)]), default=None)
 
 
-def _act(twin: Twin, index: int, act: HostEvent) -> None:
+def _repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
     """Repeat an act of a host on its robot's line."""
     robot = twin.world.robots[index]
     # Discard unread bytes; that changes nothing for the robot.
     robot.uart.tx.read(twin.world.time_ns)
-    match act.kind:
+    match event.kind:
         case HostEventKind.SEND:
-            robot.send(act.data, act.at_ns)
-        case HostEventKind.HANG_UP:
-            robot.hang_up()
-        case HostEventKind.TAKE_BACK:
-            robot.take_back()
+            robot.send(event.data, event.at_ns)
+        case HostEventKind.DISCONNECT:
+            robot.disconnect()
+        case HostEventKind.FLUSH:
+            robot.flush()
         case HostEventKind.SET:
-            robot.compare_line(act.host)
+            robot.compare_line(event.host)
         case HostEventKind.PUT:
-            put_again(twin.world, index, act)
+            repeat_move(twin.world, index, event)
         case HostEventKind.SWITCH:
-            switch_again(twin.world, act)
+            repeat_switch(twin.world, event)
         case HostEventKind.SCAN:
             scan(twin.world)
         case HostEventKind.RELIGHT:
-            relight_again(twin.world, act)
+            repeat_relight(twin.world, event)
 
 
 class _Watch:
@@ -294,16 +294,16 @@ class _Watch:
             if before != now:
                 self.difference = Divergence(world.time_ns, "/state", _hexadecimal(before), _hexadecimal(now))
 
-    def wire(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Add bytes to the transcript."""
-        self._transcript.hear(time_ns, robot, to_robot, data)
+        self._transcript.on_bytes(time_ns, robot, to_robot, data)
         if not to_robot:
-            self._answers.hear(time_ns, robot, data)
+            self._answers.on_bytes(time_ns, robot, data)
 
-    def act(self, time_ns: int, robot: int, act: HostEvent) -> None:
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Ignore acts: they are the recorded ones."""
 
-    def event(self, time_ns: int, robot: int | None, text: str) -> None:
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Ignore events: they follow from the state."""
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:

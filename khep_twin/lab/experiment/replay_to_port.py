@@ -94,7 +94,9 @@ class Comparison:
         return "\n".join(lines)
 
 
-def resend(recorded: Recorded, url: str, progress: Callable[[float], None] | None = None) -> Comparison:
+def replay_to_port(
+    recorded: Recorded, url: str, progress: Callable[[float], None] | None = None
+) -> Comparison:
     """Send a log's host bytes to a port and compare the replies.
 
     Args:
@@ -106,20 +108,20 @@ def resend(recorded: Recorded, url: str, progress: Callable[[float], None] | Non
         LogError: The log has no bytes of a host.
         PortError: The port cannot be opened or was lost.
     """
-    robots = {index for _, index, act in recorded.acts if act.kind == HostEventKind.SEND}
+    robots = {index for _, index, event in recorded.events if event.kind == HostEventKind.SEND}
     if not robots:
         made = recorded.label.metadata.get("khep_twin", "an unknown version")
         raise LogError(f"{recorded.path}: no host has sent anything in it, or it is too old (of {made})")
     robot = min(robots)
-    acts = [act for _, index, act in recorded.acts if index == robot]
+    events = [event for _, index, event in recorded.events if index == robot]
     lines = [line for line in recorded.lines[robot] if line.name == "robot"]
-    came = _send(acts, url, _baud(recorded, acts), lines[-1].time_ns if lines else 0, progress)
+    came = _send(events, url, _baud(recorded, events), lines[-1].time_ns if lines else 0, progress)
     return _compared(recorded.label.robots[robot], lines, came)
 
 
-def _baud(recorded: Recorded, acts: Sequence[HostEvent]) -> int:
+def _baud(recorded: Recorded, events: Sequence[HostEvent]) -> int:
     """Return the host's baud rate at the start."""
-    known = [act.host.baud for act in acts if act.host is not None and act.host.baud]
+    known = [event.host.baud for event in events if event.host is not None and event.host.baud]
     if known:
         return known[0]
     text = recorded.label.metadata.get("baud", "9600")
@@ -129,7 +131,7 @@ def _baud(recorded: Recorded, acts: Sequence[HostEvent]) -> int:
 
 
 def _send(
-    acts: Sequence[HostEvent], url: str, baud: int, last_ns: int, progress: Callable[[float], None] | None
+    events: Sequence[HostEvent], url: str, baud: int, last_ns: int, progress: Callable[[float], None] | None
 ) -> list[str]:
     """Repeat the acts at their times; return the replies."""
     came = b""
@@ -139,20 +141,20 @@ def _send(
         # A simulated port loses nothing, and each read would take time.
         simulated = hasattr(port, "time_ns")
         start = khepera.time
-        end = HostEvent(HostEventKind.HANG_UP, max(last_ns, acts[-1].at_ns) + int(_LAST_WAIT * NS_PER_S))
+        end = HostEvent(HostEventKind.DISCONNECT, max(last_ns, events[-1].at_ns) + int(_LAST_WAIT * NS_PER_S))
         try:
-            for act in (*acts, end):
-                while (wait := act.at_ns / NS_PER_S - (khepera.time - start)) > 0:
+            for event in (*events, end):
+                while (wait := event.at_ns / NS_PER_S - (khepera.time - start)) > 0:
                     khepera.sleep(wait if simulated else min(wait, _SLICE))
                     came += b"" if simulated else port.read(port.in_waiting)
-                if act.kind == HostEventKind.SEND:
-                    port.write(act.data)
-                elif act.kind == HostEventKind.TAKE_BACK:
+                if event.kind == HostEventKind.SEND:
+                    port.write(event.data)
+                elif event.kind == HostEventKind.FLUSH:
                     port.reset_output_buffer()
-                elif act.kind == HostEventKind.SET and act.host is not None and act.host.baud:
-                    port.baudrate = act.host.baud
+                elif event.kind == HostEventKind.SET and event.host is not None and event.host.baud:
+                    port.baudrate = event.host.baud
                 if progress is not None:
-                    progress(min(act.at_ns / end.at_ns, 1.0))
+                    progress(min(event.at_ns / end.at_ns, 1.0))
             came += port.read(max(port.in_waiting, 1))
         except (OSError, ValueError) as error:
             raise PortError(f"{url}: the port failed: {error}") from error

@@ -140,20 +140,20 @@ def motion(times_s: Floats, pose: Floats) -> Motion:
     turns = np.diff(np.unwrap(pose[:, 2]))
     return Motion(
         float(times_s[-1] - times_s[0]),
-        way(pose[:, :2]),
+        path_length(pose[:, :2]),
         float(speeds.max(initial=0.0)),
         float(turns[turns > 0].sum()),
         float(-turns[turns < 0].sum()),
     )
 
 
-def way(places: Floats) -> float:
+def path_length(positions: Floats) -> float:
     """Return the length of a path [m] through points (n, 2) [m], in steps of 1 mm."""
-    if not len(places):
+    if not len(positions):
         return 0.0
     total = 0.0
-    x, y = places[0].tolist()
-    for next_x, next_y in places.tolist():
+    x, y = positions[0].tolist()
+    for next_x, next_y in positions.tolist():
         step = math.hypot(next_x - x, next_y - y)
         if step >= _STEP:
             total, x, y = total + step, next_x, next_y
@@ -172,8 +172,8 @@ def reckoned(pulses: NDArray[np.int64], start: Floats) -> Floats:
     steps = np.diff((left + right) / 2)
     middle = (heading[1:] + heading[:-1]) / 2
     moved = np.column_stack([steps * np.cos(middle), steps * np.sin(middle)])
-    places = np.vstack([start[:2], start[:2] + np.cumsum(moved, axis=0)])
-    return np.column_stack([places, heading])
+    positions = np.vstack([start[:2], start[:2] + np.cumsum(moved, axis=0)])
+    return np.column_stack([positions, heading])
 
 
 def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64]) -> Slip:
@@ -182,7 +182,7 @@ def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64]) -> Slip:
     ahead = told[:, 2] - np.unwrap(pose[:, 2])
     worst = int(np.argmax(np.abs(ahead)))
     end = math.hypot(*(told[-1, :2] - pose[-1, :2]).tolist())
-    return Slip(way(told[:, :2]), end, float(ahead[worst]), float(times_s[worst]))
+    return Slip(path_length(told[:, :2]), end, float(ahead[worst]), float(times_s[worst]))
 
 
 def near(times_s: Floats, proximity: NDArray[np.int64]) -> Stretches:
@@ -196,15 +196,15 @@ def collisions(times_s: Floats, pose: Floats, playpen: Playpen, radius: float) -
     return stretches(times_s, touching, SAME_CONTACT_S)
 
 
-def clearance(places: Floats, playpen: Playpen) -> Floats:
+def clearance(positions: Floats, playpen: Playpen) -> Floats:
     """Return distances from points (n, 2) [m] to walls and fixed objects (n,) [m]; below 0 within one."""
     arena = playpen.arena
     shapes: list[Footprint] = list(walls_around(arena.corners, arena.wall_thickness_mm))
     shapes += [shape for wall in playpen.walls for shape in wall.footprints]
     shapes += [item.footprint for items in playpen.objects.values() for item in items if not item.movable]
-    nearest = np.full(len(places), np.inf)
+    nearest = np.full(len(positions), np.inf)
     for shape in shapes:
-        np.minimum(nearest, _away(places, shape), out=nearest)
+        np.minimum(nearest, _away(positions, shape), out=nearest)
     return nearest
 
 
@@ -221,9 +221,9 @@ def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> LightSta
     return LightStatistics(float(depth.mean()), float(depth[row, sensor]), sensor, float(times_s[row]))
 
 
-def _away(places: Floats, shape: Footprint) -> Floats:
+def _away(positions: Floats, shape: Footprint) -> Floats:
     """Return distances from points [m] to a shape (n,) [m]; below 0 within it."""
-    dx, dy = places[:, 0] - shape.x_mm / 1000, places[:, 1] - shape.y_mm / 1000
+    dx, dy = positions[:, 0] - shape.x_mm / 1000, positions[:, 1] - shape.y_mm / 1000
     if not isinstance(shape, Rectangle):
         return np.hypot(dx, dy) - shape.radius_mm / 1000
     (along_x, along_y), (across_x, across_y) = shape.axes()

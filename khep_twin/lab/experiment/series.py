@@ -4,7 +4,7 @@
 
     with Khepera("khep://obstacles") as robot:
         for run in run_series(braitenberg, OneRobot(robot), Plan(runs=20, cycles=500)):
-            print(run.number, run.numbers["fitness"])
+            print(run.number, run.metrics["fitness"])
 
 On one robot, on any port, each run starts where the robot stands. On new twins each run has its own start and
 seed, so that it does not depend on the others.
@@ -73,7 +73,7 @@ class SeriesRun:
         start: Start pose, None if the robot started where it stood.
         cycles: Number of calls of the controller.
         duration: Duration in the port's own time [s].
-        numbers: Metrics by name (`khep_twin.lab.experiment.measures`).
+        metrics: Metrics by name (`khep_twin.lab.experiment.measures`).
         variables: Variables of the controller at the run's end.
     """
 
@@ -81,7 +81,7 @@ class SeriesRun:
     start: StartPose | None
     cycles: int
     duration: float
-    numbers: Mapping[str, float]
+    metrics: Mapping[str, float]
     variables: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def line(self, runs: int) -> str:
@@ -90,7 +90,7 @@ class SeriesRun:
         if runs == 1:
             return told
         names = ("fitness", "distance_m")
-        shown = [f"{name} {self.numbers[name]:.3g}" for name in names if name in self.numbers]
+        shown = [f"{name} {self.metrics[name]:.3g}" for name in names if name in self.metrics]
         return "  ".join([f"run {self.number:3d}", told, *shown])
 
 
@@ -209,7 +209,7 @@ class FreshTwins:
 
 def run_series(
     controller: AnyController,
-    bench: RobotSource,
+    source: RobotSource,
     plan: Plan,
     *,
     first: int = 1,
@@ -222,7 +222,7 @@ def run_series(
 
     Args:
         controller: Controller of the robot.
-        bench: Source of the robots.
+        source: Source of the robots.
         plan: Number and length of the runs.
         first: Number of the first run, of a resumed series.
         before: Called with each run's number before it, after the pause, e.g. to place a robot by hand.
@@ -235,7 +235,7 @@ def run_series(
         KhepTwinError: The port failed.
     """
     algorithm = as_controller(controller)
-    for session in bench.sessions(range(first, plan.runs + 1)):
+    for session in source.sessions(range(first, plan.runs + 1)):
         if stop is not None and stop():
             return
         with session.opened as robot:
@@ -270,20 +270,20 @@ def _run(
     broken_off: Callable[[SeriesRun], None] | None,
 ) -> SeriesRun | None:
     """Return one run; None if it was aborted, with which `broken_off` is called."""
-    heard, truth = HostMetrics(), _truth_of(robot)
+    host_metrics, ground_truth = HostMetrics(), _truth_of(robot)
     began, done = robot.time, 0
 
     def end_cycle() -> None:
         nonlocal done
-        heard.end_cycle()
+        host_metrics.end_cycle()
         done += 1
 
     def result(outcome: experiment.Outcome) -> SeriesRun:
-        numbers = heard.numbers() | ({} if truth is None else truth.numbers())
-        return SeriesRun(number, start, outcome.cycles, outcome.duration, numbers, variables(controller))
+        metrics = host_metrics.metrics() | ({} if ground_truth is None else ground_truth.metrics())
+        return SeriesRun(number, start, outcome.cycles, outcome.duration, metrics, variables(controller))
 
     _tell(robot, f"run {number} begins")
-    robot.listen(heard)
+    robot.listen(host_metrics)
     try:
         try:
             outcome = experiment.run(
@@ -297,8 +297,8 @@ def _run(
             )
         finally:
             robot.listen(None)
-            if truth is not None:
-                truth.end()
+            if ground_truth is not None:
+                ground_truth.end()
     except KhepTwinError:
         # It may have been stopped within a cycle.
         if broken_off is not None and stop is not None and stop():
@@ -330,7 +330,7 @@ def _tell(robot: Khepera, text: str) -> None:
     """Write an event to the log of a twin in this process."""
     twin = twin_of(robot)
     if twin is not None:
-        twin.world.tell(twin.robot.index, text)
+        twin.world.log_event(twin.robot.index, text)
 
 
 def twin_of(robot: Khepera) -> Twin | None:

@@ -64,8 +64,8 @@ def _panel(axes: Axes, labels: Sequence[str], series: Sequence[Sequence[Row]], n
         axes.plot(runs, numbers, "o-", ms=3, lw=0.7, color=colour, label=label)
         told = summary(numbers)
         place = last + max(1.0, last * 0.06) * (1 + 0.5 * index)
-        within = 0.0 if math.isnan(told.within) else told.within
-        axes.errorbar([place], [told.mean], [within], fmt="D", ms=4, capsize=3, color=colour)
+        ci95 = 0.0 if math.isnan(told.ci95) else told.ci95
+        axes.errorbar([place], [told.mean], [ci95], fmt="D", ms=4, capsize=3, color=colour)
     axes.set_ylabel(f"{name} [{UNITS[name]}]" if UNITS.get(name) else name)
     ticks = MaxNLocator(integer=True).tick_values(1, max(last, 2))
     axes.set_xticks([tick for tick in ticks if 1 <= tick <= last])

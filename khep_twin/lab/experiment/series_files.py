@@ -164,7 +164,7 @@ def row_of(run: SeriesRun) -> Row:
             "start_y_mm": run.start.y_mm,
             "start_heading_deg": run.start.heading_deg,
         }
-    row |= {"cycles": run.cycles, "duration_s": run.duration, **run.numbers}
+    row |= {"cycles": run.cycles, "duration_s": run.duration, **run.metrics}
     for name, value in run.variables.items():
         if isinstance(value, _SINGLE):
             row[name if name not in _UNITS else f"controller_{name}"] = value

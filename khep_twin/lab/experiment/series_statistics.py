@@ -27,8 +27,8 @@ class Summary:
     Attributes:
         count: Number of runs that have it.
         mean: Mean value.
-        spread: Standard deviation from run to run; NaN with a single run.
-        within: Half of the mean's 95 % confidence interval, by Student's t for independent, normally
+        sd: Standard deviation from run to run; NaN with a single run.
+        ci95: Half of the mean's 95 % confidence interval, by Student's t for independent, normally
             distributed runs (assumed).
         low: Smallest value.
         high: Largest value.
@@ -36,8 +36,8 @@ class Summary:
 
     count: int
     mean: float
-    spread: float
-    within: float
+    sd: float
+    ci95: float
     low: float
     high: float
 
@@ -48,31 +48,29 @@ class Difference:
 
     Attributes:
         mean: Difference of the means.
-        within: Half of its 95 % confidence interval, by Welch's t for unequal variances.
+        ci95: Half of its 95 % confidence interval, by Welch's t for unequal variances.
     """
 
     mean: float
-    within: float
+    ci95: float
 
     @property
     def clear(self) -> bool:
         """True if 0 lies outside the confidence interval."""
-        return abs(self.mean) > self.within
+        return abs(self.mean) > self.ci95
 
 
 def summary(values: Sequence[float]) -> Summary:
     """Return the summary of at least one value."""
     count, mean = len(values), math.fsum(values) / len(values)
-    spread = float(np.std(values, ddof=1)) if count > 1 else math.nan
-    return Summary(
-        count, mean, spread, _within(spread / math.sqrt(count), count - 1), min(values), max(values)
-    )
+    sd = float(np.std(values, ddof=1)) if count > 1 else math.nan
+    return Summary(count, mean, sd, _ci95(sd / math.sqrt(count), count - 1), min(values), max(values))
 
 
 def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
     """Return the mean of the values after less that before."""
     one, other = summary(before), summary(after)
-    parts = [each.spread**2 / each.count for each in (one, other)]
+    parts = [each.sd**2 / each.count for each in (one, other)]
     error = math.sqrt(sum(parts))
     if not error:
         return Difference(other.mean - one.mean, 0.0)
@@ -86,7 +84,7 @@ def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
         if not math.isnan(error)
         else math.nan
     )
-    return Difference(other.mean - one.mean, _within(error, freedom))
+    return Difference(other.mean - one.mean, _ci95(error, freedom))
 
 
 def values(rows: Sequence[Row], name: str) -> list[float]:
@@ -118,7 +116,7 @@ def measured(series: Sequence[Sequence[Row]], wanted: Sequence[str] | None = Non
 
 def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence[str]) -> str:
     """Return series as text: a line for each column of each series, and each difference to the first."""
-    head = ("", "series", "runs", "mean", "+- 95 %", "spread", "least", "most")
+    head = ("", "series", "runs", "mean", "+- 95 %", "sd", "least", "most")
     lines: list[tuple[str, ...]] = [head]
     for name in names:
         first: list[float] | None = None
@@ -128,7 +126,7 @@ def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequenc
             if not found:
                 continue
             told = summary(found)
-            numbers = (told.mean, told.within, told.spread, told.low, told.high)
+            numbers = (told.mean, told.ci95, told.sd, told.low, told.high)
             lines.append((title, label, str(told.count), *map(_number, numbers)))
             title = ""
             if first is None:
@@ -137,7 +135,7 @@ def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequenc
                 apart = difference(first, found)
                 clear = "differs" if apart.clear else "no clear difference"
                 lines.append(
-                    ("", "  less the first", "", _number(apart.mean), _number(apart.within), clear, "", "")
+                    ("", "  less the first", "", _number(apart.mean), _number(apart.ci95), clear, "", "")
                 )
     widths = [max(len(line[column]) for line in lines) for column in range(len(head))]
     return "\n".join(
@@ -149,7 +147,7 @@ def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequenc
     )
 
 
-def _within(error: float, freedom: float) -> float:
+def _ci95(error: float, freedom: float) -> float:
     """Return half of the confidence interval of a mean with this standard error."""
     if math.isnan(error) or not freedom > 0:
         return math.nan

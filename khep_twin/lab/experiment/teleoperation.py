@@ -42,7 +42,7 @@ _LEDS = ((0, 0), (1, 0), (0, 1), (1, 1))
 """States of the lateral and the frontal LED, in the order of switching."""
 
 
-class Way(Enum):
+class Direction(Enum):
     """Direction of driving: factors of the left and right wheel's speed. Turns go at half the speed."""
 
     STOP = (0.0, 0.0)
@@ -63,7 +63,7 @@ class DriveView:
 
     Attributes:
         speed: Speed chosen for the wheels [pulses/10 ms].
-        way: Direction of driving.
+        direction: Direction of driving.
         measured: Measured speeds of the wheels [pulses/10 ms].
         proximity: Proximity readings [counts].
         ambient: Ambient readings [counts].
@@ -73,7 +73,7 @@ class DriveView:
     """
 
     speed: int
-    way: Way = Way.STOP
+    direction: Direction = Direction.STOP
     measured: Speeds = _REST
     proximity: SensorCounts = _NOTHING
     ambient: SensorCounts = _NOTHING
@@ -86,17 +86,17 @@ class DeadManSwitch:
     """Dead-man's switch: a key drives for a moment, and longer only while it is repeated."""
 
     def __init__(self) -> None:
-        self._way = Way.STOP
+        self._direction = Direction.STOP
         self._until = 0.0
 
-    def press(self, way: Way, now: float) -> None:
+    def press(self, direction: Direction, now: float) -> None:
         """Press or repeat a key at this time [s]."""
-        repeated = way is self.way(now)
-        self._way, self._until = way, now + (REPEAT_HOLD if repeated else FIRST_HOLD)
+        repeated = direction is self.direction(now)
+        self._direction, self._until = direction, now + (REPEAT_HOLD if repeated else FIRST_HOLD)
 
-    def way(self, now: float) -> Way:
+    def direction(self, now: float) -> Direction:
         """Return the direction of driving at this time [s]."""
-        return self._way if now < self._until else Way.STOP
+        return self._direction if now < self._until else Direction.STOP
 
 
 class Teleoperation:
@@ -129,10 +129,10 @@ class Teleoperation:
         with self._lock:
             return self._view
 
-    def press(self, way: Way) -> None:
+    def press(self, direction: Direction) -> None:
         """Press or repeat the key of a direction; STOP stops."""
         with self._lock:
-            self._switch.press(way, self._now())
+            self._switch.press(direction, self._now())
         self._wake.set()
 
     def choose(self, speed: int) -> None:
@@ -174,8 +174,8 @@ class Teleoperation:
             PortError: The line is lost, or two cycles in a row got no reply.
         """
         with self._lock:
-            way, leds, view = self._switch.way(self._now()), self._leds, self._view
-        speeds = way.speeds(view.speed)
+            direction, leds, view = self._switch.direction(self._now()), self._leds, self._view
+        speeds = direction.speeds(view.speed)
         orders: list[HostCommand[object]] = [] if speeds == self._sent else [commands.set_speed(*speeds)]
         if leds != self._sent_leds:
             orders += [commands.set_led(led, action) for led, action in enumerate(leds)]
@@ -193,8 +193,8 @@ class Teleoperation:
             return
         self._failed = False
         self._sent, self._sent_leds = speeds, leds
-        self._change(way=way, leds=leds, proximity=proximity, ambient=ambient, measured=measured)
-        if self._supply_at is not None and way is Way.STOP and self._now() >= self._supply_at:
+        self._change(direction=direction, leds=leds, proximity=proximity, ambient=ambient, measured=measured)
+        if self._supply_at is not None and direction is Direction.STOP and self._now() >= self._supply_at:
             self._ask_for_supply()
 
     def _ask_for_supply(self) -> None:

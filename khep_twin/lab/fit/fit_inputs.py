@@ -135,7 +135,7 @@ class Measured:
     lamps: tuple[SensorData, ...] = ()
 
 
-def measured(words: list[str]) -> Measured:
+def fit_inputs(words: list[str]) -> Measured:
     """Read the files that command-line words name, see this module's docstring.
 
     Raises:

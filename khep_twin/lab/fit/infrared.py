@@ -64,9 +64,9 @@ class Bench:
         towards, directions = self._towards(bearings), self._directions()
         centres = towards * (self.radius + distances + radius)[:, None] - np.array(self.position)
         along = centres @ directions.T
-        aside = (centres**2).sum(axis=1)[:, None] - along**2
-        met = (aside < radius**2) & (along > 0)
-        depth = np.sqrt(np.where(met, radius**2 - aside, 0))
+        tangential = (centres**2).sum(axis=1)[:, None] - along**2
+        met = (tangential < radius**2) & (along > 0)
+        depth = np.sqrt(np.where(met, radius**2 - tangential, 0))
         return RayHits(np.where(met, along - depth, np.inf), depth / radius)
 
     def _directions(self) -> Floats:

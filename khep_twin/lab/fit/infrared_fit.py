@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.infrared import TANGENTS, Floats, MeasuredTable, Optics, level
-from khep_twin.lab.fit.least_squares import Parameter, estimate
+from khep_twin.lab.fit.least_squares import Parameter, least_squares
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import N_SENSORS, Sensor
 
@@ -122,9 +122,9 @@ def _fit_sensor(tables: Sequence[MeasuredTable], sensor: int, start: Calibration
         Parameter(f"{name}: threshold", before.threshold_counts, 100, 300, " counts"),
     ]
     # A robust loss limits the influence of outliers, such as readings while someone walks by.
-    first = estimate(left, parameters, _WISH, "soft_l1", 3 * max(noise, _BLUR))
+    first = least_squares(left, parameters, _WISH, "soft_l1", 3 * max(noise, _BLUR))
     weights = 1 / np.hypot(deviation(levels(np.array(first.values)), noise, limit), _BLUR)
-    found = estimate(left, parameters, _WISH, "soft_l1", 3.0, unit_variance=True)
+    found = least_squares(left, parameters, _WISH, "soft_l1", 3.0, unit_variance=True)
     (gain, threshold), (gain_interval, threshold_interval) = found.values, found.intervals
     weights = np.ones(len(counts))
     rms = float(np.sqrt(np.mean(left(np.array(found.values)) ** 2)))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.least_squares import CONFIDENCE, Parameter, estimate
+from khep_twin.lab.fit.least_squares import CONFIDENCE, Parameter, least_squares
 from khep_twin.sensing.calibration import AmbientCalibration, Calibration
 from khep_twin.units import N_SENSORS, SCAN_NS, SENSOR_POSITIONS, Sensor
 
@@ -120,7 +120,7 @@ def fit_lamps(tables: Sequence[LampTable], start: Calibration) -> LampFit:
             ]
         )
 
-    found = estimate(
+    found = least_squares(
         left, [*shared, *own], "readings of a lamp in turns of 360 degrees, at two distances and more"
     )
     (dark, floor, diffuse), each = split(np.array(found.values))

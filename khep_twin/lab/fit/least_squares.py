@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy import optimize
 
 from khep_twin.errors import FitError
 
@@ -61,7 +61,7 @@ class Estimate:
     rms: float
 
 
-def estimate(
+def least_squares(
     residuals: Callable[[Floats], Floats],
     parameters: Sequence[Parameter],
     wish: str,
@@ -97,7 +97,7 @@ def estimate(
         ways = np.eye(len(x)) * step
         return np.column_stack([(scaled(x + way) - scaled(x - way)) / (2 * step) for way in ways])
 
-    found = least_squares(
+    found = optimize.least_squares(
         scaled,
         np.zeros(len(start)),
         jac=slopes,  # pyright: ignore[reportArgumentType]

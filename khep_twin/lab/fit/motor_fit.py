@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
-from khep_twin.lab.fit.least_squares import Parameter, estimate
+from khep_twin.lab.fit.least_squares import Parameter, least_squares
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import read
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
@@ -144,7 +144,7 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
         twin = np.concatenate([driven(drive, robot) for drive in drives])
         return (twin - measured).ravel()
 
-    found = estimate(left, parameters, _WISH, step=_STEP)
+    found = least_squares(left, parameters, _WISH, step=_STEP)
     no_load, torque_mnm = found.values
     motors = MotorCalibration(
         no_load_speed_rad_s=round(no_load, 2), stall_torque_n_m=round(torque_mnm / 1e3, 6)

@@ -68,7 +68,7 @@ def slip_rows(pose: TimeSeries, registers: TimeSeries) -> Iterator[Row]:
     pulses = registers.values[:, [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]].astype(np.int64)
     times_s, truth = pose.times_ns / 1e9, pose.values.astype(np.float64)
     found = statistics.slip(times_s, truth, pulses)
-    true_way = statistics.way(truth[:, :2])
+    true_way = statistics.path_length(truth[:, :2])
     more = f", {_signed(100 * (found.distance / true_way - 1), 1)} %" if true_way else ""
     yield "Distance by counters", f"{_length(found.distance)}{more}"
     heading = _signed(math.degrees(found.heading), 1)

@@ -84,20 +84,20 @@ def sensor_frame(scene: Scene, channel: int) -> Sequence[float]:
 
 
 def direction(
-    scene: Scene, frame: Sequence[float], channel: int, ray: int, aside: float
+    scene: Scene, frame: Sequence[float], channel: int, ray: int, tangential: float
 ) -> tuple[float, float, float]:
     """Return the same as `raycast.direction`."""
     c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
-    ways, n_wide = scene.robot.ways, len(scene.robot.hits)
-    ahead, left = ways[channel, ray], ways[channel, n_wide + ray]
+    ray_directions, n_wide = scene.robot.ray_directions, len(scene.robot.hits)
+    ahead, left = ray_directions[channel, ray], ray_directions[channel, n_wide + ray]
     return c * ahead - s * left, s * ahead + c * left, 0.0
 
 
-def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: Vector[float]) -> int:
+def rays(scene: Scene, proximity: "Proximity", channel: int, level: float, found: Vector[float]) -> int:
     """Cast the same rays as `raycast.rays`, but none if nothing can be near enough to count."""
     robot, things, order = scene.robot, scene.things, scene.order
     away = robot.mounts[channel, 4] + robot.last[MOVED]
-    gain, offset = near.gain[channel] * near.brightest, near.offset[channel]
+    gain, offset = proximity.gain[channel] * proximity.brightest, proximity.offset[channel]
     n = len(order)
     if level < 0:
         # At this distance nothing passes the threshold; a margin is left for rounding.
@@ -122,7 +122,7 @@ def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: Vec
             return 0
     n_rays, n_wide = len(found) // 4, len(robot.hits)
     for ray in range(n_wide):
-        ahead, left = robot.ways[channel, ray], robot.ways[channel, n_wide + ray]
+        ahead, left = robot.ray_directions[channel, ray], robot.ray_directions[channel, n_wide + ray]
         robot.looks[ray] = c * ahead - s * left
         robot.looks[n_wide + ray] = s * ahead + c * left
         robot.lengths[ray] = math.inf
@@ -135,7 +135,7 @@ def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: Vec
             break
         if least > next_look:
             # All remaining things are farther away than this.
-            light = planar_rays.most(robot, near.weights[channel], offset, least)
+            light = planar_rays.most(robot, proximity.weights[channel], offset, least)
             if gain * light * 1.000001 <= -level:
                 return 0
             next_look = least + reach
@@ -151,7 +151,7 @@ def rays(scene: Scene, near: "Proximity", channel: int, level: float, found: Vec
         for ray in range(n_rays):
             farthest = max(farthest, robot.lengths[ray])
     if level < 0:
-        light = planar_rays.most(robot, near.weights[channel], offset, math.inf)
+        light = planar_rays.most(robot, proximity.weights[channel], offset, math.inf)
         if gain * light * 1.000001 <= -level:
             return 0
     _fill(scene, x, y, found)
@@ -223,11 +223,11 @@ def blocked(
     disc: int,
     left: tuple[float, float, float],
     up: tuple[float, float, float],
-    way: tuple[float, float, float],
+    ray_direction: tuple[float, float, float],
     cutoff: float,
     glass: float,
 ) -> float:
     """Return the same as `raycast.blocked`."""
     n_few, n_points = scene.robot.n_few, len(scene.robot.points)
     first, last = (0, n_few) if disc == FEW else (n_few, n_points)
-    return shadows.blocked(scene, position(scene, channel), first, last, left, up, way, glass)
+    return shadows.blocked(scene, position(scene, channel), first, last, left, up, ray_direction, glass)

@@ -13,10 +13,10 @@ from numba import njit
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.board.compiled_kernel import compiled_copy
-from khep_twin.rollout import compiled_casting, episode, fitness, networks
+from khep_twin.rollout import compiled_casting, fitness, networks, stepping
 from khep_twin.rollout.compiled import SOURCES, announce_compilation, stamped
-from khep_twin.rollout.episode import Advance, ControllerState, RobotState, StepInputs
 from khep_twin.rollout.planar import casting, contact_solver, motion, plane, rays, shadows
+from khep_twin.rollout.stepping import Advance, ControllerState, RobotState, StepInputs
 from khep_twin.sensing import optics
 
 
@@ -36,7 +36,7 @@ _CASTING = _copy(
 # Here, too, a controller is called by its address.
 setattr(_CASTING, "decide", compiled_casting.decide)  # noqa: B010
 _EPISODE = _copy(
-    episode,
+    stepping,
     kernel=_copy(kernel),
     units=_copy(units),
     fitness=_copy(fitness),
@@ -46,8 +46,8 @@ _EPISODE = _copy(
 )
 
 
-def _advance(body: RobotState, mind: ControllerState, span: StepInputs, n_steps: int) -> int:
-    return _EPISODE.advance(body, mind, span, n_steps)
+def _advance(robot: RobotState, controller: ControllerState, inputs: StepInputs, n_steps: int) -> int:
+    return _EPISODE.advance(robot, controller, inputs, n_steps)
 
 
 _SOURCES = (*SOURCES, casting, motion, contact_solver, rays, shadows, plane)
@@ -55,4 +55,4 @@ _SOURCES = (*SOURCES, casting, motion, contact_solver, rays, shadows, plane)
 advance: Advance = announce_compilation(
     njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(stamped(_advance, _SOURCES))
 )
-"""`episode.advance` in a plane, compiled."""
+"""`stepping.advance` in a plane, compiled."""

@@ -95,39 +95,39 @@ def slide(plane: Plane) -> None:
 
 
 def _rates(robot: PlanarRobot) -> _Rates:
-    half, lightness, nimbleness = robot.track / 2, 1 / robot.mass, 1 / robot.inertia
-    heft = robot.spin + robot.substep * robot.damping
-    rim = robot.wheel * robot.wheel / heft
-    tyre = 1 / (lightness + half * half * nimbleness + rim)
-    scrape = 1 / (lightness + robot.radius * robot.radius * nimbleness)
-    return half, lightness, nimbleness, tyre, scrape, rim, robot.spin / heft
+    half, inv_mass, inv_inertia = robot.track / 2, 1 / robot.mass, 1 / robot.inertia
+    effective_mass = robot.spin + robot.substep * robot.damping
+    rim = robot.wheel * robot.wheel / effective_mass
+    tyre = 1 / (inv_mass + half * half * inv_inertia + rim)
+    friction_impulse = 1 / (inv_mass + robot.radius * robot.radius * inv_inertia)
+    return half, inv_mass, inv_inertia, tyre, friction_impulse, rim, robot.spin / effective_mass
 
 
 def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
     """Return the motion after a substep's impulses, of the tyres and of `count` contacts."""
     robot, things, grips = plane.robot, plane.things, plane.robot.grips
-    half, lightness, nimbleness, _, _, rim, lag = rates
+    half, inv_mass, inv_inertia, _, _, rim, lag = rates
     forward, aside, spin, left, right = motion
     left += (robot.free_speed * robot.ctrl[0] - left) * (1 - lag)
     right += (robot.free_speed * robot.ctrl[1] - right) * (1 - lag)
     impulses = grips[0], grips[1], grips[2]
-    forward += (impulses[0] + impulses[1]) * lightness
-    aside += impulses[2] * lightness
-    spin += (impulses[1] - impulses[0]) * half * nimbleness
+    forward += (impulses[0] + impulses[1]) * inv_mass
+    aside += impulses[2] * inv_mass
+    spin += (impulses[1] - impulses[0]) * half * inv_inertia
     left -= impulses[0] * rim
     right -= impulses[1] * rim
     for i in range(count):
         thing = int(robot.contacts[i, 3])
         along, across = things[thing, ALONG], things[thing, ACROSS]
         nx, ny = robot.contacts[i, 0], robot.contacts[i, 1]
-        forward += (along * nx - across * ny) * lightness
-        aside += (along * ny + across * nx) * lightness
-        spin -= across * robot.radius * nimbleness
+        forward += (along * nx - across * ny) * inv_mass
+        aside += (along * ny + across * nx) * inv_mass
+        spin -= across * robot.radius * inv_inertia
     motion = forward, aside, spin, left, right
     for _ in range(_ROUNDS):
         motion, impulses, changed = _hold(robot, rates, motion, impulses)
         motion, changed = _push(plane, count, rates, motion, changed)
-        if changed * lightness < _SETTLED:
+        if changed * inv_mass < _SETTLED:
             break
     grips[0], grips[1], grips[2] = impulses
     return motion
@@ -137,7 +137,7 @@ def _hold(
     robot: PlanarRobot, rates: _Rates, motion: _Motion, impulses: _Impulses
 ) -> tuple[_Motion, _Impulses, float]:
     """Return motion and impulses after one round of the tyres, and the change of impulses [N s]."""
-    half, lightness, nimbleness, tyre, _, rim, _ = rates
+    half, inv_mass, inv_inertia, tyre, _, rim, _ = rates
     forward, aside, spin, left, right = motion
     grip_left, grip_right, grip_aside = impulses
     change_left = -(forward - half * spin - left) * tyre
@@ -146,7 +146,7 @@ def _hold(
     # Each tyre's impulse along and across is limited by its grip.
     new_left, new_right = grip_left + change_left, grip_right + change_right
     new_aside = grip_aside + change_aside
-    most = max(robot.grip * robot.substep - robot.relief * lightness * abs(grip_left + grip_right), 0.0)
+    most = max(robot.grip * robot.substep - robot.relief * inv_mass * abs(grip_left + grip_right), 0.0)
     both = new_aside * new_aside / 4
     left_aside = right_aside = new_aside / 2
     size = new_left * new_left + both
@@ -159,9 +159,9 @@ def _hold(
         new_right, right_aside = new_right * part, right_aside * part
     change_left, change_right = new_left - grip_left, new_right - grip_right
     change_aside = left_aside + right_aside - grip_aside
-    forward += (change_left + change_right) * lightness
-    aside += change_aside * lightness
-    spin += (change_right - change_left) * half * nimbleness
+    forward += (change_left + change_right) * inv_mass
+    aside += change_aside * inv_mass
+    spin += (change_right - change_left) * half * inv_inertia
     left -= change_left * rim
     right -= change_right * rim
     changed = abs(change_left) + abs(change_right) + abs(change_aside)
@@ -171,26 +171,26 @@ def _hold(
 def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: float) -> tuple[_Motion, float]:
     """Return the motion after one round of the contacts, and `changed` with the change of theirs [N s]."""
     robot, things, h = plane.robot, plane.things, plane.robot.substep
-    _, lightness, nimbleness, _, scrape, _, _ = rates
+    _, inv_mass, inv_inertia, _, friction_impulse, _, _ = rates
     forward, aside, spin, left, right = motion
     for i in range(count):
         thing = int(robot.contacts[i, 3])
         nx, ny, gap = robot.contacts[i, 0], robot.contacts[i, 1], robot.contacts[i, 2]
         across = things[thing, ACROSS]
         side = robot.friction * things[thing, ALONG]
-        new = across - (aside * nx - forward * ny - robot.radius * spin) * scrape
+        new = across - (aside * nx - forward * ny - robot.radius * spin) * friction_impulse
         new = min(max(new, -side), side)
         things[thing, ACROSS] = new
         change = new - across
-        forward -= change * ny * lightness
-        aside += change * nx * lightness
-        spin -= change * robot.radius * nimbleness
+        forward -= change * ny * inv_mass
+        aside += change * nx * inv_mass
+        spin -= change * robot.radius * inv_inertia
         along = things[thing, ALONG]
         new = max(along - (forward * nx + aside * ny + gap / h) * robot.mass, 0.0)
         things[thing, ALONG] = new
         changed += abs(change) + abs(new - along)
-        forward += (new - along) * nx * lightness
-        aside += (new - along) * ny * lightness
+        forward += (new - along) * nx * inv_mass
+        aside += (new - along) * ny * inv_mass
     return (forward, aside, spin, left, right), changed
 
 

@@ -23,8 +23,8 @@ from khep_twin.errors import MissingExtraError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION, TYRE_FRICTION
-from khep_twin.rollout import episode
-from khep_twin.rollout.mujoco_room import Live
+from khep_twin.rollout import stepping
+from khep_twin.rollout.mujoco_backend import Live
 from khep_twin.rollout.planar import casting as planar_casting
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar.plane import PlanarRobot, Plane
@@ -44,7 +44,7 @@ _NAME = "in a plane"
 LIVE = ("joints", "speeds", "ctrl", "force")
 """Fields of `PlanarRobot` that the episode works on."""
 
-ROOM = (*LIVE, "grips", "last", "contacts")
+BUFFERS = (*LIVE, "grips", "last", "contacts")
 """Fields of `PlanarRobot` that are reset at the start of each episode."""
 
 Floats = NDArray[np.float64]
@@ -64,10 +64,10 @@ def as_record(numbers: Numbers) -> Numbers:
     return record
 
 
-class Outline:
+class PlanarScene:
     """Constants of a plane, from a scene; threads may share it.
 
-    `PLACES` are the first five numbers of `episode.Wiring`.
+    `JOINT_ADDRESSES` are the first five numbers of `stepping.Wiring`.
 
     Args:
         playpen: Playpen with one robot.
@@ -79,7 +79,7 @@ class Outline:
         PlaypenError: The playpen has a feature that a plane does not support.
     """
 
-    PLACES = (flat.LEFT_ANGLE, flat.RIGHT_ANGLE, 0, 1, flat.X)
+    JOINT_ADDRESSES = (flat.LEFT_ANGLE, flat.RIGHT_ANGLE, 0, 1, flat.X)
 
     def __init__(self, playpen: Playpen, model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> None:
         for name, items in playpen.objects.items():
@@ -106,31 +106,31 @@ class Outline:
         self.things[:, flat.REFLECTANCE] = model.geom_user[upright, 0]
         self.mounts = np.array([_mount(model, camera) for camera in at.cameras])
         n_rays = int(model.cam_resolution[at.cameras[0], 0])
-        ways = np.array([_ways(model, camera, n_rays) for camera in at.cameras])
+        ray_directions = np.array([_ways(model, camera, n_rays) for camera in at.cameras])
         wide = np.zeros((len(at.cameras), 2, -(-n_rays // WIDE) * WIDE))
-        wide[:, :, :n_rays] = ways.transpose(0, 2, 1)
-        self.ways = wide.reshape(len(at.cameras), -1)
+        wide[:, :, :n_rays] = ray_directions.transpose(0, 2, 1)
+        self.ray_directions = wide.reshape(len(at.cameras), -1)
         # Towards the inside of a cone: left of its rightmost ray, right of its leftmost.
-        left, right = ways[:, 0], ways[:, -1]
+        left, right = ray_directions[:, 0], ray_directions[:, -1]
         self.cones = np.column_stack([-right[:, 1], right[:, 0], left[:, 1], -left[:, 0]])
 
 
-class PlanarRoom:
+class PlanarBackend:
     """State of one episode in a plane, in arrays or, for plain Python, in the faster memoryviews.
 
     Args:
-        outline: Constants of the plane.
+        planar_scene: Constants of the plane.
         compiled: Whether the state is for compiled code.
 
     Attributes:
         scene: Scene as the robot's sensors see it.
-        live: Arrays that the episode works on.
-        advance: Function `episode.advance` for this state.
+        run: Arrays that the episode works on.
+        advance: Function `stepping.advance` for this state.
     """
 
-    def __init__(self, outline: Outline, compiled: bool) -> None:
-        self._outline = outline
-        self.advance: episode.Advance
+    def __init__(self, planar_scene: PlanarScene, compiled: bool) -> None:
+        self._planar_scene = planar_scene
+        self.advance: stepping.Advance
         if compiled:
             try:
                 from khep_twin.rollout.planar import compiled as compiled_planar
@@ -140,14 +140,14 @@ class PlanarRoom:
         else:
             self.advance = _plain_episode().advance
 
-        n_wide = outline.ways.shape[1] // 2
+        n_wide = planar_scene.ray_directions.shape[1] // 2
         points = [raycast.points_of_a_bulb(number) for number in (raycast.FEW, raycast.MANY)]
         numbers: dict[str, Any] = {
-            **outline.chassis,
-            "height": outline.height,
-            "mounts": outline.mounts,
-            "ways": outline.ways,
-            "cones": outline.cones,
+            **planar_scene.chassis,
+            "height": planar_scene.height,
+            "mounts": planar_scene.mounts,
+            "ray_directions": planar_scene.ray_directions,
+            "cones": planar_scene.cones,
             "looks": np.zeros(2 * n_wide),
             "hits": np.zeros(n_wide, np.int64),
             "lengths": np.zeros(n_wide),
@@ -163,35 +163,35 @@ class PlanarRoom:
             "grips": np.zeros(3),
             "last": np.zeros(flat.N_LAST),
         }
-        self._things, self._order = outline.things.copy(), np.zeros(len(outline.things), np.int64)
+        self._things, self._order = planar_scene.things.copy(), np.zeros(len(planar_scene.things), np.int64)
         if compiled:
             robot: Any = as_record(PlanarRobot(**numbers))
             self.scene: Any = Plane(self._things, self._order, robot)
-            self._room = {name: robot[name] for name in ROOM}
-            live: list[Any] = [robot[name] for name in LIVE]
+            self._backend = {name: robot[name] for name in BUFFERS}
+            run: list[Any] = [robot[name] for name in LIVE]
         else:
-            self._room = {name: numbers[name] for name in ROOM}
+            self._backend = {name: numbers[name] for name in BUFFERS}
             views: dict[str, Any] = {
                 name: value.data if isinstance(value, np.ndarray) else value
                 for name, value in numbers.items()
             }
             self.scene = Plane(view(self._things), self._order.data, PlanarRobot(**views))
-            live = [views[name] for name in LIVE]
+            run = [views[name] for name in LIVE]
 
         # The robot is the only body, and there are no warnings.
-        joints, speeds, ctrl, force = live
+        joints, speeds, ctrl, force = run
         none: Vector[int] = np.zeros(0) if compiled else np.zeros(0).data
-        self.live: Live = joints, speeds, ctrl, force, joints[: flat.HEADING], none
+        self.arrays: Live = joints, speeds, ctrl, force, joints[: flat.HEADING], none
 
     def put(self, start: Start | None) -> None:
         """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
-        x_mm, y_mm, heading_deg = start or self._outline.place
+        x_mm, y_mm, heading_deg = start or self._planar_scene.place
         x, y, heading = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
-        for array in self._room.values():
+        for array in self._backend.values():
             array[:] = 0
-        self._room["joints"][:3] = x, y, heading
+        self._backend["joints"][:3] = x, y, heading
         # An infinite distance makes the first step measure all distances.
-        self._room["last"][flat.ANCHOR_X] = np.inf
+        self._backend["last"][flat.ANCHOR_X] = np.inf
         self._things[:, flat.ALONG] = self._things[:, flat.ACROSS] = 0
         # Nearly sorted, which speeds up the first measurement.
         things = self._things
@@ -201,13 +201,13 @@ class PlanarRoom:
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad]."""
-        x, y, heading = self._room["joints"][:3].tolist()
+        x, y, heading = self._backend["joints"][:3].tolist()
         return x, y, math.atan2(math.sin(heading), math.cos(heading))
 
     @property
     def joints(self) -> Floats:
         """Copy of the joint positions."""
-        return self._room["joints"].copy()
+        return self._backend["joints"].copy()
 
     @property
     def warning(self) -> str:
@@ -219,7 +219,7 @@ class PlanarRoom:
 def _plain_episode() -> ModuleType:
     """Return the episode in a plane, uncompiled."""
     return another_copy(
-        episode,
+        stepping,
         {"raycast": planar_casting, "optics": another_copy(optics, {"raycast": planar_casting}, _NAME)},
         _NAME,
     )
@@ -306,6 +306,6 @@ def _ways(model: mujoco.MjModel, camera: int, n_rays: int) -> Floats:
     c, s = _ahead(model, camera)
     width, height = model.cam_resolution[camera].tolist()
     focal_length = height / 2 / math.tan(math.radians(float(model.cam_fovy[camera])) / 2)
-    aside = (np.arange(n_rays) + 0.5 - width / 2) / focal_length
-    ways = np.column_stack([c + aside * s, s - aside * c])
-    return ways / np.sqrt(1 + aside * aside)[:, None]
+    tangential = (np.arange(n_rays) + 0.5 - width / 2) / focal_length
+    ray_directions = np.column_stack([c + tangential * s, s - tangential * c])
+    return ray_directions / np.sqrt(1 + tangential * tangential)[:, None]

@@ -48,7 +48,7 @@ class PlanarRobot(NamedTuple):
         height: Height of the sensors above the floor [m].
         mounts: Mount of each sensor: x forward, y left, cosine and sine of its direction, distance from the
             robot's centre (8, 5) [m].
-        ways: Directions of all rays in the robot's frame, first all x forward, then all y left
+        ray_directions: Directions of all rays in the robot's frame, first all x forward, then all y left
             (8, 2 n_wide), padded with zeros up to n_wide.
         cones: Unit normals of the edges of each sensor's cone, to its inside, right then left (8, 4).
         looks: Buffer for the directions of a sensor's rays in the plane, first all x, then all y
@@ -87,7 +87,7 @@ class PlanarRobot(NamedTuple):
     friction: float
     height: float
     mounts: Matrix
-    ways: Matrix
+    ray_directions: Matrix
     cones: Matrix
     looks: Vector[float]
     hits: Vector[int]

@@ -77,8 +77,8 @@ def meet_circle(plane: Plane, thing: int, x: float, y: float) -> None:
     for ray in range(n_wide):
         towards = -(dx * looks[ray] + dy * looks[n_wide + ray])
         square, best = towards * towards - outside, lengths[ray]
-        way = towards - sign * math.sqrt(max(square, 0.0))
-        hit = way if (square >= 0) & (towards >= least) else math.inf
+        ray_direction = towards - sign * math.sqrt(max(square, 0.0))
+        hit = ray_direction if (square >= 0) & (towards >= least) else math.inf
         lengths[ray] = min(best, hit)
         hits[ray] = 4 * thing if hit < best else hits[ray]
 

@@ -18,9 +18,9 @@ from khep_twin.sensing.buffers import Matrix
 Vector = tuple[float, float, float]
 
 
-def stopped(plane: Plane, place: Vector, way: Vector, glass: float) -> bool:
+def stopped(plane: Plane, place: Vector, ray_direction: Vector, glass: float) -> bool:
     """Return whether anything stops light on a path from a point [m] before the fraction `glass` of it."""
-    (at_x, at_y, at_z), (x, y, z) = place, way
+    (at_x, at_y, at_z), (x, y, z) = place, ray_direction
     if z < 0 and -at_z / z < glass:
         return True
     length = math.sqrt(x * x + y * y)
@@ -39,7 +39,7 @@ def blocked(
     last: int,
     left: Vector,
     up: Vector,
-    way: Vector,
+    ray_direction: Vector,
     glass: float,
 ) -> float:
     """Return the fraction of some of a bulb's points that is hidden from a point.
@@ -51,29 +51,29 @@ def blocked(
         last: Index behind the last point.
         left: Vector from the bulb's middle to its left edge, as seen from there [m].
         up: Vector from the bulb's middle to its upper edge, as seen from there [m].
-        way: Vector to the bulb's middle [m].
+        ray_direction: Vector to the bulb's middle [m].
         glass: Fraction of the path at which the bulb begins.
     """
     points, hidden, things = plane.robot.points, plane.robot.hidden, plane.things
     at_x, at_y, at_z = place
     hits = 0
     for point in range(first, last):
-        z = points[point, 0] * left[2] + points[point, 1] * up[2] + way[2]
+        z = points[point, 0] * left[2] + points[point, 1] * up[2] + ray_direction[2]
         hidden[point] = z < 0 and -at_z / z < glass  # by the floor
         hits += hidden[point]
     # Largest distance of the light from the line to the bulb's middle.
     broad = math.sqrt(left[0] * left[0] + left[1] * left[1]) + math.sqrt(up[0] * up[0] + up[1] * up[1])
-    length = math.sqrt(way[0] * way[0] + way[1] * way[1])
+    length = math.sqrt(ray_direction[0] * ray_direction[0] + ray_direction[1] * ray_direction[1])
     for thing in range(len(things)):
-        if _beside(things, thing, at_x, at_y, way[0], way[1], length, broad):
+        if _beside(things, thing, at_x, at_y, ray_direction[0], ray_direction[1], length, broad):
             continue
         for point in range(first, last):
             if hidden[point]:
                 continue
             across, upward = points[point, 0], points[point, 1]
-            x = across * left[0] + upward * up[0] + way[0]
-            y = across * left[1] + upward * up[1] + way[1]
-            z = across * left[2] + upward * up[2] + way[2]
+            x = across * left[0] + upward * up[0] + ray_direction[0]
+            y = across * left[1] + upward * up[1] + ray_direction[1]
+            z = across * left[2] + upward * up[2] + ray_direction[2]
             if _stops(things, thing, at_x, at_y, at_z, x, y, z, glass):
                 hidden[point] = 1
                 hits += 1
@@ -143,9 +143,9 @@ def _stops(
     return first <= last and last >= 0 and (first if first >= 0 else last) < glass
 
 
-def _crossing(at: float, way: float, low: float, high: float) -> tuple[float, float]:
+def _crossing(at: float, ray_direction: float, low: float, high: float) -> tuple[float, float]:
     """Return the fractions of a path at entry and exit between two planes; exit before entry for never."""
-    if way == 0:
+    if ray_direction == 0:
         return (-math.inf, math.inf) if low <= at <= high else (math.inf, -math.inf)
-    one, other = (low - at) / way, (high - at) / way
+    one, other = (low - at) / ray_direction, (high - at) / ray_direction
     return min(one, other), max(one, other)

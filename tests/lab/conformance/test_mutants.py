@@ -163,12 +163,12 @@ def keeps_settings(twin: Twin) -> None:
 
 def counts_in_sixteen_bits(twin: Twin) -> None:
     """Has counters of sixteen bits."""
-    cells, receive = twin.robot.firmware.cells, twin.robot.firmware.receive
+    register_view, receive = twin.robot.firmware.register_view, twin.robot.firmware.receive
 
     def narrow(data: bytes) -> bytes:
         for wheel in (LEFT, RIGHT):
-            position = cells[wheel + Wheel.POSITION]
-            cells[wheel + Wheel.POSITION] = (position + 2**15) % 2**16 - 2**15
+            position = register_view[wheel + Wheel.POSITION]
+            register_view[wheel + Wheel.POSITION] = (position + 2**15) % 2**16 - 2**15
         return receive(data)
 
     twin.robot.firmware.receive = narrow  # type: ignore[method-assign]
@@ -176,10 +176,10 @@ def counts_in_sixteen_bits(twin: Twin) -> None:
 
 def never_there(twin: Twin) -> None:
     """Never says that a target is reached."""
-    cells, receive = twin.robot.firmware.cells, twin.robot.firmware.receive
+    register_view, receive = twin.robot.firmware.register_view, twin.robot.firmware.receive
 
     def on_the_way(data: bytes) -> bytes:
-        cells[LEFT + Wheel.ON_TARGET] = 0
+        register_view[LEFT + Wheel.ON_TARGET] = 0
         return receive(data)
 
     twin.robot.firmware.receive = on_the_way  # type: ignore[method-assign]
@@ -187,12 +187,12 @@ def never_there(twin: Twin) -> None:
 
 def without_trapezoid(twin: Twin) -> None:
     """Goes to its targets at full speed."""
-    receive, cells = twin.robot.firmware.receive, twin.robot.firmware.cells
+    receive, register_view = twin.robot.firmware.receive, twin.robot.firmware.register_view
 
     def rush(data: bytes) -> bytes:
         reply = receive(data)
         for wheel in (LEFT, RIGHT):
-            cells[wheel + Wheel.MAX_SPEED], cells[wheel + Wheel.ACCELERATION] = 100, 10_000
+            register_view[wheel + Wheel.MAX_SPEED], register_view[wheel + Wheel.ACCELERATION] = 100, 10_000
         return reply
 
     twin.robot.firmware.receive = rush  # type: ignore[method-assign]
@@ -200,14 +200,16 @@ def without_trapezoid(twin: Twin) -> None:
 
 def keep(twin: Twin, *kept: Wheel) -> None:
     """Lets some registers of both wheels outlive a reset."""
-    firmware, cells = twin.robot.firmware, twin.robot.firmware.cells
+    firmware, register_view = twin.robot.firmware, twin.robot.firmware.register_view
     reset = firmware.reset
 
     def without_these() -> bytes:
-        before = {wheel + register: cells[wheel + register] for wheel in (LEFT, RIGHT) for register in kept}
+        before = {
+            wheel + register: register_view[wheel + register] for wheel in (LEFT, RIGHT) for register in kept
+        }
         banner = reset()
         for register, value in before.items():
-            cells[register] = value
+            register_view[register] = value
         return banner
 
     firmware.reset = without_these  # type: ignore[method-assign]
@@ -220,11 +222,11 @@ def keeps_its_trapezoid(twin: Twin) -> None:
 
 def tells_the_setpoint(twin: Twin) -> None:
     """Answers E with what is asked for."""
-    receive, cells = twin.robot.firmware.receive, twin.robot.firmware.cells
+    receive, register_view = twin.robot.firmware.receive, twin.robot.firmware.register_view
 
     def answer(data: bytes) -> bytes:
         reply = receive(data)
-        speeds = (cells[LEFT + Wheel.SPEED_SETPOINT], cells[RIGHT + Wheel.SPEED_SETPOINT])
+        speeds = (register_view[LEFT + Wheel.SPEED_SETPOINT], register_view[RIGHT + Wheel.SPEED_SETPOINT])
         return b"e,%d,%d\r\n" % speeds if reply.startswith(b"e,") else reply
 
     twin.robot.firmware.receive = answer  # type: ignore[method-assign]

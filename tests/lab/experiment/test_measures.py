@@ -41,7 +41,7 @@ def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
     heard("N", "n,0,0,0,0,0,0,0,0")
     heard("D,10,-10", "z,Protocol error")  # refused: the wheels go on
     heard.end_cycle()
-    assert heard.numbers() == {
+    assert heard.metrics() == {
         "fitness": 0.5,
         "near_share": 0.5,
         "proximity_max": 1023,
@@ -57,7 +57,7 @@ def test_a_garbled_reply_counts_for_nothing(reply: str) -> None:
     heard = HostMetrics()
     heard("N", reply)
     heard("D,1", "d")
-    assert heard.numbers() == {}
+    assert heard.metrics() == {}
 
 
 def test_coverage_counts_cells_that_the_robot_can_stand_in() -> None:
@@ -78,18 +78,18 @@ def test_the_truth_of_a_straight_way_is_closed_form(field: Playpen) -> None:
         truth = GroundTruthMetrics(twin.world, 0)
         robot.sleep(2)
         truth.end()
-        numbers = truth.numbers()
-        assert not [tap for tap in twin.world.taps if isinstance(tap, GroundTruthMetrics)]
-    assert numbers["distance_m"] == pytest.approx(2 * 20 * 0.008, rel=0.01)
-    assert numbers["mean_speed_m_per_s"] == pytest.approx(0.16, rel=0.01)
-    assert numbers["turn_rate_rad_per_s"] == pytest.approx(0, abs=0.01)
-    assert numbers["collisions"] == numbers["collision_s"] == numbers["near_s"] == 0
+        metrics = truth.metrics()
+        assert not [observer for observer in twin.world.observers if isinstance(observer, GroundTruthMetrics)]
+    assert metrics["distance_m"] == pytest.approx(2 * 20 * 0.008, rel=0.01)
+    assert metrics["mean_speed_m_per_s"] == pytest.approx(0.16, rel=0.01)
+    assert metrics["turn_rate_rad_per_s"] == pytest.approx(0, abs=0.01)
+    assert metrics["collisions"] == metrics["collision_s"] == metrics["near_s"] == 0
     # Cells of 50 mm: 0.32 m touch 7 or 8 of 100 x 100, without the outermost.
-    assert round(numbers["coverage"] * 98 * 98) in (7, 8)
+    assert round(metrics["coverage"] * 98 * 98) in (7, 8)
 
 
 def test_the_shortest_run_has_a_truth() -> None:
     with Khepera("khep://default") as robot:
         truth = GroundTruthMetrics(robot.port.twin.world, 0)
         truth.end()
-    assert truth.numbers()["distance_m"] == 0
+    assert truth.metrics()["distance_m"] == 0

@@ -95,12 +95,12 @@ def test_a_script_that_fails_is_told_when_the_others_have_ended() -> None:
         robot.sleep(0.1)
         raise PortTimeout("of its own")
 
-    def go_on(robot: Khepera) -> None:
+    def resume(robot: Khepera) -> None:
         robot.sleep(2)
         ended.append("yes")
 
     with pytest.raises(PortTimeout, match="of its own"):
-        run_together(TWO, [fail, go_on], TwinOptions())
+        run_together(TWO, [fail, resume], TwinOptions())
     assert ended == ["yes"]
 
 

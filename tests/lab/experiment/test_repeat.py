@@ -24,7 +24,7 @@ from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.decoding import read_line
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recover import recover
-from khep_twin.log.wire import acts_message, read_acts
+from khep_twin.log.wire import events_message, read_events
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
@@ -118,7 +118,7 @@ def test_two_robots_repeat(tmp_path: Path) -> None:
 
     run_together(both, [drive, drive], TwinOptions(seed=4, log=str(tmp_path / "run.mcap")))
     recorded = read_recorded(tmp_path / "run.mcap")
-    assert {index for _, index, _ in recorded.acts} == {0, 1}
+    assert {index for _, index, _ in recorded.events} == {0, 1}
     assert repeat(recorded) is None
 
 
@@ -136,13 +136,13 @@ def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path:
         port.sleep(0.3)
         port.baudrate = 9600
         port.write(b"\nD,9,9\nH\nE")
-        port.twin.robot.hang_up()
+        port.twin.robot.disconnect()
         port.sleep(1)
     recorded = read_recorded(tmp_path / "run.mcap")
-    assert {act.kind for _, _, act in recorded.acts} == {
+    assert {event.kind for _, _, event in recorded.events} == {
         HostEventKind.SEND,
-        HostEventKind.HANG_UP,
-        HostEventKind.TAKE_BACK,
+        HostEventKind.DISCONNECT,
+        HostEventKind.FLUSH,
         HostEventKind.SET,
     }
     assert repeat(recorded) is None
@@ -168,7 +168,7 @@ def test_a_run_served_by_the_clock_on_the_wall_repeats(tmp_path: Path) -> None:
         server.terminate()
         server.communicate()
     recorded = read_recorded(tmp_path / "run.mcap")
-    assert HostEventKind.HANG_UP in {act.kind for _, _, act in recorded.acts}
+    assert HostEventKind.DISCONNECT in {event.kind for _, _, event in recorded.events}
     assert repeat(recorded) is None
 
 
@@ -215,10 +215,10 @@ def test_an_altered_byte_of_a_host_is_found(tmp_path: Path, driven: Path) -> Non
     def alter(topic: str, time_ns: int, data: bytes) -> bytes:
         if not topic.endswith("/wire"):
             return data
-        return acts_message([(known_ns, altered(act)) for known_ns, act in read_acts(data)])
+        return events_message([(known_ns, altered(event)) for known_ns, event in read_events(data)])
 
-    def altered(act: HostEvent) -> HostEvent:
-        return replace(act, data=b"H\n") if 5 * SECOND < act.at_ns < 5.02 * SECOND else act
+    def altered(event: HostEvent) -> HostEvent:
+        return replace(event, data=b"H\n") if 5 * SECOND < event.at_ns < 5.02 * SECOND else event
 
     found = again(rewritten(driven, tmp_path / "run.mcap", alter))
     assert found is not None
@@ -275,7 +275,7 @@ def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> No
     ]
     (tmp_path / "text.mcap").write_text("no log")
     through = LineRecorder(tmp_path / "robot.mcap", {"relay": "/dev/ttyUSB0"}, lambda: 0)
-    through.wire(True, b"N\n")
+    through.on_bytes(True, b"N\n")
     through.close()
     for path in (*paths, tmp_path / "text.mcap", tmp_path / "robot.mcap", tmp_path / "none.mcap", tmp_path):
         done = khep_twin("repeat", path)
@@ -287,12 +287,12 @@ def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> No
 
 
 def test_an_act_survives_its_message() -> None:
-    acts = [
+    events = [
         (
             12_345_678_902,
             HostEvent(HostEventKind.SEND, 12_345_678_901, LineSettings(9600, 2), bytes(range(256))),
         ),
         (12_345_678_903, HostEvent(HostEventKind.SET, 0, None)),
-        (12_345_678_904, HostEvent(HostEventKind.TAKE_BACK, 5, LineSettings(0, 1))),
+        (12_345_678_904, HostEvent(HostEventKind.FLUSH, 5, LineSettings(0, 1))),
     ]
-    assert list(read_acts(acts_message(acts))) == acts
+    assert list(read_events(events_message(events))) == events

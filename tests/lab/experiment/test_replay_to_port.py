@@ -9,7 +9,7 @@ import pytest
 from khep_twin.errors import LogError, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.repeat import read_recorded
-from khep_twin.lab.experiment.replay_to_port import resend
+from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -31,13 +31,13 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_same_twin_answers_the_same(driven: Path) -> None:
-    found = resend(read_recorded(driven), URL)
+    found = replay_to_port(read_recorded(driven), URL)
     assert found.identical
     assert {letter for letter, each in found.letters.items() if each.compared > 10} == {"n", "e", "h"}
 
 
 def test_another_twin_differs_in_numbers(driven: Path) -> None:
-    found = resend(read_recorded(driven), "khep://default?seed=5&noise=off")
+    found = replay_to_port(read_recorded(driven), "khep://default?seed=5&noise=off")
     assert not found.identical
     assert found.letters["d"].different == 0
     near = found.letters["n"]
@@ -48,14 +48,14 @@ def test_another_twin_differs_in_numbers(driven: Path) -> None:
 
 
 def test_lost_bytes_do_not_bring_the_rest_out_of_step(driven: Path) -> None:
-    found = resend(read_recorded(driven), f"{URL}&fault=drop:0.003")
+    found = replay_to_port(read_recorded(driven), f"{URL}&fault=drop:0.003")
     assert 0 < found.letters["h"].different < found.letters["h"].compared
     assert found.missing + found.more < 20
 
 
 def test_a_line_that_is_silent_leaves_all_missing(driven: Path) -> None:
     recorded = read_recorded(driven)
-    found = resend(recorded, f"{URL}&fault=drop:1")
+    found = replay_to_port(recorded, f"{URL}&fault=drop:1")
     assert found.missing == sum(line.name == "robot" for line in recorded.lines[0])
     assert not found.identical
 
@@ -70,9 +70,9 @@ def test_what_a_real_robot_was_told_can_be_sent_to_a_twin(tmp_path: Path) -> Non
         (520_000_000, False, b"h,10,20\r\n"),
     ):
         now[0] = time_ns
-        through.wire(to_robot, data)
+        through.on_bytes(to_robot, data)
     through.close()
-    found = resend(read_recorded(tmp_path / "robot.mcap"), "khep://default")
+    found = replay_to_port(read_recorded(tmp_path / "robot.mcap"), "khep://default")
     assert found.letters["d"].different == 0
     assert found.letters["h"].differences.shape == (1, 2)
 
@@ -84,7 +84,7 @@ def test_a_served_twin_answers_over_its_terminal(tmp_path: Path, driven: Path) -
     try:
         assert server.stdout is not None
         server.stdout.readline()
-        found = resend(read_recorded(driven), str(link))
+        found = replay_to_port(read_recorded(driven), str(link))
     finally:
         server.terminate()
         server.communicate()
@@ -97,6 +97,6 @@ def test_what_cannot_be_sent_is_one_line(tmp_path: Path, driven: Path) -> None:
     with open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap"))) as twin:
         twin.advance_to(100_000_000)
     with pytest.raises(LogError, match="no host has sent anything"):
-        resend(read_recorded(tmp_path / "run.mcap"), URL)
+        replay_to_port(read_recorded(tmp_path / "run.mcap"), URL)
     with pytest.raises(PortError, match="nowhere"):
-        resend(read_recorded(driven), "khep://nowhere")
+        replay_to_port(read_recorded(driven), "khep://nowhere")

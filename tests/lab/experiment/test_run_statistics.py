@@ -90,8 +90,8 @@ def test_a_spin_turns_and_goes_nowhere() -> None:
 
 def test_a_circle_has_its_circumference() -> None:
     angle = ramp(2 * math.pi, 1001)
-    places = 0.2 * np.column_stack([np.cos(angle), np.sin(angle)])
-    assert statistics.way(places) == pytest.approx(0.4 * math.pi, rel=1e-3)
+    positions = 0.2 * np.column_stack([np.cos(angle), np.sin(angle)])
+    assert statistics.path_length(positions) == pytest.approx(0.4 * math.pi, rel=1e-3)
 
 
 def test_no_time_and_one_sample_give_nothing() -> None:
@@ -100,7 +100,7 @@ def test_no_time_and_one_sample_give_nothing() -> None:
     for count in (0, 1):
         near = statistics.near(np.zeros(count), np.full((count, 8), 500))
         assert (len(near.times_s), near.total_s, near.share, near.longest_s) == (0, 0, 0, 0)
-    assert statistics.way(np.zeros((0, 2))) == 0
+    assert statistics.path_length(np.zeros((0, 2))) == 0
 
 
 def test_stretches_have_begin_end_and_share() -> None:
@@ -131,9 +131,9 @@ def test_light_is_the_depth_below_the_dark_level() -> None:
 
 
 def test_clearance_is_measured_to_walls_and_fixed_objects(room: Playpen) -> None:
-    places = np.array([[0.2, 0.02], [0.2, 0.29], [0.24, 0.15], [0.3, 0.15], [0.05, 0.22], [0.06, 0.05]])
+    positions = np.array([[0.2, 0.02], [0.2, 0.29], [0.24, 0.15], [0.3, 0.15], [0.05, 0.22], [0.06, 0.05]])
     expected = [0.02, 0.01, 0.01, -0.01, 0.02, 0.05]
-    assert statistics.clearance(places, room).tolist() == pytest.approx(expected)
+    assert statistics.clearance(positions, room).tolist() == pytest.approx(expected)
     corner = np.array([[0.35 + 0.003, 0.16 + 0.004]])
     assert statistics.clearance(corner, room).tolist() == pytest.approx([0.005])
 

@@ -53,14 +53,14 @@ def test_one_robot_goes_on_and_new_twins_begin_anew() -> None:
     with Khepera("khep://obstacles?noise=off") as robot:
         first, second = run_series(braitenberg, OneRobot(robot), Plan(2, cycles=40))
     assert first.start is second.start is None
-    assert first.numbers != second.numbers
-    bench = FreshTwins(
+    assert first.metrics != second.metrics
+    source = FreshTwins(
         OBSTACLES, TwinOptions(noise=False), [StartPose(400, 300, 90), StartPose(120, 290, 25)]
     )
-    runs = list(run_series(braitenberg, bench, Plan(4, cycles=40)))
+    runs = list(run_series(braitenberg, source, Plan(4, cycles=40)))
     assert [str(run.start) for run in runs] == ["400,300,90", "120,290,25"] * 2
-    assert runs[0].numbers == runs[2].numbers != runs[1].numbers == runs[3].numbers == first.numbers
-    assert runs[2:] == list(run_series(braitenberg, bench, Plan(4, cycles=40), first=3))
+    assert runs[0].metrics == runs[2].metrics != runs[1].metrics == runs[3].metrics == first.metrics
+    assert runs[2:] == list(run_series(braitenberg, source, Plan(4, cycles=40), first=3))
 
 
 def test_each_new_twin_has_a_seed_of_its_own() -> None:
@@ -69,8 +69,8 @@ def test_each_new_twin_has_a_seed_of_its_own() -> None:
     def record(twin: Twin, number: int) -> None:
         seeds.append(twin.options.seed)
 
-    bench = FreshTwins(DEFAULT, TwinOptions(seed=7), [StartPose(300, 250, 0)], record)
-    list(run_series(braitenberg, bench, Plan(3, cycles=1)))
+    source = FreshTwins(DEFAULT, TwinOptions(seed=7), [StartPose(300, 250, 0)], record)
+    list(run_series(braitenberg, source, Plan(3, cycles=1)))
     assert seeds == [7, 8, 9]
 
 

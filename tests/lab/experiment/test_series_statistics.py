@@ -19,8 +19,8 @@ ONE, OTHER = RNG.normal(3.0, 0.5, 12).tolist(), RNG.normal(3.8, 1.5, 7).tolist()
 def test_a_summary_has_students_interval() -> None:
     told, by_scipy = summary(ONE), stats.ttest_1samp(ONE, 0).confidence_interval(0.95)
     assert told.mean == pytest.approx(np.mean(ONE))
-    assert told.spread == pytest.approx(np.std(ONE, ddof=1))
-    assert (told.mean - told.within, told.mean + told.within) == pytest.approx([*by_scipy])
+    assert told.sd == pytest.approx(np.std(ONE, ddof=1))
+    assert (told.mean - told.ci95, told.mean + told.ci95) == pytest.approx([*by_scipy])
     assert (told.count, told.low, told.high) == (12, min(ONE), max(ONE))
 
 
@@ -28,14 +28,14 @@ def test_a_difference_has_welchs_interval() -> None:
     told = difference(ONE, OTHER)
     by_scipy = stats.ttest_ind(OTHER, ONE, equal_var=False)
     interval = by_scipy.confidence_interval(0.95)
-    assert (told.mean - told.within, told.mean + told.within) == pytest.approx([*interval])
+    assert (told.mean - told.ci95, told.mean + told.ci95) == pytest.approx([*interval])
     assert told.clear == (by_scipy.pvalue < 0.05)
 
 
 def test_single_and_equal_runs_have_no_interval_or_none_at_all() -> None:
-    assert math.isnan(summary([2.0]).spread)
-    assert math.isnan(summary([2.0]).within)
-    assert summary([2.0, 2.0]).within == 0
+    assert math.isnan(summary([2.0]).sd)
+    assert math.isnan(summary([2.0]).ci95)
+    assert summary([2.0, 2.0]).ci95 == 0
     assert not difference([1.0], [2.0]).clear
     assert difference([1.0, 1.0], [2.0, 2.0]).clear
     assert not difference([1.0, 1.0], [1.0, 1.0]).clear
@@ -60,7 +60,7 @@ def test_columns_are_numbers_that_were_measured() -> None:
 
 def test_the_table_has_a_line_for_each_series_and_difference() -> None:
     lines = table(["old", "new"], [ROWS, OTHERS], ["fitness", "learned"]).splitlines()
-    assert lines[0].split() == ["series", "runs", "mean", "+-", "95", "%", "spread", "least", "most"]
+    assert lines[0].split() == ["series", "runs", "mean", "+-", "95", "%", "sd", "least", "most"]
     assert lines[1].split()[:4] == ["fitness", "old", "12", f"{np.mean(ONE):.4g}"]
     assert lines[3].split()[:3] == ["less", "the", "first"]
     assert len(lines) == 5

@@ -11,42 +11,42 @@ from khep_twin.lab.experiment.teleoperation import (
     FIRST_HOLD,
     REPEAT_HOLD,
     DeadManSwitch,
+    Direction,
     DriveView,
     Teleoperation,
-    Way,
 )
 
 
 def test_a_press_drives_for_a_moment_and_a_key_that_is_held_drives_on() -> None:
     switch = DeadManSwitch()
-    assert switch.way(0.0) is Way.STOP
-    switch.press(Way.FORWARD, 1.0)
-    assert switch.way(1.0 + FIRST_HOLD - 0.01) is Way.FORWARD
-    assert switch.way(1.0 + FIRST_HOLD) is Way.STOP
+    assert switch.direction(0.0) is Direction.STOP
+    switch.press(Direction.FORWARD, 1.0)
+    assert switch.direction(1.0 + FIRST_HOLD - 0.01) is Direction.FORWARD
+    assert switch.direction(1.0 + FIRST_HOLD) is Direction.STOP
     # Held: the keyboard repeats it, and the switch falls soon after the last one.
     for tick in range(20):
-        switch.press(Way.FORWARD, 10 + 0.1 * tick)
-    assert switch.way(10 + 1.9 + REPEAT_HOLD - 0.01) is Way.FORWARD
-    assert switch.way(10 + 1.9 + REPEAT_HOLD) is Way.STOP
+        switch.press(Direction.FORWARD, 10 + 0.1 * tick)
+    assert switch.direction(10 + 1.9 + REPEAT_HOLD - 0.01) is Direction.FORWARD
+    assert switch.direction(10 + 1.9 + REPEAT_HOLD) is Direction.STOP
     # Another way is a first press again, and space stops at once.
-    switch.press(Way.LEFT, 20.0)
-    assert switch.way(20.0 + REPEAT_HOLD) is Way.LEFT
-    switch.press(Way.STOP, 20.1)
-    assert switch.way(20.1) is Way.STOP
+    switch.press(Direction.LEFT, 20.0)
+    assert switch.direction(20.0 + REPEAT_HOLD) is Direction.LEFT
+    switch.press(Direction.STOP, 20.1)
+    assert switch.direction(20.1) is Direction.STOP
 
 
 @pytest.mark.parametrize(
-    ("way", "speed", "speeds"),
+    ("direction", "speed", "speeds"),
     [
-        (Way.FORWARD, 5, (5, 5)),
-        (Way.BACK, 40, (-40, -40)),
-        (Way.LEFT, 5, (-3, 3)),
-        (Way.RIGHT, 1, (1, -1)),
-        (Way.STOP, 9, (0, 0)),
+        (Direction.FORWARD, 5, (5, 5)),
+        (Direction.BACK, 40, (-40, -40)),
+        (Direction.LEFT, 5, (-3, 3)),
+        (Direction.RIGHT, 1, (1, -1)),
+        (Direction.STOP, 9, (0, 0)),
     ],
 )
-def test_ways_are_speeds_of_the_wheels(way: Way, speed: int, speeds: tuple[int, int]) -> None:
-    assert way.speeds(speed) == speeds
+def test_ways_are_speeds_of_the_wheels(direction: Direction, speed: int, speeds: tuple[int, int]) -> None:
+    assert direction.speeds(speed) == speeds
 
 
 def test_only_what_changes_is_sent() -> None:
@@ -55,7 +55,7 @@ def test_only_what_changes_is_sent() -> None:
         operation = Teleoperation(robot, 5, lambda: now)
         operation.cycle()
         assert fake.requests == ["D,0,0", "L,0,0", "L,1,0", "N", "O", "E", "I,0"]
-        operation.press(Way.FORWARD)
+        operation.press(Direction.FORWARD)
         operation.switch_leds()
         for now in (0.1, 0.2, FIRST_HOLD - 0.01, FIRST_HOLD):
             fake.requests.clear()
@@ -66,7 +66,7 @@ def test_only_what_changes_is_sent() -> None:
                 assert fake.requests == ["N", "O", "E"]
         assert fake.requests == ["D,0,0", "N", "O", "E"]
         view = operation.view
-        assert (view.way, view.leds, view.lost) == (Way.STOP, (1, 0), 0)
+        assert (view.direction, view.leds, view.lost) == (Direction.STOP, (1, 0), 0)
         assert view.proximity.back_left == 1023
         assert view.ambient.left_90 == 500
         assert view.supply == pytest.approx(5.0)
@@ -113,7 +113,7 @@ def test_a_supply_that_is_not_told_is_not_shown() -> None:
 def test_the_end_stops_the_motors_even_when_the_line_has_gone() -> None:
     with FakeRobot() as fake, Khepera(fake.url) as robot:
         operation = Teleoperation(robot, 5)
-        operation.press(Way.FORWARD)
+        operation.press(Direction.FORWARD)
         asked = iter([False, False, True])
         operation.run(lambda: next(asked))
         assert fake.requests.count("D,5,5") == 1
@@ -125,9 +125,9 @@ def test_a_line_that_breaks_ends_the_drive_and_a_robot_that_comes_back_is_stoppe
     def drive(fake: FakeRobot) -> None:
         with Khepera(fake.url) as robot:
             operation = Teleoperation(robot, 5)
-            operation.press(Way.FORWARD)
+            operation.press(Direction.FORWARD)
             operation.cycle()
-            fake.hang_up()
+            fake.disconnect()
             operation.run(lambda: False)
 
     with FakeRobot() as fake:
@@ -139,7 +139,7 @@ def test_a_line_that_breaks_ends_the_drive_and_a_robot_that_comes_back_is_stoppe
 def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
     near = SensorCounts(0, 1023, 512, 0, 0, 0, 0, 0)
     dark = SensorCounts(0, 512, 0, 0, 0, 0, 0, 0)
-    view = DriveView(7, Way.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
+    view = DriveView(7, Direction.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
     for width in (WIDTH, 80, 133):
         lines = draw(view, "a port with a long name" * 9, width, HEIGHT)
         assert len(lines) <= HEIGHT

@@ -93,8 +93,8 @@ def test_each_sensor_has_the_derived_figures_of_the_real_one(sensor: int) -> Non
     assert (peak_deg + PEAK_DEG[sensor] + 180) % 360 - 180 == pytest.approx(0, abs=5)
 
     def distance_mm(table: MeasuredTable, counts: np.ndarray, level: float) -> float:
-        aside = np.angle(np.exp(1j * (table.bearings - SET_UP_BEARING + np.radians(PEAK_DEG[sensor]))))
-        near = np.abs(aside) <= np.radians(6)
+        tangential = np.angle(np.exp(1j * (table.bearings - SET_UP_BEARING + np.radians(PEAK_DEG[sensor]))))
+        near = np.abs(tangential) <= np.radians(6)
         means = [counts[near & (table.distances == distance)].mean() for distance in DISTANCES]
         return float(np.interp(-level, -np.array(means), DISTANCES)) * 1000
 

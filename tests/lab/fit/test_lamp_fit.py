@@ -87,13 +87,13 @@ HIDDEN = KHEPERA1.ambient.model_copy(
 
 def recorded(*distances: float, seed: int = 1) -> list[LampTable]:
     """A hidden robot's noisy readings in full turns."""
-    chance = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     tables: list[LampTable] = []
     for distance in distances:
         table = turned(distance)
         for sensor in SENSORS:
             table.counts[:, sensor] = np.round(
-                ambient_counts(table, sensor, HIDDEN) + 5 * chance.standard_normal(len(BEARINGS))
+                ambient_counts(table, sensor, HIDDEN) + 5 * rng.standard_normal(len(BEARINGS))
             )
         tables.append(table)
     return tables

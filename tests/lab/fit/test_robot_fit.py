@@ -12,7 +12,7 @@ from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.host import Khepera
-from khep_twin.lab.fit.fit_inputs import SensorData, measured
+from khep_twin.lab.fit.fit_inputs import SensorData, fit_inputs
 from khep_twin.lab.fit.motor_fit import read_drive
 from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels
 from khep_twin.lab.sensor_test.sensor_files import save
@@ -207,7 +207,7 @@ def test_wrong_words_are_told_in_one_line(word: str, message: str) -> None:
 def test_a_test_of_light_is_no_test_of_a_wall(recorded: tuple[list[str], list[str], Path]) -> None:
     lamp = next(word for word in recorded[0] if "lamp0" in word).split("=")[0]
     with pytest.raises(FitError, match="a test of light; expected one of proximity"):
-        measured([f"{lamp}=wall@20mm"])
+        fit_inputs([f"{lamp}=wall@20mm"])
 
 
 def test_a_drive_with_a_high_duty_or_none_tells_no_motors(tmp_path: Path) -> None:

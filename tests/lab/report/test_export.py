@@ -36,7 +36,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         twin.robots[0].send(b"D,8,5\nN\n")
         twin.robots[1].send(b"D,4,-4\n")
         twin.advance_to(SECOND)
-        twin.world.tell(0, "taken away")
+        twin.world.log_event(0, "taken away")
     return path
 
 
@@ -67,7 +67,7 @@ def real(tmp_path: Path) -> Path:
         (False, b"e,1,-2\r\n"),
     ):
         now[0] += SECOND // 10
-        recorder.wire(to_robot, data)
+        recorder.on_bytes(to_robot, data)
     recorder.close()
     return path
 

@@ -34,7 +34,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         twin.robots[0].send(b"N\nO\nD,4,-4\n")
         twin.robots[1].send(b"D,9,9\nX\n")
         twin.advance_to(3 * SECOND)
-        twin.world.tell(0, "<taken> & $away$")
+        twin.world.log_event(0, "<taken> & $away$")
     return path
 
 
@@ -47,7 +47,7 @@ def line(tmp_path: Path) -> Callable[..., Path]:
         recorder = LineRecorder(tmp_path / "real.mcap", {"relay": "/dev/robot"}, lambda: now[0])
         for to_robot, data in said:
             now[0] += SECOND // 10
-            recorder.wire(to_robot, data)
+            recorder.on_bytes(to_robot, data)
         recorder.close()
         return tmp_path / "real.mcap"
 

@@ -19,9 +19,9 @@ from khep_twin.lab.experiment.repeat import read_recorded, repeat
 from khep_twin.lab.experiment.series import Plan
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
 from khep_twin.ports.twin import TwinOptions
-from khep_twin.web.audience import Broadcaster
+from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.jobs import Sensing, SeriesJob
-from khep_twin.web.stage import RobotActor, TwinActor
+from khep_twin.web.session import RobotActor, TwinActor
 
 
 class Ear:
@@ -119,7 +119,7 @@ def test_one_job_at_a_time(actor: TwinActor, ear: Ear) -> None:
     ear.wait("picture", lambda told: told["part"] > 0)
     actor.stop()
     row = ear.wait("run")
-    assert (row["stopped"], row["cycles"] > 0, row["numbers"]["distance_m"] > 0) == (True, True, True)
+    assert (row["stopped"], row["cycles"] > 0, row["metrics"]["distance_m"] > 0) == (True, True, True)
     ear.wait("done")
     ear.wait("picture", lambda told: not told["busy"])
 
@@ -305,7 +305,7 @@ def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, ear: Ear) -> 
 def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_it(
     ear: Ear, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("khep_twin.web.stage._PATIENCE", 0.2)
+    monkeypatch.setattr("khep_twin.web.session._PATIENCE", 0.2)
     inside, go_on = threading.Event(), threading.Event()
 
     def hangs(robot: Khepera) -> None:

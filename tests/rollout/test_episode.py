@@ -12,9 +12,9 @@ from khep_twin.board import kernel
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, Wheel
 from khep_twin.errors import DivergedError, MissingExtraError, PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.rollout import life as lives
-from khep_twin.rollout.life import Episode, EpisodeSetup
-from khep_twin.rollout.minds import Braitenberg, ConstantSpeed, Function, Network
+from khep_twin.rollout import episode as episodes
+from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, Network
+from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.units import COUNTS_LIMIT
 from khep_twin.world import World
 
@@ -42,19 +42,19 @@ def arena(more: str = "", **robot: object) -> Playpen:
 def wandering(scene: Playpen, seconds: float, **options: Any) -> World:
     """A world in which the ROM's vehicle is told its speeds every 20 ms by a line that costs no time."""
     world = World(scene, **options)
-    cells = world.robots[0].registers.data
+    register_view = world.robots[0].registers.data
     for period in range(round(seconds * 50)):
         if world.robots[0].firmware.powered:
-            kernel.wander(cells)
+            kernel.wander(register_view)
         world.advance_to((period + 1) * 20_000_000)
     return world
 
 
 def lived(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **options: Any) -> Episode:
-    life = Episode(EpisodeSetup(scene), driver or Braitenberg(), compiled=compiled)
-    life.begin(**options)
-    life.live(seconds)
-    return life
+    episode = Episode(EpisodeSetup(scene), driver or Braitenberg(), compiled=compiled)
+    episode.begin(**options)
+    episode.run(seconds)
+    return episode
 
 
 @pytest.mark.parametrize("compiled", KINDS)
@@ -62,7 +62,7 @@ def lived(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **
     ("scene", "options"),
     [
         pytest.param(arena(), {"seed": 1}, id="mixed surfaces"),
-        pytest.param(arena(SHADOWS), {"seed": 2, "spread": True}, id="a lamp that blinks and fades"),
+        pytest.param(arena(SHADOWS), {"seed": 2, "vary": True}, id="a lamp that blinks and fades"),
         pytest.param(arena(SHADOWS), {"noise": False}, id="without noise"),
         pytest.param(arena(model="khepera2", calibration="khepera2", rom="khepera2"), {}, id="khepera2"),
         pytest.param(arena(battery_used_min=41.3), {"seed": 3}, id="cells that run out"),
@@ -70,31 +70,31 @@ def lived(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **
         pytest.param(playpen.load("light-seeking"), {"seed": 5}, id="light seeking"),
     ],
 )
-def test_a_life_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, Any], compiled: bool) -> None:
-    world, life = wandering(scene, 4.0, **options), lived(scene, 4.0, compiled, **options)
-    assert life.registers.tolist() == world.robots[0].registers.tolist()
-    assert life.joints.tobytes() == world.data.qpos.tobytes()
-    assert life.pose == world.robots[0].pose
+def test_a_episode_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, Any], compiled: bool) -> None:
+    world, episode = wandering(scene, 4.0, **options), lived(scene, 4.0, compiled, **options)
+    assert episode.registers.tolist() == world.robots[0].registers.tolist()
+    assert episode.joints.tobytes() == world.data.qpos.tobytes()
+    assert episode.pose == world.robots[0].pose
 
 
 @with_numba
 @pytest.mark.parametrize("planar", [False, True])
 def test_a_khepera_2_never_reads_0_without_a_line_plain_and_compiled(planar: bool) -> None:
-    ground = EpisodeSetup(arena(model="khepera2", calibration="khepera2"), planar=planar)
+    setup = EpisodeSetup(arena(model="khepera2", calibration="khepera2"), planar=planar)
     lowest: list[list[int]] = []
     for compiled in (False, True):
-        life = Episode(ground, Braitenberg(), compiled=compiled)
-        life.begin(3)
+        episode = Episode(setup, Braitenberg(), compiled=compiled)
+        episode.begin(3)
         lowest.append([])
         for _ in range(100):
-            life.live(0.02)
-            lowest[-1].append(min(life.registers[PROXIMITY].tolist()))
+            episode.run(0.02)
+            lowest[-1].append(min(episode.registers[PROXIMITY].tolist()))
     assert lowest[0] == lowest[1]
     assert min(lowest[0]) == 4
 
 
 @with_numba
-def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
+def test_what_compiled_episodes_cast_is_what_rangefinders_find() -> None:
     from khep_twin.rollout import compiled_casting
     from khep_twin.sensing.raycast import scene_of
     from khep_twin.sensors import proximity_optics
@@ -105,7 +105,7 @@ def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
     model, data, robot = world.model, world.data, world.robots[0].indices
     plain, fast = scene_of(model, data, robot), compiled_casting.scene_of(model, data, robot)
     near = proximity_optics(model, robot, EpisodeSetup(arena()).calibration)
-    from khep_twin.rollout.life import _as_arrays as as_arrays
+    from khep_twin.rollout.episode import _as_arrays as as_arrays
 
     arrays = as_arrays(near)
     world.robots[0].send(b"D,9,4\n")
@@ -128,12 +128,12 @@ def test_what_compiled_lives_cast_is_what_rangefinders_find() -> None:
 
 @pytest.mark.parametrize("compiled", KINDS)
 def test_room_that_was_used_before_leaves_no_trace(compiled: bool) -> None:
-    life = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
+    episode = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
     found: list[bytes] = []
     for seed in (1, 2, 1):
-        life.begin(seed, start=(400.0, 290.0, 10.0 * seed))
-        life.live(1.0)
-        found.append(life.registers.tobytes() + life.joints.tobytes())
+        episode.begin(seed, start=(400.0, 290.0, 10.0 * seed))
+        episode.run(1.0)
+        found.append(episode.registers.tobytes() + episode.joints.tobytes())
     assert found[0] == found[2] != found[1]
 
 
@@ -146,11 +146,11 @@ def test_coarser_steps_convert_in_the_same_order_plain_and_compiled_alike(step_n
         for each in (False, True)
     ]
     seen: set[int] = set()
-    for life in both:
-        life.begin(2, start=(330.0, 300.0, 0.0))
+    for episode in both:
+        episode.begin(2, start=(330.0, 300.0, 0.0))
     for _ in range(150):
-        for life in both:
-            life.live(0.02)
+        for episode in both:
+            episode.run(0.02)
         assert both[0].registers.tolist() == both[1].registers.tolist()
         seen |= set(np.flatnonzero(both[0].registers[PROXIMITY] > 300).tolist())
     assert both[0].joints.tobytes() == both[1].joints.tobytes()
@@ -160,12 +160,12 @@ def test_coarser_steps_convert_in_the_same_order_plain_and_compiled_alike(step_n
 def test_coarser_steps_go_about_the_same_way() -> None:
     ends: list[tuple[float, float, float]] = []
     for step_ns in (2_500_000, 5_000_000, 10_000_000):
-        life = Episode(
+        episode = Episode(
             EpisodeSetup(playpen.load("default"), step_ns=step_ns), ConstantSpeed(8, 6), compiled=False
         )
-        life.begin(noise=False)
-        life.live(6.0)
-        ends.append(life.pose)
+        episode.begin(noise=False)
+        episode.run(6.0)
+        ends.append(episode.pose)
     for end, places, turned in zip(ends[1:], (0.002, 0.004), (0.011, 0.015), strict=True):
         assert end[:2] == pytest.approx(ends[0][:2], abs=places)
         assert end[2] == pytest.approx(ends[0][2], abs=turned)
@@ -182,16 +182,16 @@ def test_a_network_reads_registers_and_sets_speeds(compiled: bool) -> None:
     network = Network(top_speed=20)
     genes = np.zeros(network.n_genes)
     genes[0], genes[9] = np.arctanh(0.5), np.arctanh(-0.25)
-    life = lived(arena(), 0.2, compiled, network, genes=genes)
-    assert life.registers[SETPOINTS].tolist() == [10, -5]
+    episode = lived(arena(), 0.2, compiled, network, genes=genes)
+    assert episode.registers[SETPOINTS].tolist() == [10, -5]
     # And only one weight: left 90 drives the right wheel.
     genes[:] = 0
     genes[10] = 3.0
-    life = lived(arena(x_mm=44.0, y_mm=290.0, heading_deg=90.0), 0.2, compiled, network, genes=genes)
-    seen = life.registers[PROXIMITY[0]] / COUNTS_LIMIT
+    episode = lived(arena(x_mm=44.0, y_mm=290.0, heading_deg=90.0), 0.2, compiled, network, genes=genes)
+    seen = episode.registers[PROXIMITY[0]] / COUNTS_LIMIT
     assert seen > 0.1
-    assert life.registers[SETPOINTS[0]] == 0
-    assert life.registers[SETPOINTS[1]] == pytest.approx(20 * np.tanh(3 * seen), abs=3)
+    assert episode.registers[SETPOINTS[0]] == 0
+    assert episode.registers[SETPOINTS[1]] == pytest.approx(20 * np.tanh(3 * seen), abs=3)
 
 
 def steer(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
@@ -201,42 +201,42 @@ def steer(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float,
 
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_function_has_memory_and_genes_and_its_speeds_are_cut_as_by_the_board(compiled: bool) -> None:
-    life = lived(arena(), 0.1, compiled, Function(steer, n_memory=1), genes=[2.5])
-    assert life.registers[SETPOINTS].tolist() == [round(2.5 + 5), -127]
+    episode = lived(arena(), 0.1, compiled, Function(steer, n_memory=1), genes=[2.5])
+    assert episode.registers[SETPOINTS].tolist() == [round(2.5 + 5), -127]
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_a_controller_that_gives_no_number_ends_its_life(compiled: bool) -> None:
-    life = Episode(
+def test_a_controller_that_gives_no_number_ends_its_episode(compiled: bool) -> None:
+    episode = Episode(
         EpisodeSetup(arena()),
         Function(lambda proximity, ambient, memory, genes: (genes[0] / 0.5, 1.0)),
         compiled=compiled,
     )
-    life.begin(7, genes=[1.0])
-    life.live(0.02)
-    life.begin(7, genes=[np.inf])
+    episode.begin(7, genes=[1.0])
+    episode.run(0.02)
+    episode.begin(7, genes=[np.inf])
     with pytest.raises(DivergedError, match=r"seed 7 failed at 0\.0000 s, step 0: .* no number"):
-        life.live(0.02)
+        episode.run(0.02)
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_physics_out_of_bounds_end_a_life_by_step_and_leave_the_next_alone(compiled: bool) -> None:
-    life = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
-    life.begin(1)
-    life.live(0.2)
-    life._data.qvel[0] = 1e9
+def test_physics_out_of_bounds_end_a_episode_by_step_and_leave_the_next_alone(compiled: bool) -> None:
+    episode = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
+    episode.begin(1)
+    episode.run(0.2)
+    episode._data.qvel[0] = 1e9
     with pytest.raises(DivergedError, match=r"seed 1 failed at 0\.2\d+ s, step \d+: "):
-        life.live(0.2)
-    life.begin(1)
-    life.live(0.2)
-    assert life.steps == 80
+        episode.run(0.2)
+    episode.begin(1)
+    episode.run(0.2)
+    assert episode.steps == 80
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_life_ends_its_homing_with_its_charge(compiled: bool) -> None:
+def test_episode_ends_its_homing_with_its_charge(compiled: bool) -> None:
     # Far from home the charge of 0.1 s is used up in five control periods; at home it is always full.
     def homing(home: tuple[float, float, float, float]) -> float:
-        return lived(arena(), 0.4, compiled, ConstantSpeed(10, 10), noise=False, home=home).numbers()[
+        return lived(arena(), 0.4, compiled, ConstantSpeed(10, 10), noise=False, home=home).metrics()[
             "homing"
         ]
 
@@ -249,11 +249,11 @@ def test_life_ends_its_homing_with_its_charge(compiled: bool) -> None:
 def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> None:
     def ways(left: int, right: int) -> tuple[float, float]:
         free = playpen.load("default")
-        life = lived(
+        episode = lived(
             free, 1.0, compiled, ConstantSpeed(left, right), noise=False, start=(300.0, 250.0, 130.0)
         )
-        numbers = life.numbers()
-        return numbers["forward_m"], numbers["distance_m"]
+        metrics = episode.metrics()
+        return metrics["forward_m"], metrics["distance_m"]
 
     forwards, way = ways(5, 5)
     assert forwards == pytest.approx(way, rel=1e-6) == pytest.approx(0.04, rel=0.1)
@@ -270,22 +270,22 @@ def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> Non
         ({"lighting": playpen.Lighting(mode="random")}, "mode = 'random'; expected 'all'"),
     ],
 )
-def test_what_lives_cannot_have_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
+def test_what_episodes_cannot_have_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
     with pytest.raises(PlaypenError, match=message):
         EpisodeSetup(arena().model_copy(update=change))
     with pytest.raises(PlaypenError, match=r"turrets = \['gripper'\]; expected none"):
         EpisodeSetup(playpen.load("gripper"))
 
 
-def test_without_numba_lives_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numba_episodes_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.warns(
-        lives.SlowerWarning, match=r"with the same results; .* -m pip install 'numba<1,>=0.61'$"
+        episodes.SlowerWarning, match=r"with the same results; .* -m pip install 'numba<1,>=0.61'$"
     ):
-        life = Episode(EpisodeSetup(arena()), Braitenberg())
-    life.begin()
-    life.live(0.02)
-    assert life.steps == 8
+        episode = Episode(EpisodeSetup(arena()), Braitenberg())
+    episode.begin()
+    episode.run(0.02)
+    assert episode.steps == 8
 
 
 def test_compiled_without_numba_is_one_line_that_tells_how_to_install_it(
@@ -298,14 +298,14 @@ def test_compiled_without_numba_is_one_line_that_tells_how_to_install_it(
 
 
 def test_the_demo_of_the_rom_drives_by_itself() -> None:
-    life = lived(arena(mode=0), 0.5, False, ConstantSpeed())
-    assert life.registers[LEFT + Wheel.POSITION] > 100
-    assert life.registers[Board.SCAN] == 0
-    assert (life.registers[AMBIENT] > 0).all()
+    episode = lived(arena(mode=0), 0.5, False, ConstantSpeed())
+    assert episode.registers[LEFT + Wheel.POSITION] > 100
+    assert episode.registers[Board.SCAN] == 0
+    assert (episode.registers[AMBIENT] > 0).all()
 
 
-def test_a_life_that_has_not_begun_says_so() -> None:
-    life = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=False)
-    for deed in (lambda: life.live(0.02), life.numbers, lambda: life.drive(1, 1)):
+def test_a_episode_that_has_not_begun_says_so() -> None:
+    episode = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=False)
+    for action in (lambda: episode.run(0.02), episode.metrics, lambda: episode.drive(1, 1)):
         with pytest.raises(ValueError, match=r"no episode has begun; expected begin\(\) first"):
-            deed()
+            action()

@@ -41,7 +41,7 @@ class Broadcaster:
             self._last = {}
         if self._loop is not None:
             with suppress(RuntimeError):  # the server is at its end
-                self._loop.call_soon_threadsafe(self._spread, kind, text)
+                self._loop.call_soon_threadsafe(self._broadcast, kind, text)
 
     async def serve(self, socket: WebSocket) -> None:
         """Serve one page until it goes."""
@@ -57,7 +57,7 @@ class Broadcaster:
             while True:
                 # A page reports which file it has, so that the others know.
                 said = await socket.receive_text()
-                self._spread("page", json.dumps({"kind": "page", "said": said[:1000]}), but=watcher)
+                self._broadcast("page", json.dumps({"kind": "page", "said": said[:1000]}), but=watcher)
         except (WebSocketDisconnect, KeyError):
             pass
         finally:
@@ -65,7 +65,7 @@ class Broadcaster:
             self.watching = bool(self._watchers)
             sending.cancel()
 
-    def _spread(self, kind: str, text: str, but: "_Watcher | None" = None) -> None:
+    def _broadcast(self, kind: str, text: str, but: "_Watcher | None" = None) -> None:
         for watcher in self._watchers:
             if watcher is not but:
                 watcher.take(kind, text)

@@ -43,7 +43,7 @@ def put(
     if reason := no_room(as_it_stands(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
     place = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
-    world.act(index, HostEvent(HostEventKind.PUT, world.time_ns, None, place))
+    world.on_host_event(index, HostEvent(HostEventKind.PUT, world.time_ns, None, place))
     model, data = world.model, world.data
     robot, half = world.robots[index].indices, math.radians(heading_deg) / 2
     at = robot.pose
@@ -54,18 +54,18 @@ def put(
     mujoco.mj_kinematics(model, data)
     if afresh:
         world.robots[index].reset_motion()
-    world.tell(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
+    world.log_event(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
 
 
-def put_again(world: World, index: int, act: HostEvent) -> None:
+def repeat_move(world: World, index: int, event: HostEvent) -> None:
     """Move a robot as recorded in a log."""
-    place, rest = act.data[: _PLACE.size], act.data[_PLACE.size :]
+    place, rest = event.data[: _PLACE.size], event.data[_PLACE.size :]
     put(world, index, *_PLACE.unpack(place), afresh=rest == _AFRESH)
 
 
 def scan(world: World) -> None:
     """Convert all sensors now, so that the boards hold current readings after something was moved."""
-    world.act(0, HostEvent(HostEventKind.SCAN, world.time_ns))
+    world.on_host_event(0, HostEvent(HostEventKind.SCAN, world.time_ns))
     world.scan()
 
 

@@ -9,11 +9,11 @@ from khep_twin import playpen
 from khep_twin.errors import ControllerError, in_a_line
 from khep_twin.lab.experiment import start_poses
 from khep_twin.rollout.batch import RolloutResult, rollout
-from khep_twin.rollout.life import EpisodeSetup, Start
-from khep_twin.rollout.minds import Floats
+from khep_twin.rollout.controllers import Floats
+from khep_twin.rollout.episode import EpisodeSetup, Start
 from khep_twin.signals import is_interruption
 from khep_twin.sweep.programs import Program, driver_of, function_of
-from khep_twin.sweep.tasks import Shard, Work
+from khep_twin.sweep.shards import Shard, Work
 
 Columns = Mapping[str, object]
 """Values of each episode by column name; None or NaN for no value."""
@@ -21,7 +21,7 @@ Columns = Mapping[str, object]
 NS_PER_MS = 1_000_000
 
 
-def results(work: Work, task: Shard, threads: int | None = 1) -> Columns:
+def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
     """Run a task.
 
     Args:
@@ -37,55 +37,53 @@ def results(work: Work, task: Shard, threads: int | None = 1) -> Columns:
     """
     study, group = work.study, work.groups[task.group]
     controller = work.controllers[group.controller]
-    ground = _ground(
-        work.playpens[group.playpen], group.lighting, study.planar, study.step_ms, study.period_ms
-    )
-    numbers = np.arange(task.first - group.first, task.first - group.first + task.count)
-    others, seeds = np.divmod(numbers, study.seeds)
+    setup = _setup(work.playpens[group.playpen], group.lighting, study.planar, study.step_ms, study.period_ms)
+    metrics = np.arange(task.first - group.first, task.first - group.first + task.count)
+    others, seeds = np.divmod(metrics, study.seeds)
     genomes, which = np.divmod(others, len(group.starts))
     seeds += study.first_seed
     # np.divmod is typed for single numbers only.
     words: list[str] = [group.starts[each] for each in which.tolist()]  # pyright: ignore
-    begins = [_begin(ground, word, seed) for word, seed in zip(words, seeds.tolist(), strict=True)]
+    begins = [_begin(setup, word, seed) for word, seed in zip(words, seeds.tolist(), strict=True)]
     home = study.home
-    lives = rollout(
-        ground,
+    results = rollout(
+        setup,
         driver_of(controller.driver),
         seeds.tolist(),
         study.seconds,
         genes=controller.genomes[genomes],
         starts=begins,
         noise=group.noise,
-        spread=group.spread,
+        vary=group.vary,
         home=None if home is None else (home.x_mm, home.y_mm, home.radius_mm, home.charge_s),
         threads=threads,
     )
-    failed = {failure.index: failure for failure in lives.failures}
+    failed = {failure.index: failure for failure in results.failures}
     count = task.count
     return {
-        "life": np.arange(task.first, task.first + count),
+        "episode": np.arange(task.first, task.first + count),
         "playpen": [study.playpens[group.playpen]] * count,
         "controller": [controller.name] * count,
         "genome": genomes,
         "seed": seeds,
         "noise": np.full(count, group.noise),
-        "spread": np.full(count, group.spread),
+        "vary": np.full(count, group.vary),
         "lighting": [group.lighting] * count,
         "start": words,
         "start_x_mm": np.array([begin[0] for begin in begins], np.float64),
         "start_y_mm": np.array([begin[1] for begin in begins], np.float64),
         "start_heading_deg": np.array([begin[2] for begin in begins], np.float64),
-        **{name: lives.numbers[name] for name in study.fitness},
-        **{name: measured(measure, lives) for name, measure in work.measures},
-        "end_x_m": lives.poses[:, 0],
-        "end_y_m": lives.poses[:, 1],
-        "end_heading_rad": lives.poses[:, 2],
+        **{name: results.metrics[name] for name in study.fitness},
+        **{name: measured(measure, results) for name, measure in work.measures},
+        "end_x_m": results.poses[:, 0],
+        "end_y_m": results.poses[:, 1],
+        "end_heading_rad": results.poses[:, 2],
         "failed_step": [failed[i].step if i in failed else None for i in range(count)],
         "failure": [failed[i].reason if i in failed else None for i in range(count)],
     }
 
 
-def measured(measure: Program, lives: RolloutResult) -> Floats:
+def measured(measure: Program, results: RolloutResult) -> Floats:
     """Return the values of a user's function for each episode (n,); NaN for those that failed.
 
     The arguments are an episode's numbers by name, its board's registers (N_REGISTERS,) and its final pose
@@ -95,15 +93,15 @@ def measured(measure: Program, lives: RolloutResult) -> Floats:
         ControllerError: The function fails, or returns no number.
     """
     function = function_of(measure)
-    found = np.full(len(lives.poses), np.nan)
-    failed = {failure.index for failure in lives.failures}
-    for life in range(len(found)):
-        if life in failed:
+    found = np.full(len(results.poses), np.nan)
+    failed = {failure.index for failure in results.failures}
+    for index in range(len(found)):
+        if index in failed:
             continue
-        numbers = {name: float(values[life]) for name, values in lives.numbers.items()}
+        metrics = {name: float(values[index]) for name, values in results.metrics.items()}
         try:
-            found[life] = float(
-                function(numbers, lives.registers[life].copy(), tuple(lives.poses[life].tolist()))
+            found[index] = float(
+                function(metrics, results.registers[index].copy(), tuple(results.poses[index].tolist()))
             )
         except BaseException as error:  # the user's own function may raise anything
             if is_interruption(error):
@@ -113,14 +111,14 @@ def measured(measure: Program, lives: RolloutResult) -> Floats:
     return found
 
 
-def _begin(ground: EpisodeSetup, word: str, seed: int) -> Start:
+def _begin(setup: EpisodeSetup, word: str, seed: int) -> Start:
     if word == "playpen":
-        return ground.start(seed)
-    return start_poses.starts([word], ground.playpen, 0, 1, seed)[0]
+        return setup.start(seed)
+    return start_poses.starts([word], setup.playpen, 0, 1, seed)[0]
 
 
 @lru_cache(maxsize=4)
-def _ground(text: str, lighting: str, planar: bool, step_ms: float | None, period_ms: int) -> EpisodeSetup:
+def _setup(text: str, lighting: str, planar: bool, step_ms: float | None, period_ms: int) -> EpisodeSetup:
     place = start_poses.lit(playpen.parse(text, "a study's playpen"), "off" if lighting == "off" else None)
     step_ns = None if step_ms is None else round(step_ms * NS_PER_MS)
     return EpisodeSetup(place, step_ns=step_ns, period_ns=period_ms * NS_PER_MS, planar=planar)

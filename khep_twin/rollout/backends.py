@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError, PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.rollout import episode
-from khep_twin.rollout.life import Episode, EpisodeSetup
+from khep_twin.rollout import stepping
+from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.units import TICK_NS
 from khep_twin.world import World
 
@@ -41,7 +41,7 @@ class Backend(Protocol):
         """Pose of each robot."""
         ...
 
-    def begin(self, seed: int, playpen: Playpen, noise: bool, spread: bool) -> None:
+    def begin(self, seed: int, playpen: Playpen, noise: bool, vary: bool) -> None:
         """Start a trial, with the robots where the playpen has them."""
         ...
 
@@ -49,7 +49,7 @@ class Backend(Protocol):
         """Set both speeds of a robot [pulses/10 ms]."""
         ...
 
-    def go_on(self) -> None:
+    def step(self) -> None:
         """Advance by a control period."""
         ...
 
@@ -58,42 +58,42 @@ class EpisodeBackend:
     """Episodes of one robot, one after another.
 
     Args:
-        ground: Prepared ground, which others may share.
+        setup: Prepared ground, which others may share.
         compiled: Whether to run compiled; None if numba is installed.
     """
 
-    def __init__(self, ground: EpisodeSetup, compiled: bool | None) -> None:
-        self._ground = ground
-        self._life = Episode(ground, compiled=compiled)
+    def __init__(self, setup: EpisodeSetup, compiled: bool | None) -> None:
+        self._setup = setup
+        self._episode = Episode(setup, compiled=compiled)
 
     @property
     def data(self) -> mujoco.MjData:
         """State of the scene."""
-        return self._life._data  # pyright: ignore[reportPrivateUsage]
+        return self._episode._data  # pyright: ignore[reportPrivateUsage]
 
     @property
     def registers(self) -> Sequence[NDArray[np.int64]]:
         """Registers of the board."""
-        return (self._life.registers,)
+        return (self._episode.registers,)
 
     @property
     def poses(self) -> Sequence[Pose]:
         """Pose of the robot."""
-        return (self._life.pose,)
+        return (self._episode.pose,)
 
-    def begin(self, seed: int, playpen: Playpen, noise: bool, spread: bool) -> None:
+    def begin(self, seed: int, playpen: Playpen, noise: bool, vary: bool) -> None:
         """Start an episode."""
         robot = playpen.robots[0]
         start = robot.x_mm, robot.y_mm, robot.heading_deg
-        self._life.begin(seed, start=start, noise=noise, spread=spread)
+        self._episode.begin(seed, start=start, noise=noise, vary=vary)
 
     def drive(self, robot: int, left: float, right: float) -> None:
         """Set both speeds [pulses/10 ms]."""
-        self._life.drive(left, right)
+        self._episode.drive(left, right)
 
-    def go_on(self) -> None:
+    def step(self) -> None:
         """Advance by a control period."""
-        self._life.go_on(self._ground.wiring.steps_per_period)
+        self._episode.step(self._setup.sim_indices.steps_per_period)
 
 
 class WorldBackend:
@@ -134,9 +134,9 @@ class WorldBackend:
         """Poses of the robots."""
         return [robot.pose for robot in self.world.robots]
 
-    def begin(self, seed: int, playpen: Playpen, noise: bool, spread: bool) -> None:
+    def begin(self, seed: int, playpen: Playpen, noise: bool, vary: bool) -> None:
         """Create a world."""
-        self._world = World(playpen, seed=seed, noise=noise, spread=spread, unpaced=True)
+        self._world = World(playpen, seed=seed, noise=noise, vary=vary, unpaced=True)
 
     def drive(self, robot: int, left: float, right: float) -> None:
         """Set both speeds of a robot [pulses/10 ms].
@@ -145,24 +145,24 @@ class WorldBackend:
             DivergedError: A speed is no number.
         """
         driven = self.world.robots[robot]
-        if driven.firmware.powered and not episode.drive(driven.registers.data, left, right):
+        if driven.firmware.powered and not stepping.drive(driven.registers.data, left, right):
             raise DivergedError(
                 f"{driven.name} failed at {self.world.time_ns / 1e9:.4f} s: the controller gave a speed that "
                 "is no number"
             )
 
-    def go_on(self) -> None:
+    def step(self) -> None:
         """Advance by a control period."""
         self.world.advance_to(self.world.time_ns + self._period_ns)
 
 
-def may_be_alone(playpen: Playpen) -> bool:
+def supports_episodes(playpen: Playpen) -> bool:
     """Return whether a playpen can be simulated without a serial line."""
     robots = playpen.robots
     return len(robots) == 1 and not robots[0].turrets and playpen.lighting.mode == "all"
 
 
-def several(playpen: Playpen, count: int) -> Playpen:
+def with_robots(playpen: Playpen, count: int) -> Playpen:
     """Return the playpen with `count` copies of its first robot, not yet placed.
 
     Raises:

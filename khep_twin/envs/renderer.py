@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.stages import Pose
+from khep_twin.rollout.backends import Pose
 
 Picture = NDArray[np.uint8]
 """Rows from the top (height, width, 3), red, green, blue."""

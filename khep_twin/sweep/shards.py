@@ -19,8 +19,8 @@ from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.files.atomic import read_regular
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.life import EpisodeSetup
-from khep_twin.rollout.minds import Braitenberg, Driver, Floats
+from khep_twin.rollout.controllers import Braitenberg, Driver, Floats
+from khep_twin.rollout.episode import EpisodeSetup
 from khep_twin.sensing import calibration
 from khep_twin.sweep.genomes import genomes_of
 from khep_twin.sweep.programs import Program, function_of
@@ -50,7 +50,7 @@ class Group:
         playpen: Index of the study's playpen.
         controller: Index of the study's controller.
         noise: Whether sensors are noisy.
-        spread: Whether each episode has other sensors.
+        vary: Whether each episode has other sensors.
         lighting: "all" or "off".
         starts: Words for the starts; "playpen" and "random" depend on the seed.
         first: Number of its first episode.
@@ -60,7 +60,7 @@ class Group:
     playpen: int
     controller: int
     noise: bool
-    spread: bool
+    vary: bool
     lighting: str
     starts: tuple[str, ...]
     first: int
@@ -109,7 +109,7 @@ class Work:
     versions: str
 
     @property
-    def lives(self) -> int:
+    def n_episodes(self) -> int:
         """Number of episodes."""
         return sum(group.count for group in self.groups)
 
@@ -133,11 +133,11 @@ def work_of(file: StudyFile) -> Work:
     grid = study.grid
     starts = [tuple(_starts(file, each)) for each in playpens]
     points = itertools.product(
-        range(len(playpens)), range(len(controllers)), grid.noise, grid.spread, grid.lighting
+        range(len(playpens)), range(len(controllers)), grid.noise, grid.vary, grid.lighting
     )
-    for place, mind, noise, spread, lighting in points:
-        count = len(controllers[mind].genomes) * len(starts[place]) * study.seeds
-        groups.append(Group(place, mind, noise, spread, lighting, starts[place], first, count))
+    for place, controller, noise, vary, lighting in points:
+        count = len(controllers[controller].genomes) * len(starts[place]) * study.seeds
+        groups.append(Group(place, controller, noise, vary, lighting, starts[place], first, count))
         first += count
     tasks: list[Shard] = []
     for number, group in enumerate(groups):

@@ -11,7 +11,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import read_recorded, repeat
 from khep_twin.log.reader import read
-from khep_twin.placing import as_it_stands, put
+from khep_twin.move_robot import as_it_stands, put
 from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.twin import TwinOptions, open_twin
 

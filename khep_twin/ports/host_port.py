@@ -24,7 +24,7 @@ class Received:
     notices: Sequence[str] = ()
 
 
-class Cable(Protocol):
+class HostPort(Protocol):
     """The far end of one robot's line."""
 
     @property

@@ -1,9 +1,9 @@
 """Trials of a task: `begin` with a seed, then `step` by step, with observations and rewards.
 
     trial = TaskEpisode(TaskSetup("ObstacleAvoidance"))
-    trial.begin(seed=1)
+    episode.begin(seed=1)
     while not trial.over:
-        outcome, = trial.step([(10, 10)])
+        outcome, = episode.step([(10, 10)])
         print(outcome.observation, outcome.reward)
 
 The dm_env, Gymnasium and PettingZoo environments are built on trials. A step is one control period, 50 ms by
@@ -27,15 +27,15 @@ from khep_twin.envs.tasks import TOP_SPEED, Observation, State, Task, find
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.playpen import Playpen, load
 from khep_twin.playpen.starts import anywhere, at_spots
-from khep_twin.rollout.life import EpisodeSetup
-from khep_twin.rollout.stages import (
+from khep_twin.rollout.backends import (
     Backend,
     EpisodeBackend,
     Pose,
     WorldBackend,
-    may_be_alone,
-    several,
+    supports_episodes,
+    with_robots,
 )
+from khep_twin.rollout.episode import EpisodeSetup
 from khep_twin.sensing import calibration
 
 PERIOD_NS = 50_000_000
@@ -44,7 +44,7 @@ PERIOD_NS = 50_000_000
 _ENCODERS = (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER)
 
 
-def cut(action: object) -> tuple[float, float]:
+def clipped(action: object) -> tuple[float, float]:
     """Return an action as the speeds of left and right wheel, clipped to the top speed [pulses/10 ms].
 
     Raises:
@@ -82,7 +82,7 @@ class TaskSetup:
         playpen: Playpen in place of the task's, as a name, path or object.
         robots: Number of robots.
         noise: Whether sensors are noisy.
-        spread: Whether each trial has the sensors of another robot of the same make, by its seed.
+        vary: Whether each trial has the sensors of another robot of the same make, by its seed.
         period_ns: Control period [ns], whole ticks of 10 ms.
         seconds: Time limit of a trial [s]; by default the task's.
         compiled: Whether to run compiled; None if numba is installed. Several robots never are.
@@ -100,7 +100,7 @@ class TaskSetup:
         playpen: Playpen | str | None = None,
         robots: int = 1,
         noise: bool = True,
-        spread: bool = False,
+        vary: bool = False,
         period_ns: int = PERIOD_NS,
         seconds: float | None = None,
         compiled: bool | None = None,
@@ -111,8 +111,8 @@ class TaskSetup:
             raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
         self.task = find(task)
         given = self.task.playpen if playpen is None else playpen
-        self.playpen = several(given if isinstance(given, Playpen) else load(given), robots)
-        self.noise, self.spread, self.period_ns = noise, spread, period_ns
+        self.playpen = with_robots(given if isinstance(given, Playpen) else load(given), robots)
+        self.noise, self.vary, self.period_ns = noise, vary, period_ns
         self.seconds = self.task.seconds if seconds is None else seconds
         if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
             raise ValueError(
@@ -122,15 +122,17 @@ class TaskSetup:
         self.n_steps = n_steps(to_ns(self.seconds), period_ns)
         self.goal = _place_of(self.playpen, self.task.goal) if self.task.goal else (0.0, 0.0)
         self._compiled = compiled
-        self._ground = EpisodeSetup(self.playpen, period_ns=period_ns) if may_be_alone(self.playpen) else None
+        self._setup = (
+            EpisodeSetup(self.playpen, period_ns=period_ns) if supports_episodes(self.playpen) else None
+        )
         ambient = calibration.read(self.playpen.robots[0].calibration)[0].ambient
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
 
-    def stage(self) -> Backend:
+    def backend(self) -> Backend:
         """Return a new simulation for a trial."""
-        if self._ground is None:
+        if self._setup is None:
             return WorldBackend(self.period_ns)
-        return EpisodeBackend(self._ground, self._compiled)
+        return EpisodeBackend(self._setup, self._compiled)
 
     def started(self, seed: int) -> Playpen:
         """Return the playpen at the start of a trial.
@@ -145,16 +147,16 @@ class TaskEpisode:
     """One trial at a time; `begin` starts a new one.
 
     Args:
-        course: Prepared task.
+        setup: Prepared task.
     """
 
-    def __init__(self, course: TaskSetup) -> None:
-        self.course = course
-        self._stage = course.stage()
-        self._n_robots = len(course.playpen.robots)
+    def __init__(self, setup: TaskSetup) -> None:
+        self.setup = setup
+        self._backend = setup.backend()
+        self._n_robots = len(setup.playpen.robots)
         self._pulses = [[0, 0]] * self._n_robots
         self._charges_ns = [0] * self._n_robots
-        self._steps = course.n_steps
+        self._steps = setup.n_steps
 
     def begin(self, seed: int) -> list[Observation]:
         """Start a trial; return each robot's observation.
@@ -163,12 +165,12 @@ class TaskEpisode:
             PlaypenError: There is no room for the robots.
             ValueError: The seed is negative or too large.
         """
-        course = self.course
-        self._stage.begin(seed, course.started(seed), course.noise, course.spread)
+        setup = self.setup
+        self._backend.begin(seed, setup.started(seed), setup.noise, setup.vary)
         self._steps = 0
-        self._charges_ns = [to_ns(course.task.charge_s)] * self._n_robots
+        self._charges_ns = [to_ns(setup.task.charge_s)] * self._n_robots
         self._pulses = [self._counted(robot) for robot in range(self._n_robots)]
-        return [course.task.observe(self._moment(robot, (0.0, 0.0))) for robot in range(self._n_robots)]
+        return [setup.task.observe(self._state(robot, (0.0, 0.0))) for robot in range(self._n_robots)]
 
     def step(self, speeds: Sequence[Sequence[float]]) -> list[StepResult]:
         """Advance by a control period.
@@ -185,66 +187,64 @@ class TaskEpisode:
         if len(speeds) != self._n_robots:
             raise ValueError(f"{len(speeds)} pairs of speeds; expected {self._n_robots}, one for each robot")
         for robot, (left, right) in enumerate(speeds):
-            self._stage.drive(robot, float(left), float(right))
-        self._stage.go_on()
+            self._backend.drive(robot, float(left), float(right))
+        self._backend.step()
         self._steps += 1
         return [self._outcome(robot) for robot in range(self._n_robots)]
 
     @property
     def over(self) -> bool:
         """True if the time is over, or no trial has begun."""
-        return self._steps >= self.course.n_steps
+        return self._steps >= self.setup.n_steps
 
     @property
     def time_s(self) -> float:
         """Simulated time [s]."""
-        return self._steps * self.course.period_ns / 1e9
+        return self._steps * self.setup.period_ns / 1e9
 
     @property
     def poses(self) -> Sequence[Pose]:
         """True x, y [m] and heading [rad] of the robots."""
-        return self._stage.poses
+        return self._backend.poses
 
     @property
     def registers(self) -> Sequence[NDArray[np.int64]]:
         """Registers of each robot's board (N_REGISTERS,), live."""
-        return self._stage.registers
+        return self._backend.registers
 
     @property
     def data(self) -> mujoco.MjData:
         """State of the scene, live."""
-        return self._stage.data
+        return self._backend.data
 
     def _outcome(self, robot: int) -> StepResult:
-        task, ticks = self.course.task, self.course.period_ns // units.TICK_NS
+        task, ticks = self.setup.task, self.setup.period_ns // units.TICK_NS
         before, self._pulses[robot] = self._pulses[robot], self._counted(robot)
         left, right = ((now - then) / ticks for now, then in zip(self._pulses[robot], before, strict=True))
         if task.charge_s:
-            left_ns = max(self._charges_ns[robot] - self.course.period_ns, 0)
+            left_ns = max(self._charges_ns[robot] - self.setup.period_ns, 0)
             self._charges_ns[robot] = to_ns(task.charge_s) if self._at_goal(robot) else left_ns
-        moment = self._moment(robot, (left, right))
-        return StepResult(
-            task.observe(moment), task.reward(moment), bool(task.charge_s) and moment.charge <= 0
-        )
+        state = self._state(robot, (left, right))
+        return StepResult(task.observe(state), task.reward(state), bool(task.charge_s) and state.charge <= 0)
 
-    def _moment(self, robot: int, speed: tuple[float, float]) -> State:
-        course = self.course
-        full_ns = to_ns(course.task.charge_s)
+    def _state(self, robot: int, speed: tuple[float, float]) -> State:
+        setup = self.setup
+        full_ns = to_ns(setup.task.charge_s)
         charge = self._charges_ns[robot] / full_ns if full_ns else 1.0
-        registers = self._stage.registers[robot].tolist()
-        return State(registers, *speed, course.dark, course.floor, self._at_goal(robot), charge)
+        registers = self._backend.registers[robot].tolist()
+        return State(registers, *speed, setup.dark, setup.floor, self._at_goal(robot), charge)
 
     def _at_goal(self, robot: int) -> bool:
-        if not self.course.task.goal:
+        if not self.setup.task.goal:
             return False
-        x, y, _ = self._stage.poses[robot]
-        goal_x, goal_y = self.course.goal
-        reach = units.metres(self.course.task.reach_mm)
+        x, y, _ = self._backend.poses[robot]
+        goal_x, goal_y = self.setup.goal
+        reach = units.metres(self.setup.task.reach_mm)
         return (x - goal_x) ** 2 + (y - goal_y) ** 2 <= reach * reach
 
     def _counted(self, robot: int) -> list[int]:
         """Return the pulses of both encoders."""
-        registers = self._stage.registers[robot]
+        registers = self._backend.registers[robot]
         return [int(registers[index]) for index in _ENCODERS]
 
 

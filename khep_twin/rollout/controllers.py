@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from khep_twin.errors import ControllerError
-from khep_twin.rollout import episode, networks
+from khep_twin.rollout import networks, stepping
 from khep_twin.rollout.fitness import TOP_SPEED_PULSES
 from khep_twin.units import N_SENSORS
 
@@ -90,7 +90,7 @@ Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
 _DRIVERS = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
 
 
-def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> episode.ControllerState:
+def controller_state(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> stepping.ControllerState:
     """Return an episode's controller as `episode` uses it.
 
     Args:
@@ -103,17 +103,17 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
         ControllerError: The number of genes is wrong, numba cannot compile the function, or the driver is of
             no known kind.
     """
-    kind, function, sizes, recurrent, top_speed, n_memory = episode.HOLD, 0, (), False, 0.0, 0
+    kind, function, sizes, recurrent, top_speed, n_memory = stepping.CONSTANT_SPEED, 0, (), False, 0.0, 0
     match driver:
         case Braitenberg():
-            kind = episode.WANDER
+            kind = stepping.BRAITENBERG
         case Network():
             if len(genes) != driver.n_genes:
                 raise ControllerError(f"{len(genes)} genes for {driver}; expected {driver.n_genes}")
-            kind, sizes, recurrent = episode.NETWORK, driver.sizes, driver.recurrent
+            kind, sizes, recurrent = stepping.NETWORK, driver.sizes, driver.recurrent
             top_speed, n_memory = float(driver.top_speed), sizes[1]
         case Function():
-            kind, function, n_memory = episode.FUNCTION, driver.decide, driver.n_memory
+            kind, function, n_memory = stepping.FUNCTION, driver.decide, driver.n_memory
             if compiled:
                 from khep_twin.rollout.compiled import address_of
 
@@ -122,16 +122,16 @@ def mind_of(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> epis
             pass
         case _:
             raise ControllerError(f"{driver!r} is no controller; {_DRIVERS}")
-    sums = np.zeros(episode.N_SUMS)
-    sums[episode.CHARGE] = home[3]
+    sums = np.zeros(stepping.N_SUMS)
+    sums[stepping.CHARGE] = home[3]
     speeds, layers, weights = np.zeros(2), np.array(sizes, np.int64), np.ascontiguousarray(genes, np.float64)
     memory, values = np.zeros(n_memory), np.zeros(sum(sizes))
-    mind = episode.ControllerState(
+    controller = stepping.ControllerState(
         kind, function, layers, recurrent, top_speed, weights, memory, values, speeds, home, sums
     )
-    if compiled or kind == episode.FUNCTION:
-        return mind
+    if compiled or kind == stepping.FUNCTION:
+        return controller
     # Lists are faster in Python.
-    return mind._replace(
+    return controller._replace(
         sizes=layers.tolist(), genes=weights.tolist(), memory=memory.tolist(), values=values.tolist()
     )

@@ -9,14 +9,14 @@ import numpy as np
 from khep_twin import units
 from khep_twin.errors import MissingExtraError
 from khep_twin.playpen.starts import Start
-from khep_twin.rollout import episode
-from khep_twin.rollout.minds import Floats
+from khep_twin.rollout import stepping
+from khep_twin.rollout.controllers import Floats
 from khep_twin.sensing import raycast
 from khep_twin.sensing.buffers import Vector, view
 from khep_twin.sensing.robot_indices import RobotIndices
 
 Live = tuple[Vector[float], Vector[float], Vector[float], Vector[float], Vector[float], Vector[int]]
-"""Live qpos, qvel, ctrl, force, places and warnings, as in `episode.Body`."""
+"""Live qpos, qvel, ctrl, force, places and warnings, as in `stepping.Body`."""
 
 
 class MujocoBackend:
@@ -30,14 +30,14 @@ class MujocoBackend:
     Attributes:
         data: State of the scene.
         scene: Scene as the robot's sensors see it.
-        advance: Function `episode.advance` for this state.
+        advance: Function `stepping.advance` for this state.
     """
 
     def __init__(self, model: mujoco.MjModel, robot: RobotIndices, compiled: bool) -> None:
         self._model, self._robot, self._compiled = model, robot, compiled
         self.data = mujoco.MjData(model)
         self.scene: Any
-        self.advance: episode.Advance
+        self.advance: stepping.Advance
         if compiled:
             try:
                 from khep_twin.rollout import compiled as fast
@@ -47,7 +47,7 @@ class MujocoBackend:
             self.advance = fast.advance
             self.scene = compiled_casting.scene_of(model, self.data, robot)
         else:
-            self.advance = episode.advance
+            self.advance = stepping.advance
             self.scene = raycast.scene_of(model, self.data, robot)
 
     def put(self, start: Start | None) -> None:
@@ -57,7 +57,7 @@ class MujocoBackend:
             self.data.qpos[self._robot.pose : self._robot.pose + 7] = _free_joint(start)
 
     @property
-    def live(self) -> Live:
+    def arrays(self) -> Live:
         """Arrays that the episode works on."""
         data = self.data
         arrays = (data.qpos, data.qvel, data.ctrl, data.actuator_force, data.xpos.reshape(-1))

@@ -14,7 +14,7 @@ from pathlib import Path
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera, commands
-from khep_twin.placing import as_it_stands, put
+from khep_twin.move_robot import as_it_stands, put
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import no_room
 from khep_twin.ports.protocol_khep import Serial
@@ -210,14 +210,14 @@ class TwinActor(WebSession):
             self._paced.ended = True
         super().end()
 
-    def _wish(self, act: Callable[[PacedTwin], None]) -> None:
+    def _wish(self, action: Callable[[PacedTwin], None]) -> None:
         twin = self._paced
         if twin is None:
             raise PortError("the twin is not there yet")
 
         def safely() -> None:
             try:
-                act(twin)
+                action(twin)
             except KhepTwinError as error:
                 self.tell({"kind": "refused", "text": error.plain})
             except IndexError as error:
@@ -229,18 +229,18 @@ class TwinActor(WebSession):
         options = replace(self._options, robot=None)
         with ExitStack() as stack:
             twin = stack.enter_context(open_twin(self.playpen, options))
-            cables = [
+            ports = [
                 stack.enter_context(closing(PtyPort(None, robot.firmware.baud))) for robot in twin.robots
             ]
             hosts = [
-                OutsideHost(twin, robot, cable, self._note)
-                for robot, cable in zip(twin.robots, cables, strict=True)
+                OutsideHost(twin, robot, port, self._note)
+                for robot, port in zip(twin.robots, ports, strict=True)
             ]
             if self._log is not None:
                 twin.record(self._log)
             with suppress(PortError):
                 stack.enter_context(
-                    registered([cable.path for cable in cables], f"twin in {self.playpen.name}, in a page")
+                    registered([port.path for port in ports], f"twin in {self.playpen.name}, in a page")
                 )
 
             def show() -> None:
@@ -252,7 +252,7 @@ class TwinActor(WebSession):
             paced.speed, paced.paused = self.speed, self.paused
             self._turrets = [TurretParts(twin.world, index) for index in range(len(twin.robots))]
             self._paced = paced
-            self.tell(self._cast(paced, cables))
+            self.tell(self._cast(paced, ports))
             while not (paced.ended or self._ended.is_set()):
                 if self.job is None:
                     paced.idle()
@@ -266,7 +266,7 @@ class TwinActor(WebSession):
                     paced.busy = False
                     paced.stop_program(False)
 
-    def _cast(self, twin: PacedTwin, cables: list[PtyPort]) -> dict[str, object]:
+    def _cast(self, twin: PacedTwin, ports: list[PtyPort]) -> dict[str, object]:
         """Return the message about the robots and the log, sent once."""
         return {
             "kind": "twin",
@@ -274,12 +274,12 @@ class TwinActor(WebSession):
             "robots": [
                 {
                     "name": robot.name,
-                    "port": cable.path,
+                    "port": port.path,
                     "baud": robot.firmware.baud,
                     **shape(entry.model, entry.calibration),
                     "turrets": entry.turrets,
                 }
-                for robot, cable, entry in zip(twin.robots, cables, twin.world.playpen.robots, strict=True)
+                for robot, port, entry in zip(twin.robots, ports, twin.world.playpen.robots, strict=True)
             ],
             "log": None if self._log is None else self._log.name,
         }
@@ -301,7 +301,7 @@ class TwinActor(WebSession):
                     "speed": registers[SPEEDS].tolist(),
                     "turrets": self._turrets[index].corners(),
                     "leds": registers[[Board.LED_0, Board.LED_1]].tolist(),
-                    "host": host.cable.occupied,
+                    "host": host.port.occupied,
                     "host_commands": host.commands,
                 }
             )
