@@ -50,7 +50,7 @@ class FakeRobot:
         self._ended = True
         self._thread.join()
 
-    def hang_up(self, *, for_good: bool = False) -> None:
+    def disconnect(self, *, for_good: bool = False) -> None:
         """Ends the connection, and with `for_good` takes no other."""
         self._ended = for_good
         self._hangs_up.set()

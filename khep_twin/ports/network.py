@@ -82,7 +82,7 @@ class TcpPort:
         if self._host is not None:
             self._host.look()
             if self._host.lost or (answered and self._host.done):
-                last = self._hang_up(notices)
+                last = self._disconnect(notices)
         for _ in range(_BACKLOG):
             came = self._accept(notices)
             if came is None:
@@ -98,7 +98,7 @@ class TcpPort:
                         f"a host, {self._host.address}, gave way to the next, {address}: "
                         f"{WAITING_LIMIT} bytes or more of it were waiting"
                     )
-                last = self._hang_up(notices)
+                last = self._disconnect(notices)
             self._host = NetworkHost(client, address, self._baud)
             break
         data = b"" if self._host is None else self._host.take(limit)
@@ -126,7 +126,7 @@ class TcpPort:
             return None
         return client, address[0]
 
-    def _hang_up(self, notices: list[str]) -> bytes:
+    def _disconnect(self, notices: list[str]) -> bytes:
         """End the connection of a host that has left; return what it had still sent."""
         host, self._host = self._host, None
         if host is None:

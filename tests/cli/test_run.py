@@ -303,7 +303,7 @@ def test_a_terminal_that_closes_and_a_peer_that_goes_are_one_error(tmp_path: Pat
     with FakeRobot() as robot:
         words = ("--port", robot.url, "--cycles", "5", "--runs", "100000", "--save", "series")
         with begun(tmp_path, *words) as process:
-            robot.hang_up(for_good=True)
+            robot.disconnect(for_good=True)
             _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
     assert errors.count("\n") == 1, errors

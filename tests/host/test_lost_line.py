@@ -88,7 +88,7 @@ def test_a_robot_that_comes_back_is_stopped(fake: FakeRobot) -> None:
     def cut() -> None:
         with Khepera(fake.url) as robot:
             robot.set_speed(5, 5)
-            fake.hang_up()
+            fake.disconnect()
             robot.proximity()
 
     with pytest.raises(PortError, match=r"port failed .*; the port was opened again and the motors were"):
@@ -99,7 +99,7 @@ def test_a_robot_that_comes_back_is_stopped(fake: FakeRobot) -> None:
 def test_a_peer_that_is_gone_is_told_once(fake: FakeRobot) -> None:
     def cut() -> None:
         with Khepera(fake.url) as robot:
-            fake.hang_up(for_good=True)
+            fake.disconnect(for_good=True)
             robot.proximity()
 
     start = time.monotonic()
@@ -111,7 +111,7 @@ def test_a_peer_that_is_gone_is_told_once(fake: FakeRobot) -> None:
 def test_a_host_that_fails_itself_keeps_its_own_error(fake: FakeRobot) -> None:
     def fail() -> None:
         with Khepera(fake.url):
-            fake.hang_up(for_good=True)
+            fake.disconnect(for_good=True)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError) as caught:
