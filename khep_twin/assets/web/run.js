@@ -237,7 +237,7 @@ export class Running {
   }
 
   #ran(message) {
-    const { fitness, distance_m } = message.numbers;
+    const { fitness, distance_m } = message.metrics;
     const row = document.createElement("tr");
     const cells = [`${message.number}${message.stopped ? ", stopped" : ""}`, message.cycles, message.seconds.toFixed(1), fitness?.toPrecision(3) ?? "–", distance_m?.toPrecision(3) ?? "–"];
     row.append(...cells.map((text) => Object.assign(document.createElement("td"), { textContent: text })));
