@@ -13,8 +13,8 @@
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
     /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
     /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
-    /khepera0/wire              std_msgs/Int64MultiArray    acts of its host, to repeat them (`wire`)
-    /state                      std_msgs/Int64MultiArray    hashes of the whole state (`wire`)
+    /khepera0/host_events       std_msgs/Int64MultiArray    what its host did, to repeat it (`host_events`)
+    /state                      std_msgs/Int64MultiArray    hashes of the whole state (`state_hashes`)
     /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change; of
                                                 other lamps set up meanwhile /lamps_2 and so on
     /events                     rcl_interfaces/Log          events
@@ -174,6 +174,11 @@ class ArrayFrame:
         filled = _copies(self._frame, len(values), self._type)
         filled["values"] = values
         return filled
+
+
+def array_message(values: NDArray[Any], label: str) -> bytes:
+    """Return one std_msgs/Int64MultiArray of any length."""
+    return ArrayFrame(len(values), "i8", label).messages(values.reshape(1, -1))[0].tobytes()
 
 
 class TransformFrame:

@@ -37,7 +37,7 @@ Progress = Callable[[float], None] | None
 Bar = Callable[[], AbstractContextManager[Progress]]
 """Function that makes a context in which progress is shown."""
 
-UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
+UNSEEN = ["/host_events$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
 """Topics, as patterns, that no view shows: data for programs, or contained in the views themselves."""
 
 PICTURES = 10_000
