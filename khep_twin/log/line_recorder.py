@@ -2,7 +2,7 @@
 
 The log has the format of a twin's, as far as a line can provide it: the transcript, the events, and the
 sensor values and wheel speeds of the robot's own replies to N, O and E, at the time of their last byte. The
-robot's true pose, which only a twin knows, is missing.
+robot's true pose, known only of a twin, is missing.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Recording of a run: a tap that writes an MCAP file.
+"""Recording of a run: an observer that writes an MCAP file.
 
 Attachments and metadata come first, so that even a torn file describes its run. All times are simulated, and
 the file holds no wall clock time, machine name or file name: the same run gives the same bytes.
@@ -71,7 +71,7 @@ class Recorder:
         facts: More metadata of the run.
         attachments: More texts to keep, by name.
         carry_on: Function that takes the message if the log can no longer be written, after which the run
-            goes on without it; None ends the run by a `LogError`.
+            continues without it; None ends the run by a `LogError`.
 
     Attributes:
         path: Path of the finished log.

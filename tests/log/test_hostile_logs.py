@@ -82,7 +82,9 @@ ACTS = {
 
 
 @pytest.mark.parametrize("name", ACTS)
-def test_acts_that_cannot_be_are_refused_with_their_place(small: Path, tmp_path: Path, name: str) -> None:
+def test_host_events_that_cannot_be_are_refused_with_their_position(
+    small: Path, tmp_path: Path, name: str
+) -> None:
     numbers, expected = ACTS[name]
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", integers(*numbers)))
     line = told(again, path)
@@ -105,7 +107,7 @@ MESSAGES = {
 
 
 @pytest.mark.parametrize("topic", MESSAGES)
-def test_messages_of_a_wrong_shape_are_refused_with_their_place(
+def test_messages_of_a_wrong_shape_are_refused_with_their_position(
     small: Path, tmp_path: Path, topic: str
 ) -> None:
     path = rewritten(small, tmp_path / "x.mcap", instead(topic, MESSAGES[topic]))
@@ -214,7 +216,7 @@ def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: by
 @pytest.mark.parametrize(
     "place", [(float("nan"), 1, 1), (1e308, 1e308, 0), (-5, 3, 0), (100, 100, float("inf"))]
 )
-def test_places_that_cannot_be_are_one_line(
+def test_positions_that_cannot_be_are_one_line(
     small: Path, tmp_path: Path, place: tuple[float, float, float]
 ) -> None:
     message = events_message([(0, HostEvent(HostEventKind.PUT, 0, None, struct.pack("<3d", *place)))])

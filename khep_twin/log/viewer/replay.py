@@ -229,7 +229,7 @@ def _last_ns(chunk: "Chunk") -> int:
 
 
 def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":
-    """Yield the chunks of a log below its place, with coordinate frames of its own."""
+    """Yield the chunks of a log below its path, with coordinate frames of its own."""
     import pyarrow as pa
     from rerun.chunk import Chunk
 
