@@ -95,7 +95,7 @@ def test_how_near_is_near_is_the_playpens_choice() -> None:
     assert walk(lamps(text), MIDDLE, beside) == [0, 1]
 
 
-def test_at_random_another_lamp_is_on_each_time_and_each_gets_its_turn() -> None:
+def test_by_chance_another_lamp_is_on_each_time_and_each_gets_its_turn() -> None:
     found = lamps('[lighting]\nmode = "random"\n' + THREE, seed=5)
     lit = walk(found, *([MIDDLE, (0.05, 0.5)] * 300))[1::2]
     assert all(one != other for one, other in pairwise(lit))

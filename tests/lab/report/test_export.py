@@ -101,7 +101,7 @@ def test_a_csv_comes_back(run: Path, tmp_path: Path) -> None:
     assert table["speed_right"].tolist() == track.speed[:, 1].tolist()
     assert table["speed_setpoint_left"].tolist() == track.speed[:, 2].tolist()
     assert table["duty_right"].tolist() == track.duty[:, 1].tolist()
-    assert {"led_lateral", "led_frontal", "gripper_arm_place"} < set(table.dtype.names)
+    assert {"led_lateral", "led_frontal", "gripper_arm_position"} < set(table.dtype.names)
 
 
 def test_a_parquet_file_comes_back_with_units(run: Path, tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_a_parquet_file_comes_back_with_units(run: Path, tmp_path: Path) -> None
     assert table["speed_left"].to_pylist() == track.speed[:, 0].tolist()
     assert table.schema.field("speed_left").metadata == {b"unit": b"pulses/10 ms", b"channel": b"speed"}
     assert table.schema.field("time_s").metadata == {b"unit": b"s"}
-    assert "gripper_arm_place" not in table.column_names
+    assert "gripper_arm_position" not in table.column_names
 
 
 def test_a_mat_file_comes_back(run: Path, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_a_mat_file_has_the_toolboxs_variables_and_no_date(tmp_path: Path) -> No
     ],
 )
 @pytest.mark.parametrize("version", ["4", "5"])
-def test_a_file_of_the_toolbox_is_measured_by_its_counters(
+def test_a_file_of_the_toolbox_is_told_from_its_counters(
     left: int, right: int, test: SensorTest, version: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "old.mat"

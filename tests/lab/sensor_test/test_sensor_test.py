@@ -24,7 +24,7 @@ def before_a_wall(distance_mm: float, faults: tuple[str, ...] = ()) -> Khepera:
     return Khepera(Serial.of(twin, timeout=1.0))
 
 
-def test_a_path_to_a_wall_begins_with_0_and_ends_saturated_at_the_target() -> None:
+def test_a_way_to_a_wall_begins_with_0_and_ends_saturated_at_the_target() -> None:
     with before_a_wall(155) as robot:
         run = sense(robot, SensorTest(linear_cm=15), text="white")
         assert robot.speed() == pytest.approx((0, 0), abs=1)
