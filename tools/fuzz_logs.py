@@ -23,13 +23,14 @@ from mcap.opcode import Opcode
 MODULES = (
     "content",
     "decoding",
+    "host_events",
     "messages",
     "reader",
     "record_bytes",
     "recover",
     "mcap_recovery",
     "sieve",
-    "wire",
+    "state_hashes",
 )
 """Modules of khep_twin.log, whose branches libFuzzer looks for."""
 

@@ -40,7 +40,7 @@ PACKAGES = ("mujoco", "numpy", "numba")
 DRIVER = """
 import random
 
-chance = random.Random({seed})
+rng = random.Random({seed})
 
 
 def drive(robot):

@@ -2,7 +2,7 @@
 
     B        versions                              b,1,0
     D,state  opens (0) or closes (1) the fingers   d
-    E,place  moves the arm to 152 (up) … 255       e
+    E,…      moves the arm to 152 (up) … 255       e
     F        resistivity of the gripped object     f,255 for an insulator … 0 for a short circuit
     G        light barrier between the fingers     g,0 for free … 255 for dark
     H,0      position of the fingers, to 200 open  h,…
@@ -26,13 +26,13 @@ VERSION, REVISION = 1, 0
 """Version and revision in the reply to B (assumed), integers because hosts parse them as integers."""
 
 FRACTION = 256
-"""Resolution of the setpoints [1/place]."""
+"""Resolution of the setpoints [1/position]."""
 
 ARM_SPEED = 320
-"""Speed of the arm [places/256 per 10 ms]: from up to down in 0.82 s (assumed)."""
+"""Speed of the arm [positions/256 per 10 ms]: from up to down in 0.82 s (assumed)."""
 
 FINGER_SPEED = 512
-"""Speed of the fingers [places/256 per 10 ms]: from open to closed in a second (assumed)."""
+"""Speed of the fingers [positions/256 per 10 ms]: from open to closed in a second (assumed)."""
 
 _ORDERS = {"B": 0, "D": 1, "E": 1, "F": 0, "G": 0, "H": 1, "J": 0}
 
@@ -40,9 +40,9 @@ _ORDERS = {"B": 0, "D": 1, "E": 1, "F": 0, "G": 0, "H": 1, "J": 0}
 class Register(IntEnum):
     """Registers of the gripper."""
 
-    ARM_TARGET = 0  # target of the arm [places]
-    ARM_SETPOINT = 1  # setpoint on the way to the target [places/256]
-    ARM_POSITION = 2  # position of the arm [places]
+    ARM_TARGET = 0  # target of the arm [positions]
+    ARM_SETPOINT = 1  # profile's setpoint [positions/256]
+    ARM_POSITION = 2  # position of the arm
     FINGER_TARGET = 3
     FINGER_SETPOINT = 4
     FINGER_POSITION = 5

@@ -13,20 +13,20 @@ from khep_twin.board.turrets import TurretKind
 from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
 ARM_DEGREES_PER_UNIT = 200 / 255
-"""Angle of the arm per place; place 255 is 10 degrees below level: elevation = 190 - 200 place / 255 [deg] (a
+"""Angle of the arm per position; 255 is 10 degrees below level: elevation = 190 - 200 position / 255 [deg] (a
 simulator's model of the turret)."""
 
 ARM_LEVEL_DEG = 190.0
-"""Elevation that place 0 would have [deg] (likewise)."""
+"""Elevation that position 0 would have [deg] (likewise)."""
 
 GAP_CLOSED, GAP_OPEN = 0.0005, 0.0275
-"""Half of the gap between the fingers at places 0 and 200 [m] (likewise)."""
+"""Half of the gap between the fingers at positions 0 and 200 [m] (likewise)."""
 
 SERIES_RESISTANCE = 10_000.0
 """Resistance in series with the gripped object, to measure its resistance [ohm] (assumed)."""
 
 FINGER_THICKNESS = 0.003
-"""Thickness of a finger in assets/gripper.xml [m]: the light barrier's rays begin behind its face."""
+"""Thickness of a finger in assets/gripper.xml [m]: the light barrier's rays start behind its face."""
 
 N_RAYS = 3
 """Number of the light barrier's rays in assets/gripper.xml."""

@@ -200,7 +200,7 @@ def set_target(registers: Registers, wheel: int, target: int) -> None:
 
 
 def set_position(registers: Registers, wheel: int, position: int) -> None:
-    """Set a wheel's position counter to `position` [pulses]; a move under way ends at the same place."""
+    """Set a wheel's position counter to `position` [pulses]; a current move ends where it would have."""
     _unwind(registers, wheel)
     shift = position - registers[wheel + _POSITION]
     registers[wheel + _POSITION] = position
@@ -294,7 +294,7 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
 
 
 def _stopping_speed(distance: int, acceleration: int) -> int:
-    """Return the fastest speed that can stop within a distance: v + (v - a) + (v - 2 a) + ... <= way.
+    """Return the fastest speed that can stop within a distance: v + (v - a) + (v - 2 a) + ... <= distance.
 
     With v = n a + r and r < a the distance is (n + 1) (n a / 2 + r). The remainder, below n + 1, is covered
     by the speeds that follow.

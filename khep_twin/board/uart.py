@@ -66,7 +66,7 @@ class SerialLine:
 
     Attributes:
         baud: Bits per second; 0 for a line without delay.
-        next_ns: Arrival of the oldest byte under way [ns]; None if the line is empty.
+        next_ns: Arrival of the oldest byte in transit [ns]; None if the line is empty.
     """
 
     def __init__(self, baud: int) -> None:
@@ -101,16 +101,16 @@ class SerialLine:
         return bisect_right(self._arrivals, time_ns)
 
     def arrival(self, count: int) -> int | None:
-        """Return the arrival of the `count`-th byte under way [ns], None if there are fewer."""
+        """Return the arrival of the `count`-th byte in transit [ns], None if there are fewer."""
         return self._arrivals[count - 1] if 0 < count <= len(self._arrivals) else None
 
     def count_to(self, *wanted: int) -> int | None:
-        """Return the number of bytes under way up to and including the first of these; None without one."""
+        """Return the number of bytes in transit up to and including the first of these; None without one."""
         places = [place for byte in wanted if (place := self._bytes.find(byte)) >= 0]
         return min(places) + 1 if places else None
 
     def count_to_end_of(self, text: bytes) -> int | None:
-        """Return the number of bytes under way up to the end of the first `text`, None if it is absent."""
+        """Return the number of bytes in transit up to the end of the first `text`, None if it is absent."""
         place = self._bytes.find(text) if text else -1
         return place + len(text) if place >= 0 else None
 

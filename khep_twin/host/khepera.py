@@ -39,15 +39,15 @@ BURST = 7
 class Khepera:
     """A Khepera behind a serial port. A method for each command; leaving it as a context stops the motors.
 
-    A reply that is missing or malformed raises an error with the exchange in it, after the line was found
-    in step again. Reads are asked once more before; what moves the robot is never sent twice.
+    A missing or malformed reply raises an error with the exchange in it, after the line has been
+    resynchronized. Reads are repeated once before; commands that move the robot are never sent twice.
 
     Args:
         url: URL of the port, or an open port of pyserial, which keeps its own timeout.
         timeout: Longest wait for a robot that is silent [s], in the port's own time; half of it for a reply,
             half to find out whether a robot is there.
-        baudrate: Speed of the line; a robot in running mode 1 speaks 9600; "auto" tries all that there are.
-        retries: Number of times a read is asked again; beyond once, a silent robot is waited for longer.
+        baudrate: Speed of the line; a robot in running mode 1 speaks 9600; "auto" tries all.
+        retries: Number of repetitions of a read; more than one lengthen the wait for a silent robot.
         wheel_base: Distance of the wheels, by which `turn` turns [m].
 
     Raises:
@@ -77,7 +77,7 @@ class Khepera:
         """Stop the motors and close the port.
 
         Raises:
-            PortError: They could not be stopped, or the port has failed before; with what was done about it.
+            PortError: They could not be stopped, or the port has failed before; the message has the result.
         """
         if not self.port.is_open:
             return
@@ -200,7 +200,7 @@ class Khepera:
         """Wait until both wheels are where `set_target` has sent them.
 
         Raises:
-            MoveError: They were not after `timeout` [s], or are not on their way at all.
+            MoveError: They were not after `timeout` [s], or have no target.
         """
         moves.wait_for_target(self, timeout)
 
@@ -262,8 +262,8 @@ class Khepera:
     def burst(self, /, *wanted: HostCommand[object]) -> tuple[object, ...]:
         """Send several commands of `khep_twin.host.commands` at once and return the value of each.
 
-        While a reply comes back the next command is under way already, which saves line time. They are
-        repeated as a whole, if all may be; after an error some may have been carried out.
+        While a reply arrives the next command is already being sent, which saves line time. A burst is
+        repeated as a whole, if all its commands may be; after an error some may have been carried out.
         """
         values: list[object] = []
         for start in range(0, len(wanted), BURST):

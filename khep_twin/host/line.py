@@ -1,8 +1,8 @@
 """The serial line to a robot: requests, replies and the recovery of an exchange that went wrong.
 
-The robot answers each line with one line, in order. So when a reply is missing or strange, `B` is asked: all
-that comes before its answer belongs to the past, and the last of it is the reply that was waited for. Only
-then is a command sent again, and only one that does no harm twice.
+The robot answers each line with one line, in order. When a reply is missing or malformed, `B` is sent: all
+lines before its answer are old, and the last of them is the reply that was waited for. Only then is a
+command sent again, and only one that does no harm twice.
 """
 
 import threading
@@ -33,7 +33,7 @@ _PATIENCE = 1.0
 """Wait for what comes where a port has no timeout of its own [s]."""
 
 _PROBES = "BHEK"
-"""Reads whose replies show where the robot's answers stand."""
+"""Reads whose replies resynchronize the line."""
 
 
 class Line:
@@ -108,7 +108,7 @@ class Line:
             PortTimeout: A reply did not come.
             PortError: The port failed or went away.
             ProtocolError: A reply is not what its command asks for.
-            StoppedError: A command would move a robot that is to stand.
+            StoppedError: A command would move a robot that must stand still.
         """
         self._give_way()
         with self._exchange:
@@ -187,14 +187,14 @@ class Line:
         return values
 
     def _settle(self) -> list[str] | None:
-        """Find where the robot's answers stand.
+        """Resynchronize with the robot's answers.
 
         Returns:
             The lines that came before the answer to a probe; None where none came.
         """
         probe = next((letter for letter in _PROBES if letter not in self._unanswered), None)
         if probe is None:
-            # Answers to each of them may still be on their way: they have had their time.
+            # Answers to each of them may be late: they have had their time.
             self._unanswered.clear()
             probe = _PROBES[0]
         self._unanswered.add(probe)
@@ -284,13 +284,13 @@ class Line:
                 self._stop()
             except PortError as error:
                 reason = str(error).removeprefix(f"{self.name}: ")
-                return False, f"the motors may still run: the port was opened again in vain: {reason}"
+                return False, f"the motors may still run: opening the port again failed: {reason}"
             return True, "the port was opened again and the motors were stopped"
         finally:
             self._close()
 
     def _stop(self) -> None:
-        """Send the stop of the motors, twice if need be, and wait for the answer."""
+        """Send the stop of the motors, twice if necessary, and wait for the answer."""
         wait = STOP_WAIT / 2
         try:
             if self.port.timeout is None or not 0 < self.port.timeout <= wait:

@@ -50,7 +50,7 @@ def drive_by(robot: "Khepera", left: int, right: int, timeout: float) -> Positio
 
 
 def wait_for_target(robot: "Khepera", timeout: float) -> None:
-    """Wait until both wheels are there; see `Khepera.wait_for_target`."""
+    """Wait until both wheels are on target; see `Khepera.wait_for_target`."""
     end = robot.time + timeout
     while not (status := robot.status()).on_target:
         moving = [

@@ -86,7 +86,7 @@ def find_speed(port: serial.Serial, name: str, now: Callable[[], float]) -> int:
         now: Function that returns the port's own time [s].
 
     Returns:
-        The speed [baud]. A network socket or a twin that is not strict understands any, and keeps the first.
+        The speed [baud]. A network socket or a twin that is not strict accepts any, and keeps the first.
 
     Raises:
         PortTimeout: There is no answer at any of `SPEEDS`.

@@ -256,7 +256,7 @@ class BatchWriter:
         self._size += len(data)
 
     def _note(self, channel: int, places: NDArray[np.uint64]) -> None:
-        """Note times and places within the chunk of a channel's messages (n, 2)."""
+        """Note times and offsets within the chunk of a channel's messages (n, 2)."""
         self._index.setdefault(channel, []).append(places)
 
 

@@ -12,9 +12,9 @@
     /khepera0/leds              std_msgs/Float64MultiArray  LED 0 (lateral), 1 (frontal), 1 when lit
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
     /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
-    /khepera0/serial            rcl_interfaces/Log          the transcript, a line each way per message
-    /khepera0/wire              std_msgs/Int64MultiArray    acts of its host, to repeat them (`wire`)
-    /state                      std_msgs/Int64MultiArray    hashes of the whole state (`wire`)
+    /khepera0/serial            rcl_interfaces/Log          the transcript, one line per message
+    /khepera0/host_events       std_msgs/Int64MultiArray    what its host did, to repeat it (`host_events`)
+    /state                      std_msgs/Int64MultiArray    hashes of the whole state (`state_hashes`)
     /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change; of
                                                 other lamps set up meanwhile /lamps_2 and so on
     /events                     rcl_interfaces/Log          events
@@ -145,7 +145,7 @@ class Encoder:
         return self.put("i", time_ns // NS_PER_S).put("I", time_ns % NS_PER_S)
 
     def align(self, size: int) -> int:
-        """Pad to a multiple of `size`; return the place in the finished message."""
+        """Pad to a multiple of `size`; return the offset in the finished message."""
         self._data += bytes(-len(self._data) % size)
         return len(CDR_HEADER) + len(self._data)
 
@@ -174,6 +174,11 @@ class ArrayFrame:
         filled = _copies(self._frame, len(values), self._type)
         filled["values"] = values
         return filled
+
+
+def array_message(values: NDArray[Any], label: str) -> bytes:
+    """Return one std_msgs/Int64MultiArray of any length."""
+    return ArrayFrame(len(values), "i8", label).messages(values.reshape(1, -1))[0].tobytes()
 
 
 class TransformFrame:
@@ -217,7 +222,7 @@ class TransformFrame:
 
 
 def _layout(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
-    """Return the type of a message of `size` bytes with named fields: format and place of each."""
+    """Return the type of a message of `size` bytes with named fields: format and offset of each."""
     formats, places = zip(*fields.values(), strict=True) if fields else ((), ())
     return np.dtype({"names": list(fields), "formats": formats, "offsets": places, "itemsize": size})
 

@@ -1,6 +1,6 @@
 """Index of a log's chunks, kept compact in memory until the end of the file, where it is written.
 
-`serve` writes a chunk each half second. As mcap's records, each with the places of all message indexes behind
+`serve` writes a chunk each half second. As mcap's records, each with the offsets of all message indexes after
 the chunk, a day of them takes 190 MB of memory. All their content follows from a few numbers that differ
 little from chunk to chunk: as columns of differences, compressed in blocks, they take less than 2 MB.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 ENTRY_BYTES = 16
-"""Size of a message's entry in a message index: its time and its place in the chunk [bytes]."""
+"""Size of a message's entry in a message index: its time and its offset in the chunk [bytes]."""
 
 COMPRESSION = b"zstd"
 """Compression of all chunks."""
@@ -43,7 +43,7 @@ class ChunkIndex:
         """Add a chunk.
 
         Args:
-            place: Place of its record in the file [bytes].
+            place: Offset of its record in the file [bytes].
             length: Length of its record [bytes].
             size: Size of its content, uncompressed [bytes].
             times_ns: Times of its first and its last message [ns].

@@ -277,7 +277,7 @@ class Content:
                 raise Misfit(f"definition at byte {place}", "texts of the lengths that they say")
 
     def _records(self, wanted: Opcode) -> Iterator[tuple[int, bytes]]:
-        """Yield places and records of a kind, heads included."""
+        """Yield offsets and records of a kind, heads included."""
         if not self._indexed:
             for opcode, place, size in self._walk(len(MCAP0_MAGIC), self._end):
                 if opcode == wanted:
@@ -292,7 +292,7 @@ class Content:
             yield place, self._content(place, size)
 
     def _walk(self, place: int, end: int) -> Iterator[tuple[int, int, int]]:
-        """Yield opcode, place and length of the content of consecutive records."""
+        """Yield opcode, offset and length of the content of consecutive records."""
         while place < end:
             opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
             if size > end - place - HEAD.size:

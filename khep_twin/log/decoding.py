@@ -1,7 +1,7 @@
 """Decoding of a log's messages to typed values, with all checks of untrusted bytes.
 
 A log may come from anyone. A decoded value is in the message, in range and finite, or else a `Misfit` is
-raised with what was found and what was expected; the caller that reads a file adds the file and the place.
+raised with what was found and what was expected; the caller that reads a file adds the file and the position.
 """
 
 import struct
@@ -48,7 +48,7 @@ class Misfit(ValueError):
         return self
 
     def at(self, path: Path, place: str, time_ns: int | None = None) -> LogError:
-        """Return the error that names the file and the place in it."""
+        """Return the error that names the file and the position in it."""
         when = "" if time_ns is None else f" at {time_ns / NS_PER_S:.4f} s"
         found = f"{shown(place)}{when}: {self.found}"
         return LogError(found, file=path, key=place, value=self.found, expected=self.expected)
@@ -178,7 +178,7 @@ def read_arrays_of(
         return values
 
     of_width(messages[0])
-    # If all begin alike, as a log's writer makes them, the values are at the same place in each.
+    # If all begin alike, as a log's writer makes them, the values are at the same offset in each.
     size, number = len(messages[0]), "<i8" if kind == "q" else "<f8"
     head = messages[0][: size - 8 * width]
     if width and all(len(each) == size and each.startswith(head) for each in messages):

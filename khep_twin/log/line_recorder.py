@@ -2,7 +2,7 @@
 
 The log has the format of a twin's, as far as a line can provide it: the transcript, the events, and the
 sensor values and wheel speeds of the robot's own replies to N, O and E, at the time of their last byte. The
-robot's true pose, which only a twin knows, is missing.
+robot's true pose, known only of a twin, is missing.
 """
 
 import json
@@ -16,10 +16,10 @@ from khep_twin.board.protocol import Command, LineReader, parse
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import LogError
 from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame
+from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED, channel_names
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import events_message
 
 ROBOT = "khepera0"
 """Name of the robot in the log."""
@@ -115,9 +115,8 @@ class LineRecorder:
     def _write(self) -> None:
         self._transcript.write()
         if self._host_events:
-            self._log.add(
-                f"/{ROBOT}/wire", INTEGERS, self._host_events[0][0], events_message(self._host_events)
-            )
+            events = self._host_events
+            self._log.add(f"/{ROBOT}/host_events", INTEGERS, events[0][0], events_message(events))
             self._host_events.clear()
 
     def _take_setpoints(self, line: bytes) -> None:

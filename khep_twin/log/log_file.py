@@ -36,7 +36,7 @@ class LogFile:
         kept: New path of an unfinished log of an earlier run, None if there was none.
         open: True while it can be written.
         failure: First error, None if there was none.
-        tell: Function that takes the message of an error, after which the run goes on without a log; None
+        tell: Function that takes the message of an error, after which the run continues without a log; None
             raises it.
         complete: Function called if the process is ended from outside; by default it removes the file.
 

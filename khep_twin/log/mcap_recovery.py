@@ -1,10 +1,10 @@
 """Recovery of whole records from the bytes of a damaged MCAP file.
 
-The file is read record by record. After an invalid one, the next place is searched at which a record can be
-verified: by its checksum, or by parsing to its last byte with another record behind it.
+The file is read record by record. After an invalid one, the next offset is searched at which a record can be
+verified: by its checksum, or by parsing to its last byte with another record after it.
 
 A chunk that the end of the file cuts off is unpacked as far as possible. One damaged in the middle fails its
-checksum and is left out as a whole, as its valid values cannot be told from invalid ones.
+checksum and is left out as a whole, as its valid values cannot be distinguished from invalid ones.
 """
 
 from collections.abc import Callable, Generator
@@ -48,7 +48,7 @@ class Salvage:
         channels: Channels by number.
         attachments: Attachments; those that fail their checksum are named damaged/NAME.
         metadata: Metadata records of the run.
-        damaged: Number of places that could not be read.
+        damaged: Number of parts that could not be read.
         torn: True if the end of the file cuts off a record with content.
     """
 
@@ -103,7 +103,7 @@ class Salvage:
             place = end
 
     def _take(self, place: int) -> int | None:
-        """Keep the content of the record at a place; return where the next begins, None if it is none."""
+        """Keep the content of the record at an offset; return where the next begins, None if it is none."""
         opcode, end = self._bytes.head(place)
         if opcode == Opcode.CHUNK:
             records, end = self._bytes.chunk(place)
@@ -156,7 +156,7 @@ class Salvage:
                 break
 
     def _is_torn(self, place: int) -> bool:
-        """Return whether the file ends within the record at a place; keep its readable part."""
+        """Return whether the file ends within the record at an offset; keep its readable part."""
         data = self._data
         opcode, end = self._bytes.head(place)
         if end is not None:
@@ -164,7 +164,7 @@ class Salvage:
         if opcode in PLACES and len(data) - place < HEAD.size:
             return True
         if opcode in PLACES:
-            # Losing a list of places loses nothing, if it is one and not a wrong length.
+            # Losing a list of offsets loses nothing, if it is one and not a wrong length.
             return self._bytes.next_record(place + 1) is None
         if opcode == Opcode.CHUNK and (found := self._bytes.chunk_head(place)) is not None:
             size, _, compression, start, inner = found

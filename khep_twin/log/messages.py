@@ -24,7 +24,7 @@ from khep_twin.log.decoding import (
 KINDS = {FLOATS: "d", INTEGERS: "q"}
 """Format of the numbers of a message type."""
 
-FOR_REPEAT = ("wire", "state")
+FOR_REPEAT = ("host_events", "state")
 """Channels without samples, for `khep-twin repeat`, in rows of any length."""
 
 WIDTHS = {"proximity": 8, "ambient": 8, "speed": 4, "duty": 2, "registers": 0}

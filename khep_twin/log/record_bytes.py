@@ -75,7 +75,7 @@ PLACES = {
 
 
 class RecordBytes:
-    """A file with access to the record at a place.
+    """A file with access to the record at an offset.
 
     Args:
         data: Content of the file.
@@ -86,7 +86,7 @@ class RecordBytes:
         self._spent = 0
 
     def next_record(self, place: int) -> int | None:
-        """Return the first place from here on with a verified record, None if the search limit is reached."""
+        """Return the offset of the next verified record, None if the search limit is reached."""
         limit = LARGEST_CHUNK + _PATIENCE * len(self._data)
         for start in self._starts(place):
             if self._spent > limit:
@@ -164,7 +164,7 @@ class RecordBytes:
         return replace(attachment, name=f"damaged/{attachment.name}")
 
     def _starts(self, place: int) -> Iterator[int]:
-        """Yield the places from `place` on where a record may begin."""
+        """Yield the offsets from `place` on where a record may begin."""
         data = self._data
         before_name = HEAD.size + _CHUNK_HEAD.size
         starts = (match.start() for match in _START.finditer(data, place))
@@ -172,7 +172,7 @@ class RecordBytes:
         return (start for start, _ in groupby(merge(starts, chunks)))
 
     def is_record(self, place: int) -> bool:
-        """Return whether a record at a place is verified by more than its opcode."""
+        """Return whether a record at an offset is verified by more than its opcode."""
         if self.chunk(place)[0] is not None:
             return True
         opcode, end = self.head(place)

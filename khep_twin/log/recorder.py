@@ -1,4 +1,4 @@
-"""Recording of a run: a tap that writes an MCAP file.
+"""Recording of a run: an observer that writes an MCAP file.
 
 Attachments and metadata come first, so that even a torn file describes its run. All times are simulated, and
 the file holds no wall clock time, machine name or file name: the same run gives the same bytes.
@@ -25,9 +25,10 @@ from khep_twin.errors import LogError
 from khep_twin.log import channels, foxglove_scene
 from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
+from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile
+from khep_twin.log.state_hashes import Answered, boards, hashes, states_message
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import Answered, boards, events_message, hashes, states_message
 from khep_twin.robot import Robot
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
@@ -70,7 +71,7 @@ class Recorder:
         facts: More metadata of the run.
         attachments: More texts to keep, by name.
         carry_on: Function that takes the message if the log can no longer be written, after which the run
-            goes on without it; None ends the run by a `LogError`.
+            continues without it; None ends the run by a `LogError`.
 
     Attributes:
         path: Path of the finished log.
@@ -169,7 +170,7 @@ class Recorder:
                 self._answers.on_bytes(time_ns, robot, data)
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Record an act of a host."""
+        """Record a host event."""
         if self._log.open:
             self._host_events[robot].append((time_ns, event))
 
@@ -215,7 +216,7 @@ class Recorder:
         self._transcript.write()
         for robot, events in zip(self._world.robots, self._host_events, strict=True):
             if events:
-                self._log.add(f"/{robot.name}/wire", INTEGERS, events[0][0], events_message(events))
+                self._log.add(f"/{robot.name}/host_events", INTEGERS, events[0][0], events_message(events))
                 events.clear()
         # Last, so that the part of it in a torn file can be repeated with what came before.
         if rows:

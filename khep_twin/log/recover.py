@@ -34,7 +34,7 @@ class Rescue:
         messages: Number of messages in it.
         until_ns: Time of the last one [ns].
         attachments: Number of attachments in it.
-        damaged: Number of places in the middle that could not be read.
+        damaged: Number of parts in the middle that could not be read.
         torn: True if the end cut off a record with content.
         refused: Number of messages and attachments left out, as no reader of logs accepts them.
     """

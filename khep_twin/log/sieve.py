@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 
 from khep_twin.log.decoding import LATEST_NS, Misfit, read_array, read_line, read_transforms
+from khep_twin.log.host_events import read_events
 from khep_twin.log.messages import FOR_REPEAT, KINDS, WIDTHS, line_topics, read_samples
-from khep_twin.log.wire import read_events, read_states
+from khep_twin.log.state_hashes import read_states
 
 
 class Sieve:
@@ -29,7 +30,7 @@ class Sieve:
 
     def _fits(self, topic: str, schema: str, message: bytes) -> bool:
         name, kind = topic.rpartition("/")[2], KINDS.get(schema)
-        if name == "wire":
+        if name == "host_events":
             for _ in read_events(message):
                 pass
         if name == "state":

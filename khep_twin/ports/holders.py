@@ -1,11 +1,11 @@
-"""Processes that have a port open, as the kernel reports them: no port is opened, so sessions go on.
+"""Processes that have a port open, as the kernel reports them: no port is opened, so sessions continue.
 
 A process holds a device that it has open (/proc/PID/fd), that is its controlling terminal (/proc/PID/stat,
 which every user may read), or for which it has left a lock file, as terminal programs do. A program at the
-far end of a pseudo-terminal, such as `khep-twin serve`, may keep one descriptor of the host's side open and
-is no host by that. A TCP port has a host when a connection to it is established.
+far end of a pseudo-terminal, such as `khep-twin serve`, may keep one descriptor of the host's side open
+without being a host. A TCP port has a host when a connection to it is established.
 
-Other users' processes that have a device open without a lock cannot be seen; nothing is seen without /proc.
+Other users' processes that have a device open without a lock cannot be detected; without /proc, none can.
 """
 
 import os
@@ -26,7 +26,7 @@ _UNIX98_PTS = range(136, 144)
 
 
 def holder(url: str) -> str:
-    """Name the holder of a port: "process 1234 (picocom)", "a connection"; empty if none is seen.
+    """Name the holder of a port: "process 1234 (picocom)", "a connection"; empty if none is found.
 
     Args:
         url: Device, link to one, or URL of pyserial's.

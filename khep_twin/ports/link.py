@@ -19,7 +19,7 @@ class Link:
     """Link to a terminal, until it is closed.
 
     Args:
-        wish: Path as typed; a bare name lies in a private directory of this user's, ./NAME where it says.
+        wish: Path as typed; a bare name is in a private directory of this user, ./NAME in the current one.
         target: Path of the terminal.
 
     Attributes:
@@ -30,7 +30,7 @@ class Link:
     """
 
     def __init__(self, wish: str | Path, target: str) -> None:
-        # A Path has lost the ./ of its text, by which a link is wanted in the current directory.
+        # A Path drops a leading ./, which asks for a link in the current directory.
         is_bare = not os.path.dirname(wish)
         folder = private_folder() if is_bare else Path.cwd()
         self.path = Path(wish) if len(Path(wish).parts) > 1 else folder / wish
@@ -102,7 +102,7 @@ def leads_to_ours(path: Path) -> bool:
 
 
 def private_folder() -> Path:
-    """Return the directory that only this user can write to; make it if need be."""
+    """Return the directory that only this user can write to; make it if necessary."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     name = "khep_twin" if runtime else f"khep_twin-{os.getuid()}"
     folder = Path(runtime or tempfile.gettempdir()) / name

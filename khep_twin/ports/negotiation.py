@@ -1,8 +1,8 @@
 """RFC 2217: the settings of a serial line, sent between the bytes that go over it.
 
 The negotiation is pyserial's own server half, over a port object that only remembers what the host has set.
-That half expects hosts which keep to the standard; here a value out of range is answered with the one in
-force, and a negotiation that cannot be understood is a fault, after which nothing is taken from its host.
+That half expects hosts which follow the standard. Here the answer to an out-of-range value is the present
+one, and an invalid negotiation is a fault, after which nothing is accepted from its host.
 """
 
 # pyserial's types leave out what it does with a negotiation.
@@ -61,7 +61,7 @@ class Negotiator:
             try:
                 taken += b"".join(manager.filter(bytes((value,))))
             except (struct.error, TypeError):
-                # A value that is too short or not there, or an end without a beginning.
+                # A value that is too short or missing, or an end without a beginning.
                 self._find_fault(manager.suboption, "ff f0")
             else:
                 if manager.suboption is not None and len(manager.suboption) > LONGEST:
@@ -83,20 +83,20 @@ class Negotiator:
 
 
 class _Manager(PortManager):
-    """pyserial's server half; parities and stop bits that do not exist get no answer from it alone."""
+    """pyserial's server half; by itself it does not answer invalid parities and stop bits."""
 
     def _telnet_process_subnegotiation(self, suboption: bytes) -> None:
         try:
             super()._telnet_process_subnegotiation(suboption)
         except KeyError:
-            # 0 asks for those in force.
+            # 0 asks for the present ones.
             super()._telnet_process_subnegotiation(suboption[:2] + b"\0")
 
 
 class _Line:
-    """Settings of a line as pyserial's server wants to find them; the robot has no modem lines.
+    """Settings of a line as pyserial's server expects them; the robot has no modem lines.
 
-    pyserial answers a value that is refused by `ValueError` with the one in force.
+    pyserial answers a value that is refused by `ValueError` with the present one.
     """
 
     def __init__(self, baud: int) -> None:

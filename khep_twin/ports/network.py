@@ -1,7 +1,7 @@
 """TCP connections as the far end of a serial cable: plain bytes, or RFC 2217 with its line settings.
 
-One host at a time, as on a cable: a second one is refused and reported. A host that has gone, or that has
-finished sending, makes room for the next one at once.
+One host at a time, as on a cable: a second one is refused and reported. A host that has left, or has
+finished sending, is replaced by the next one at once.
 """
 
 import ipaddress
@@ -17,7 +17,7 @@ from khep_twin.ports.ration import Ration
 _BACKLOG = 8
 
 _SILENT_S, _PROBE_S, _PROBES = 10, 5, 3
-"""Silence after which a host is probed [s], interval of probes [s], and probes until it counts as gone."""
+"""Silence after which a host is probed [s], interval of probes [s], and probes until it counts as lost."""
 
 
 class TcpPort:
@@ -102,7 +102,7 @@ class TcpPort:
             self._host = NetworkHost(client, address, self._baud)
             break
         data = b"" if self._host is None else self._host.take(limit)
-        return Received(data, last is not None, last or b"", self._ration.told(notices))
+        return Received(data, last is not None, last or b"", self._ration.admitted(notices))
 
     def write(self, data: bytes) -> None:
         """Send whole lines to the host; what it leaves no room for is dropped and counted."""

@@ -1,13 +1,12 @@
-"""The host at a network port: bytes that it has sent and that wait for it, until it has left.
+"""The host at a network port, with the bytes received from it and waiting for it.
 
-Hosts of the network call `recv` once and take what they get for a whole reply. So bytes are held back until
-their line is complete and leave in one piece, at the time at which its last byte has arrived. Replies of
-several lines, such as the banner, leave line by line. A line without an end leaves after a moment's
-silence.
+Network hosts call `recv` once and take the result for a whole reply. Bytes are therefore held back until
+their line is complete and sent in one piece, at the time at which its last byte has arrived. Replies of
+several lines, such as the banner, are sent line by line, a line without an end after a short silence.
 
-TCP says when a host will send no more, not whether it still reads: a closed connection looks as a half-closed
-one until something is sent to it. So a host that has finished sending stays until it has been answered, or
-until another one comes.
+TCP reports when a host will send no more, not whether it still reads: a closed connection looks like a
+half-closed one until something is sent to it. A host that has finished sending therefore stays until it has
+been answered, or until another one connects.
 """
 
 import socket
@@ -20,10 +19,10 @@ QUEUE_LIMIT = 4096
 """Most bytes of replies that wait for a host that does not read; the rest is dropped and counted."""
 
 ANSWERS_LIMIT = 4 * QUEUE_LIMIT
-"""Most bytes of any kind that wait for it; one that negotiates on and never reads the answers is cut off."""
+"""Most bytes of any kind that wait for it; one that never reads its answers is disconnected."""
 
 WAITING_LIMIT = 16384
-"""Bytes behind which a host's leaving cannot be seen; one that has so many waiting gives way to the next."""
+"""Bytes behind which a host's leaving cannot be detected; with so many waiting it is replaced by the next."""
 
 LAST_LIMIT = 4096
 """Most bytes of a host that has left that are carried out: the size of a PC's serial buffer."""
@@ -32,12 +31,12 @@ LONGEST_LINE = 512
 """Bytes that are held back at most; the camera's 64 values are shorter."""
 
 SILENCE = 0.1
-"""Wall time after the last byte at which a line that has not ended leaves all the same [s]."""
+"""Wall time after the last byte at which an unfinished line is sent all the same [s]."""
 
 _MOST_RETRANSMISSIONS = 7
 """Retransmissions, for half a minute, before a host is taken to have vanished.
 
-The system alone goes on for a quarter of an hour.
+The system alone tries for a quarter of an hour.
 """
 
 
@@ -51,8 +50,8 @@ class NetworkHost:
 
     Attributes:
         address: Address of the host.
-        lost: True if its connection is gone: reset, broken, or given up for a fault.
-        fault: Reason why it was given up; empty if it was not.
+        lost: True if its connection is lost: reset, broken, or closed for a fault.
+        fault: Reason why it was closed; empty if it was not.
         dropped: Number of bytes that it did not take in time.
     """
 
@@ -85,7 +84,7 @@ class NetworkHost:
         return None if self._negotiator is None else self._negotiator.settings()
 
     def look(self) -> None:
-        """Send what still waits for it, and see whether its connection is gone."""
+        """Send the bytes that wait for it; check whether its connection is lost."""
         if self._line and time.monotonic() - self._heard > SILENCE:
             self._release(len(self._line))
         self._flush()
@@ -93,13 +92,13 @@ class NetworkHost:
         self.lost = self.lost or failed or _retransmissions(self._client) >= _MOST_RETRANSMISSIONS
 
     def stays(self) -> bool:
-        """Return whether it keeps the port when another host comes: it is still sending, and not too much."""
+        """Return whether it keeps the port when another host connects: it still sends, and not too much."""
         self._read(WAITING_LIMIT)
         return not self.lost and not self._finished and not self.overfull
 
     @property
     def overfull(self) -> bool:
-        """True if so much of it waits here that its leaving could not be seen."""
+        """True if so many of its bytes wait here that its leaving could not be detected."""
         return len(self._ahead) >= WAITING_LIMIT
 
     def take(self, limit: int) -> bytes:
@@ -149,7 +148,7 @@ class NetworkHost:
                 data = self._client.recv(limit - len(self._ahead))
             except BlockingIOError:
                 return
-            except OSError:  # reset, timed out, or the network is gone
+            except OSError:  # reset, timed out, or the network is down
                 self.lost = True
                 return
             self._ahead += data
@@ -167,7 +166,7 @@ class NetworkHost:
 
 
 def _retransmissions(client: socket.socket) -> int:
-    """Return how often the packet under way was sent again; 0 where the system does not report it."""
+    """Return how often the packet in flight was sent again; 0 where the system does not report it."""
     option = getattr(socket, "TCP_INFO", None)
     # The third byte of Linux's struct tcp_info.
     return 0 if option is None else client.getsockopt(socket.IPPROTO_TCP, option, 3)[2]

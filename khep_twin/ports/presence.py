@@ -1,12 +1,11 @@
 """Hosts that hold a pseudo-terminal open, as the kernel reports them.
 
-A terminal whose host side is closed everywhere is hung up: that is the fact that decides. inotify tells when
-it is worth asking, and in which order hosts opened, wrote and closed; it merges equal events that follow each
-other, so its counts alone decide nothing. Where the system has no inotify, the terminal is asked at each
-look.
+A terminal whose host side is closed everywhere reports a hang-up, which is decisive. inotify reports when
+to check, and in which order hosts opened, wrote and closed; it merges equal consecutive events, so its
+counts alone are not reliable. Where the system has no inotify, the terminal is checked on each poll.
 
-One descriptor of the host side is kept open here, so that settings and locks left behind can be taken away.
-It is closed for the moment of asking.
+One descriptor of the host side is kept open here, so that leftover settings and locks can be removed. It is
+closed during a check.
 """
 
 import fcntl
@@ -20,10 +19,10 @@ from khep_twin.ports.event_sources import Event, OpenEvents
 from khep_twin.ports.holders import count_descriptors
 
 _ROUNDS = 4
-"""Times that a look asks the terminal before it leaves the rest to the next look."""
+"""Checks of the terminal per poll before the rest is left to the next one."""
 
 _CLOSING_S = 1.0
-"""Longest that a closing is taken to be under way (assumed) [s]."""
+"""Longest duration of a closing (assumed) [s]."""
 
 _TIOCGEXCL = getattr(termios, "TIOCGEXCL", 0x80045440)
 """Request for the state of a terminal's lock, which Python 3.11 does not name; the number is Linux's."""
@@ -31,7 +30,7 @@ _TIOCGEXCL = getattr(termios, "TIOCGEXCL", 0x80045440)
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Changes among the hosts since the last look.
+    """Changes among the hosts since the last poll.
 
     Attributes:
         left: All hosts that were here have left, even if others came since.
@@ -75,7 +74,7 @@ class Presence:
         return None if self._events is None else self._events.descriptor
 
     def look(self, wrote: bool) -> Change:
-        """Return what has changed since the last look.
+        """Return the changes since the last poll.
 
         Args:
             wrote: Bytes of a host were read since then, so that one has been here.
@@ -86,7 +85,7 @@ class Presence:
             return Change(left)
         events = self._later + self._drain(self._events)
         if wrote and not self.hosts and Event.OPENED not in events:
-            # An event was lost; asking puts it right.
+            # An event was lost; a check corrects this.
             events.append(Event.CLOSED)
         hosts, change, seen = self.hosts, Change(), list[Event]()
         for _ in range(_ROUNDS):
@@ -101,16 +100,16 @@ class Presence:
         self._later = events
         n_followed, after = _followed(hosts, change, seen)
         ask_until, self._ask_until = self._ask_until, None
-        # The kernel says that somebody is here after the last closing.
+        # The kernel reports a host after the last closing.
         if Event.CLOSED in seen and n_followed == 0:
-            # It reports a closing before that is done, so ask again; or events were merged.
+            # It reports a closing before it is complete, so check again; or events were merged.
             self._ask_until = ask_until or time.monotonic() + _CLOSING_S
             if time.monotonic() < self._ask_until:
                 self._later = seen + self._later
                 self.hosts = max(hosts, 1)
                 return change
         self._crowded |= max(hosts, n_followed, seen.count(Event.OPENED)) > 1
-        # One host after another is taken as told, as counting takes milliseconds, in which more may happen.
+        # One host after another is accepted as reported: more may happen in the milliseconds of a count.
         if Event.CLOSED in seen and (n_followed == 0 or (self._crowded and Event.OPENED in seen)):
             n_open = count_descriptors(self._name) - 1 or max(n_followed, 1)
             self._later += self._drain(self._events)
@@ -120,7 +119,7 @@ class Presence:
         return after
 
     def is_quiet(self) -> bool:
-        """Return whether no host has come, written or gone since the last look."""
+        """Return whether no host has connected, written or left since the last poll."""
         if self._events is None:
             return self.hosts == int(self._held())
         # Other terminals of the directory have events, too.
@@ -154,7 +153,7 @@ class Presence:
         return found
 
     def _held(self) -> bool:
-        """Ask the kernel: with the descriptor kept here closed, a terminal without a host is hung up."""
+        """Return whether a host holds the terminal: without one, closing our descriptor causes a hang-up."""
         locked = any(fcntl.ioctl(self.host_side, _TIOCGEXCL, bytes(4)))
         if locked:
             # A lock would keep this process out, too.

@@ -5,7 +5,7 @@
 
 Time passes only while the host waits: in a read until its bytes have arrived or its timeout is over, in a
 flush until all is sent, in `sleep`. A poll that finds nothing (`in_waiting`, a read with timeout 0) costs one
-byte time, so that polling loops get somewhere. No thread, no wall clock: the same seed and the same bytes
+byte time, so that polling loops make progress. No thread, no wall clock: the same seed and the same bytes
 give the same run.
 """
 
@@ -95,7 +95,7 @@ class Serial(SerialBase):
 
     @property
     def in_waiting(self) -> int:
-        """Number of bytes that have arrived; a look at an empty line costs one byte time."""
+        """Number of bytes that have arrived; a poll of an empty line takes one byte time."""
         self._check_open()
         if not self._uart.tx.arrived(self.time_ns):
             self._poll()
@@ -197,7 +197,7 @@ class Serial(SerialBase):
         return tx.read(self.time_ns, limit if count is None else count)
 
     def _poll(self) -> None:
-        """Let the time pass that a look at an empty line costs."""
+        """Let the time of a poll of an empty line pass."""
         self.twin.advance_to(self.time_ns + (self._uart.tx.byte_ns or _POLL_NS))
 
     def _check_open(self) -> None:

@@ -1,9 +1,9 @@
 """A pseudo-terminal as the far end of a serial cable.
 
-The terminal is raw before its name is known: a fresh one would echo the robot's replies back to it as
-commands. One descriptor of the host's side stays open here, so that the terminal outlives its hosts; what a
-host leaves behind (settings, a lock, unread replies) is cleared away when the last one closes it, as a cable
-would; `presence` knows when that is.
+The terminal is raw before its name is printed: a fresh one would echo the robot's replies back to it as
+commands. One descriptor of the host's side stays open here, so that the terminal outlives its hosts.
+Settings, a lock and unread replies of a host are removed when the last one closes it, which `presence`
+detects.
 """
 
 import errno
@@ -50,7 +50,7 @@ _CROWDED_S = 0.1
 """Time that several hosts must be there before it is reported, as tools such as stty come and go [s]."""
 
 _RESTORE_S = 0.01
-"""Time after which the settings of a host that has left are put back, as the next one may set its own [s]."""
+"""Time after which the settings of a host that has left are restored; the next one may set its own [s]."""
 
 _IN_A_MOMENT = "a host came in the moment another left: it may have got replies meant for that one"
 
@@ -88,8 +88,8 @@ class PtyPort:
         self.dropped = 0
         self._presence = Presence(self.descriptor, host_side, open_events(self.name))
         self._crowded_since: float | None = None
-        self._left_s: float | None = None  # when the last host left, until its settings are put back
-        self._given = 0  # bytes written since the last look
+        self._left_s: float | None = None  # when the last host left, until its settings are restored
+        self._given = 0  # bytes written since the last poll
         self._early = False  # bytes were read before the event that reports them
         self._link = None
         if link is not None:
@@ -119,7 +119,7 @@ class PtyPort:
         return [*([self.descriptor] if room else []), *([] if events is None else [events])]
 
     def settings(self) -> LineSettings | None:
-        """Return the line settings of the host; parity and data bits cannot be seen on a pseudo-terminal."""
+        """Return the line settings of the host; a pseudo-terminal does not show parity and data bits."""
         flags = termios.tcgetattr(self.descriptor)
         stop_bits = 2 if flags[_CONTROL] & termios.CSTOPB else 1
         speed = int(flags[_OUT_SPEED])
@@ -127,7 +127,7 @@ class PtyPort:
 
     def receive(self, limit: int, answered: bool = False) -> Received:
         """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
-        # Bytes before events: whoever sent them has been seen to open the terminal then.
+        # Bytes before events: the opening by their sender is then known.
         self._restore()
         data, given = self._read(limit), self._given
         self._given = 0
@@ -152,7 +152,7 @@ class PtyPort:
         if not self.occupied:
             self._clear()
             return Received(left=True, last=read + data)
-        # The next host is here already, and may have been given replies that nobody had read.
+        # The next host is already connected, and may have received unread replies.
         unread = self._drop_replies()
         last, data = _divided(data, n_before, n_writes)
         last = read + last
@@ -187,9 +187,9 @@ class PtyPort:
             return b""
 
     def _read_all(self) -> bytes:
-        """Read what hosts that have left can have written; one that goes on writing does not hold this up."""
+        """Read what hosts that have left can have written; one that keeps writing does not block this."""
         data = b""
-        # A read returns what is ready; what is still on the way comes with the next one.
+        # A read returns what is ready; bytes in transit come with the next one.
         while more := self._read(_MOST_KEPT - len(data)):
             data += more
         return data
@@ -204,7 +204,7 @@ class PtyPort:
         self._left_s = time.monotonic()
 
     def _restore(self) -> None:
-        """Put the settings back once nobody has come for a while; a host that comes at once sets its own."""
+        """Restore the settings after a while without a host; one that connects at once sets its own."""
         if self._left_s is not None and (self.occupied or time.monotonic() - self._left_s >= _RESTORE_S):
             if not self.occupied and self._presence.is_quiet():
                 termios.tcsetattr(self._presence.host_side, termios.TCSANOW, self._raw)
@@ -214,7 +214,7 @@ class PtyPort:
         """Flush replies that no host has read; return the number of bytes."""
         host_side = self._presence.host_side
         unread = struct.unpack("i", fcntl.ioctl(host_side, termios.FIONREAD, bytes(4)))[0]
-        # They may be on the way to the host side's buffer, or in it.
+        # They may be in transit to the host side's buffer, or in it.
         termios.tcflush(self.descriptor, termios.TCOFLUSH)
         termios.tcflush(host_side, termios.TCIFLUSH)
         return unread
@@ -237,7 +237,7 @@ class PtyPort:
         )
 
     def _make_raw(self, host_side: int) -> list[int | list[bytes | int]]:
-        """Make it raw, at the robot's own speed: a host that sets none is taken to have the right one."""
+        """Make it raw, at the robot's own speed: a host that sets none counts as matching."""
         tty.setraw(host_side)
         flags = termios.tcgetattr(host_side)
         flags[_CONTROL] |= termios.CSTOPB
@@ -250,9 +250,9 @@ class PtyPort:
 def _divided(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
     """Divide bytes into those of hosts that have left and those of hosts that are here.
 
-    The kernel keeps no border between them. Where both have written, a host that has just come is taken to
-    have written a line at a time. What is no text has no lines; all of it is taken for that host's, whose
-    write may not have been reported yet.
+    The kernel keeps no boundary between them. Where both have written, a new host is assumed to have written
+    a line at a time. Bytes that are not text have no lines; all of them count as that host's, whose write
+    may not have been reported yet.
 
     Args:
         data: Bytes of both.

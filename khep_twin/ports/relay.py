@@ -1,4 +1,4 @@
-"""A relay to a real robot: a cable with a recorder in the middle.
+"""A relay to a real robot: a cable with a recorder.
 
 Host and robot communicate as if the relay were not there, at the speed that the host sets; the bytes of
 both are passed on as they come, and recorded with their times.
@@ -37,10 +37,10 @@ _SILENCE_S = 0.5
 """Silence after which a robot that owes replies is taken not to send them (assumed) [s]."""
 
 _UNDERWAY_S = 1.0
-"""Longest that bytes sent are taken to be under way, in an adapter's buffer (assumed) [s]."""
+"""Longest transit of sent bytes through an adapter's buffer (assumed) [s]."""
 
 _SPOIL = b"?\n"
-"""End of a line that a host has left unfinished: the robot answers an error and obeys no half of it."""
+"""End of a line that a host has left unfinished: the robot answers with an error and obeys no half of it."""
 
 _KEPT = _CHUNK - len(_SPOIL)
 """Bytes of a host that has left for which the next one waits; a second's worth at 9600 baud."""
@@ -100,7 +100,7 @@ class Device:
         """Return the bytes that have come from the robot.
 
         Raises:
-            PortError: The port has gone.
+            PortError: The port is lost.
         """
         try:
             return self._port.read(_CHUNK if self.descriptor is not None else self._port.in_waiting)
@@ -111,7 +111,7 @@ class Device:
         """Send to the robot; return how many bytes the port took.
 
         Raises:
-            PortError: The port has gone.
+            PortError: The port is lost.
         """
         try:
             return self._port.write(data) or 0
@@ -145,7 +145,7 @@ def relay(
         device: Port of the robot.
         port: Cable to the host.
         recorder: Recorder of the bytes of both.
-        stop: Callback that is asked once a turn.
+        stop: Callback that is called once per cycle; True ends it.
         tell: Callback that takes notices for the user.
 
     Raises:
@@ -176,7 +176,7 @@ def relay(
         if received.data:
             settings = port.settings()
             if settings is not None and (notice := device.follow(settings)):
-                for text in ration.told([notice]):
+                for text in ration.admitted([notice]):
                     note(text)
             on_bytes(True, received.data)
             next_host = received.data
@@ -219,7 +219,7 @@ class _Dialogue:
         return data[count:]
 
     def heard(self, reply: bytes) -> None:
-        """Count the replies that have come."""
+        """Count the replies received."""
         self._due = max(self._due - self._replied.count(reply), 0)
         self._quiet_since = max(self._quiet_since, time.monotonic())
 

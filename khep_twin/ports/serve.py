@@ -37,7 +37,7 @@ def serve(
         twin: Twin to serve.
         ports: Cables to the hosts of its robots, one for each.
         speed: Simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
-        stop: Callback that is asked once a turn.
+        stop: Callback that is called once per cycle; True ends it.
         tell: Callback that takes notices for the user, such as a wrong speed of the line.
 
     Returns:

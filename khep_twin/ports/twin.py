@@ -1,4 +1,4 @@
-"""A twin ready to talk to: a world, the robot on the line and the log, put together from options.
+"""A twin ready for a host: a world, the robot on the line and the log, built from options.
 
 Every port (khep://, serve) and the command line describe a twin by the same options, so that the same
 words give the same run.
@@ -80,7 +80,7 @@ class SimulatedTime:
         self._world.advance_to(time_ns)
 
     def attend(self) -> None:
-        """Do nothing: a program has its world for itself."""
+        """Do nothing: a program has a world of its own."""
 
 
 class Twin:
@@ -133,7 +133,7 @@ class Twin:
 
         Args:
             path: Path of the finished log, by custom NAME.mcap.
-            facts: Facts about the run besides those that the twin knows, such as what drives it.
+            facts: Further facts about the run, such as the name of its controller.
             attachments: Texts by name besides the twin's own.
             carry_on: Callback that takes the line about a log that cannot be written any more; the run goes
                 on without it; None ends the run by a `LogError`.

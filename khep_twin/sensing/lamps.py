@@ -1,8 +1,8 @@
 """Lamps: their positions, and their brightness over time.
 
 A lamp shines with its power times its dim. It can blink, `on_s` gives the times when it is on, and with
-`fade_s` it goes on and off slowly, as a filament does. The playpen's lighting selects which of them are on:
-all, or one at a time. Then the next one, at random or in the file's order, goes on when a robot comes near
+`fade_s` it fades in and out, as a filament does. The playpen's lighting selects which of them are on:
+all, or one at a time. Then the next one, at random or in the file's order, is lit when a robot comes near
 the lit one or near a wall of the arena. Robots have to leave before they can come near again. The user can
 switch a lamp off and on again, whatever else switches it.
 """

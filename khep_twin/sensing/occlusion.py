@@ -2,7 +2,7 @@
 
 Seen from a lamp, each fixed object lies between two directions. A position in another direction, or nearer to
 the lamp than the object, sees all of the bulb past it; the bulb's radius is allowed for on both sides. Where
-other objects can move, such as another robot, nothing is known beforehand.
+other objects can move, such as another robot, no sight line is known in advance.
 """
 
 import math

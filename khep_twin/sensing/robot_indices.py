@@ -1,4 +1,4 @@
-"""Indices of one robot in a compiled scene: the one place where its names become numbers."""
+"""Indices of one robot in a compiled scene: the only module that converts its names to numbers."""
 
 import math
 from dataclasses import dataclass

@@ -26,7 +26,7 @@ def firmware() -> Firmware:
 @pytest.mark.parametrize(
     "tool", ["help", "help list", "help D", "list", "k-team", "net", "memory", "process"]
 )
-def test_a_tool_that_tells_something_tells_it_in_lines(firmware: Firmware, tool: str) -> None:
+def test_a_tool_with_output_prints_it_in_lines(firmware: Firmware, tool: str) -> None:
     told = lines(firmware.receive(tool.encode() + b"\n"))
     assert told
     assert all(line.strip() for line in told)

@@ -52,7 +52,7 @@ def test_a_fault_that_there_is_not_is_refused(text: str, line: str) -> None:
     assert str(caught.value).startswith(line)
 
 
-def test_dropped_bytes_are_missing_and_told() -> None:
+def test_dropped_bytes_are_missing_and_reported() -> None:
     port, notes = open_with("drop:0.05")
     replies = [ask(port, b"B") for _ in range(100)]
     good = replies.count(b"b,5.02,5.01\r\n")
@@ -119,7 +119,7 @@ def test_the_same_seed_gives_the_same_faults_and_another_does_not() -> None:
     assert talk(1) != talk(2)
 
 
-def test_a_fault_on_the_line_leaves_the_sensors_chance_alone() -> None:
+def test_a_fault_on_the_line_leaves_the_sensors_rng_alone() -> None:
     counts = []
     for url in ("khep://default?seed=3", "khep://default?seed=3&fault=late:0.5:1"):
         port = serial.serial_for_url(url, timeout=1)

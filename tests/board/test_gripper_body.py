@@ -79,7 +79,7 @@ def test_it_starts_with_the_arm_up_and_the_fingers_open(pair: tuple[Khepera, Wor
 
 
 @pytest.mark.parametrize("position", [152, 180, 220, 255])
-def test_the_arm_goes_to_the_elevation_of_its_place(pair: tuple[Khepera, World], position: int) -> None:
+def test_the_arm_goes_to_the_elevation_of_its_position(pair: tuple[Khepera, World], position: int) -> None:
     robot, world = pair
     Gripper(robot).move_arm(position)
     robot.sleep(2)

@@ -133,7 +133,7 @@ def test_a_target_behind_turns_the_profile_around(registers: kernel.Registers) -
     assert registers[LEFT + Wheel.ON_TARGET] == 1
 
 
-def test_renumbering_a_place_moves_nothing(registers: kernel.Registers) -> None:
+def test_renumbering_a_position_moves_nothing(registers: kernel.Registers) -> None:
     kernel.set_target(registers, LEFT, 1000)
     motor = Motor()
     for _ in range(200):
@@ -198,7 +198,7 @@ def test_a_wheel_let_loose_finds_its_speed_however_long_it_was_blocked(
     assert speeds[100:] == pytest.approx([20] * 100, abs=2)
 
 
-def test_a_setpoint_beyond_the_motor_is_full_duty_and_the_error_tells(registers: kernel.Registers) -> None:
+def test_a_setpoint_beyond_the_motor_is_full_duty_and_the_error_shows(registers: kernel.Registers) -> None:
     registers[LEFT + Wheel.ENCODER] = 0
     kernel.set_speed(registers, LEFT, 127)
     pulses = 0
@@ -209,7 +209,7 @@ def test_a_setpoint_beyond_the_motor_is_full_duty_and_the_error_tells(registers:
     assert registers[LEFT + Wheel.ERROR] == 27
 
 
-def test_a_wheel_blocked_on_its_way_never_arrives_and_the_error_is_the_way_left(
+def test_a_wheel_blocked_on_its_way_never_arrives_and_the_error_is_the_distance_left(
     registers: kernel.Registers,
 ) -> None:
     kernel.set_target(registers, LEFT, 1000)

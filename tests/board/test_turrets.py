@@ -75,7 +75,9 @@ def test_any_package_may_offer_a_turret(offered: list[str]) -> None:
         (["radio", "second"], "turret 'second' and 'radio' are both number 4"),
     ],
 )
-def test_turrets_that_cannot_be_plugged_on_are_told(offered: list[str], names: list[str], line: str) -> None:
+def test_turrets_that_cannot_be_plugged_on_are_reported(
+    offered: list[str], names: list[str], line: str
+) -> None:
     offered += ["RADIO", "SECOND"]
     with pytest.raises(TurretError) as caught:
         find(names)

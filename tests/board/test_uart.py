@@ -34,7 +34,7 @@ def test_only_what_has_arrived_can_be_read() -> None:
     assert len(line) == 0
 
 
-def test_a_byte_under_way_is_found() -> None:
+def test_a_byte_in_transit_is_found() -> None:
     line = SerialLine(9600)
     line.put(b"N\r\n", 0)
     assert line.count_to(10) == 3

@@ -11,7 +11,7 @@ from khep_twin.host import Khepera, MotorMode, Sensor, commands
 pytestmark = pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 
 
-def test_it_tells_its_senses_by_name_and_number(robot: Khepera) -> None:
+def test_it_returns_its_readings_by_name_and_number(robot: Khepera) -> None:
     light = robot.ambient()
     assert light == (485,) * 8
     assert light.back_left == light[7] == light[Sensor.BACK_LEFT]
@@ -55,7 +55,7 @@ def test_a_burst_is_answered_in_order(robot: Khepera) -> None:
     assert answers[2] == pytest.approx((700, -700), abs=20)
 
 
-def test_after_rubbish_the_next_answer_is_right(robot: Khepera) -> None:
+def test_after_noise_the_next_answer_is_right(robot: Khepera) -> None:
     for rubbish in (b"\xff\x00x", b"garbage\ngarbage\n", b"help\n"):
         robot.set_position(1000, -1000)
         robot.port.write(rubbish)
@@ -67,7 +67,7 @@ def test_after_rubbish_the_next_answer_is_right(robot: Khepera) -> None:
     assert robot.position() == pytest.approx((500, 700), abs=20)
 
 
-def test_an_order_that_the_robot_refuses_is_told_with_the_exchange(robot: Khepera) -> None:
+def test_an_order_that_the_robot_refuses_is_reported_with_the_exchange(robot: Khepera) -> None:
     with pytest.raises(ProtocolError, match="'I,9' was answered 'z,Protocol error'; expected"):
         robot.converter(9)
     assert robot.versions() == ("5.02", "5.01")

@@ -125,7 +125,7 @@ def test_silence_is_a_clear_error() -> None:
 @pytest.mark.parametrize(
     "answer", [b"n,1,2\r\n", b"o,1,2,3,4,5,6,7,8\r\n", b"n,1,2,3,4,5,6,7,x\r\n", b"Command not found\r\n"]
 )
-def test_a_wrong_answer_is_told_with_the_exchange(answer: bytes) -> None:
+def test_a_wrong_answer_is_reported_with_the_exchange(answer: bytes) -> None:
     with pytest.raises(ProtocolError) as caught:
         Khepera(Silent(answer)).proximity()
     assert "N" in str(caught.value)

@@ -9,7 +9,7 @@ from khep_twin.host import Khepera
 from khep_twin.host.opening import numbered
 
 
-def test_a_number_is_the_port_that_the_environment_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_number_is_the_port_that_the_environment_names(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KHEP_PORT_3", "khep://default?noise=off")
     with Khepera("3") as robot:
         assert robot.name == "khep://default?noise=off"

@@ -66,7 +66,7 @@ def test_half_sizes_become_whole_ones(robot: ElementTree.Element) -> None:
     )
 
 
-def test_places_and_colours_are_the_models(robot: ElementTree.Element) -> None:
+def test_positions_and_colours_are_the_models(robot: ElementTree.Element) -> None:
     wall = visuals(robot, "world")["wall"]
     assert wall.find("origin").attrib["xyz"] == "0 0.3 0.02"
     assert wall.find("material/color").attrib["rgba"] == "1 0.5 0 1"

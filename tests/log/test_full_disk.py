@@ -211,7 +211,7 @@ def test_a_full_device_under_the_log_takes_nothing_of_what_is_there(tmp_path: Pa
     assert until(tmp_path / "run.mcap.part") == 2
 
 
-def test_a_log_that_fails_is_told_once_and_the_run_is_the_same_without_it(
+def test_a_log_that_fails_is_reported_once_and_the_run_is_the_same_without_it(
     tmp_path: Path, start: Start
 ) -> None:
     told: list[str] = []
@@ -231,7 +231,7 @@ def test_a_log_that_fails_is_told_once_and_the_run_is_the_same_without_it(
     assert twin.world.data.qpos.tolist() == plain.world.data.qpos.tolist()
 
 
-def test_a_relay_is_told_once_too_and_no_other_file_gets_its_bytes(tmp_path: Path) -> None:
+def test_a_relay_is_reported_once_too_and_no_other_file_gets_its_bytes(tmp_path: Path) -> None:
     told: list[str] = []
     recorder = LineRecorder(tmp_path / "run.mcap", {"relay": "/dev/robot"}, lambda: 0, carry_on=told.append)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -18,9 +18,9 @@ from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.lab.report.report import report
 from khep_twin.log.attached import shapes_of
 from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, TextLine, line_message
+from khep_twin.log.host_events import events_message
 from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
 from khep_twin.log.viewer.replay import view
-from khep_twin.log.wire import events_message
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 TIME_NS = 1_000_000_000
@@ -68,25 +68,27 @@ ACTS = {
     "a negative size": ((0, 0, 0, -1, -1, -6), r"size = -6 at number 0; expected 0 to 0"),
     "more bytes than there are": ((0, 0, 0, -1, -1, 3, 65, 10), r"size = 3 at number 0; expected 0 to 2"),
     "a size beyond all bounds": ((0, 0, 0, -1, -1, 2**62), r"size = 4611686018427387904 .*expected 0 to 0"),
-    "half an act": ((0, 0, 0, -1, -1), "5 numbers at 0; expected 6 that begin an act"),
+    "half an event": ((0, 0, 0, -1, -1), "5 numbers at 0; expected 6 that begin an event"),
     "no byte": ((0, 0, 0, -1, -1, 1, 256), "byte = 256 after number 5; expected 0 to 255"),
     "a negative byte": ((0, 0, 0, -1, -1, 1, -1), "byte = -1 after number 5; expected 0 to 255"),
-    "an unknown act": ((0, 8, 0, -1, -1, 0), "act = 8 at number 0; expected 0 to 7"),
+    "an unknown kind": ((0, 8, 0, -1, -1, 0), "kind = 8 at number 0; expected 0 to 7"),
     "a time before the run": ((-1, 0, 0, -1, -1, 0), "time = -1 at number 0; expected 0 to"),
-    "a place of two bytes": ((0, 4, 0, -1, -1, 2, 1, 2), "size = 2 of act 4 at number 0; expected 24 or 25"),
-    "a switch of a byte": ((0, 5, 0, -1, -1, 1, 1), "size = 1 of act 5 at number 0; expected 5 bytes"),
+    "a place of two bytes": ((0, 4, 0, -1, -1, 2, 1, 2), "size = 2 of kind 4 at number 0; expected 24 or 25"),
+    "a switch of a byte": ((0, 5, 0, -1, -1, 1, 1), "size = 1 of kind 5 at number 0; expected 5 bytes"),
     "a speed beyond all bounds": ((0, 3, 0, 2**40, 1, 0), "baud = 1099511627776 at number 0; expected -1 to"),
     "three stop bits": ((0, 3, 0, 9600, 3, 0), "stop bits = 3 at number 0; expected -1 to 2"),
-    "an act after years": ((2**62, 0, 0, -1, -1, 0), r"something at .* s; expected at most 10.20 s"),
+    "an event after years": ((2**62, 0, 0, -1, -1, 0), r"something at .* s; expected at most 10.20 s"),
 }
 
 
 @pytest.mark.parametrize("name", ACTS)
-def test_acts_that_cannot_be_are_refused_with_their_place(small: Path, tmp_path: Path, name: str) -> None:
+def test_host_events_that_cannot_be_are_refused_with_their_position(
+    small: Path, tmp_path: Path, name: str
+) -> None:
     numbers, expected = ACTS[name]
-    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", integers(*numbers)))
+    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", integers(*numbers)))
     line = told(again, path)
-    assert "/wire" in line
+    assert "/host_events" in line
     assert re.search(expected, line), line
 
 
@@ -98,18 +100,18 @@ MESSAGES = {
     "/khepera0/ambient": CDR_HEADER + struct.pack("<I", 2**32 - 1),
     "/khepera0/serial": CDR_HEADER + struct.pack("<iIBxxxI", 0, 0, 20, 2**32 - 1),
     "/events": line_message(TextLine(0, Level.INFO, "x", "y")).replace(b"x", b"\xff"),
-    "/khepera0/wire": CDR_HEADER,
+    "/khepera0/host_events": CDR_HEADER,
     "/state": b"",
     "/tf": Encoder().put("I", 2**32 - 1).message(),
 }
 
 
 @pytest.mark.parametrize("topic", MESSAGES)
-def test_messages_of_a_wrong_shape_are_refused_with_their_place(
+def test_messages_of_a_wrong_shape_are_refused_with_their_position(
     small: Path, tmp_path: Path, topic: str
 ) -> None:
     path = rewritten(small, tmp_path / "x.mcap", instead(topic, MESSAGES[topic]))
-    use = again if topic in ("/khepera0/wire", "/state") else read
+    use = again if topic in ("/khepera0/host_events", "/state") else read
     if topic == "/events":
         with open_twin("obstacles", TwinOptions(log=str(tmp_path / "event.mcap"))) as twin:
             twin.world.log_event(0, "taken away")
@@ -208,28 +210,28 @@ def test_attached_files_that_cannot_be_are_one_line(
 )
 def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: bytes) -> None:
     message = events_message([(0, HostEvent(HostEventKind.RELIGHT, 0, None, data))])
-    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
+    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
 
 
 @pytest.mark.parametrize(
     "place", [(float("nan"), 1, 1), (1e308, 1e308, 0), (-5, 3, 0), (100, 100, float("inf"))]
 )
-def test_places_that_cannot_be_are_one_line(
+def test_positions_that_cannot_be_are_one_line(
     small: Path, tmp_path: Path, place: tuple[float, float, float]
 ) -> None:
     message = events_message([(0, HostEvent(HostEventKind.PUT, 0, None, struct.pack("<3d", *place)))])
-    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
+    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
 
 
 def test_a_lamp_that_there_is_not_is_one_line(small: Path, tmp_path: Path) -> None:
     message = events_message([(0, HostEvent(HostEventKind.SWITCH, 0, None, struct.pack("<i?", -7, True)))])
-    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message)))
+    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
 
 
 def test_a_robot_s_speed_that_is_no_number_is_one_line(small: Path, tmp_path: Path) -> None:
     message = events_message([(0, HostEvent(HostEventKind.SEND, 0, None, b"B\n"))])
     facts = {"baud": "9" * 5000}
-    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", message), facts=facts)
+    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message), facts=facts)
     line = told(lambda path: replay_to_port(read_recorded(path), "khep://obstacles"), path)
     assert "baud = 9999" in line
 
@@ -240,7 +242,7 @@ def test_a_host_that_set_its_line_is_still_believed(small: Path, tmp_path: Path)
         (5, HostEvent(HostEventKind.SET, 0, LineSettings(0, 1))),
         (5, HostEvent(HostEventKind.DISCONNECT, 0)),
     ]
-    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/wire", events_message(events)))
+    path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", events_message(events)))
     assert [(time_ns, event) for time_ns, _, event in read_recorded(path).events] == events
 
 

@@ -157,7 +157,7 @@ def test_a_run_is_shown_as_its_replay_is_but_25_times_a_second(
     for topic in ("proximity", "ambient", "speed", "khepbase/proximity"):
         assert times[f"/khepera0/{topic}"] == once
     assert len(times["/khepera0/serial"]) > 30
-    assert not {"/state", "/khepera0/wire", "/khepera0/registers"} & set(times)
+    assert not {"/state", "/khepera0/host_events", "/khepera0/registers"} & set(times)
 
 
 def test_a_piece_is_dealt_out_over_the_time_that_it_took_to_come() -> None:

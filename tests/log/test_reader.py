@@ -96,7 +96,7 @@ def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes) -> None:
         read(path)
 
 
-def test_a_foreign_mcap_file_is_told_apart(tmp_path: Path) -> None:
+def test_a_foreign_mcap_file_is_distinguished(tmp_path: Path) -> None:
     path = tmp_path / "foreign.mcap"
     writer = Writer(str(path))
     writer.start()

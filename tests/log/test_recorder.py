@@ -131,7 +131,7 @@ def test_every_channel_has_its_messages_at_simulated_times(log: Path) -> None:
     assert times.pop("/events") == [2 * SECOND]
     assert len(times.pop("/khepera0/serial")) == 40
     assert times.pop("/state") == [0]
-    assert times.pop("/khepera0/wire") == [0]
+    assert times.pop("/khepera0/host_events") == [0]
     assert not times
 
 
@@ -273,7 +273,7 @@ def fill_disk_after(size: int, monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 @pytest.mark.parametrize("size", [0, 10, 5000, 40_000])
-def test_a_full_disk_is_told_once_and_what_was_saved_stays(
+def test_a_full_disk_is_reported_once_and_what_was_saved_stays(
     tmp_path: Path, start: Start, monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
     path = tmp_path / "run.mcap"

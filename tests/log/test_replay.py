@@ -312,7 +312,7 @@ def test_the_floor_is_lit_by_the_lamps_that_are_on(at_a_wall: Path) -> None:
     assert one[1][0] == pytest.approx(500_000_000, abs=20_000_000)
 
 
-def test_a_still_shows_the_end_of_the_run_unless_told_a_time(
+def test_a_still_shows_the_end_of_the_run_unless_a_time_is_given(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[float] = []
@@ -380,7 +380,7 @@ def test_logs_side_by_side_keep_apart(twins: list[Path], tmp_path: Path) -> None
     assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 14
 
 
-def test_logs_are_called_by_what_tells_them_apart() -> None:
+def test_logs_are_called_by_what_distinguishes_them() -> None:
     names = distinct_names([Path("a/run.mcap"), Path("b/run.mcap"), Path("c/other.mcap"), Path("a/run.mcap")])
     assert names == ["a/run 1", "b/run", "other", "a/run 2"]
 

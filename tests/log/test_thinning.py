@@ -82,7 +82,7 @@ def test_of_the_transcript_a_command_and_its_reply_are_kept(log: Path, tmp_path:
     assert len(texts) <= 14
 
 
-def test_a_long_log_is_told_and_saved_with_fewer_samples(
+def test_a_long_log_is_reported_and_saved_with_fewer_samples(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(thinning, "SAMPLES", 12)

@@ -173,7 +173,7 @@ def test_a_host_that_comes_as_another_leaves_and_writes_more_than_the_line_takes
         assert stop(process)[0] == 0
 
 
-def test_two_hosts_at_once_are_told_of() -> None:
+def test_two_hosts_at_once_are_reported() -> None:
     with served("default") as (process, path):
         two_at_once(path)
         time.sleep(0.1)

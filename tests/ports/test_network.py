@@ -157,7 +157,7 @@ def test_a_line_that_never_ends_leaves_after_a_moment_and_a_long_one_at_once() -
         assert host.recv(1000) == b"x" * LONGEST_LINE
 
 
-def test_a_second_host_is_refused_and_told_of() -> None:
+def test_a_second_host_is_refused_and_reported() -> None:
     with served("default", "--tcp", "127.0.0.1:0") as (process, url):
         with serial.serial_for_url(url, timeout=1) as port:
             port.write(b"B\n")
@@ -228,7 +228,7 @@ def test_what_cannot_be_served_is_one_line(arguments: list[str], line: str) -> N
     assert done.stderr.count("\n") == 1
 
 
-def test_a_port_that_is_taken_is_told() -> None:
+def test_a_port_that_is_taken_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
         with pytest.raises(PortError, match="cannot listen here: Address already in use"):

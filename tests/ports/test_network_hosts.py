@@ -125,7 +125,7 @@ def test_a_second_host_is_refused_and_costs_the_first_nothing(port: TcpPort) -> 
     assert taken == sent
 
 
-def test_a_host_with_too_much_waiting_gives_way_and_is_told_of(port: TcpPort) -> None:
+def test_a_host_with_too_much_waiting_gives_way_and_is_reported(port: TcpPort) -> None:
     with seated(port) as first:
         first.sendall(b"\n" * WAITING_LIMIT)
         with connect(port):
@@ -137,7 +137,7 @@ def test_a_host_with_too_much_waiting_gives_way_and_is_told_of(port: TcpPort) ->
             assert first.recv(10) == b""
 
 
-def test_hosts_that_come_and_go_while_nobody_looks_follow_one_another(port: TcpPort) -> None:
+def test_hosts_that_come_and_go_while_no_one_polls_follow_one_another(port: TcpPort) -> None:
     for text in (b"one\n", b"two", b"three\n"):
         with connect(port) as host:
             host.sendall(text)
@@ -248,7 +248,7 @@ def test_an_error_of_the_network_is_a_host_that_has_gone(number: int) -> None:
             assert host.rest() == b""
 
 
-def test_a_host_that_finds_no_descriptor_is_told_of_and_let_in_later(port: TcpPort) -> None:
+def test_a_host_that_finds_no_descriptor_is_reported_and_let_in_later(port: TcpPort) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with connect(port) as host:
         taken = [os.dup(host.fileno())]
@@ -297,9 +297,9 @@ def test_notices_are_rationed_and_those_left_out_are_counted(monkeypatch: pytest
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     ration = Ration()
-    assert ration.told(map(str, range(15))) == [str(number) for number in range(10)]
-    assert ration.told(["more"]) == []
+    assert ration.admitted(map(str, range(15))) == [str(number) for number in range(10)]
+    assert ration.admitted(["more"]) == []
     now[0] += 11
-    assert ration.told(["a", "b"]) == ["a (6 more notices were not told)"]
+    assert ration.admitted(["a", "b"]) == ["a (6 more notices were not printed)"]
     now[0] += 1000
-    assert len(ration.told(["c"] * 20)) == 10
+    assert len(ration.admitted(["c"] * 20)) == 10

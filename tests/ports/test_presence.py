@@ -85,7 +85,7 @@ def test_a_lock_of_a_host_that_is_here_stays_and_goes_with_it(port: PtyPort) -> 
     os.close(host)
 
 
-def test_replies_that_nobody_read_are_taken_back_when_the_next_host_is_here_already() -> None:
+def test_replies_that_were_not_read_are_flushed_when_the_next_host_is_here_already() -> None:
     with PtyPort() as port:
         host = opened(port)
         port.receive(100)
@@ -115,7 +115,7 @@ def test_replies_that_nobody_read_are_taken_back_when_the_next_host_is_here_alre
         (None, bytes(range(256))),
     ],
 )
-def test_lines_of_the_next_host_are_told_from_those_of_the_one_before(
+def test_lines_of_the_next_host_are_distinguished_from_those_of_the_one_before(
     before: bytes | None, after: bytes
 ) -> None:
     with PtyPort() as port:

@@ -176,7 +176,7 @@ def test_a_write_that_finds_no_room_ends_with_its_timeout() -> None:
         assert port.time_ns == 100_000_000
 
 
-def test_another_speed_of_the_host_is_felt_and_told_once() -> None:
+def test_another_speed_of_the_host_is_felt_and_reported_once() -> None:
     with connect() as port:
         port.baudrate = 38400
         with pytest.warns(UserWarning, match="at 38400 baud.* taken all the same; .*mode=3"):
@@ -187,7 +187,7 @@ def test_another_speed_of_the_host_is_felt_and_told_once() -> None:
         port.write(b"B\n")
 
 
-def test_on_a_strict_line_another_speed_makes_rubbish_both_ways() -> None:
+def test_on_a_strict_line_another_speed_makes_noise_both_ways() -> None:
     with connect("khep://default?strict_line=on&seed=3", timeout=0.2) as port:
         port.baudrate = 19200
         with pytest.warns(UserWarning, match="the bytes are garbled"):

@@ -21,7 +21,7 @@ def test_it_is_raw_and_silent_before_anybody_opens_it() -> None:
         assert not flags & (termios.ECHO | termios.ICANON)
 
 
-def test_no_free_terminal_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_free_terminal_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     for number in (errno.ENOSPC, errno.EMFILE):
 
         def refuse(number: int = number) -> tuple[int, int]:
@@ -53,14 +53,14 @@ def test_a_host_may_come_and_go() -> None:
             assert port.receive(100).data == b""
 
 
-def test_a_host_that_never_reads_loses_bytes_and_blocks_nobody() -> None:
+def test_a_host_that_never_reads_loses_bytes_and_blocks_no_other() -> None:
     with PtyPort() as port:
         for _ in range(100):
             port.write(bytes(1000))
         assert port.dropped > 50_000
 
 
-def test_what_a_host_left_behind_is_cleared_away(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leftovers_of_a_host_are_removed(monkeypatch: pytest.MonkeyPatch) -> None:
     with PtyPort() as port:
         with serial.Serial(port.path, 9600, timeout=1) as host:
             assert not port.receive(1000).left
@@ -88,7 +88,7 @@ def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
     assert not os.path.lexists(link)
 
 
-def test_a_stale_link_is_replaced_and_a_strangers_link_survives(tmp_path: Path) -> None:
+def test_a_stale_link_is_replaced_and_a_foreign_link_survives(tmp_path: Path) -> None:
     link = tmp_path / "khepera"
     link.symlink_to("/dev/pts/9999")
     with PtyPort(link):

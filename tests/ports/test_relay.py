@@ -106,7 +106,7 @@ def test_a_robot_on_the_network_is_reached_and_served_on(scheme: str) -> None:
             assert port.readline() == b"b,5.02,5.01\r\n"
 
 
-def test_a_robot_that_goes_is_told_of_and_the_log_is_whole(tmp_path: Path) -> None:
+def test_a_robot_that_goes_is_reported_and_the_log_is_whole(tmp_path: Path) -> None:
     log = tmp_path / "robot.mcap"
     with served("default") as (twin, robot), served("--relay", robot, "--log", str(log)) as (process, path):
         with serial.Serial(path, 9600, stopbits=2, timeout=10) as port:
@@ -137,7 +137,7 @@ def test_noise_from_the_robot_is_logged_and_harms_nothing(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_at_once_and_takes_its_link_away(tmp_path: Path, how: signal.Signals) -> None:
+def test_it_ends_at_once_and_removes_its_link(tmp_path: Path, how: signal.Signals) -> None:
     link, log = tmp_path / "khepera", tmp_path / "robot.mcap"
     with served("--relay", "loop://", "--link", str(link), "--log", str(log)) as (process, _):
         start = time.monotonic()

@@ -77,7 +77,7 @@ def test_the_next_host_waits_for_no_more_than_a_second_of_one_that_has_left(
     assert told == ["hosts: 13018 bytes of a host that has left were dropped: the next one waits"]
 
 
-def test_a_relay_tells_its_cable_when_all_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_relay_reports_to_its_cable_when_all_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("khep_twin.ports.relay._SILENCE_S", 0.05)
     robot, hosts = SlowRobot(), Hosts(Received(b"D,1,1\n" * 20))
     end = time.monotonic() + 20

@@ -130,7 +130,7 @@ def test_our_own_host_drives_it_in_real_time(path: str) -> None:
     assert right == pytest.approx(left, abs=5)
 
 
-def test_rubbish_at_full_speed_is_survived(path: str) -> None:
+def test_noise_at_full_speed_is_survived(path: str) -> None:
     # Within the rubbish no line takes longer than 0.3 s to cross the wire.
     with serial.Serial(path, 9600, timeout=0.6, write_timeout=5) as port:
         port.write(bytes(range(256)) * 8)
@@ -320,7 +320,7 @@ def test_a_link_in_the_current_directory_lies_where_it_says(
     assert not found.is_symlink()
 
 
-def test_who_opens_a_bare_name_is_told_where_that_link_lies(
+def test_who_opens_a_bare_name_sees_where_that_link_lies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -336,7 +336,7 @@ def test_a_bare_link_lies_in_a_private_directory(tmp_path: Path, monkeypatch: py
         assert (tmp_path / "khep_twin").stat().st_mode & 0o777 == 0o700
 
 
-def test_whoever_waits_is_told_when_hosts_may_come() -> None:
+def test_a_descriptor_reports_when_hosts_may_come() -> None:
     reader, writer = os.pipe()
     process = subprocess.Popen(
         [sys.executable, "-m", "khep_twin", "serve", "default", "--ready-fd", str(writer)],
@@ -393,7 +393,7 @@ def test_miniterm_gets_a_reply(path: str) -> None:
     os.close(own)
 
 
-def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_told_of() -> None:
+def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_reported() -> None:
     with served("default", "--model", "khepera2", "--mode", "9") as (process, path):
         with serial.Serial(path, 115200, stopbits=2, timeout=PATIENCE) as port:
             port.write(b"B\n")

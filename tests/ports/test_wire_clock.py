@@ -36,7 +36,7 @@ def test_an_unmodified_host_takes_the_time_of_its_bytes_and_twice_the_same(tmp_p
     assert one.serial[-1].time_ns / 1e9 == pytest.approx(n_bytes * 11 / 9600, rel=1e-3)
 
 
-def test_time_stands_still_while_nobody_speaks(tmp_path: Path) -> None:
+def test_time_stands_still_while_no_host_sends(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with (
         served("default", "--clock", "wire", "--log", str(log)) as (_, path),

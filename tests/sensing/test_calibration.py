@@ -57,6 +57,8 @@ def test_what_is_not_said_of_wheels_and_motors_is_as_the_manual_has_it() -> None
         ),
     ],
 )
-def test_what_is_wrong_is_told_by_place_value_and_what_would_be_right(old: str, new: str, line: str) -> None:
+def test_what_is_wrong_is_reported_by_line_value_and_what_would_be_right(
+    old: str, new: str, line: str
+) -> None:
     told = [re.sub(r":\d+:", ":", each) for each in lines_about(old, new)]
     assert any(each.startswith(f"mine.toml: {line}") for each in told), told

@@ -116,7 +116,7 @@ class GroundTruthMetrics:
         """Ignore bytes: `HostMetrics` counts them."""
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Ignore acts: their effect is recorded."""
+        """Ignore host events: their effect is recorded."""
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Ignore events."""

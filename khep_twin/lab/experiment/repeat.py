@@ -1,6 +1,6 @@
-"""Repetition of a run from its log alone: the same world, the same acts of its hosts at the same times.
+"""Repetition of a run from its log alone: the same world, the same host events at the same times.
 
-The world is rebuilt from the log's attachments, calibrations included, and its hosts' acts are repeated.
+The world is rebuilt from the log's attachments, calibrations included, and its host events are repeated.
 Every sample's state and every line of the transcript must equal the recorded one.
 """
 
@@ -22,10 +22,11 @@ from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import LATEST_NS, Misfit, first_line, read_line, shown
+from khep_twin.log.host_events import read_events
 from khep_twin.log.reader import Label, read_raw
 from khep_twin.log.recorder import versions
+from khep_twin.log.state_hashes import Answered, boards, hashes, read_states
 from khep_twin.log.transcript import Transcript
-from khep_twin.log.wire import Answered, boards, hashes, read_events, read_states
 from khep_twin.move_robot import repeat_move, scan
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
@@ -40,7 +41,7 @@ class Recorded:
     Attributes:
         path: Path of the log.
         label: Metadata and attachments of the log.
-        events: World time [ns], robot index and act of its host, in order.
+        events: World time [ns], robot index and host event, in order.
         states: Hash of each sample.
         lines: Transcripts by robot.
         torn: True if the end of the run may be missing.
@@ -82,7 +83,8 @@ def read_recorded(path: Path) -> Recorded:
     Raises:
         LogError: There is no log, it is not whole, or it lacks what a repetition needs.
     """
-    label, found, recovered = read_raw(path, lambda topic: topic.endswith(("/wire", "/serial", "/state")))
+    channels = ("/host_events", "/serial", "/state")
+    label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
     states: list[int] = []
     for time_ns, hashed in _decoded(path, found, "/state", read_states):
         if time_ns != len(states) * SAMPLE_NS:
@@ -93,19 +95,20 @@ def read_recorded(path: Path) -> Recorded:
     events: list[tuple[int, int, HostEvent]] = []
     lines: list[list[TextLine]] = [[] for _ in label.robots]
     for index, name in enumerate(label.robots):
-        for _, done in _decoded(path, found, f"/{name}/wire", lambda data: list(read_events(data))):
+        for _, done in _decoded(path, found, f"/{name}/host_events", lambda data: list(read_events(data))):
             events += [(at_ns, index, event) for at_ns, event in done]
         lines[index] = [line for _, line in _decoded(path, found, f"/{name}/serial", read_line)]
     for time_ns in (*(at_ns for at_ns, _, _ in events), *(line.time_ns for each in lines for line in each)):
         if time_ns > last_ns:
             wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
-            raise Misfit(f"something at {time_ns / NS_PER_S:.2f} s", wish).at(path, "/wire and /serial")
-    # Robots do not interact on their lines, so acts at the same time may be in the order of the robots.
+            what = f"something at {time_ns / NS_PER_S:.2f} s"
+            raise Misfit(what, wish).at(path, "/host_events and /serial")
+    # Robots do not interact on their lines, so events at the same time may be in the order of the robots.
     return Recorded(path, label, sorted(events, key=lambda each: each[0]), states, lines, recovered)
 
 
 _OVERTIME_NS = 10 * NS_PER_S
-"""Longest time from the last state to any act or line [ns]."""
+"""Longest time from the last state to any event or line [ns]."""
 
 _Decoded = TypeVar("_Decoded")
 
@@ -246,7 +249,7 @@ def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | Non
 
 
 def _repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
-    """Repeat an act of a host on its robot's line."""
+    """Repeat a host event on its robot's line."""
     robot = twin.world.robots[index]
     # Discard unread bytes; that changes nothing for the robot.
     robot.uart.tx.read(twin.world.time_ns)
@@ -301,7 +304,7 @@ class _Watch:
             self._answers.on_bytes(time_ns, robot, data)
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Ignore acts: they are the recorded ones."""
+        """Ignore host events: they are the recorded ones."""
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Ignore events: they follow from the state."""

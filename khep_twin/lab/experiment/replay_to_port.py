@@ -133,7 +133,7 @@ def _baud(recorded: Recorded, events: Sequence[HostEvent]) -> int:
 def _send(
     events: Sequence[HostEvent], url: str, baud: int, last_ns: int, progress: Callable[[float], None] | None
 ) -> list[str]:
-    """Repeat the acts at their times; return the replies."""
+    """Repeat the host events at their times; return the replies."""
     came = b""
     # A robot that stays silent at the end is reported by the comparison.
     with closing(Khepera(url, timeout=0, baudrate=baud)) as khepera:

@@ -20,7 +20,7 @@ from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import Calibration
 
 _COLOURS = ("#e4572e", "#4dabf7", "#5c9e3a", "#9775c9", "#b8860b", "#2aa198")
-_UNITS = {"linear": "way driven [cm]", "rotational": "turned [degrees]"}
+_UNITS = {"linear": "distance driven [cm]", "rotational": "turned [degrees]"}
 _ROW, _MARGIN, _DRIVE = 1.75, 0.85, 2.6
 
 

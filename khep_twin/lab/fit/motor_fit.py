@@ -28,7 +28,7 @@ from khep_twin.world import World
 
 Floats = NDArray[np.float64]
 
-_WISH = "steps of duty (P) of up to 50 and of half a second and more, with E or H asked all the while"
+_WISH = "steps of duty (P) of up to 50 and of half a second and more, while polling E or H"
 _HIGHEST_DUTY = 50
 """Largest duty; beyond it tyres slip and hide the motors' behaviour (measured on the twin)."""
 
@@ -46,7 +46,7 @@ class DutyDrive:
         name: Name in messages.
         sent: Times at which the robot received the host's lines [ns], and the lines.
         times_ns: Times of those that were E or H (n,) [ns].
-        ways: True where it was H (n,).
+        ways: True where the answer was to H (n,).
         values: Answers of the robot, left and right (n, 2).
     """
 

@@ -103,13 +103,13 @@ def places(run: SensorRun) -> NDArray[np.float64]:
 def mean_and_spread(
     runs: Sequence[SensorRun],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and spread of several runs, over the places that all of them cover.
+    """Return mean and spread of several runs, over the range that all of them cover.
 
     Returns:
-        Places (m,) as of `places`, mean counts (m, 8), and sample standard deviations (m, 8).
+        Abscissas (m,) as of `places`, mean counts (m, 8), and sample standard deviations (m, 8).
 
     Raises:
-        SensorTestError: There are no such places.
+        SensorTestError: They do not overlap.
     """
     x = np.linspace(*_common(runs), _GRID_POINTS)
     counts = np.empty((len(runs), len(x), len(SENSORS)))

@@ -167,12 +167,12 @@ class SensorRun:
         if self.test.what == "proximity" and high < _SEEN_COUNTS:
             return (
                 f"Nothing was within reach: no proximity count is above {high}. Expected an object within "
-                "a few cm of the robot's way."
+                "a few cm of the robot's path."
             )
         if self.test.what == "light" and high - low < _LIT_COUNTS:
             return (
                 f"No lamp was within reach: all ambient counts are {low} to {high}. Expected a lamp that the "
-                "sensors face on the way."
+                "sensors face on the path."
             )
         return ""
 
@@ -327,7 +327,7 @@ def _go_back(robot: Khepera, stop: Callable[[], bool]) -> None:
     try:
         _drive(robot, (0, 0), None, stop)
     except SensorTestError as error:
-        raise SensorTestError(f"on the way back {error}") from None
+        raise SensorTestError(f"on the return {error}") from None
 
 
 def _rest(robot: Khepera) -> None:

@@ -46,7 +46,7 @@ _LEGEND_SHARE, _END_SHARE = 0.16, 0.02
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A log and its place in a recording.
+    """A log and its path in a recording.
 
     Attributes:
         label: Label of the log.
@@ -54,7 +54,7 @@ class Shown:
         place: Path below which its entities are, such as "/run"; empty for a single log.
         frame: Frame of the arena's coordinates; empty for rerun's default, for a single log.
         end_ns: End of its curves [ns]; for several logs, the end of the longest.
-        last_s: Length of the curves of a run that goes on [s]; None for all of it.
+        last_s: Length of the curves of an unfinished run [s]; None for all of it.
     """
 
     label: Label

@@ -51,7 +51,7 @@ SHARE = 0.25
 """Largest share of one processor core that is used, on average; with many robots the steps become longer."""
 
 LAST_S = 60.0
-"""Length of the curves of a run that goes on [s]."""
+"""Length of the curves of an unfinished run [s]."""
 
 _TEXTS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
 _UNSEEN = re.compile("|".join(UNSEEN))
@@ -60,7 +60,7 @@ _CHUNK_ID = b"rerun:id"
 
 
 def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Callable[[str], None]) -> None:
-    """Show a run that goes on until the viewer is closed or `stop` returns True.
+    """Show an unfinished run until the viewer is closed or `stop` returns True.
 
     Args:
         path: Path of the log that the run writes, NAME.mcap or NAME.mcap.part.

@@ -37,7 +37,7 @@ Progress = Callable[[float], None] | None
 Bar = Callable[[], AbstractContextManager[Progress]]
 """Function that makes a context in which progress is shown."""
 
-UNSEEN = ["/wire$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
+UNSEEN = ["/host_events$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
 """Topics, as patterns, that no view shows: data for programs, or contained in the views themselves."""
 
 PICTURES = 10_000
@@ -229,7 +229,7 @@ def _last_ns(chunk: "Chunk") -> int:
 
 
 def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":
-    """Yield the chunks of a log below its place, with coordinate frames of its own."""
+    """Yield the chunks of a log below its path, with coordinate frames of its own."""
     import pyarrow as pa
     from rerun.chunk import Chunk
 

@@ -80,7 +80,7 @@ def outline_chunks(robot: str) -> "list[Chunk]":
     lines = rr.LineStrips2D.columns(strips=strips, colors=[_OUTLINE] * len(strips))
     feet = np.vstack((_FEET - _BESIDE, _FEET + _BESIDE))
     frames = [_box(x, y - _BAR / 2, _HALF_WIDTH, _BAR / 2) for x, y in feet]
-    frames += [_box(x, y, _HALF_WIDTH, _BAR) for x, y in _WHEELS]  # a wheel's bar goes both ways
+    frames += [_box(x, y, _HALF_WIDTH, _BAR) for x, y in _WHEELS]  # a wheel's bar extends in both directions
     full = rr.LineStrips2D.columns(strips=frames, colors=[_FRAME] * len(frames), radii=[0.0001] * len(frames))
     entries = {"proximity": _PROXIMITY, "light": _LIGHT, "speed": _SPEED}
     legend = rr.Points2D.columns(

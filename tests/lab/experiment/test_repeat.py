@@ -22,9 +22,9 @@ from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.lab.experiment.repeat import Divergence, elsewhere, read_recorded, repeat
 from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.decoding import read_line
+from khep_twin.log.host_events import events_message, read_events
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recover import recover
-from khep_twin.log.wire import events_message, read_events
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
@@ -213,7 +213,7 @@ def test_a_wheel_larger_by_a_thousandth_is_found(tmp_path: Path, driven: Path) -
 
 def test_an_altered_byte_of_a_host_is_found(tmp_path: Path, driven: Path) -> None:
     def alter(topic: str, time_ns: int, data: bytes) -> bytes:
-        if not topic.endswith("/wire"):
+        if not topic.endswith("/host_events"):
             return data
         return events_message([(known_ns, altered(event)) for known_ns, event in read_events(data)])
 

@@ -67,7 +67,7 @@ def read_in_scene(forward: float, left: float, height: float) -> np.ndarray:
 @pytest.mark.parametrize(
     "place", [(0.2, 0.0, 0.0016), (0.1, 0.15, 0.05), (-0.07, 0.02, 0.03), (0.0, -0.5, 0.2)]
 )
-def test_the_law_for_many_places_gives_what_the_scene_gives(place: tuple[float, float, float]) -> None:
+def test_the_law_for_many_positions_gives_what_the_scene_gives(place: tuple[float, float, float]) -> None:
     table = LampTable(np.array([place]), np.zeros((1, 8)), 2.0)
     expected = [ambient_counts(table, sensor, KHEPERA1.ambient)[0] for sensor in SENSORS]
     # Its own wheels may hide a lamp behind it from a sensor that sees it by its diffuse part only.

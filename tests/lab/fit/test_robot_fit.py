@@ -176,7 +176,7 @@ def test_without_a_ruler_wheels_are_refused(
     assert message in done.stderr
 
 
-def test_one_distance_far_away_tells_no_gain(
+def test_one_distance_far_away_determines_no_gain(
     recorded: tuple[list[str], list[str], Path], tmp_path: Path
 ) -> None:
     bench = Bench(tmp_path)
@@ -197,7 +197,7 @@ def test_one_distance_far_away_tells_no_gain(
         ("nowhere.mcap=duty", "nowhere.mcap: cannot be read: No such file or directory"),
     ],
 )
-def test_wrong_words_are_told_in_one_line(word: str, message: str) -> None:
+def test_wrong_words_are_reported_in_one_line(word: str, message: str) -> None:
     done = fit(word)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
@@ -210,7 +210,7 @@ def test_a_test_of_light_is_no_test_of_a_wall(recorded: tuple[list[str], list[st
         fit_inputs([f"{lamp}=wall@20mm"])
 
 
-def test_a_drive_with_a_high_duty_or_none_tells_no_motors(tmp_path: Path) -> None:
+def test_a_drive_with_a_high_duty_or_none_determines_no_motors(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.steps("high.mcap", 60, 0)
     with pytest.raises(FitError, match="P,60,60: the tyres slip at this duty"):

@@ -192,7 +192,7 @@ def test_a_count_that_is_no_whole_number_late_in_a_log_makes_its_channel_fractio
         assert found["speed_1"].to_pylist() == [2.0, 4.5]
 
 
-def test_rows_that_grow_within_a_log_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_grow_within_a_log_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log, table = tmp_path / "run.mcap", tmp_path / "table.csv"
     write_speeds(log, [[1.0, 2.0], [3.0, 4.0, 5.0]])
     monkeypatch.setattr(reader, "PIECE", 1)
@@ -253,7 +253,7 @@ def test_a_real_robots_log_gives_what_it_has(real: Path, tmp_path: Path) -> None
     assert values["speed_time_s"].tolist() == [[0.6]]
 
 
-def test_wrong_words_are_told_with_the_choices(run: Path, tmp_path: Path) -> None:
+def test_wrong_words_are_reported_with_the_choices(run: Path, tmp_path: Path) -> None:
     table = tmp_path / "x.csv"
     assert "--channels speeds: khepera0 has none in this log; did you mean 'speed'? (choices: pose, " in (
         refusal(run, "-o", table, "--channels", "speeds")

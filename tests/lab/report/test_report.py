@@ -154,7 +154,9 @@ def test_the_numbers_have_units_and_fit_the_run(log: Path) -> None:
     assert re.fullmatch(r"[0-9]+ counts, sensor [a-z]+ ?[0-9a-z]*, at [0-9.]+ s", turning["Brightest moment"])
 
 
-def test_a_real_robots_log_tells_what_is_missing(line: Callable[..., Path], tmp_path: Path) -> None:
+def test_the_report_on_a_real_robots_log_lists_what_is_missing(
+    line: Callable[..., Path], tmp_path: Path
+) -> None:
     real = line((True, b"N\n"), (False, b"n,0,0,500,0,0,0,0,0\r\n"), (True, b"E\n"), (False, b"e,1,-2\r\n"))
     (robot,) = report(read_series(real), "log").robots
     assert robot.missing == (
@@ -183,7 +185,7 @@ def test_a_run_of_no_time_has_a_report(tmp_path: Path) -> None:
     assert rows(tmp_path / "run.mcap")["Duration"] == "0.00 s"
 
 
-def test_of_very_many_events_the_first_are_told() -> None:
+def test_of_very_many_events_the_first_are_reported() -> None:
     events = [(f"{second} s", "something") for second in range(100)]
     assert listed(events)[-1] == ("…", "and 60 more")
     assert listed(events)[:-1] == tuple(events[:EVENT_LIMIT])

@@ -37,7 +37,7 @@ def test_eight_axes_lie_like_the_sensors_on_a_robot_that_looks_up() -> None:
     assert places_of["back left"].y1 < places_of["left 90"].y0
 
 
-def test_a_way_counts_down_to_0_at_the_right_and_a_turn_up() -> None:
+def test_a_path_counts_down_to_0_at_the_right_and_a_turn_up() -> None:
     way = draw([run()], sensor="left 10").axes[0]
     low, high = way.get_xlim()
     assert low > 10 > 0 > high
@@ -49,7 +49,7 @@ def test_a_way_counts_down_to_0_at_the_right_and_a_turn_up() -> None:
 
 
 @pytest.mark.parametrize("linear_cm", [10, -10])
-def test_the_end_of_the_way_is_0_in_either_direction(linear_cm: float) -> None:
+def test_the_end_of_the_path_is_0_in_either_direction(linear_cm: float) -> None:
     np.testing.assert_allclose(places(run(SensorTest(linear_cm=linear_cm)))[[0, -1]], [10, 0], atol=1e-9)
 
 
@@ -108,7 +108,7 @@ def test_mean_and_spread_are_those_of_the_runs_where_all_have_been() -> None:
         ([run(n=0)], {}, "a run without rows"),
     ],
 )
-def test_what_cannot_be_drawn_is_told_in_one_line(
+def test_what_cannot_be_drawn_is_reported_in_one_line(
     runs: list[SensorRun], options: dict[str, str | int], line: str
 ) -> None:
     with pytest.raises(SensorTestError, match=line):

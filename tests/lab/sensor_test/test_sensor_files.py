@@ -130,7 +130,7 @@ def test_a_damaged_file_is_refused_in_one_line_or_read(suffix: str, tmp_path: Pa
         ("\n0.", "\n7,0.", "line 10: 12 fields; expected 11"),
     ],
 )
-def test_a_mistake_in_a_table_is_told_by_line_and_field(
+def test_a_mistake_in_a_table_is_reported_by_line_and_field(
     before: str, after: str, line: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "run.csv"
@@ -154,7 +154,9 @@ def test_a_mistake_in_a_table_is_told_by_line_and_field(
         ({"dv": np.ones((3, 10)), "times": np.ones(2)}, "times: 2 values; expected 3"),
     ],
 )
-def test_a_foreign_mat_file_is_told_by_variable(values: dict[str, Any], line: str, tmp_path: Path) -> None:
+def test_a_foreign_mat_file_is_reported_by_variable(
+    values: dict[str, Any], line: str, tmp_path: Path
+) -> None:
     savemat(tmp_path / "x.mat", values)
     with pytest.raises(SensorTestError, match=line):
         load(tmp_path / "x.mat")
