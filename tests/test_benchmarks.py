@@ -124,7 +124,7 @@ def test_fields_grow_around_the_same_blocks() -> None:
     assert large.blocks[:20] == small.blocks
     assert len(growth.field(20, 8).robots) == 8
     with pytest.raises(ValueError, match="expected 4 in all"):
-        growth.field(4, 1, places=2)
+        growth.field(4, 1, cells=2)
 
 
 @pytest.mark.parametrize("n_rays", [1, 27])

@@ -54,7 +54,7 @@ def tstsense(
         port_id: Port of the robot.
         what: Kind of sensors, "proximity" or "light".
         linear_cm: Distance straight on, 5 to 60, or backwards below 0 [cm].
-        rotate_deg: Angle to turn on the spot in its place, 15 to 360, clockwise below 0 [degrees].
+        rotate_deg: Angle to turn on the spot instead, 15 to 360, clockwise below 0 [degrees].
         max_speed: Speed of both wheels [pulses/10 ms].
         max_acc: Acceleration of both wheels [3.125 mm/s^2].
         return_to_zero: Wait 5 s at the end and drive back.
@@ -134,7 +134,7 @@ def _driven(
 
 
 def _keep(run: SensorRun, save: str | Path | None) -> None:
-    """Keep the readings of a test, in a file where one is wanted."""
+    """Keep the readings of a test, in a file if one is given."""
     _latest[:] = [run]
     if save is not None and len(run.dv):
         sensor_files.save(Path(save), run)

@@ -64,7 +64,7 @@ file = "waits.py:waited"
 
 
 def waiting(folder: Path, n_episodes: int) -> str:
-    """A measure by which a sweep comes to a stop after so many lives, until there is a file `go`."""
+    """Return a measure at which a sweep waits after so many episodes, until there is a file `go`."""
     # The function is read anew for each task, so what it remembers is a file.
     (folder / "waits.py").write_text(
         "import pathlib, time\n\n\n"
