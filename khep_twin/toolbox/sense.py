@@ -66,7 +66,7 @@ def tstsense(
         was to go [pulses].
 
     Raises:
-        SensorTestError: That is no test, or a wheel is blocked.
+        SensorTestError: The arguments are invalid, or a wheel is blocked.
         KhepTwinError: The file cannot be written.
     """
     test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
@@ -89,7 +89,7 @@ def simsense(
 
     Raises:
         PlaypenError: No playpen is open.
-        SensorTestError: That is no test, or a wheel is blocked.
+        SensorTestError: The arguments are invalid, or a wheel is blocked.
         KhepTwinError: The file cannot be written.
     """
     test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)

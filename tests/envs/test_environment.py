@@ -110,7 +110,7 @@ def test_another_pair_of_versions_is_refused_at_import(monkeypatch: pytest.Monke
         importlib.import_module("khep_twin.envs.dm_env")
 
 
-def test_without_dm_control_the_import_is_one_line_that_tells_how_to_install_it(
+def test_without_dm_control_the_import_is_one_line_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     installed = version_check.metadata.version
@@ -284,7 +284,7 @@ def test_an_episode_lasts_whole_control_periods(seconds: float) -> None:
 
 
 @pytest.mark.parametrize("action", [[1.0], [1.0, 2.0, 3.0], 5.0, "ab", None])
-def test_an_action_that_is_not_two_speeds_is_told_in_a_line(action: Any) -> None:
+def test_an_action_that_is_not_two_speeds_is_an_error_of_one_line(action: Any) -> None:
     with pytest.raises(ValueError, match=r"action .*; expected two speeds, left and right, from -20 to 20"):
         clipped(action)
 

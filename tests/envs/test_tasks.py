@@ -158,7 +158,7 @@ def test_an_episode_that_is_over_or_not_begun_takes_no_step() -> None:
         episode.step([(0, 0)])
 
 
-def test_wrong_words_are_told_with_what_would_be_right() -> None:
+def test_errors_of_wrong_words_name_the_right_ones() -> None:
     with pytest.raises(KhepTwinError, match="did you mean 'Homing'"):
         TaskSetup("Hooming")
     with pytest.raises(KhepTwinError, match="did you mean 'proximity'"):

@@ -82,7 +82,7 @@ def test_a_policy_asked_about_many_drives_as_a_function_asked_about_each(compile
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_one_that_fails_is_told_by_seed_and_step_and_harms_no_other(compiled: bool) -> None:
+def test_one_that_fails_is_reported_by_seed_and_step_and_affects_no_other(compiled: bool) -> None:
     genes = np.array([[5.0, 1.0], [5.0, 0.0], [5.0, 2.0]])
 
     def divide(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
@@ -153,7 +153,7 @@ def test_what_does_not_fit_is_refused_before_anything_episodes() -> None:
 
 
 @with_numba
-def test_a_function_that_numba_cannot_compile_is_told_by_name() -> None:
+def test_a_function_that_numba_cannot_compile_is_reported_by_name() -> None:
     def odd(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
         return open("x").fileno(), 0.0
 
@@ -204,7 +204,7 @@ def test_a_time_that_is_none_is_refused(seconds: float) -> None:
         rollout(SCENE, Braitenberg(), [1], seconds, compiled=False)
 
 
-def test_what_is_no_driver_or_no_playpen_is_told_so() -> None:
+def test_what_is_no_driver_or_no_playpen_is_refused() -> None:
     with pytest.raises(
         ControllerError, match=r"is no controller; expected a ConstantSpeed, Braitenberg, Network"
     ):

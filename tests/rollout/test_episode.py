@@ -246,7 +246,7 @@ def test_episode_ends_its_homing_with_its_charge(compiled: bool) -> None:
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> None:
+def test_the_distance_forwards_has_a_sign_and_the_distance_has_none(compiled: bool) -> None:
     def ways(left: int, right: int) -> tuple[float, float]:
         free = playpen.load("default")
         episode = episode_of(
@@ -288,7 +288,7 @@ def test_without_numba_episodes_are_plain_and_say_so(monkeypatch: pytest.MonkeyP
     assert episode.steps == 8
 
 
-def test_compiled_without_numba_is_one_line_that_tells_how_to_install_it(
+def test_compiled_without_numba_is_one_line_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delattr(rollout, "compiled", raising=False)

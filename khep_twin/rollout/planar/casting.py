@@ -4,7 +4,7 @@ The robot is a disc on two wheels, among upright boxes and cylinders with height
 `rays` and `shadows` compute what its sensors see, as MuJoCo does for upright obstacles and no tilt.
 This source runs interpreted and compiled.
 
-No thing is left out for its distance. But for each a lower bound of its distance is kept, less the distance
+No obstacle is left out for its distance. For each a lower bound of its distance is kept, less the distance
 moved since; obstacles are tested in that order, only as long as they can matter.
 """
 
