@@ -52,7 +52,7 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
     """Measure episodes in MuJoCo and in a plane, and Kheperax in the same playpen.
 
     Args:
-        name: Name of the playpen, or of the things in it.
+        name: Name of the playpen, or of its obstacles.
         part: Fraction of the usual length.
         rounds: Number of counted rounds.
         python: Python with Kheperax; None if there is none.

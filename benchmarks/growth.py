@@ -23,34 +23,34 @@ from khep_twin.rollout.episode import EpisodeSetup
 BLOCKS = (0, 20, 100, 1000)
 ROBOTS = (1, 2, 8)
 RAYS = (1, 3, 9, 27)
-LIVES = (32, 128, 1024)
+BATCHES = (32, 128, 1024)
 
 TWENTY_BLOCKS = "twenty blocks"
 
-PLACE_MM = 150.0
+CELL_MM = 150.0
 """Side of the square for each block [mm]: a block of 60 x 25 mm leaves a robot room on all sides."""
 
 CONES = 'camera resolution="9 1" fovy="12.680383"'
 """Rays of a sensor in assets/khepera.xml: nine over 90 degrees."""
 
 
-def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
-    """Return blocks at random angles around robots in rows, in a square arena of `places` a side.
+def field(n_blocks: int, n_robots: int = 1, cells: int = 32) -> Playpen:
+    """Return blocks at random angles around robots in rows, in a square arena of `cells` a side.
 
     Raises:
-        ValueError: There are fewer places.
+        ValueError: There are fewer cells.
     """
-    middle = (places - 1) / 2
+    middle = (cells - 1) / 2
     grid = sorted(
-        ((row, column) for row in range(places) for column in range(places)),
-        key=lambda place: (max(abs(each - middle) for each in place), place),
+        ((row, column) for row in range(cells) for column in range(cells)),
+        key=lambda cell: (max(abs(each - middle) for each in cell), cell),
     )
     if n_blocks + n_robots > len(grid):
         raise ValueError(f"{n_blocks} blocks and {n_robots} robots; expected {len(grid)} in all")
     rng = np.random.default_rng(1)
     angles = rng.uniform(0, 180, len(grid)).round(1).tolist()
     shifts = rng.uniform(-20, 20, (len(grid), 2)).round(1).tolist()
-    at = [((column + 0.5) * PLACE_MM, (row + 0.5) * PLACE_MM) for row, column in grid]
+    at = [((column + 0.5) * CELL_MM, (row + 0.5) * CELL_MM) for row, column in grid]
     blocks = tuple(
         Block(x_mm=x + tangential, y_mm=y + ahead, length_mm=60, width_mm=25, height_mm=50, angle_deg=angle)
         for (x, y), (tangential, ahead), angle in zip(
@@ -58,7 +58,7 @@ def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
         )
     )
     robots = tuple(Robot(x_mm=x, y_mm=y, heading_deg=30) for x, y in at[:n_robots])
-    arena = Arena(width_mm=places * PLACE_MM, height_mm=places * PLACE_MM)
+    arena = Arena(width_mm=cells * CELL_MM, height_mm=cells * CELL_MM)
     return Playpen.model_validate(
         {"version": 1, "name": "field", "arena": arena, "block": blocks, "robot": robots}
     )
@@ -66,7 +66,7 @@ def field(n_blocks: int, n_robots: int = 1, places: int = 32) -> Playpen:
 
 def twenty_blocks() -> Playpen:
     """Return twenty blocks in 900 x 900 mm, so that one is always near the robot."""
-    return field(20, places=6)
+    return field(20, cells=6)
 
 
 @contextmanager
@@ -86,7 +86,7 @@ def rays_per_sensor(n_rays: int) -> Generator[None]:
 def blocks_tables(seconds: float, rounds: int, numbers: Sequence[int] = BLOCKS) -> Iterator[Table]:
     """Measure an episode and the bare loop among increasing numbers of blocks."""
     setups = [(f"{number} blocks", EpisodeSetup(field(number))) for number in numbers]
-    yield from _life_and_bare("blocks", setups, seconds, rounds)
+    yield from _episode_and_bare("blocks", setups, seconds, rounds)
 
 
 def rays_tables(seconds: float, rounds: int, numbers: Sequence[int] = RAYS) -> Iterator[Table]:
@@ -95,7 +95,7 @@ def rays_tables(seconds: float, rounds: int, numbers: Sequence[int] = RAYS) -> I
     for number in numbers:
         with rays_per_sensor(number):
             setups.append((f"{number} ray{'s' * (number > 1)} per sensor", EpisodeSetup(field(20))))
-    yield from _life_and_bare("rays", setups, seconds, rounds)
+    yield from _episode_and_bare("rays", setups, seconds, rounds)
 
 
 def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -> Table:
@@ -106,11 +106,11 @@ def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -
     return measure("robots, World among 20 blocks", rows, rounds, unit=COST, cost=True)
 
 
-def lives_table(life_s: float, rounds: int, numbers: Sequence[int] = LIVES) -> Table:
+def batches_table(episode_s: float, rounds: int, numbers: Sequence[int] = BATCHES) -> Table:
     """Measure batches of increasing numbers of short episodes, on two threads."""
     setup = EpisodeSetup(playpen.load("default"))
-    rows = [batch_row(f"{number} lives", setup, number, life_s, 2) for number in numbers]
-    title = f"lives of {life_s:g} s in a batch, default, 2 threads"
+    rows = [batch_row(f"{number} lives", setup, number, episode_s, 2) for number in numbers]
+    title = f"lives of {episode_s:g} s in a batch, default, 2 threads"
     return measure(title, rows, rounds, unit=COST, cost=True)
 
 
@@ -126,10 +126,10 @@ def tables(part: float, rounds: int, most: int | None = None) -> Iterator[Table]
     yield from blocks_tables(seconds, rounds, BLOCKS[:most])
     yield from rays_tables(seconds, rounds, RAYS[:most])
     yield robots_table(seconds, rounds, ROBOTS[:most])
-    yield lives_table(max(round(part, 1), 0.2), rounds, LIVES[:most])
+    yield batches_table(max(round(part, 1), 0.2), rounds, BATCHES[:most])
 
 
-def _life_and_bare(
+def _episode_and_bare(
     what: str, setups: Sequence[tuple[str, EpisodeSetup]], seconds: float, rounds: int
 ) -> Iterator[Table]:
     n_episodes: list[Row] = [episode_row(name, setup, seconds) for name, setup in setups]

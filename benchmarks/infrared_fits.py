@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 CYLINDER_RADIUS = 0.027
 SET_UP_BEARING = np.radians(2.2)
-"""Corrections of the sampled set-up's bearings of wall and cylinder [rad]: they make left and right alike."""
+"""Corrections of the sampled set-up's bearings of wall and cylinder [rad]: they make left and right equal."""
 
 MANUAL = Optics(1_205_400, 333.8, 0.01, 3.72, 1.14)
 """The sensor of the manual's figure 11, whose gain is for white plastic."""

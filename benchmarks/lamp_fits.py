@@ -17,7 +17,7 @@ from khep_twin.units import BODY_RADIUS, BULB_RADIUS, N_SENSORS
 Floats = NDArray[np.float64]
 
 SET_UP_BEARING = np.radians(-4.4)
-"""Correction of the sampled set-up's bearings of the lamp [rad]: it makes left and right sensors alike."""
+"""Correction of the sampled set-up's bearings of the lamp [rad]: it makes left and right sensors equal."""
 
 FILAMENT_HEIGHT = 0.0016
 """Height of the sampled lamp above the sensors [m]: that of a playpen's lamp. It was not recorded; 47 mm

@@ -78,16 +78,21 @@ def world_row(name: str, scene: Playpen, seconds: float) -> Row:
 
 
 def batch_row(
-    name: str, setup: EpisodeSetup, n_episodes: int, life_s: float, threads: int, driver: Driver | None = None
+    name: str,
+    setup: EpisodeSetup,
+    n_episodes: int,
+    episode_s: float,
+    threads: int,
+    driver: Driver | None = None,
 ) -> Row:
     """Return a row of a batch of episodes, each with its own genes if the controller is a network."""
     genes = random_genes(n_episodes) if isinstance(driver, Network) else None
     return Row(
         name,
-        n_episodes * life_s,
+        n_episodes * episode_s,
         timed(
             lambda: rollout(
-                setup, driver or Braitenberg(), range(n_episodes), life_s, genes=genes, threads=threads
+                setup, driver or Braitenberg(), range(n_episodes), episode_s, genes=genes, threads=threads
             )
         ),
         generation,

@@ -1,6 +1,6 @@
 """Differences between episodes in a plane and in MuJoCo: `python -m benchmarks.screening`.
 
-Two tables; `python -m benchmarks` measures the speeds. Ways: the same episode in both, without noise, as the
+Two tables; `python -m benchmarks` measures the speeds. Paths: the same episode in both, without noise, as the
 median and the largest of some; with speeds from a list, regardless of obstacles, and with the ROM's vehicle
 and networks, whose feedback from the sensors makes any difference grow. Ranks: Spearman's correlation of a
 metric over random networks between both, and, as an upper bound, between MuJoCo's own episodes with other
@@ -24,9 +24,9 @@ from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Driver, Ne
 from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.rollout.screening import best_first
 
-GENOMES, SEEDS, LIFE_S, ELITE = 200, 3, 30.0, 20
+GENOMES, SEEDS, EPISODE_S, ELITE = 200, 3, 30.0, 20
 TIMES_S = (1.0, 6.0, 60.0)
-WAYS = 10
+REPEATS = 10
 
 
 def open_floor() -> Playpen:
@@ -41,10 +41,10 @@ def scenes() -> dict[str, Playpen]:
     return {**shipped, TWENTY_BLOCKS: twenty_blocks()}
 
 
-def way(setup: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
+def path(setup: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
     """Return the poses of an episode at some times; without a driver speeds change at random every 0.5 s."""
     episode = Episode(setup, driver or ConstantSpeed())
-    genes = random_genes(WAYS)[index] if isinstance(driver, Network) else ()
+    genes = random_genes(REPEATS)[index] if isinstance(driver, Network) else ()
     robot = setup.entry
     start = (robot.x_mm, robot.y_mm, robot.heading_deg + 3.0 * index)
     episode.begin(index, start=start, noise=False, genes=genes)
@@ -59,10 +59,10 @@ def way(setup: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[fl
     return poses
 
 
-def ways(title: str, scene: Playpen, driver: Driver | None) -> None:
+def paths(title: str, scene: Playpen, driver: Driver | None) -> None:
     """Print the distances between both."""
     both = [EpisodeSetup(scene), EpisodeSetup(scene, planar=True)]
-    found = np.array([[way(setup, index, driver) for setup in both] for index in range(WAYS)])
+    found = np.array([[path(setup, index, driver) for setup in both] for index in range(REPEATS)])
     off = found[:, 0] - found[:, 1]
     away_mm = np.hypot(off[..., 0], off[..., 1]) * 1e3
     turned = np.degrees(np.abs((off[..., 2] + np.pi) % (2 * np.pi) - np.pi))
@@ -79,7 +79,7 @@ def ranks(name: str, scene: Playpen) -> None:
 
     def judged(first: int, planar: bool) -> dict[str, np.ndarray]:
         seeds = [first + seed for _ in range(GENOMES) for seed in range(SEEDS)]
-        found = rollout(scene, NETWORK, seeds, LIFE_S, genes=genes, planar=planar)
+        found = rollout(scene, NETWORK, seeds, EPISODE_S, genes=genes, planar=planar)
         return {
             number: found.metrics[number].reshape(GENOMES, SEEDS).mean(axis=1)
             for number in ("obstacle_avoidance", "distance_m")
@@ -90,32 +90,32 @@ def ranks(name: str, scene: Playpen) -> None:
         hit = len(set(best_first(plane[number])[:ELITE]) & set(best_first(true[number])[:ELITE]))
         own = len(set(best_first(again[number])[:ELITE]) & set(best_first(true[number])[:ELITE]))
         best = int(best_first(true[number])[0])
-        place = int(np.flatnonzero(best_first(plane[number]) == best)[0]) + 1
+        rank = int(np.flatnonzero(best_first(plane[number]) == best)[0]) + 1
         print(
             f"{name:14}{number:20}{spearmanr(plane[number], true[number])[0]:8.3f}"
-            f"{spearmanr(again[number], true[number])[0]:12.3f}{hit:10d}{own:10d}{place:10d}",
+            f"{spearmanr(again[number], true[number])[0]:12.3f}{hit:10d}{own:10d}{rank:10d}",
             flush=True,
         )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("table", nargs="?", choices=["ways", "ranks"], help="print one table; default both")
-    wanted = parser.parse_args(arguments).table or "ways and ranks"
+    parser.add_argument("table", nargs="?", choices=["paths", "ranks"], help="print one table; default both")
+    wanted = parser.parse_args(arguments).table or "paths and ranks"
     print(f"mujoco {mujoco.__version__}")
-    if "ways" in wanted:
+    if "paths" in wanted:
         print("apart after" + "".join(f"{time_s:>24g} s " for time_s in TIMES_S))
         print(" " * 36 + "   ".join("  median     max    turn" for _ in TIMES_S) + "  [mm, mm, deg]")
-        ways("open floor, speeds by a list", open_floor(), None)
+        paths("open floor, speeds by a list", open_floor(), None)
         for name, scene in scenes().items():
-            ways(f"{name}, speeds by a list", scene, None)
+            paths(f"{name}, speeds by a list", scene, None)
         for name, scene in scenes().items():
-            ways(f"{name}, ROM's vehicle", scene, Braitenberg())
+            paths(f"{name}, ROM's vehicle", scene, Braitenberg())
         for name, scene in scenes().items():
-            ways(f"{name}, random networks", scene, NETWORK)
+            paths(f"{name}, random networks", scene, NETWORK)
     if "ranks" in wanted:
         print(
-            f"{GENOMES} networks, {SEEDS} lives of {LIFE_S:g} s each: Spearman's rank correlation to MuJoCo"
+            f"{GENOMES} networks, {SEEDS} episodes of {EPISODE_S:g} s: Spearman's rank correlation to MuJoCo"
         )
         print(f"{'':34}{'plane':>8}{'own seeds':>12}{f'of {ELITE}':>10}{'own':>10}{'best at':>10}")
         for name, scene in scenes().items():

@@ -1,10 +1,10 @@
 """Measuring loop of all benchmarks, and its printed table.
 
-    rows = [Row("bare loop (floor)", 20.0, timed(bare)), Row("life", 20.0, timed(life))]
+    rows = [Row("bare loop (floor)", 20.0, timed(bare)), Row("episode", 20.0, timed(episode))]
     print(text([measure("default", rows, rounds=5)]))
 
 All rows of a table run once uncounted and then in turn, round by round, so that other load of the machine
-affects all of them alike. A ratio is the median over the rounds of a row's speed beside that of the
+affects all of them equally. A ratio is the median over the rounds of a row's speed beside that of the
 first row, the floor, in the same round; it depends least on machine and load. In a table of costs, where
 time per unit is shown instead of units per time, it is the ratio of the times.
 """

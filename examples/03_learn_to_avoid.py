@@ -37,7 +37,7 @@ except ImportError as error:
 import khep_twin.envs.gymnasium  # noqa: F401  (registers the environments)
 
 NAME = "khep_twin/ObstacleAvoidance-v0"
-TRIALS = 20
+EPISODES = 20
 
 
 def environment(**options):
@@ -51,9 +51,9 @@ def demonstration(seen):
 
 
 def tried(drive):
-    """Return the mean rewards of episodes of a minute (TRIALS,), and the part of the time near obstacles."""
+    """Return the mean rewards of episodes of a minute (EPISODES,), and the share of time near obstacles."""
     robot, rewards, near = environment(seconds=60.0), [], []
-    for episode in range(TRIALS):
+    for episode in range(EPISODES):
         seen, _ = robot.reset(seed=1_000_000 + episode)
         over, sums, close = False, [], []
         while not over:
@@ -85,29 +85,29 @@ def draw(points, rewards, file):
     steps, means = np.array(points).T
     figure = Figure(figsize=(7.5, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2, 1), sharey=True)
-    left.plot(steps / 1000, means, ".", ms=3, color="0.7", label="a trial of 20 s")
+    left.plot(steps / 1000, means, ".", ms=3, color="0.7", label="an episode of 20 s")
     width = min(32, len(means))
     smooth = np.convolve(means, np.ones(width) / width, "valid")
     left.plot(steps[width - 1 :] / 1000, smooth, lw=1.8, color="C0", label=f"mean of {width}")
     left.set(xlabel="steps of 50 ms [thousands]", ylabel="mean reward of a period", title="while it learns")
     left.legend(frameon=False, loc="lower right")
     right.boxplot(list(rewards.values()), tick_labels=list(rewards), widths=0.5)
-    right.set_title(f"{TRIALS} new trials of 60 s")
+    right.set_title(f"{EPISODES} new episodes of 60 s")
     right.tick_params(axis="x", labelrotation=20)
     left.set_ylim(-0.02, 1)
     figure.savefig(file, dpi=160)
 
 
-def draw_way(drive, file):
+def draw_path(drive, file):
     """Draw the path of a new episode of a minute."""
     robot = environment(seconds=60.0)
     seen, info = robot.reset(seed=1_000_000)
-    start, way, over = info, [], False
+    start, path, over = info, [], False
     while not over:
-        way.append((info["time"], 1000 * info["x"], 1000 * info["y"]))
+        path.append((info["time"], 1000 * info["x"], 1000 * info["y"]))
         seen, _, ended, late, info = robot.step(np.clip(drive(seen), -1, 1).astype(np.float32))
         over = ended or late
-    time_s, *xy_mm = np.array(way).T
+    time_s, *xy_mm = np.array(path).T
     playpen = TaskSetup("ObstacleAvoidance").started(start["seed"])
     save(drawing(playpen, [DrawnPath("khepera0", time_s, np.stack(xy_mm, axis=1))]), file)
 
@@ -137,5 +137,5 @@ for name, driver in drivers.items():
     print(f"{name:14} reward {mean:.3f} (sd {sd:.3f}), near something {touching:.0%}")
 given.picture.parent.mkdir(parents=True, exist_ok=True)
 draw(curve.points, found, given.picture)
-draw_way(drivers["learnt"], given.picture.with_name(given.picture.stem + "_way.png"))
+draw_path(drivers["learnt"], given.picture.with_name(given.picture.stem + "_way.png"))
 learner.save(given.picture.with_suffix(".zip"))

@@ -97,11 +97,11 @@ for seed, start in enumerate(starts):
     for _ in range(round(options.check_seconds * 50)):
         episode.run(0.02)
         poses.append(episode.pose)
-    times, way, metrics = np.arange(len(poses)) * 0.02, np.array(poses), episode.metrics()
-    turned = np.abs(np.diff(np.unwrap(way[:, 2]))).sum()
+    times, trajectory, metrics = np.arange(len(poses)) * 0.02, np.array(poses), episode.metrics()
+    turned = np.abs(np.diff(np.unwrap(trajectory[:, 2]))).sum()
     # Laps around the middle of the maze, which is wall.
-    around = np.unwrap(np.arctan2(way[:, 1] - 0.25, way[:, 0] - 0.4))
-    hits = run_statistics.collisions(times, way, maze, BODY_RADIUS)
+    around = np.unwrap(np.arctan2(trajectory[:, 1] - 0.25, trajectory[:, 0] - 0.4))
+    hits = run_statistics.collisions(times, trajectory, maze, BODY_RADIUS)
     print(
         f"{start[0]:3g},{start[1]:3g},{start[2]:4g}"
         f"{metrics['obstacle_avoidance']:12.3f}"
@@ -110,7 +110,7 @@ for seed, start in enumerate(starts):
         f"{(around[-1] - around[0]) / (2 * np.pi):7.1f}"
         f"{len(hits.times_s):12}{hits.total_s:8.2f} s"
     )
-    tracks.append(DrawnPath("khepera0", times, 1000 * way[:, :2]))
+    tracks.append(DrawnPath("khepera0", times, 1000 * trajectory[:, :2]))
 
 if options.picture:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -122,9 +122,9 @@ if options.picture:
     looks = (("best", "#2f7d5b"), ("mean", "#2b2f36"), ("worst", "#a9adb5"))
     for (name, colour), values in zip(looks, np.array(curve).T, strict=True):
         axes.plot(values, label=name, color=colour, lw=1.4)
-    axes.set(xlabel="generation", ylabel="fitness: V (1 - √ΔV) (1 - i), by way forwards")
+    axes.set(xlabel="generation", ylabel="fitness: V (1 - √ΔV) (1 - i), times distance forwards")
     axes.set_ylim(bottom=0)
     axes.legend(loc="upper left", frameon=False)
     save(figure, options.picture)
-    way_file = options.picture.with_name(f"{options.picture.stem}_way.png")
-    save(draw(maze, tracks[:1], title=f"{options.check_seconds:g} s of the evolved network"), way_file)
+    path_file = options.picture.with_name(f"{options.picture.stem}_way.png")
+    save(draw(maze, tracks[:1], title=f"{options.check_seconds:g} s of the evolved network"), path_file)

@@ -20,8 +20,8 @@
     ├── MissingExtraError a part of khep_twin whose package is not installed
     └── DivergedError     a simulation that left the bounds of physics
 
-Each message gives the place, the value found there and the expected one; where they are known, programs find
-them as `file`, `line`, `key`, `value` and `expected`, and all problems of a file as `problems`. Mistakes of
+Each message gives the location, the value found there and the expected one; programs find what is known as
+`file`, `line`, `key`, `value` and `expected`, and all problems of a file as `problems`. Mistakes of
 the calling program (a wrong type, a negative time) stay `TypeError` and `ValueError`.
 """
 
@@ -47,7 +47,7 @@ class Problem:
 
     Attributes:
         location: Tables and key that it is about; empty for a whole file.
-        text: Place, value and expectation.
+        text: Location, value and expectation.
         value: Value found; None without one.
         expected: Expected value; empty if the text alone has it.
         file: File, as the user named it; None if it is about no file.
@@ -76,7 +76,7 @@ class Problem:
         return last if isinstance(last, str) else None
 
     def __str__(self) -> str:
-        """Return the text after the place in the style of compilers: "arena.toml:12: "."""
+        """Return the text after the location in the style of compilers: "arena.toml:12: "."""
         if self.file is None:
             return self.text
         return f"{self.file}{'' if self.line is None else f':{self.line}'}: {self.text}"

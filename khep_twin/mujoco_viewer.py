@@ -37,7 +37,7 @@ _WITHOUT = "without one, give --log FILE.mcap and look at it with khep-twin view
 
 
 class MujocoViewer:
-    """Window on a world; a `Tap` of it, and of the worlds that follow in a series.
+    """Window on a world; an `Observer` of it, and of the worlds that follow in a series.
 
     Args:
         real_time: True to slow down a world that runs ahead of the wall clock.

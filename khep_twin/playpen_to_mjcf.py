@@ -140,7 +140,7 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A diverged simulation must stop the run, not restart silently.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    # With it, contacts are wrong by up to 7.6 mm in 17 to 29 of 100 places around a box's edges (measured,
+    # With it, contacts are wrong by up to 7.6 mm in 17 to 29 of 100 positions around a box's edges (measured,
     # MuJoCo 3.17.0): a robot sinks into the edge and is flung out of it.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     if movable:

@@ -25,7 +25,7 @@ from khep_twin.robot import Robot
 from khep_twin.sensing.lamps import Lamps
 
 SAMPLE_NS = units.SCAN_NS
-"""Sampling period of the taps [ns]."""
+"""Sampling period of the observers [ns]."""
 
 _STEPS_PER_TICK = n_steps(units.TICK_NS, units.STEP_NS)
 _STEPS_PER_SAMPLE = n_steps(SAMPLE_NS, units.STEP_NS)
@@ -137,7 +137,7 @@ class World:
             3. lamps blink, fade and switch; one sensor of each robot is converted, as of the pose at the
                step's start
             4. after every fourth step the control tick: encoders, speed, controllers, duty, voltage
-            5. after every eighth the supply is measured and the taps sample the world
+            5. after every eighth the supply is measured and the observers sample the world
 
         Raises:
             ValueError: `time_ns` is in the past.
@@ -175,20 +175,20 @@ class World:
             robot.relight(self.lamps, playpen.lighting)
 
     def log_event(self, robot: int | None, text: str) -> None:
-        """Send an event to the taps."""
+        """Send an event to the observers."""
         if self.time_ns == 0 and not self.observers:
-            # No tap could be added yet.
+            # No observer could be added yet.
             self._untold.append((robot, text))
         for observer in self.observers:
             observer.on_event(self.time_ns, robot, text)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Send bytes that crossed a robot's line to the taps."""
+        """Send bytes that crossed a robot's line to the observers."""
         for observer in self.observers:
             observer.on_bytes(time_ns, robot, to_robot, data)
 
     def on_host_event(self, robot: int, event: HostEvent) -> None:
-        """Send a host's action to the taps."""
+        """Send a host's action to the observers."""
         for observer in self.observers:
             observer.on_host_event(self.time_ns, robot, event)
 
@@ -235,7 +235,7 @@ class World:
 
     def _show(self) -> None:
         if self.observers:
-            # A step leaves the bodies' positions as of its start; the taps sample them as of its end.
+            # A step leaves the bodies' positions as of its start; the observers sample them as of its end.
             mujoco.mj_kinematics(self.model, self.data)
             for observer in self.observers:
                 observer.sample(self)

@@ -109,7 +109,7 @@ def test_the_results_that_are_kept_can_be_read() -> None:
         assert text(found.tables)
 
 
-def test_what_is_no_record_is_told_in_a_line(tmp_path: Path) -> None:
+def test_what_is_no_record_is_an_error_of_one_line(tmp_path: Path) -> None:
     for text_of_it in ("date = ", 'date = "today"', "\n".join(["[[table]]", 'title = "a"', "load = []"])):
         (tmp_path / "other.toml").write_text(text_of_it)
         with pytest.raises(KhepTwinError, match="expected a file of --save"):
@@ -124,7 +124,7 @@ def test_fields_grow_around_the_same_blocks() -> None:
     assert large.blocks[:20] == small.blocks
     assert len(growth.field(20, 8).robots) == 8
     with pytest.raises(ValueError, match="expected 4 in all"):
-        growth.field(4, 1, places=2)
+        growth.field(4, 1, cells=2)
 
 
 @pytest.mark.parametrize("n_rays", [1, 27])
@@ -187,7 +187,7 @@ def test_kheperax_gets_the_sides_of_all_that_stands_around() -> None:
     assert [math.dist(corner, (place.x_mm, place.y_mm)) for corner in sides] == pytest.approx([radius] * 12)
 
 
-def test_a_python_without_kheperax_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_python_without_kheperax_is_an_error_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(peers.VARIABLE, raising=False)
     if importlib.util.find_spec("kheperax"):
         pytest.skip("Kheperax is installed here")

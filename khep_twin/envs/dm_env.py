@@ -6,10 +6,10 @@
         step = environment.step([10.0, 8.0])
         print(step.observation["proximity"], step.reward, environment.physics.pose())
 
-Observations are the task's senses by name, each 0 to 1 or -1 to 1 (`tasks.TERMS` has order and units). An
+Observations are the task's terms by name, each 0 to 1 or -1 to 1 (`tasks.TERMS` has order and units). An
 action is the speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to integers. One
-step is one control period, 50 ms by default. A trial ends with discount 1 at its time limit, with 0 when the
-charge has run out.
+step is one control period, 50 ms by default. An episode ends with discount 1 at its time limit, with 0 when
+the charge has run out.
 """
 
 # dm_control and dm_env are not typed.
@@ -38,12 +38,12 @@ from dm_env import specs  # noqa: E402
 
 
 class Physics(mujoco.Physics):
-    """A trial's scene in dm_control, `named.data.xpos["khepera0/base"]`, with accessors for the robot.
+    """An episode's scene in dm_control, `named.data.xpos["khepera0/base"]`, with accessors for the robot.
 
     Time advances by whole control periods: sensors and control loops are part of the step.
 
     Args:
-        episode: Trial to simulate.
+        episode: Episode to simulate.
     """
 
     def __init__(self, episode: TaskEpisode) -> None:
@@ -70,29 +70,29 @@ class Physics(mujoco.Physics):
         return np.array(self._episode.poses[0])
 
     def time(self) -> float:
-        """Return the trial's simulated time [s]."""
+        """Return the episode's simulated time [s]."""
         return self._episode.time_s
 
     @property
     def episode(self) -> TaskEpisode:
-        """Trial that is simulated."""
+        """Episode that is simulated."""
         return self._episode
 
     @property
     def outcome(self) -> StepResult | None:
-        """Outcome of the last period; None at a trial's start."""
+        """Result of the last period; None at an episode's start."""
         return self._outcome
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """Observation, all senses concatenated (n,)."""
+        """Observation, all terms concatenated (n,)."""
         return self._observation
 
     def begin(self, seed: int) -> None:
-        """Start a trial."""
+        """Start an episode."""
         self._observation, self._outcome = self._episode.begin(seed)[0], None
         if self._episode.data is not self._scene:
-            # Each trial of a world creates a new one, so the view is reloaded.
+            # Each episode of a world creates a new one, so the view is reloaded.
             self._reload_from_data(wrapper.MjData(self._episode.data))
 
     def set_control(self, control: object) -> None:
@@ -113,15 +113,15 @@ class Physics(mujoco.Physics):
         """Do nothing: an episode starts by `begin`, with its seed."""
 
     def after_reset(self) -> None:
-        """Do nothing: a trial that has begun must not change."""
+        """Do nothing: an episode that has begun must not change."""
 
     def copy(self, share_model: bool = False) -> "Physics":
-        """Raise a `TypeError`, as a trial cannot be copied.
+        """Raise a `TypeError`, as an episode cannot be copied.
 
         Raises:
-            TypeError: Always; a trial is repeated by its seed and actions.
+            TypeError: Always; an episode is repeated by its seed and actions.
         """
-        raise TypeError("a trial cannot be copied; expected another environment with the same seed")
+        raise TypeError("an episode cannot be copied; expected another environment with the same seed")
 
     @property
     def _scene(self) -> object:
@@ -133,7 +133,7 @@ class TrialTask(control.Task):
 
     Args:
         task: Task.
-        seed: Seed of the sequence of trials.
+        seed: Seed of the sequence of episodes.
     """
 
     def __init__(self, task: Task, seed: int) -> None:
@@ -142,7 +142,7 @@ class TrialTask(control.Task):
         self.seed = 0
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Start a trial with the next seed."""
+        """Start an episode with the next seed."""
         self.seed = int(self._rng.integers(2**31))
         physics.begin(self.seed)
 
@@ -158,7 +158,7 @@ class TrialTask(control.Task):
         """Do nothing."""
 
     def get_observation(self, physics: Physics) -> "OrderedDict[str, NDArray[np.float32]]":
-        """Return each sense by name."""
+        """Return each observation term by name."""
         found: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
         first = 0
         for name in self._task.observation_terms:
@@ -168,7 +168,7 @@ class TrialTask(control.Task):
         return found
 
     def observation_spec(self, physics: Physics) -> "OrderedDict[str, specs.BoundedArray]":
-        """Return the bounds of each sense."""
+        """Return the bounds of each observation term."""
         return OrderedDict(
             (name, specs.BoundedArray((len(term.names),), np.float32, term.low, term.high, name=name))
             for name, term in ((name, TERMS[name]) for name in self._task.observation_terms)
@@ -190,8 +190,8 @@ def load(task: Task | str, *, seed: int = 0, **options: Any) -> dm_env.Environme
 
     Args:
         task: Task, or its name.
-        seed: Seed of its trials; the same seed and actions give the same steps.
-        options: Options of `TaskSetup`: playpen, noise, spread, period_ns, seconds, compiled.
+        seed: Seed of its episodes; the same seed and actions give the same steps.
+        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, compiled.
     """
     setup = TaskSetup(task, **options)
     return control.Environment(Physics(TaskEpisode(setup)), TrialTask(setup.task, seed))

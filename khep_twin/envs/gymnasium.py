@@ -9,7 +9,7 @@
 
     many = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
 
-Observation: the task's senses, each 0 to 1 or -1 to 1 (`tasks.TERMS` has order and units).
+Observation: the task's terms, each 0 to 1 or -1 to 1 (`tasks.TERMS` has order and units).
 Action: speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to integers.
 """
 
@@ -54,17 +54,17 @@ def spaces(task: Task) -> tuple[Space[Any], Space[Any]]:
 class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
     """A task for one robot.
 
-    A trial is truncated at its time limit, and terminates when the robot's charge has run out.
+    An episode is truncated at its time limit, and terminates when the robot's charge has run out.
 
     `info` has ground truth, unknown to the robot: "x" and "y" [m], "heading" [rad], "time" [s], and "seed",
-    which repeats the trial: `reset(options={"seed": ...})`.
+    which repeats the episode: `reset(options={"seed": ...})`.
 
     Args:
         task: Task, or its name.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto" (`view.Painter`).
-        setup: Prepared course, in place of the task and options.
-        options: Options of `TaskSetup`: playpen, noise, spread, period_ns, seconds, compiled.
+        setup: Prepared task, instead of the task and options.
+        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, compiled.
 
     Attributes:
         labels: Labels of the observation's numbers.
@@ -93,7 +93,7 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.observation_space, self.action_space = spaces(self._setup.task)
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Observation, Info]:
-        """Start a trial; a seed makes it and all later trials reproducible."""
+        """Start an episode; a seed makes it and all later episodes reproducible."""
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
         self._seed = int((options or {}).get("seed", drawn))
@@ -123,7 +123,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
     """Many robots, each in a playpen of its own, stepped by threads.
 
     Each gives the same results as a single environment, for any number of threads: robot i starts with the
-    seed + i. After the end of a trial the next step starts another, ignores the action, and has reward 0.
+    seed + i. After the end of an episode the next step starts another, ignores the action, and has reward 0.
 
     Args:
         num_envs: Number of environments.
@@ -165,7 +165,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Info | None = None
     ) -> tuple[Observation, Info]:
-        """Start a trial in each environment."""
+        """Start an episode in each environment."""
         if seed is None or isinstance(seed, int):
             seeds = [None if seed is None else seed + index for index in range(self.num_envs)]
         else:

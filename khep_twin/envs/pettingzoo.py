@@ -41,7 +41,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         robots: Number of robots; a playpen with spots has room for as many as it has spots.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto".
-        options: Options of `TaskSetup`: playpen, noise, spread, period_ns, seconds.
+        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
     def reset(
         self, seed: int | None = None, options: Info | None = None
     ) -> tuple[dict[str, Observation], dict[str, Info]]:
-        """Start a trial; a seed makes it and all later trials reproducible."""
+        """Start an episode; a seed makes it and all later episodes reproducible."""
         if seed is not None:
             self._rng = seeding.np_random(seed)[0]
         drawn = int(self._rng.integers(2**31))

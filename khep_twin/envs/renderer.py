@@ -1,4 +1,4 @@
-"""Pictures of a trial as arrays: the scene rendered by MuJoCo, or, without GL, a map.
+"""Pictures of an episode as arrays: the scene rendered by MuJoCo, or, without GL, a map.
 
 MuJoCo renders without a screen by EGL or OSMesa if `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` is set before mujoco
 is imported.

@@ -1,15 +1,15 @@
-"""Trials of a task: `begin` with a seed, then `step` by step, with observations and rewards.
+"""Episodes of a task: `begin` with a seed, then `step` by step, with observations and rewards.
 
-    trial = TaskEpisode(TaskSetup("ObstacleAvoidance"))
+    episode = TaskEpisode(TaskSetup("ObstacleAvoidance"))
     episode.begin(seed=1)
-    while not trial.over:
-        outcome, = episode.step([(10, 10)])
-        print(outcome.observation, outcome.reward)
+    while not episode.over:
+        result, = episode.step([(10, 10)])
+        print(result.observation, result.reward)
 
-The dm_env, Gymnasium and PettingZoo environments are built on trials. A step is one control period, 50 ms by
-default (the cycle of the Khepera Toolbox's controllers): the speeds are set as by a command D without delay,
-physics, sensors and control loops run at their own rates, and the robots are observed again. A trial depends
-on its seed and its actions alone, not on earlier trials.
+The dm_env, Gymnasium and PettingZoo environments are built on these episodes. A step is one control period,
+50 ms by default (the cycle of the Khepera Toolbox's controllers): the speeds are set as by a command D
+without delay, physics, sensors and control loops run at their own rates, and the robots are observed again.
+An episode depends on its seed and its actions alone, not on earlier episodes.
 """
 
 import math
@@ -75,16 +75,16 @@ class StepResult:
 
 
 class TaskSetup:
-    """A prepared task; any number of trials, in any threads, may share it.
+    """A prepared task; any number of episodes, in any threads, may share it.
 
     Args:
         task: Task, or its name.
-        playpen: Playpen in place of the task's, as a name, path or object.
+        playpen: Playpen instead of the task's, as a name, path or object.
         robots: Number of robots.
         noise: Whether sensors are noisy.
-        vary: Whether each trial has the sensors of another robot of the same make, by its seed.
+        vary: Whether each episode has the sensors of another robot of the same make, by its seed.
         period_ns: Control period [ns], whole ticks of 10 ms.
-        seconds: Time limit of a trial [s]; by default the task's.
+        seconds: Time limit of an episode [s]; by default the task's.
         compiled: Whether to run compiled; None if numba is installed. Several robots never are.
 
     Raises:
@@ -129,13 +129,13 @@ class TaskSetup:
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
 
     def backend(self) -> Backend:
-        """Return a new simulation for a trial."""
+        """Return a new simulation for an episode."""
         if self._setup is None:
             return WorldBackend(self.period_ns)
         return EpisodeBackend(self._setup, self._compiled)
 
     def started(self, seed: int) -> Playpen:
-        """Return the playpen at the start of a trial.
+        """Return the playpen at the start of an episode.
 
         Raises:
             PlaypenError: There is no room for the robots.
@@ -144,7 +144,7 @@ class TaskSetup:
 
 
 class TaskEpisode:
-    """One trial at a time; `begin` starts a new one.
+    """One episode at a time; `begin` starts a new one.
 
     Args:
         setup: Prepared task.
@@ -159,7 +159,7 @@ class TaskEpisode:
         self._steps = setup.n_steps
 
     def begin(self, seed: int) -> list[Observation]:
-        """Start a trial; return each robot's observation.
+        """Start an episode; return each robot's observation.
 
         Raises:
             PlaypenError: There is no room for the robots.
@@ -180,10 +180,10 @@ class TaskEpisode:
 
         Raises:
             DivergedError: A speed is no number, or the physics left its bounds.
-            ValueError: The trial is over, or the number of speeds is not that of the robots.
+            ValueError: The episode is over, or the number of speeds is not that of the robots.
         """
         if self.over:
-            raise ValueError("the trial is over; begin another one")
+            raise ValueError("the episode is over; expected begin() first")
         if len(speeds) != self._n_robots:
             raise ValueError(f"{len(speeds)} pairs of speeds; expected {self._n_robots}, one for each robot")
         for robot, (left, right) in enumerate(speeds):
@@ -194,7 +194,7 @@ class TaskEpisode:
 
     @property
     def over(self) -> bool:
-        """True if the time is over, or no trial has begun."""
+        """True if the time is over, or no episode has begun."""
         return self._steps >= self.setup.n_steps
 
     @property

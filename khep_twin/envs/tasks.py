@@ -1,9 +1,9 @@
 """Tasks for learning: playpen, observation and reward.
 
-    ObstacleAvoidance   forwards, fast, straight and clear of things, among obstacles
+    ObstacleAvoidance   forwards, fast and straight, away from obstacles
     LoopingMaze         the same along a looping corridor (Floreano and Mondada 1994)
     LightSeeking        into the light of a lamp behind a screen (ours)
-    Homing              fast and clear of things, and back to the charger in time (Floreano and Mondada 1996)
+    Homing              fast, away from obstacles, and to the charger in time (Floreano and Mondada 1996)
     WallOrCylinder      find the cylinder and stay beside it, and not beside a wall (Nolfi 1996)
 
 A reward is that of one control period, 0 to 1; published rewards are those of `khep_twin.rollout.fitness`,
@@ -65,7 +65,7 @@ class ObservationTerm:
     """A part of an observation, numbers within bounds.
 
     Attributes:
-        read: Function that returns the numbers of a moment (n,).
+        read: Function that returns the numbers of a state (n,).
         names: Names of the numbers (n,).
         low: Lower bound.
         high: Upper bound.
@@ -107,7 +107,7 @@ TERMS = {
     "speed": ObservationTerm(_speed, ("left", "right"), -1.0, 1.0, "20 pulses/10 ms, 160 mm/s, counted, cut"),
     "charge": ObservationTerm(_charge, ("charge",), 0.0, 1.0, "a full charge"),
 }
-"""All senses that a task may choose from."""
+"""All observation terms."""
 
 TOP_SPEED = float(fitness.TOP_SPEED_PULSES)
 """Top speed of a wheel in an action, forwards and backwards [pulses/10 ms]: 160 mm/s."""
@@ -120,13 +120,13 @@ class Task:
     Attributes:
         name: Name of the task, in one word.
         playpen: Name or path of the playpen.
-        observation_terms: Senses in the observation, of `TERMS`.
+        observation_terms: Parts of the observation, of `TERMS`.
         reward: Reward of a control period, 0 to 1.
-        seconds: Time limit of a trial [s].
+        seconds: Time limit of an episode [s].
         starts: "anywhere" there is room, or as in the "playpen": the robot's own pose or one of its spots.
         goal: Name of the playpen's patch or cylinder that is the robot's goal; none if empty.
         reach_mm: Largest distance of the robot's centre from the goal's centre at the goal [mm].
-        charge_s: Duration of a charge, full again at the goal; a trial ends when it is empty [s]. 0 for no
+        charge_s: Duration of a charge, full again at the goal; an episode ends when it is empty [s]. 0 for no
             limit.
     """
 
@@ -141,10 +141,10 @@ class Task:
     charge_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the senses.
+        """Check the observation terms.
 
         Raises:
-            KhepTwinError: A sense is unknown, or there is none.
+            KhepTwinError: A term is unknown, or there is none.
         """
         for term in self.observation_terms:
             if term not in TERMS:
@@ -178,7 +178,7 @@ class Task:
 def avoiding(state: State) -> float:
     """Return V (1 - sqrt(dV)) (1 - i) forwards, 0 backwards.
 
-    Floreano and Mondada's V has no sign, so that learners find driving to and fro, which avoids things, too.
+    Floreano and Mondada's V has no sign, so learners find driving to and fro, which also avoids obstacles.
     """
     return avoiding_either_way(state) if state.left + state.right > 0 else 0.0
 

@@ -1,4 +1,4 @@
-"""Simulations behind trials: episodes without a serial line where possible, else a world.
+"""Simulations behind episodes: episodes without a serial line where possible, else a world.
 
 Both advance by control periods, and take speeds as by a command D without delay. The first is compiled, for
 one robot; the second supports any number, turrets, and lamps that take turns.
@@ -24,7 +24,7 @@ Pose = tuple[float, float, float]
 
 
 class Backend(Protocol):
-    """Simulation of the robots of a trial."""
+    """Simulation of the robots of an episode."""
 
     @property
     def data(self) -> mujoco.MjData:
@@ -42,7 +42,7 @@ class Backend(Protocol):
         ...
 
     def begin(self, seed: int, playpen: Playpen, noise: bool, vary: bool) -> None:
-        """Start a trial, with the robots where the playpen has them."""
+        """Start an episode, with the robots where the playpen has them."""
         ...
 
     def drive(self, robot: int, left: float, right: float) -> None:
@@ -58,7 +58,7 @@ class EpisodeBackend:
     """Episodes of one robot, one after another.
 
     Args:
-        setup: Prepared ground, which others may share.
+        setup: Setup of the episodes, which others may share.
         compiled: Whether to run compiled; None if numba is installed.
     """
 
@@ -97,7 +97,7 @@ class EpisodeBackend:
 
 
 class WorldBackend:
-    """Any number of robots in a world; each trial creates a new one.
+    """Any number of robots in a world; each episode creates a new one.
 
     Args:
         period_ns: Control period [ns], whole ticks of 10 ms.
@@ -113,7 +113,7 @@ class WorldBackend:
         """Current world.
 
         Raises:
-            ValueError: No trial has begun.
+            ValueError: No episode has begun.
         """
         if self._world is None:
             raise ValueError("there is no world yet; expected begin() first")

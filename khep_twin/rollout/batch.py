@@ -92,7 +92,7 @@ def rollout(
     """Run a batch of episodes.
 
     Args:
-        playpen: Playpen with one robot, or a prepared ground, which sets step, period and planar itself.
+        playpen: Playpen with one robot, or an `EpisodeSetup`, which has its own step, period and plane.
         driver: Controller of all episodes.
         seeds: Seeds of the episodes (n,).
         seconds: Duration of each episode [s], whole control periods.
@@ -101,7 +101,7 @@ def rollout(
         lamps: Lamps of each episode; by default the playpen's.
         noise: Whether sensors are noisy.
         vary: Whether each episode has the sensors of another robot, by its seed.
-        home: Home x, y, radius [mm] and duration of a charge [s], for the number "homing".
+        home: Home x, y, radius [mm] and duration of a charge [s], for the metric "homing".
         step_ns: Physics step [ns]: 2.5 ms as on the robot, or 5 or 10 ms; by default 2.5 ms, and 10 ms in a
             plane.
         period_ns: Control period [ns].
@@ -137,7 +137,7 @@ def rollout(
 def _setup(
     playpen: Playpen | EpisodeSetup, step_ns: int | None, period_ns: int, planar: bool
 ) -> EpisodeSetup:
-    """Return the ground of a batch, as it is if it is prepared already."""
+    """Return the setup of a batch, unchanged if one is given."""
     if isinstance(playpen, Playpen):
         return EpisodeSetup(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar)
     if not isinstance(playpen, EpisodeSetup):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -149,7 +149,7 @@ def _setup(
     )
     if given:
         raise ValueError(
-            "step_ns, period_ns or planar given with a prepared ground, which has its own; expected them as "
+            "step_ns, period_ns or planar given with an EpisodeSetup, which has its own; expected them as "
             "arguments of EpisodeSetup"
         )
     return playpen

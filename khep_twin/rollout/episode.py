@@ -108,7 +108,7 @@ class EpisodeLamps:
         """Return the powers after each of some steps, or one row if they are constant (n, n_lamps) [W]."""
         if self._lamps.steady:
             return [self._first]
-        # Environments in threads share the ground, and so its light.
+        # Environments in threads share the setup, and so its light.
         with self._turn:
             while len(self._rows) < first + count:
                 self._lamps.update((len(self._rows) + 1) * self._step_ns, ())
@@ -195,7 +195,7 @@ class EpisodeSetup:
         return duration_ns // self.period_ns
 
     def lit(self, lamps: Sequence[Lamp]) -> EpisodeLamps:
-        """Return the light of other lamps on this ground."""
+        """Return the light of other lamps in this playpen."""
         lamp_playpen = self.playpen.model_copy(update={"lamps": tuple(lamps)})
         return EpisodeLamps(lamp_playpen, self.model, self.indices, self.step_ns)
 
@@ -316,7 +316,7 @@ class Episode:
         """State of MuJoCo's scene, if there is one."""
         if isinstance(self._backend, PlanarBackend):
             raise ValueError(
-                "an episode in a plane has no MuJoCo scene; expected one on ground that is not planar"
+                "an episode in a plane has no MuJoCo scene; expected an EpisodeSetup that is not planar"
             )
         return self._backend.data
 

@@ -16,7 +16,7 @@ from khep_twin.sensing.buffers import Vector, view
 from khep_twin.sensing.robot_indices import RobotIndices
 
 Live = tuple[Vector[float], Vector[float], Vector[float], Vector[float], Vector[float], Vector[int]]
-"""Live qpos, qvel, ctrl, force, places and warnings, as in `stepping.Body`."""
+"""Live qpos, qvel, ctrl, force, positions and warnings, as in `stepping.RobotState`."""
 
 
 class MujocoBackend:

@@ -67,7 +67,7 @@ def screen(
         options: `noise`, `vary`, `home`, `period_ns`, `threads` and `compiled`, as for `batch.rollout`.
 
     Raises:
-        ValueError: The number is unknown, its home is missing, there is no seed or no elite, or starts or
+        ValueError: The metric is unknown, its home is missing, there is no seed or no elite, or starts or
             genes do not fit.
     """
     if number not in METRICS:

@@ -122,7 +122,7 @@ class ControllerState(NamedTuple):
     """Controller of a robot, and its sums of fitness.
 
     Attributes:
-        kind: HOLD, WANDER, NETWORK or FUNCTION.
+        kind: CONSTANT_SPEED, BRAITENBERG, NETWORK or FUNCTION.
         function: Address of a compiled function, or the function itself where nothing is compiled.
         sizes: Sizes of the network: inputs, layers, outputs.
         recurrent: Whether the network has feedback.

@@ -86,7 +86,7 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
 def measured(measure: Program, results: RolloutResult) -> Floats:
     """Return the values of a user's function for each episode (n,); NaN for those that failed.
 
-    The arguments are an episode's numbers by name, its board's registers (N_REGISTERS,) and its final pose
+    The arguments are an episode's metrics by name, its board's registers (N_REGISTERS,) and its final pose
     x, y [m] and heading [rad], in plain Python.
 
     Raises:

@@ -1,8 +1,8 @@
 """A study as work: all its episodes in one order, divided into independent tasks.
 
-Episodes are numbered from 0 by playpen, controller, noise, spread, lighting, genome, start and seed; the last
-varies fastest. A task is a range of these numbers with one playpen, controller, noise, spread and lighting.
-Its results depend on the study alone.
+Episodes are numbered from 0 by playpen, controller, noise, vary, lighting, genome, start and seed; the last
+varies fastest. A task is a range of these numbers with one playpen, controller, noise, vary and lighting. Its
+results depend on the study alone.
 """
 
 import hashlib

@@ -52,7 +52,7 @@ Texts = Annotated[tuple[str, ...], Field(min_length=1, description="a list of te
 
 
 class NetworkTable(TomlTable):
-    """A `[[network]]`: its shape, as in `minds.Network`, and the source of its genomes."""
+    """A `[[network]]`: its shape, as in `controllers.Network`, and the source of its genomes."""
 
     name: Name
     hidden: Annotated[
@@ -73,7 +73,7 @@ class NetworkTable(TomlTable):
 
 
 class ProgramTable(TomlTable):
-    """A `[[program]]`: a user's function, as in `minds.Function`."""
+    """A `[[program]]`: a user's function, as in `controllers.Function`."""
 
     name: Name
     file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
@@ -82,7 +82,7 @@ class ProgramTable(TomlTable):
 
 
 class MeasureTable(TomlTable):
-    """A `[[measure]]`: a user's fitness, a function of an episode's end (`task_lives.measured`)."""
+    """A `[[measure]]`: a user's fitness, a function of an episode's end (`run_shard.measured`)."""
 
     name: Name
     file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]

@@ -12,8 +12,8 @@
         sms(port_id, 0, 0)
 
 The function is called once for each run, with `runs` = 1 and `pause_stat` = 0, so that a run is measured,
-kept and followed by a pause as any other controller's. What has to last from run to run is global, as in the
-toolbox.
+kept and followed by a pause as any other controller's. Variables that persist between runs are global,
+as in the toolbox.
 """
 
 import sys

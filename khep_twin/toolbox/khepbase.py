@@ -51,7 +51,7 @@ def khepbase(
         prox_data: Proximity (8,), 0 to 1023; without any data the view is opened.
         light_data: Ambient light (8,), 0 to 500.
         motor_speed: Speeds of the left and the right wheel (2,) [pulses/10 ms], -20 to 20.
-        picture: PNG to write in place of a window, when it is opened; without, "khepbase.png" where there
+        picture: PNG to write instead of a window, when it is opened; without, "khepbase.png" where there
             is no screen.
 
     Returns:

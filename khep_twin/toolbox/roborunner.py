@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 UserFunction = str | Callable[..., object]
-"""Function that is called after each run, or its place, FILE.py:NAME."""
+"""Function that is called after each run, or its location, FILE.py:NAME."""
 
 
 def roborun2(
@@ -49,7 +49,7 @@ def roborun2(
     """Run a control algorithm again and again; without one, open the page that has RoboRunner's controls.
 
     Args:
-        ctrl_name: Function of `port_id, cycles_per_run, runs, pause_stat`, a controller, or the place of
+        ctrl_name: Function of `port_id, cycles_per_run, runs, pause_stat`, a controller, or the location of
             either, FILE.py:NAME.
         port_id: Port of the robot; without it, the robot of the playpen that is open.
         cycles_per_run: Cycles of each run; the toolbox has 500 to 10000.
@@ -93,7 +93,7 @@ def roborun2(
 
 
 def getstat(*, runs: Sequence[SeriesRun] | str | Path | None = None) -> dict[str, Summary]:
-    """Return the statistics of runs: mean, spread and confidence of each metric, by its name.
+    """Return the statistics of runs: mean, standard deviation and confidence of each metric, by its name.
 
     Args:
         runs: Runs of `roborun2`, or the folder that keeps them; without, those of the latest `roborun2`.

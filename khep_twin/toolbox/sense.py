@@ -54,7 +54,7 @@ def tstsense(
         port_id: Port of the robot.
         what: Kind of sensors, "proximity" or "light".
         linear_cm: Distance straight on, 5 to 60, or backwards below 0 [cm].
-        rotate_deg: Angle to turn on the spot in its place, 15 to 360, clockwise below 0 [degrees].
+        rotate_deg: Angle to turn on the spot instead, 15 to 360, clockwise below 0 [degrees].
         max_speed: Speed of both wheels [pulses/10 ms].
         max_acc: Acceleration of both wheels [3.125 mm/s^2].
         return_to_zero: Wait 5 s at the end and drive back.
@@ -66,7 +66,7 @@ def tstsense(
         was to go [pulses].
 
     Raises:
-        SensorTestError: That is no test, or a wheel is blocked.
+        SensorTestError: The arguments are invalid, or a wheel is blocked.
         KhepTwinError: The file cannot be written.
     """
     test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
@@ -89,7 +89,7 @@ def simsense(
 
     Raises:
         PlaypenError: No playpen is open.
-        SensorTestError: That is no test, or a wheel is blocked.
+        SensorTestError: The arguments are invalid, or a wheel is blocked.
         KhepTwinError: The file cannot be written.
     """
     test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
@@ -134,7 +134,7 @@ def _driven(
 
 
 def _keep(run: SensorRun, save: str | Path | None) -> None:
-    """Keep the readings of a test, in a file where one is wanted."""
+    """Keep the readings of a test, in a file if one is given."""
     _latest[:] = [run]
     if save is not None and len(run.dv):
         sensor_files.save(Path(save), run)

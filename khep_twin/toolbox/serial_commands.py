@@ -7,7 +7,7 @@
     sms(2, motors[0], motors[1])
 
 `port_id` is 1 to 4, as in the toolbox; `ports` or the environment sets which port that is. The port's own URL
-or a `Khepera` will do in its place. A row of Matlab's, 1x2, 1x6 or 1x8, is an array of one dimension here, so
+or a `Khepera` may be given instead. A row of Matlab's, 1x2, 1x6 or 1x8, is an array of one dimension here, so
 that `motors(1)` is `motors[0]`; scipy's `savemat` makes a row of it again. A number that is no integer is
 rounded, halves away from zero, as Matlab does.
 
@@ -56,7 +56,7 @@ Row = NDArray[np.int64]
 
 
 def ports(choice: Mapping[int, str | Khepera]) -> None:
-    """Set the ports 1 to 4, in place of those set before, and close the previous ports.
+    """Set the ports 1 to 4, instead of those set before, and close the previous ports.
 
     Args:
         choice: URLs such as "/dev/ttyUSB0" or "khep://default?seed=1", by number; a robot that is open
@@ -191,7 +191,7 @@ def rmc(port_id: Port) -> Row:
     return _row(tuple(values))
 
 
-# Senses and lights ---------------------------------------------------------------------------------------
+# Sensors and lights ---------------------------------------------------------------------------------------
 
 
 def rad(port_id: Port, channel_number: SupportsFloat) -> int:

@@ -243,7 +243,7 @@ def userdata(btmap1: OpenPlaypen, port_id: int = 1) -> NDArray[np.float64]:
     """Return the toolbox's data of the robot's drawing: 31 numbers in its columns' order (31,).
 
     They are true x and y [mm] and rotation from 0 to 360 [degrees], proximity (8), light (8), the speeds that
-    are wanted (2) [pulses/10 ms], [T, M, E] twice, position counters (2) and targets (2) [pulses].
+    are set (2) [pulses/10 ms], [T, M, E] twice, position counters (2) and targets (2) [pulses].
     """
     scene = opened(btmap1)
     robot = scene.twin.robots[scene.index(port_id)]

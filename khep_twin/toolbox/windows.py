@@ -1,6 +1,6 @@
 """Windows for the Khepera Toolbox's pictures, where there is a screen.
 
-They stay open when a program has come to its end, until the user closes them or presses Ctrl-C.
+They stay open when a program has ended, until the user closes them or presses Ctrl-C.
 """
 
 # matplotlib's own annotations leave keyword arguments open.

@@ -57,7 +57,7 @@ def test_dm_env_observations_and_rewards_keep_to_their_specs(task: str) -> None:
     assert step.discount == 1
 
 
-def test_dm_env_is_the_same_again_by_its_seed_and_starts_each_trial_anew() -> None:
+def test_dm_env_is_the_same_again_by_its_seed_and_starts_each_episode_anew() -> None:
     def way(seed: int) -> list[bytes]:
         environment = dm("ObstacleAvoidance", seed=seed)
         return [environment.step(action).observation["proximity"].tobytes() for action in actions(33)]
@@ -110,7 +110,7 @@ def test_another_pair_of_versions_is_refused_at_import(monkeypatch: pytest.Monke
         importlib.import_module("khep_twin.envs.dm_env")
 
 
-def test_without_dm_control_the_import_is_one_line_that_tells_how_to_install_it(
+def test_without_dm_control_the_import_is_one_line_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     installed = version_check.metadata.version
@@ -167,7 +167,7 @@ def test_gymnasium_is_the_same_again_by_its_seed() -> None:
     assert way(1)[:11] != way(1)[11:]
 
 
-def test_a_trial_of_gymnasium_comes_again_by_the_seed_in_its_info() -> None:
+def test_an_episode_of_gymnasium_is_repeated_by_the_seed_in_its_info() -> None:
     environment = gym("LoopingMaze")
     environment.reset(seed=1)
     seen, info = environment.reset()
@@ -183,7 +183,7 @@ def test_many_in_threads_are_the_same_as_one_after_another(threads: int) -> None
     assert many.observation_space == each.observation_space
     assert many.action_space == each.action_space
     pairs = [(many.reset(seed=4), each.reset(seed=4))]
-    pairs += [(many.step(action), each.step(action)) for action in actions(25, 3)]  # two trials and more
+    pairs += [(many.step(action), each.step(action)) for action in actions(25, 3)]  # more than two episodes
     for ours, theirs in pairs:
         for one, other in zip(ours[:-1], theirs[:-1], strict=True):
             assert (one == other).all()
@@ -213,7 +213,7 @@ def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
     assert all((one == other).all() for one, other in zip(alone, together, strict=True))
 
 
-def test_gymnasium_and_dm_env_are_the_same_trial() -> None:
+def test_gymnasium_and_dm_env_are_the_same_episode() -> None:
     environment = dm("Homing", seed=3)
     first = environment.reset()
     seen, _ = gym("Homing").reset(options={"seed": environment.task.seed})
@@ -276,7 +276,7 @@ def test_an_agent_without_an_action_is_named() -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, math.nan, math.inf, 0.06])
-def test_a_trial_lasts_whole_control_periods(seconds: float) -> None:
+def test_an_episode_lasts_whole_control_periods(seconds: float) -> None:
     with pytest.raises(
         ValueError, match=r"seconds = .*; expected one or more whole control periods of 50 ms"
     ):
@@ -284,7 +284,7 @@ def test_a_trial_lasts_whole_control_periods(seconds: float) -> None:
 
 
 @pytest.mark.parametrize("action", [[1.0], [1.0, 2.0, 3.0], 5.0, "ab", None])
-def test_an_action_that_is_not_two_speeds_is_told_in_a_line(action: Any) -> None:
+def test_an_action_that_is_not_two_speeds_is_an_error_of_one_line(action: Any) -> None:
     with pytest.raises(ValueError, match=r"action .*; expected two speeds, left and right, from -20 to 20"):
         clipped(action)
 
@@ -302,14 +302,14 @@ def test_as_many_actions_as_environments_are_wanted() -> None:
 
 
 def test_a_map_shows_where_the_robot_is_and_looking_changes_nothing() -> None:
-    trials = [TaskEpisode(TaskSetup("LoopingMaze", **SHORT)) for _ in range(2)]
-    painter = Renderer(trials[0].setup.playpen, "map")
-    for episode in trials:
+    episodes = [TaskEpisode(TaskSetup("LoopingMaze", **SHORT)) for _ in range(2)]
+    renderer = Renderer(episodes[0].setup.playpen, "map")
+    for episode in episodes:
         episode.begin(1)
     pictures = []
     for _ in range(5):
-        pictures.append(painter.picture(trials[0].data, trials[0].poses))
-        looked, not_looked = (episode.step([(20, 15)])[0].observation for episode in trials)
+        pictures.append(renderer.picture(episodes[0].data, episodes[0].poses))
+        looked, not_looked = (episode.step([(20, 15)])[0].observation for episode in episodes)
         assert (looked == not_looked).all()
     assert all(picture.dtype == np.uint8 and picture.shape == pictures[0].shape for picture in pictures)
     assert (pictures[0] != pictures[-1]).any()
@@ -324,11 +324,11 @@ def test_without_gl_auto_is_a_map_with_a_warning_and_a_scene_is_refused(
     monkeypatch.setattr("mujoco.Renderer", without)
     episode = TaskEpisode(TaskSetup("LoopingMaze", **SHORT))
     episode.begin(0)
-    painter = Renderer(episode.setup.playpen, "auto")
+    renderer = Renderer(episode.setup.playpen, "auto")
     with pytest.warns(MapWarning, match=r"cannot render here \(no library\); expected MUJOCO_GL"):
-        drawn = painter.picture(episode.data, episode.poses)
-    assert painter.view == "map"
-    assert (painter.picture(episode.data, episode.poses) == drawn).all()
+        drawn = renderer.picture(episode.data, episode.poses)
+    assert renderer.view == "map"
+    assert (renderer.picture(episode.data, episode.poses) == drawn).all()
     with pytest.raises(KhepTwinError, match="MuJoCo cannot render here"):
         Renderer(episode.setup.playpen, "scene").picture(episode.data, episode.poses)
     with pytest.raises(KhepTwinError, match="choices: auto, scene, map"):

@@ -1,4 +1,4 @@
-"""Tasks and trials: what robots see and are rewarded for, by seed, in lives and in worlds."""
+"""Tasks and their episodes: observations and rewards by seed, without a serial line and in worlds."""
 
 import dataclasses
 import importlib.util
@@ -21,7 +21,7 @@ SHORT = {"seconds": 0.5, "compiled": False}
 def driven(
     episode: TaskEpisode, seed: int, speeds: tuple[float, float] = (12, 7)
 ) -> list[tuple[bytes, float]]:
-    """A trial from its start to its end: what was seen and gained in each step."""
+    """Return an episode's observations and rewards, from start to end."""
     seen = [(episode.begin(seed)[0].tobytes(), 0.0)]
     while not episode.over:
         (outcome,) = episode.step([speeds])
@@ -46,7 +46,7 @@ def test_what_is_seen_lies_within_its_bounds_and_has_a_label_for_each_number(nam
         assert (row <= high).all()
 
 
-def test_a_trial_depends_on_its_seed_and_actions_and_not_on_what_was_before() -> None:
+def test_an_episode_depends_on_its_seed_and_actions_alone() -> None:
     setup = TaskSetup("Homing", **SHORT)
     episode = TaskEpisode(setup)
     first = driven(episode, 5)
@@ -56,7 +56,7 @@ def test_a_trial_depends_on_its_seed_and_actions_and_not_on_what_was_before() ->
     assert driven(TaskEpisode(setup), 5) == first
 
 
-def test_a_trial_in_a_life_is_the_same_as_in_a_world() -> None:
+def test_an_episode_without_a_line_is_the_same_as_in_a_world() -> None:
     alone = TaskSetup("LoopingMaze", **SHORT)
     world = TaskSetup("LoopingMaze", **SHORT)
     world._setup = None
@@ -64,13 +64,13 @@ def test_a_trial_in_a_life_is_the_same_as_in_a_world() -> None:
 
 
 @pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
-def test_a_compiled_trial_is_the_same_as_a_plain_one() -> None:
+def test_a_compiled_episode_is_the_same_as_a_plain_one() -> None:
     plain = TaskSetup("LightSeeking", seconds=0.5, compiled=False, vary=True)
     compiled = TaskSetup("LightSeeking", seconds=0.5, compiled=True, vary=True)
     assert driven(TaskEpisode(plain), 8) == driven(TaskEpisode(compiled), 8)
 
 
-def test_spread_gives_each_trial_another_robot() -> None:
+def test_vary_gives_each_episode_another_robot() -> None:
     options = {**SHORT, "noise": False}
     same = TaskEpisode(TaskSetup("LightSeeking", **options))
     vary = TaskEpisode(TaskSetup("LightSeeking", vary=True, **options))
@@ -140,7 +140,7 @@ def test_avoiding_is_rewarded_by_what_the_wheels_did() -> None:
     assert avoiding(state(20, 20, 1023)) == 0
 
 
-def test_speeds_that_are_no_numbers_end_the_trial_and_the_next_one_begins() -> None:
+def test_speeds_that_are_no_numbers_end_the_episode_and_the_next_one_begins() -> None:
     episode = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
     before = driven(episode, 1)
     episode.begin(1)
@@ -149,16 +149,16 @@ def test_speeds_that_are_no_numbers_end_the_trial_and_the_next_one_begins() -> N
     assert driven(episode, 1) == before
 
 
-def test_a_trial_that_is_over_or_not_begun_takes_no_step() -> None:
+def test_an_episode_that_is_over_or_not_begun_takes_no_step() -> None:
     episode = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
-    with pytest.raises(ValueError, match="begin another"):
+    with pytest.raises(ValueError, match=r"the episode is over; expected begin\(\)"):
         episode.step([(0, 0)])
     driven(episode, 0)
-    with pytest.raises(ValueError, match="begin another"):
+    with pytest.raises(ValueError, match=r"the episode is over; expected begin\(\)"):
         episode.step([(0, 0)])
 
 
-def test_wrong_words_are_told_with_what_would_be_right() -> None:
+def test_errors_of_wrong_words_name_the_right_ones() -> None:
     with pytest.raises(KhepTwinError, match="did you mean 'Homing'"):
         TaskSetup("Hooming")
     with pytest.raises(KhepTwinError, match="did you mean 'proximity'"):

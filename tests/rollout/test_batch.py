@@ -1,4 +1,4 @@
-"""Batches: the same as single lives, with any number of threads, and one that fails harms no other."""
+"""Batches: the same as single episodes, with any number of threads, and one that fails harms no other."""
 
 import importlib.util
 import math
@@ -82,7 +82,7 @@ def test_a_policy_asked_about_many_drives_as_a_function_asked_about_each(compile
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_one_that_fails_is_told_by_seed_and_step_and_harms_no_other(compiled: bool) -> None:
+def test_one_that_fails_is_reported_by_seed_and_step_and_affects_no_other(compiled: bool) -> None:
     genes = np.array([[5.0, 1.0], [5.0, 0.0], [5.0, 2.0]])
 
     def divide(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
@@ -153,7 +153,7 @@ def test_what_does_not_fit_is_refused_before_anything_episodes() -> None:
 
 
 @with_numba
-def test_a_function_that_numba_cannot_compile_is_told_by_name() -> None:
+def test_a_function_that_numba_cannot_compile_is_reported_by_name() -> None:
     def odd(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
         return open("x").fileno(), 0.0
 
@@ -193,7 +193,7 @@ def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_l
         ({"lamps": [Lamp(x_mm=60, y_mm=60, power_w=1)]}, r"lamps\[0\] is one lamp"),
     ],
 )
-def test_what_episodes_begin_with_is_checked_before_anything_lives(options: Any, message: str) -> None:
+def test_arguments_of_episodes_are_checked_before_any_of_them_runs(options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         rollout(SCENE, Braitenberg(), [1], 0.02, compiled=False, **options)
 
@@ -204,7 +204,7 @@ def test_a_time_that_is_none_is_refused(seconds: float) -> None:
         rollout(SCENE, Braitenberg(), [1], seconds, compiled=False)
 
 
-def test_what_is_no_driver_or_no_playpen_is_told_so() -> None:
+def test_what_is_no_driver_or_no_playpen_is_refused() -> None:
     with pytest.raises(
         ControllerError, match=r"is no controller; expected a ConstantSpeed, Braitenberg, Network"
     ):
@@ -215,10 +215,10 @@ def test_what_is_no_driver_or_no_playpen_is_told_so() -> None:
         rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
 
 
-def test_ground_that_is_made_ready_takes_no_other_step_period_or_plane() -> None:
+def test_a_setup_takes_no_other_step_period_or_plane() -> None:
     setup = EpisodeSetup(SCENE)
     for options in ({"step_ns": 5_000_000}, {"period_ns": 40_000_000}, {"planar": True}):
-        with pytest.raises(ValueError, match="given with a prepared ground, which has its own"):
+        with pytest.raises(ValueError, match="given with an EpisodeSetup, which has its own"):
             rollout(setup, Braitenberg(), [1], 0.04, compiled=False, **options)
     flat = EpisodeSetup(SCENE, planar=True, period_ns=40_000_000)
     assert not rollout(flat, Braitenberg(), [1], 0.04, compiled=False, planar=True).failures

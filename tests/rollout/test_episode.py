@@ -50,7 +50,7 @@ def wandering(scene: Playpen, seconds: float, **options: Any) -> World:
     return world
 
 
-def lived(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **options: Any) -> Episode:
+def episode_of(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **options: Any) -> Episode:
     episode = Episode(EpisodeSetup(scene), driver or Braitenberg(), compiled=compiled)
     episode.begin(**options)
     episode.run(seconds)
@@ -71,7 +71,7 @@ def lived(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **
     ],
 )
 def test_a_episode_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, Any], compiled: bool) -> None:
-    world, episode = wandering(scene, 4.0, **options), lived(scene, 4.0, compiled, **options)
+    world, episode = wandering(scene, 4.0, **options), episode_of(scene, 4.0, compiled, **options)
     assert episode.registers.tolist() == world.robots[0].registers.tolist()
     assert episode.joints.tobytes() == world.data.qpos.tobytes()
     assert episode.pose == world.robots[0].pose
@@ -182,12 +182,12 @@ def test_a_network_reads_registers_and_sets_speeds(compiled: bool) -> None:
     network = Network(top_speed=20)
     genes = np.zeros(network.n_genes)
     genes[0], genes[9] = np.arctanh(0.5), np.arctanh(-0.25)
-    episode = lived(arena(), 0.2, compiled, network, genes=genes)
+    episode = episode_of(arena(), 0.2, compiled, network, genes=genes)
     assert episode.registers[SETPOINTS].tolist() == [10, -5]
     # And only one weight: left 90 drives the right wheel.
     genes[:] = 0
     genes[10] = 3.0
-    episode = lived(arena(x_mm=44.0, y_mm=290.0, heading_deg=90.0), 0.2, compiled, network, genes=genes)
+    episode = episode_of(arena(x_mm=44.0, y_mm=290.0, heading_deg=90.0), 0.2, compiled, network, genes=genes)
     seen = episode.registers[PROXIMITY[0]] / COUNTS_LIMIT
     assert seen > 0.1
     assert episode.registers[SETPOINTS[0]] == 0
@@ -201,7 +201,7 @@ def steer(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float,
 
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_function_has_memory_and_genes_and_its_speeds_are_cut_as_by_the_board(compiled: bool) -> None:
-    episode = lived(arena(), 0.1, compiled, Function(steer, n_memory=1), genes=[2.5])
+    episode = episode_of(arena(), 0.1, compiled, Function(steer, n_memory=1), genes=[2.5])
     assert episode.registers[SETPOINTS].tolist() == [round(2.5 + 5), -127]
 
 
@@ -236,7 +236,7 @@ def test_physics_out_of_bounds_end_a_episode_by_step_and_leave_the_next_alone(co
 def test_episode_ends_its_homing_with_its_charge(compiled: bool) -> None:
     # Far from home the charge of 0.1 s is used up in five control periods; at home it is always full.
     def homing(home: tuple[float, float, float, float]) -> float:
-        return lived(arena(), 0.4, compiled, ConstantSpeed(10, 10), noise=False, home=home).metrics()[
+        return episode_of(arena(), 0.4, compiled, ConstantSpeed(10, 10), noise=False, home=home).metrics()[
             "homing"
         ]
 
@@ -246,10 +246,10 @@ def test_episode_ends_its_homing_with_its_charge(compiled: bool) -> None:
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_the_way_forwards_has_a_sign_and_the_way_has_none(compiled: bool) -> None:
+def test_the_distance_forwards_has_a_sign_and_the_distance_has_none(compiled: bool) -> None:
     def ways(left: int, right: int) -> tuple[float, float]:
         free = playpen.load("default")
-        episode = lived(
+        episode = episode_of(
             free, 1.0, compiled, ConstantSpeed(left, right), noise=False, start=(300.0, 250.0, 130.0)
         )
         metrics = episode.metrics()
@@ -288,7 +288,7 @@ def test_without_numba_episodes_are_plain_and_say_so(monkeypatch: pytest.MonkeyP
     assert episode.steps == 8
 
 
-def test_compiled_without_numba_is_one_line_that_tells_how_to_install_it(
+def test_compiled_without_numba_is_one_line_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delattr(rollout, "compiled", raising=False)
@@ -298,7 +298,7 @@ def test_compiled_without_numba_is_one_line_that_tells_how_to_install_it(
 
 
 def test_the_demo_of_the_rom_drives_by_itself() -> None:
-    episode = lived(arena(mode=0), 0.5, False, ConstantSpeed())
+    episode = episode_of(arena(mode=0), 0.5, False, ConstantSpeed())
     assert episode.registers[LEFT + Wheel.POSITION] > 100
     assert episode.registers[Board.SCAN] == 0
     assert (episode.registers[AMBIENT] > 0).all()

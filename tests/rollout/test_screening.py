@@ -41,6 +41,6 @@ def test_what_is_no_number_comes_last() -> None:
         ({"starts": [(60, 250, 90)] * 2}, "2 starts for 1 seeds; expected 1"),
     ],
 )
-def test_a_mistake_is_told_in_a_line(options: dict[str, object], message: str) -> None:
+def test_a_mistake_is_an_error_of_one_line(options: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         screen(SCENE, NETWORK, GENES, [0], 1.0, **options)  # type: ignore[arg-type]

@@ -83,7 +83,7 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
         ),
     ],
 )
-def test_a_mistake_is_told_by_file_line_key_and_value(
+def test_a_mistake_is_reported_by_file_line_key_and_value(
     tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     (tmp_path / "few.csv").write_text("1,2,3\n4,5,6\n")
@@ -124,7 +124,7 @@ def test_genomes_come_from_files_beside_the_study_or_are_drawn_by_a_seed(tmp_pat
     assert again[3].genomes.tobytes() == c.tobytes()
 
 
-def test_work_is_told_from_any_other_but_by_where_its_results_go(tmp_path: Path) -> None:
+def test_work_is_distinguished_by_everything_but_the_folder_of_its_results(tmp_path: Path) -> None:
     changes = [
         ("", ""),
         ('"out"', '"elsewhere"'),
@@ -143,7 +143,7 @@ def test_the_study_of_the_page_is_as_large_as_it_says(tmp_path: Path) -> None:
     assert f"noise: {work.n_episodes} episodes of 20 s in {len(work.tasks)} tasks" in page
 
 
-def test_what_a_plane_cannot_have_is_told_before_any_episode(tmp_path: Path) -> None:
+def test_what_a_plane_cannot_have_is_refused_before_any_episode(tmp_path: Path) -> None:
     text = (studies.toml_files.folder("playpens") / "default.toml").read_text()
     movable = "\n[[cylinder]]\nx_mm = 400\ny_mm = 100\nradius_mm = 10\nheight_mm = 30\nmovable = true\n"
     (tmp_path / "loose.toml").write_text(text + movable)

@@ -64,7 +64,7 @@ file = "waits.py:waited"
 
 
 def waiting(folder: Path, n_episodes: int) -> str:
-    """A measure by which a sweep comes to a stop after so many lives, until there is a file `go`."""
+    """Return a measure at which a sweep waits after so many episodes, until there is a file `go`."""
     # The function is read anew for each task, so what it remembers is a file.
     (folder / "waits.py").write_text(
         "import pathlib, time\n\n\n"
@@ -217,7 +217,7 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done
     assert pq.read_table(table)["episode"].to_pylist() == list(range(40))
 
 
-def test_what_is_damaged_is_told_by_file(tmp_path: Path) -> None:
+def test_what_is_damaged_is_reported_by_file(tmp_path: Path) -> None:
     text = STUDY.replace("seeds = 3", "seeds = 12")
     with pytest.raises(KhepTwinError, match="stopped"):
         swept(tmp_path, text, executor=Counted(stop_before=2))
@@ -265,7 +265,7 @@ def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:
     swept(tmp_path, STUDY, executor=meanwhile)
 
 
-def test_a_episode_that_fails_is_told_in_its_row_and_the_others_live_on(tmp_path: Path) -> None:
+def test_an_episode_that_fails_is_reported_in_its_row_and_the_others_go_on(tmp_path: Path) -> None:
     (tmp_path / "wild.py").write_text(
         "def steer(proximity, ambient, memory, genes):\n    return genes[0] * 1e308 * 10, 1.0\n"
     )
@@ -304,7 +304,7 @@ def test_episodes_are_measured_by_functions_of_ones_own(tmp_path: Path) -> None:
         swept(tmp_path, STUDY + measure.format("twise"))
 
 
-def test_without_ray_asking_for_it_is_one_line_that_tells_how_to_install_it(
+def test_without_ray_asking_for_it_is_one_line_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = builtins.__import__
@@ -321,7 +321,7 @@ def test_without_ray_asking_for_it_is_one_line_that_tells_how_to_install_it(
     assert dict(os.environ) == before
 
 
-def test_a_cluster_is_told_by_host_and_port() -> None:
+def test_a_cluster_is_given_by_host_and_port() -> None:
     assert ray_workers.host_and_port("10.0.0.1:6379") == ("10.0.0.1", 6379)
     assert ray_workers.host_and_port("[::1]:6379") == ("::1", 6379)
     for wrong in ("10.0.0.1", ":6379", "host:", "host:0", "host:65536", "ray://host:10001"):

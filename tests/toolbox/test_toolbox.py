@@ -141,7 +141,7 @@ def test_a_port_is_a_number_that_was_given_a_url_or_the_environments_or_a_url() 
     assert not first.port.is_open
 
 
-def test_a_port_that_nobody_has_chosen_says_what_to_do() -> None:
+def test_a_port_that_was_not_assigned_says_what_to_do() -> None:
     with pytest.raises(PortError, match=r"4: no port is chosen; expected ports\({4: .*KHEP_PORT_4="):
         serial_commands.rps(4)
     with pytest.raises(PortError, match="port_id = 5; expected 1 to 4"):

@@ -29,7 +29,7 @@ def rows(left: int, right: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("draw", "grid"), [(names.ddl, False), (names.ddlg, True)])
-def test_a_straight_way_counts_down_to_0_cm(draw: object, grid: bool) -> None:
+def test_a_straight_path_counts_down_to_0_cm(draw: object, grid: bool) -> None:
     figure = draw(rows(1500, 1500), 1500)  # type: ignore[operator]
     axes = [each for each in figure.axes if each.lines]
     assert [each.get_title() for each in axes][:3] == ["left 90", "left 45", "left 10"]

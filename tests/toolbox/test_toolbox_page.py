@@ -30,7 +30,7 @@ FUNCTIONS = (
 
 ROWS = [
     [cell.strip() for cell in line.strip("| ").split(" | ")]
-    for line in PAGE.split("## Row by row")[1].splitlines()
+    for line in PAGE.split("## Toolbox reference")[1].splitlines()
     if line.startswith("| ") and not line.startswith("| toolbox")
 ]
 

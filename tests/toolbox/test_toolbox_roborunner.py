@@ -101,7 +101,7 @@ def test_a_function_for_the_simulator_is_run_in_the_playpen_that_is_open() -> No
     assert "btmap1" not in globals()
 
 
-def test_the_statistics_of_the_latest_runs_are_told_drawn_and_saved(
+def test_the_statistics_of_the_latest_runs_are_printed_drawn_and_saved(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     names.open_default(seed=1)

@@ -105,7 +105,7 @@ def test_unequal_speeds_drive_an_arc(btmap1: OpenPlaypen) -> None:
     assert math.hypot(x1 - x, y1 - y) == pytest.approx(2 * radius * math.sin(turned / 2), rel=0.02)
 
 
-def test_a_way_and_a_turn_are_mixed_and_the_counters_stay_right(btmap1: OpenPlaypen) -> None:
+def test_distance_and_turn_are_combined_and_the_counters_stay_right(btmap1: OpenPlaypen) -> None:
     for target in ((1000, 1000), (490, 1510), (1490, 2010), (0, 0)):
         names.sim_skp(2, *target)
         until_there(btmap1)
@@ -140,7 +140,7 @@ def test_the_speed_is_read_in_position_mode_too(btmap1: OpenPlaypen) -> None:
     assert names.sim_rms(2) == pytest.approx([20, 20], abs=2)
 
 
-def test_the_controllers_error_is_told(btmap1: OpenPlaypen) -> None:
+def test_the_controllers_error_is_reported(btmap1: OpenPlaypen) -> None:
     names.sim_sms(2, 40, -40)
     names.kheprom(btmap1, 0.01)
     left, right = names.sim_rmc(2)[[2, 5]]
@@ -166,7 +166,7 @@ def test_modes_are_counted_as_the_rom_says(field: Playpen) -> None:
     assert modes == {"5.02": (0, 1), "4.06": (1, 0)}
 
 
-def test_several_robots_are_told_apart_by_their_number() -> None:
+def test_several_robots_are_distinguished_by_their_number() -> None:
     btmap1 = names.open_custom(playpens.parse(TWO, "two"), noise=False)
     names.sim_sms(1, 5, 5)
     names.sim_sms(2, -3, 3)
@@ -231,7 +231,7 @@ def test_a_run_in_the_simulator_is_recorded(tmp_path: Path) -> None:
     assert [line.text for line in track.serial][:2] == ["D,5,5", "d"]
 
 
-def test_without_a_playpen_it_is_told_how_one_is_opened(btmap1: OpenPlaypen) -> None:
+def test_without_a_playpen_the_error_says_how_to_open_one(btmap1: OpenPlaypen) -> None:
     other = names.open_default()
     with pytest.raises(PlaypenError, match="btmap1 is not the playpen that is open"):
         names.kheprom(btmap1)

@@ -183,7 +183,7 @@ def _numbers(value: object) -> NDArray[np.generic] | None:
 
 
 def braitenberg(robot: Khepera) -> None:
-    """Wander and avoid obstacles: speeds = proximity x weights / 400 + 10."""
+    """Drive and avoid obstacles: speeds = proximity x weights / 400 + 10."""
     proximity = robot.proximity()
     left, right = (
         sum(weights[side] * count for weights, count in zip(DEMO_WEIGHTS, proximity, strict=True))

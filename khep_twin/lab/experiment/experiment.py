@@ -35,7 +35,7 @@ Offered = TypeVar("Offered", bound=type[Controller] | AnyFunction)
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Outcome of a run.
+    """Result of a run.
 
     Attributes:
         cycles: Number of calls of the controller.
@@ -340,7 +340,7 @@ def _module_of(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except BaseException as error:
-        # A user's file may fail in any way; report place and reason.
+        # A user's file may fail in any way; report location and reason.
         if is_interruption(error):
             raise
         raise ControllerError(f"{path}{_line_in(error, path)}: {in_a_line(error)}") from error

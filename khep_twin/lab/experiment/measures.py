@@ -2,7 +2,7 @@
 
 Metrics of the host's exchanges are available on every port, robot or twin, those of the ground truth only for
 a twin in this process. Metrics that depend on how many readings a host takes, such as a share of them, are
-the same on any port that answers alike; times are the port's own.
+the same on any port that gives the same answers; times are the port's own.
 """
 
 import math
@@ -87,7 +87,7 @@ class HostMetrics:
 
 
 class GroundTruthMetrics:
-    """Tap that records the ground truth of one run of one robot.
+    """Observer that records the ground truth of one run of one robot.
 
     Args:
         world: World to record from now on.
@@ -122,7 +122,7 @@ class GroundTruthMetrics:
         """Ignore events."""
 
     def end(self) -> None:
-        """Record the last sample and remove the tap."""
+        """Record the last sample and remove the observer."""
         self._world.observers.remove(self)
         self.sample(self._world)
 

@@ -273,7 +273,7 @@ def _repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
 
 
 class _Watch:
-    """Tap that compares each sample with the recorded one and keeps the transcript.
+    """Observer that compares each sample with the recorded one and keeps the transcript.
 
     Attributes:
         difference: First difference between states.

@@ -1,4 +1,4 @@
-"""Statistics of series: mean, spread and confidence interval of metrics, and differences of two series."""
+"""Statistics of series: means and confidence intervals of metrics, and differences of two series."""
 
 # scipy is not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false

@@ -65,7 +65,7 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
 
 
 def own_starts(playpen: Playpen, robot: int) -> list[StartPose]:
-    """Return the playpen's poses of a robot: its place, or each of its spots."""
+    """Return the playpen's poses of a robot: its own, or each of its spots."""
     entry = playpen.robots[robot]
     spots = {spot.name: spot for spot in playpen.spots}
     places = [spots[name] for name in entry.spots] or [entry]

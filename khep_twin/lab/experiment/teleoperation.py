@@ -1,7 +1,7 @@
 """Teleoperation: a loop that drives a robot by keys and reads its sensors.
 
 It has a dead-man's switch. A terminal reports that a key is pressed, and repeats it while it is held, but
-never that it is released; so each press drives the robot for a moment only. The loop runs in a thread of its
+never that it is released; so each press drives the robot for a short time. The loop runs in a thread of its
 own: if the terminal hangs, no key arrives and the motors stop.
 """
 
@@ -83,7 +83,7 @@ class DriveView:
 
 
 class DeadManSwitch:
-    """Dead-man's switch: a key drives for a moment, and longer only while it is repeated."""
+    """Dead-man's switch: a key drives for a short time, and longer only while it is repeated."""
 
     def __init__(self) -> None:
         self._direction = Direction.STOP

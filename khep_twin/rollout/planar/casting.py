@@ -1,11 +1,11 @@
 """`raycast` for screening: the same queries of a plane instead of MuJoCo.
 
 The robot is a disc on two wheels, among upright boxes and cylinders with heights. `motion` moves it,
-`rays` and `shadows` compute what its sensors see, as MuJoCo does for upright things and a robot without tilt.
+`rays` and `shadows` compute what its sensors see, as MuJoCo does for upright obstacles and no tilt.
 This source runs interpreted and compiled.
 
-No thing is left out for its distance. But for each a lower bound of its distance is kept, less the distance
-moved since; things are tested in that order, only as long as they can matter.
+No obstacle is left out for its distance. For each a lower bound of its distance is kept, less the distance
+moved since; obstacles are tested in that order, only as long as they can matter.
 """
 
 import math
@@ -134,7 +134,7 @@ def rays(scene: Scene, proximity: "Proximity", channel: int, level: float, found
         if least > farthest:
             break
         if least > next_look:
-            # All remaining things are farther away than this.
+            # All remaining obstacles are farther away than this.
             light = planar_rays.most(robot, proximity.weights[channel], offset, least)
             if gain * light * 1.000001 <= -level:
                 return 0

@@ -1,7 +1,7 @@
-"""Contact impulses by warm-started projected Gauss-Seidel: slipping tyres and things that push the robot.
+"""Contact impulses by warm-started projected Gauss-Seidel: slipping tyres and obstacles that push the robot.
 
 A tyre slips beyond its share of friction x load, along or across; the load on the rear support during an
-acceleration is taken off the tyres. Things push along the line to the disc's centre, with friction across.
+acceleration is taken off the tyres. Obstacles push along the line to the disc's centre, with friction across.
 All impulses of a substep are solved together, in repeated rounds.
 
 Left out: tilt, hopping tyres, soft contacts.
@@ -39,10 +39,10 @@ _GRIPS = 1e-5
 """Slip below which a tyre counts as gripping [m/s]."""
 
 _NEAR = 1e-4
-"""Distance within which a thing counts as touched [m]."""
+"""Distance within which an obstacle counts as touched [m]."""
 
 _PASSES = 4
-"""Passes that push the disc out of things one by one; between two things it takes several."""
+"""Passes that push the disc out of obstacles one by one; between two obstacles it takes several."""
 
 
 _Motion = tuple[float, float, float, float, float]
@@ -57,7 +57,7 @@ per impulse, and the part of the lag behind the free speed left after a substep.
 
 
 def slide(plane: Plane) -> None:
-    """Advance by one step in which tyres may slip and things may push."""
+    """Advance by one step in which tyres may slip and obstacles may push."""
     robot = plane.robot
     joints, speeds, grips, h = robot.joints, robot.speeds, robot.grips, robot.substep
     x, y, heading = joints[X], joints[Y], joints[HEADING]
@@ -217,7 +217,7 @@ def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) 
 
 
 def _out(plane: Plane, x: float, y: float) -> tuple[float, float]:
-    """Return a position pushed out of all things that the disc overlaps."""
+    """Return a position pushed out of all obstacles that the disc overlaps."""
     robot, things = plane.robot, plane.things
     for _ in range(_PASSES):
         dx, dy = x - robot.last[ANCHOR_X], y - robot.last[ANCHOR_Y]

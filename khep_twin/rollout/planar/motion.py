@@ -34,7 +34,7 @@ from khep_twin.rollout.planar.plane import (
 )
 
 _ANCHORED = 0.02
-"""Distance moved after which distances to all things are measured again [m]."""
+"""Distance moved after which distances to all obstacles are measured again [m]."""
 
 
 def step(plane: Plane) -> None:

@@ -1,4 +1,4 @@
-"""Plane of a playpen: the robot's constants and the things around it, taken from MuJoCo's scene.
+"""Plane of a playpen: the robot's constants and the obstacles around it, taken from MuJoCo's scene.
 
     setup = EpisodeSetup(playpen.load("looping-maze"), planar=True)
 
@@ -33,7 +33,7 @@ from khep_twin.sensing.buffers import Vector, view
 from khep_twin.sensing.robot_indices import RobotIndices
 
 N_CONTACTS = 8
-"""Most things that push the robot at once: more than fit around it."""
+"""Most obstacles that push the robot at once: more than fit around it."""
 
 WIDE = 8
 """Rays are padded to a multiple of this, for vector instructions; the padding has no direction."""

@@ -1,4 +1,4 @@
-"""Data of a plane: a robot's numbers, the things around it, and distances to them."""
+"""Data of a plane: a robot's numbers, the obstacles around it, and distances to them."""
 
 import math
 from typing import NamedTuple
@@ -44,7 +44,7 @@ class PlanarRobot(NamedTuple):
         turning: Part of the lag left after a substep, turning in place.
         grip: Largest force of a tyre without acceleration [N].
         relief: Loss of that force per acceleration [N s^2/m].
-        friction: Friction of the body on things.
+        friction: Friction of the body on obstacles.
         height: Height of the sensors above the floor [m].
         mounts: Mount of each sensor: x forward, y left, cosine and sine of its direction, distance from the
             robot's centre (8, 5) [m].
@@ -60,7 +60,7 @@ class PlanarRobot(NamedTuple):
         n_few: Number of the few points of a bulb.
         points: Points of a bulb, few and then many (n_points, 2).
         hidden: Buffer for which points are hidden (n_points,).
-        contacts: Buffer for contacts: normal, gap and index of the thing (n_contacts, 4).
+        contacts: Buffer for contacts: normal, gap and index of the obstacle (n_contacts, 4).
         joints: Joint positions, live (N_JOINTS,).
         speeds: Joint speeds, live (N_JOINTS,).
         ctrl: Motor voltages (2,) [V].
@@ -106,11 +106,11 @@ class PlanarRobot(NamedTuple):
 
 
 class Plane(NamedTuple):
-    """The robot and all things of a plane.
+    """The robot and all obstacles of a plane.
 
     Attributes:
-        things: Things around the robot (n, N_COLUMNS).
-        order: Indices of the things, nearest to the anchor first (n,).
+        things: Obstacles around the robot (n, N_COLUMNS).
+        order: Indices of the obstacles, nearest to the anchor first (n,).
         robot: Robot with its sensors.
     """
 
@@ -120,7 +120,7 @@ class Plane(NamedTuple):
 
 
 def distance_to(things: Matrix, thing: int, x: float, y: float) -> float:
-    """Return the distance of a thing from a point [m], 0 within."""
+    """Return the distance of an obstacle from a point [m], 0 within."""
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
     length, width = things[thing, LENGTH], things[thing, WIDTH]
     if width < 0:
@@ -134,7 +134,7 @@ def distance_to(things: Matrix, thing: int, x: float, y: float) -> float:
 
 
 def nearest(things: Matrix, thing: int, x: float, y: float) -> tuple[float, float, float]:
-    """Return the unit vector from a thing to a point, and the distance [m], negative within."""
+    """Return the unit vector from an obstacle to a point, and the distance [m], negative within."""
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
     length, width = things[thing, LENGTH], things[thing, WIDTH]
     if width < 0:

@@ -17,7 +17,7 @@ from khep_twin.sensing.buffers import Matrix
 
 
 def in_cone(things: Matrix, thing: int, x: float, y: float, cone: tuple[float, float, float, float]) -> bool:
-    """Return whether a thing reaches into a cone; its edges are given as unit normals to its inside."""
+    """Return whether an obstacle reaches into a cone; its edges are given as unit normals to its inside."""
     right_x, right_y, left_x, left_y = cone
     dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
     length, width = things[thing, LENGTH], things[thing, WIDTH]

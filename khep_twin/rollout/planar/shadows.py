@@ -1,4 +1,4 @@
-"""Occlusion of a lamp from a sensor in a plane, by upright things with heights and by the floor."""
+"""Occlusion of a lamp from a sensor in a plane, by upright obstacles with heights and by the floor."""
 
 import math
 
@@ -92,7 +92,7 @@ def _beside(
     length: float,
     broad: float,
 ) -> bool:
-    """Return True if a thing is surely beside, behind or beyond a path of a length and half width [m]."""
+    """Return True if an obstacle is surely beside, behind or beyond a path of a length and half width [m]."""
     dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
     half, width = things[thing, LENGTH], things[thing, WIDTH]
     if width < 0:
@@ -118,7 +118,7 @@ def _stops(
     way_z: float,
     glass: float,
 ) -> bool:
-    """Return whether a thing stops light on a path [m] before the fraction `glass` of it."""
+    """Return whether an obstacle stops light on a path [m] before the fraction `glass` of it."""
     flat = way_x * way_x + way_y * way_y
     length, width = things[thing, LENGTH], things[thing, WIDTH]
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]

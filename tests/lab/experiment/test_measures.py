@@ -67,7 +67,7 @@ def test_coverage_counts_cells_that_the_robot_can_stand_in() -> None:
     assert coverage(places, playpen, 0.0275) == pytest.approx(2 / (10 * 8))
 
 
-def test_the_truth_of_a_straight_way_is_closed_form(field: Playpen) -> None:
+def test_the_ground_truth_of_a_straight_path_is_closed_form(field: Playpen) -> None:
     from khep_twin.ports.protocol_khep import Serial
     from khep_twin.ports.twin import TwinOptions, open_twin
 

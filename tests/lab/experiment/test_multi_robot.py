@@ -88,7 +88,7 @@ def chase_until_near(robot: Khepera) -> None:
     robot.sleep(3)
 
 
-def test_a_script_that_fails_is_told_when_the_others_have_ended() -> None:
+def test_a_script_that_fails_is_reported_when_the_others_have_ended() -> None:
     ended: list[str] = []
 
     def fail(robot: Khepera) -> None:

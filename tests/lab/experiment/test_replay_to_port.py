@@ -60,7 +60,7 @@ def test_a_line_that_is_silent_leaves_all_missing(driven: Path) -> None:
     assert not found.identical
 
 
-def test_what_a_real_robot_was_told_can_be_sent_to_a_twin(tmp_path: Path) -> None:
+def test_what_was_sent_to_a_real_robot_can_be_sent_to_a_twin(tmp_path: Path) -> None:
     now = [0]
     through = LineRecorder(tmp_path / "robot.mcap", {"relay": "/dev/ttyUSB0", "baud": 9600}, lambda: now[0])
     for time_ns, to_robot, data in (

@@ -68,7 +68,7 @@ def ramp(end: float, count: int = 101) -> np.ndarray:
     return np.linspace(0, end, count)
 
 
-def test_a_straight_way_has_its_length() -> None:
+def test_a_straight_path_has_its_length() -> None:
     pose = np.column_stack([ramp(0.3), ramp(0.4), np.full(101, math.atan2(4, 3))])
     found = statistics.motion(ramp(10), pose)
     assert found.distance == pytest.approx(0.5)

@@ -40,7 +40,7 @@ class Places(Controller):
         self._calls.append("stop")
 
 
-def test_a_controllers_places_are_called_in_their_order_and_it_keeps_what_it_learned() -> None:
+def test_a_controllers_methods_are_called_in_their_order_and_it_keeps_what_it_learned() -> None:
     places = Places()
     with Khepera("khep://default") as robot:
         found = list(run_series(places, OneRobot(robot), Plan(2, cycles=2)))
@@ -114,7 +114,7 @@ def test_a_stop_in_the_pause_begins_no_run() -> None:
     assert places._calls == ["start", "cycle", "cycle", "end", "stop"]
 
 
-def test_a_place_that_fails_is_told_and_the_controller_is_stopped() -> None:
+def test_a_method_that_fails_is_reported_and_the_controller_is_stopped() -> None:
     class Fails(Places):
         def end(self, robot: Khepera) -> None:
             raise ZeroDivisionError("of its own")

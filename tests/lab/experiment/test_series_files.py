@@ -177,7 +177,7 @@ def test_what_is_no_series_is_one_line_and_stays(text: str, tmp_path: Path) -> N
     assert (tmp_path / "series.json").read_text() == text
 
 
-def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ControllerError, match="file: no folder can be made here: File exists"):
         SeriesFolder(tmp_path / "file", SETTINGS)

@@ -88,7 +88,7 @@ spots = ["right", "left"]
         ("grid:1x1@x", "expected grid:"),
     ],
 )
-def test_a_start_that_cannot_be_is_told_in_one_line(wish: str, line: str) -> None:
+def test_a_start_that_cannot_be_is_an_error_of_one_line(wish: str, line: str) -> None:
     with pytest.raises(PlaypenError) as caught:
         starts([wish], OBSTACLES, 0, 1, 0)
     assert line in str(caught.value)

@@ -99,7 +99,7 @@ def test_one_lost_reply_is_lived_with_and_a_lost_line_is_not() -> None:
         fake.silent = False
 
 
-def test_a_supply_that_is_not_told_is_not_shown() -> None:
+def test_an_unknown_supply_is_not_shown() -> None:
     with FakeRobot() as fake, Khepera(fake.url) as robot:
         fake.answers["I"] = "z,Protocol error"
         operation = Teleoperation(robot, 5)
@@ -152,7 +152,7 @@ def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
     assert "lateral on   frontal off   supply about 4.8 V" in "\n".join(lines)
 
 
-def test_a_small_terminal_is_told_how_large_it_must_be() -> None:
+def test_in_a_small_terminal_the_error_says_how_large_it_must_be() -> None:
     assert draw(DriveView(5), "port", 60, 24) == ["60 x 24 characters; expected at least 64 x 18; q ends"]
     assert draw(DriveView(5), "port", 80, 5) == ["80 x 5 characters; expected at least 64 x 18; q ends"]
     assert draw(DriveView(5), "port", 9, 5) == ["9 x 5 ch"]
