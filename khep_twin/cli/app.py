@@ -45,7 +45,11 @@ app = typer.Typer(
 )
 app.add_typer(playpen_app, name="playpen")
 _RUNS = (run, rollout, series, sweep, new, design)
-_PORTS = (serve, ports, drive)
+_PORTS = (
+    serve,
+    ports,
+    drive,
+)
 _LOGS = (view, report, export, recover, repeat)
 _MEASUREMENTS = (sense, fit)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
