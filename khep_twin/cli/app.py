@@ -45,7 +45,11 @@ app = typer.Typer(
 )
 app.add_typer(playpen_app, name="playpen")
 _RUNS = (run, rollout, series, sweep, new, design)
-_PORTS = (serve, ports, drive)
+_PORTS = (
+    serve,
+    ports,
+    drive,
+)
 _LOGS = (view, report, export, recover, repeat)
 _MEASUREMENTS = (sense, fit)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
@@ -57,7 +61,7 @@ def main() -> None:
     if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
         complete_in_bash(lambda: app(prog_name="khep-twin"))
     code = _run()
-    # Typer has one code for whatever was interrupted, shells have one for each signal.
+    # Typer has one exit code for any interruption, shells have one for each signal.
     leave(exit_code(128 + asked_by() if code == 130 and asked_by() else code))
 
 

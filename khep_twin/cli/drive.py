@@ -90,7 +90,7 @@ def _with_log(port: str, log: Path | None) -> str:
 def _running(
     operation: "Teleoperation", stop: Callable[[], bool]
 ) -> Generator[tuple[Callable[[], bool], list[BaseException]], None, None]:
-    """Drive in a thread of its own; yield whether it has ended, and the errors it has failed with."""
+    """Drive in a thread of its own; yield whether it has ended, and its errors."""
     quits = threading.Event()
     failures: list[BaseException] = []
 
@@ -110,7 +110,7 @@ def _running(
 
 
 def _on_screen(show: Callable[["curses.window"], None]) -> None:
-    """Lend the terminal's screen to a function, and restore it afterwards."""
+    """Run a function on the terminal's screen, and restore the screen afterwards."""
     import curses
 
     # Suspended, the dead-man's switch would not be held; so Ctrl-Z is a key without effect.

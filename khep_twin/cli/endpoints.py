@@ -1,4 +1,4 @@
-"""Endpoints of `khep-twin serve`: what hosts open, and how they and their users are told of it."""
+"""Endpoints of `khep-twin serve`: what hosts open, and how it is printed and listed."""
 
 import fcntl
 import os

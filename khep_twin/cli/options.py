@@ -68,7 +68,7 @@ def check_new(force: bool, *paths: Path | None) -> None:
 
 
 def check_apart(read: Iterable[str | Path], *written: Path | None) -> None:
-    """Refuse to replace what is read by what is written."""
+    """Refuse to overwrite input files with output."""
     for path in filter(None, written):
         if any(is_same(path, Path(each)) for each in read):
             raise KhepTwinError(f"{path}: this is what is read; expected a file of its own")

@@ -115,7 +115,7 @@ def run(
     _check(typed, port, scene.playpen, logging.log, picture)
     series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
-    # Typed paths are relative to here, wherever a controller goes; during the runs it is where it went.
+    # Typed paths are relative to this folder, even if a controller changes it; the runs use the controller's.
     with chdir("."):
         found = find_controller(controller, as_toolbox_form)
         gone_to = Path.cwd()
@@ -234,7 +234,7 @@ def _twins(
 
 
 def _beginning(stack: ExitStack, logs: RunLogs, viewer: bool) -> "Callable[[Twin, int | None], None]":
-    """Return what is done with each twin before it runs: log it, and show it where that is wanted."""
+    """Return the function called with each twin before it runs: start its log and the viewer."""
     if not viewer:
         return logs.record
     from khep_twin.mujoco_viewer import MujocoViewer

@@ -56,7 +56,7 @@ class RunLogs:
             check_new(force, *paths)
 
     def failed(self) -> bool:
-        """Return True if a log has failed that runs cannot go on without."""
+        """Return whether a log has failed without which runs cannot continue."""
         return not self._options.ignore_log_errors and any(
             each.failure is not None for each in self._recorders
         )

@@ -170,7 +170,7 @@ def sense(
 
 
 def _check_options(port: str | None, drive: DriveOptions, drawn: PictureOptions) -> None:
-    """Refuse options that would be without effect, and a command that would do nothing."""
+    """Refuse options without effect, and a command without a task."""
     if drawn.picture is None and (option := _first(drawn)):
         raise SensorTestError(f"{option} is for the picture; expected --picture FILE.png, too")
     if port is None:
@@ -234,7 +234,7 @@ def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) ->
     if not len(run.dv):
         return
     done.append(run)
-    # First the files, then the text about them; a file that fails does not take the others along.
+    # First the files, then the text about them; a file that fails does not prevent the others.
     failures: list[KhepTwinError] = []
     for path in names[len(done) - 1]:
         try:

@@ -62,7 +62,7 @@ _guards: list[Open] = []
 
 
 def guard() -> None:
-    """Guard the standard streams as above, from now on."""
+    """Replace the standard streams by guarded ones."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -76,7 +76,7 @@ def guard() -> None:
 
 
 def check_descriptors() -> None:
-    """End the process in one line where too few files may be open at once to begin at all."""
+    """End the process with one line if too few files may be open at once."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= soft < LEAST_OPEN:
         most = LEAST_OPEN if hard == resource.RLIM_INFINITY else min(hard, LEAST_OPEN)
@@ -93,11 +93,11 @@ def unread() -> bool:
 
 
 def exit_code(code: int) -> int:
-    """Return a command's exit code, which a stream that could not be written makes one of failure."""
+    """Return a command's exit code; failure if a stream could not be written."""
     for stream in _guards:
         stream.flush()
     for stream in (sys.stdout, sys.stderr):
-        # A program may have put anything in their place, closed it, or left nothing there.
+        # A program may have replaced, closed or deleted them.
         with suppress(AttributeError, ValueError, OSError):
             stream.flush()
     troubles = [each.trouble for each in _streams if each.trouble is not None]

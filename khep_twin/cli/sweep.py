@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from khep_twin.sweep.shards import Shard, Work
 
 SECONDS_BETWEEN_LINES = 60.0
-"""Interval of the lines about a sweep that no terminal shows [s]."""
+"""Interval of progress lines without a terminal [s]."""
 
 
 def sweep(
@@ -102,7 +102,7 @@ def sweep(
 
 
 def _check_address(address: str | None, ray: bool, workers: int | None) -> None:
-    """Refuse an address of a cluster that could not be used."""
+    """Refuse an unusable address of a cluster."""
     if address is None:
         return
     if not ray:
@@ -129,7 +129,7 @@ def _again(
 
 
 class _Lines:
-    """Progress in lines, for where no terminal shows a bar."""
+    """Progress in lines, for output without a terminal."""
 
     def __init__(self) -> None:
         self._start = self._last = time.monotonic()

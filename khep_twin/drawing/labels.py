@@ -16,7 +16,7 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 SEARCH_LIMIT = 200
-"""Most labels for which free room is searched; with more, each stands below its object."""
+"""Most labels for which a free position is searched; with more, each stands below its object."""
 
 _LINES = 4
 """Distances to try, in lines of text."""
@@ -49,7 +49,7 @@ class Labels:
         self._wanted.append(_Label(x_mm, y_mm, reach_mm, text))
 
     def write(self) -> None:
-        """Write all labels; later ones avoid the places of earlier ones."""
+        """Write all labels; later ones avoid earlier ones."""
         figure = self._axes.get_figure(root=True)
         if figure is None or not isinstance(figure.canvas, FigureCanvasAgg):
             raise TypeError("labels expected a figure with an Agg canvas")

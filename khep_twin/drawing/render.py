@@ -112,7 +112,7 @@ def _rendered(playpen: Playpen) -> NDArray[np.uint8] | str:
     try:
         renderer = mujoco.Renderer(model, HEIGHT, WIDTH, max_geom=20_000)
     except Exception as error:
-        # Each library raises its own.
+        # Each library raises its own errors.
         return type(error).__name__
     with renderer:
         renderer.update_scene(data, camera, option)

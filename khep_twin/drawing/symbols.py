@@ -114,7 +114,7 @@ def draw_patch(axes: Axes, playpen: Playpen, patch: parts.Patch) -> None:
 
 
 def draw_spot(axes: Axes, labels: Labels, spot: Spot) -> None:
-    """Draw a place where a robot may start: its outline, its heading and its name."""
+    """Draw a spot, a start pose of robots: outline, heading and name."""
     radius, heading = 1000 * BODY_RADIUS, np.radians(spot.heading_deg)
     axes.add_patch(
         Circle(

@@ -21,7 +21,7 @@ SIDE_LIMIT = 4096
 """Most rows, and most columns, of a bitmap."""
 
 BLOCK_LIMIT = THING_LIMIT - 1
-"""Most blocks, which leave room for a robot."""
+"""Most blocks: the limit of a playpen's parts, less a robot."""
 
 CLEARANCE_MM = 1.0
 """Least clearance around a robot that is placed automatically [mm]."""
@@ -77,11 +77,11 @@ def to_playpen(
         mm_per_pixel: Side of a pixel [mm].
         height_mm: Height of the blocks [mm].
         robot: Pose of a robot.
-        find_place: True to place a robot in the free place nearest to the middle if `robot` is not given.
+        find_place: True to put a robot at the free position nearest to the middle if `robot` is not given.
 
     Raises:
         BitmapError: The arena's or a block's size is out of range, there are too many blocks, or the robot
-            cannot stand at its place.
+            cannot stand at its pose.
     """
     _check_scale(solid, mm_per_pixel, height_mm)
     inner, borders = strip(solid)
@@ -127,7 +127,7 @@ def to_playpen(
 
 def _check_scale(solid: Pixels, mm_per_pixel: float, height_mm: float) -> None:
     for key, value, least in (("--mm-per-pixel", mm_per_pixel, 0.001), ("--height-mm", height_mm, 1.0)):
-        # Not the other way round: comparisons with nan are false.
+        # In this order, as comparisons with nan are false.
         if not least <= value <= 1000:
             raise BitmapError(f"{key} {value:g}; expected a number from {least:g} to 1000")
     if not solid.size or max(solid.shape) > SIDE_LIMIT:
@@ -208,7 +208,7 @@ def _merged_runs(solid: Pixels) -> tuple[int, NDArray[np.int64]]:
 def free_place(
     low_mm: NDArray[np.float64], size_mm: NDArray[np.float64], width_mm: float, height_mm: float
 ) -> Pose | None:
-    """Return the place for a robot, nearest to the arena's middle, clear of all rectangles and walls.
+    """Return the position for a robot nearest to the arena's middle, clear of all rectangles and walls.
 
     Args:
         low_mm: Lower left corners of the rectangles (rectangles, 2) [mm].
@@ -242,7 +242,7 @@ def _grid(side_mm: float, step_mm: float, reach_mm: float) -> NDArray[np.float64
 
 
 def _beyond(places: NDArray[np.float64], low: float, size: float) -> NDArray[np.float64]:
-    """Return the distances of places outside an interval."""
+    """Return the distances of positions to an interval; 0 within it."""
     return np.maximum(np.maximum(low - places, places - low - size), 0.0)
 
 

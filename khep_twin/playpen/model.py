@@ -106,14 +106,14 @@ def dump(playpen: Playpen) -> str:
 
 
 def edited(text: str, playpen: Playpen) -> str:
-    """Return a playpen file's text, changed to describe `playpen`; comments and all else stay.
+    """Return a playpen file's text, changed to describe `playpen`; comments and all else are kept.
 
     Args:
         text: Text of a file that `parse` accepts.
         playpen: Playpen to describe.
 
     Raises:
-        PlaypenError: The text is no playpen, or is written in a way that cannot be changed in place.
+        PlaypenError: The text is no playpen, or has a form that cannot be changed in place.
     """
     before = parse(text, "the file to be edited")
     changed = toml_files.edited(text, before, playpen, _with_what_follows, partial(_bare, playpen))

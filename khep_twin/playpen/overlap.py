@@ -1,4 +1,4 @@
-"""Placement: checks that the parts of a playpen can stand at their places.
+"""Placement: checks that the parts of a playpen can stand at their positions.
 
 Fixed parts may touch and cross anything, as the walls of a maze do. Free ones (robots, movable objects)
 must start clear of all else, or the physics would begin by throwing them out. Heights count: two things whose
@@ -53,7 +53,7 @@ class Thing:
         return label(self.kind, self.number, self.name)
 
     def __str__(self) -> str:
-        """Return label and place."""
+        """Return label and position [mm]."""
         return f"{self.label} at ({self.footprint.x_mm:g}, {self.footprint.y_mm:g})"
 
 

@@ -124,7 +124,7 @@ class Wall(TomlTable):
 
 
 class Patch(TomlTable):
-    """A part of the floor with another surface: a disc, or a rectangle at an angle. Only the eye sees it."""
+    """A part of the floor with another surface: a disc, or a rectangle at an angle. No sensor sees it."""
 
     name: ObjectName = None
     x_mm: Place
@@ -150,7 +150,7 @@ class Patch(TomlTable):
 
 
 class Spot(TomlTable):
-    """A named place where robots may start."""
+    """A named start pose of robots."""
 
     name: Annotated[Name, Field(description=NAME_WISH)]
     x_mm: Place

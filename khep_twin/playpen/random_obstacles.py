@@ -33,7 +33,7 @@ def obstacle_field(
         width_mm: Width of the arena.
         height_mm: Height of the arena.
         density: Part of the floor that obstacles cover, 0 to `HIGHEST_DENSITY`.
-        rng: Random generator for kinds, sizes, places and angles.
+        rng: Random generator for kinds, sizes, positions and angles.
 
     Raises:
         PlaypenError: The density is out of range, or there was not enough room for it.
@@ -91,7 +91,7 @@ def obstacle_field(
 
 
 def _place(arena: Arena, margin_mm: float, along: float, across: float) -> tuple[float, float]:
-    """Return a random place with this distance to the walls; below 0 if there is none."""
+    """Return a random position with this distance to the walls; below 0 if there is none."""
     spans = arena.width_mm - 2 * margin_mm, arena.height_mm - 2 * margin_mm
     if min(spans) <= 0:
         return -1.0, -1.0

@@ -17,7 +17,7 @@ from khep_twin.randomness import stream
 from khep_twin.units import BODY_HEIGHT
 
 TRIES = 1000
-"""Free poses drawn for a robot before there is held to be no room."""
+"""Number of poses tried for a robot before it is reported to have no room."""
 
 Start = tuple[float, float, float]
 """x [mm], y [mm], heading [deg]."""

@@ -1,7 +1,7 @@
-"""Messages to the pages that watch: each page gets what a thread sends, and a slow one misses pictures only.
+"""Messages to the open pages: each page gets what a thread sends; a slow page misses pictures only.
 
-Each message to a page wakes the thread that sends, which then slows the simulation down. So messages
-are sent no more often than pictures, and no pictures while no page watches.
+Each message to a page wakes the sending thread, which slows the simulation down. So messages are sent no
+more often than pictures, and no pictures without an open page.
 """
 
 import asyncio
@@ -13,11 +13,11 @@ from contextlib import suppress
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 _WAITING = 500
-"""Most messages that wait for a page that does not take them."""
+"""Largest number of messages that wait for a slow page."""
 
 
 class Broadcaster:
-    """Pages that are open.
+    """Sender of messages to the open pages.
 
     Attributes:
         watching: True if there are any.
@@ -44,7 +44,7 @@ class Broadcaster:
                 self._loop.call_soon_threadsafe(self._broadcast, kind, text)
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve one page until it goes."""
+        """Serve one page until it disconnects."""
         self._loop = asyncio.get_running_loop()
         await socket.accept()
         watcher = _Watcher()
@@ -55,7 +55,7 @@ class Broadcaster:
         sending = asyncio.create_task(self._send(socket, watcher))
         try:
             while True:
-                # A page reports which file it has, so that the others know.
+                # A page reports its file to the others.
                 said = await socket.receive_text()
                 self._broadcast("page", json.dumps({"kind": "page", "said": said[:1000]}), but=watcher)
         except (WebSocketDisconnect, KeyError):
@@ -78,7 +78,7 @@ class Broadcaster:
 
 
 class _Watcher:
-    """Messages that wait to be sent to one page."""
+    """Queue of messages for one page."""
 
     def __init__(self) -> None:
         self._waiting: deque[str] = deque(maxlen=_WAITING)
@@ -86,7 +86,7 @@ class _Watcher:
         self._something = asyncio.Event()
 
     def take(self, kind: str, text: str) -> None:
-        """Take a message; a new picture replaces the one that still waits."""
+        """Queue a message; a new picture replaces one that still waits."""
         if kind == "picture":
             self._picture = text
         else:
@@ -94,7 +94,7 @@ class _Watcher:
         self._something.set()
 
     async def next(self) -> str:
-        """Return the next message, when there is one."""
+        """Wait for the next message and return it."""
         while not self._waiting and self._picture is None:
             self._something.clear()
             await self._something.wait()

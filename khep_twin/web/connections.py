@@ -1,9 +1,9 @@
-"""Connections to the page: a limit of their number, of the time each may wait, and reports of errors.
+"""Connections to the page: limits of their number and of their waiting time, and reports of errors.
 
-uvicorn waits for ever for the rest of a request and for a peer that takes no answer, and it accepts until no
-descriptor is left. Here a connection that stands at one thing for too long is ended, and where all places
-are taken, a new connection gets that of the one that has sent no whole head of a request for the longest
-time. A browser asks at once, so that connections which send nothing keep nobody out.
+uvicorn waits for ever for the rest of a request and for a peer that accepts no answer, and it accepts until
+no descriptor is left. Here a connection that stays in one state for too long is closed. At the limit, a new
+connection replaces the one that has sent no complete head of a request for the longest time. A browser sends
+its request at once, so connections that send nothing cannot lock it out.
 """
 
 import logging
@@ -20,37 +20,37 @@ if TYPE_CHECKING:
     from uvicorn.server import Protocols
 
 PATIENCE: Mapping[str, float] = {"head": 10.0, "body": 60.0, "answer": 30.0, "end": 5.0}
-"""Longest time at one thing [s]: at the head of a request, which begins with the
-connection or the last answer; at the rest of a request; at an answer of which the peer takes nothing; at the
-last bytes of one, likewise. Work on an answer, and a websocket that answers when asked, may take any time."""
+"""Longest time in one state [s]: the head of a request, which begins with the connection or the last answer;
+the rest of a request; an answer of which the peer accepts nothing; the last bytes of one, likewise. Work on
+an answer, and a websocket that answers pings, may take any time."""
 
 PING = 20.0
 """Interval of the pings to a websocket's page, and time to answer [s]."""
 
 ACCEPTED_AT_ONCE, QUEUE = 4, 128
-"""Most connections that are accepted before the first of them can be ended, and that wait for it."""
+"""Largest numbers of connections accepted before the first can be closed, and waiting to be accepted."""
 
 _MOST = 64
-"""Most connections: a page has up to seven, its websocket included."""
+"""Largest number of connections: a page has up to seven, its websocket included."""
 
 _AHEAD = 64 * 1024
-"""Most bytes of further requests that may have come when one is answered; more than all of a page's."""
+"""Limit of bytes of further requests received before an answer; more than all of a page's."""
 
 _NEXT_LINE = 60.0
-"""Time in which an error of one kind is reported once only [s]."""
+"""Time in which an error of one kind is reported only once [s]."""
 
 
 def most() -> int:
-    """Return the limit of connections: as many as take a quarter of the descriptors, at most 64."""
+    """Return the limit of connections: as many as need a quarter of the descriptors, at most 64."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return _MOST if limit == resource.RLIM_INFINITY else max(min(_MOST, limit // 4), 1)
 
 
 class PageConnection(H11Protocol):
-    """A connection that takes another one's place where there are too many."""
+    """A connection that replaces an idle one if there are too many."""
 
     def connection_made(self, transport: BaseTransport) -> None:
-        """Take a place."""
+        """Register the connection; close idle ones above the limit."""
         super().connection_made(transport)  # pyright: ignore[reportArgumentType]
         self.since = self.loop.time()
         places = most()
@@ -67,14 +67,14 @@ class PageConnection(H11Protocol):
             )
 
     def on_response_complete(self) -> None:
-        """Go on with the next request, unless requests come faster than they are answered."""
+        """Continue with the next request, unless requests arrive faster than they are answered."""
         if len(self.conn.trailing_data[0]) > _AHEAD:
             self.transport.abort()
         super().on_response_complete()
 
 
 class Watch:
-    """Limit of the time at one thing; ends connections that exceed it when called repeatedly."""
+    """Limit of the time in one state; closes connections that exceed it when called repeatedly."""
 
     def __init__(self) -> None:
         self._seen: dict[object, tuple[tuple[str, object], float]] = {}
@@ -93,7 +93,7 @@ class Watch:
 
 @contextmanager
 def told(tell: Callable[[str], object] | None) -> Generator[None]:
-    """Report the server's errors a line each and one of a kind a minute; without `tell`, log them."""
+    """Report each of the server's errors in one line, one of a kind per minute; without `tell`, log them."""
     loggers = [logging.getLogger(name) for name in ("uvicorn.error", "asyncio")] if tell else []
     lines = _Lines(tell or str)
     for logger in loggers:
@@ -106,7 +106,7 @@ def told(tell: Callable[[str], object] | None) -> Generator[None]:
 
 
 class _Lines(logging.Handler):
-    """Handler that makes one line of a record."""
+    """Handler that reports a record in one line."""
 
     def __init__(self, tell: Callable[[str], object]) -> None:
         super().__init__(logging.ERROR)
@@ -117,7 +117,7 @@ class _Lines(logging.Handler):
         """Report a record, unless one of its kind was reported a short time ago."""
         error = record.exc_info[1] if record.exc_info else None
         if isinstance(error, CancelledError):
-            return  # the server is at its end
+            return  # the server is shutting down
         kind, now = str(record.msg), time.monotonic()
         if now >= self._next.get(kind, 0.0):
             self._next[kind] = now + _NEXT_LINE
@@ -126,7 +126,7 @@ class _Lines(logging.Handler):
 
 
 def _stands_at(connection: "Protocols") -> tuple[str, object]:
-    """Return what a connection waits for, and something that changes as it goes on."""
+    """Return a connection's state, and a value that changes with its progress."""
     transport = connection.transport
     if transport.is_closing():
         return "end", None

@@ -1,8 +1,8 @@
-"""Playpen files below one folder, and nothing outside it.
+"""Playpen files below one folder.
 
-A file is known by its version, a hash of its bytes: each save names the version that it is built on, so that
-two pages, or a page and an editor, never overwrite each other unseen. What a page has not saved yet lies as
-a draft beside the file, `.NAME.toml.PAGE.draft`, until it is saved or discarded. Each page writes and
+A file is identified by its version, a hash of its bytes: each save names the version that it is based on, so
+two pages, or a page and an editor, never overwrite each other unnoticed. Unsaved changes of a page are a
+draft beside the file, `.NAME.toml.PAGE.draft`, until they are saved or discarded. Each page writes and
 deletes its own drafts only.
 """
 
@@ -29,15 +29,15 @@ _PAGE = re.compile("[A-Za-z0-9-]{0,40}")
 """Identifiers of pages."""
 
 _LISTED, _LOOKED_AT = 300, 20_000
-"""Most files that are listed, and most that are looked at for it."""
+"""Largest numbers of files that are listed, and that are searched for them."""
 
 
 class OutsideError(KhepTwinError):
-    """A name that leads out of the folder."""
+    """A path outside the folder."""
 
 
 class ConflictError(KhepTwinError):
-    """A file that is not what it was when the page has opened it."""
+    """A file that has changed since the page opened it."""
 
 
 class Documents:
@@ -54,12 +54,12 @@ class Documents:
         """Return the path of a file.
 
         Args:
-            name: Name of the file, from the folder on.
-            endings: Endings of which it has to have one.
+            name: Path of the file, relative to the folder.
+            endings: Allowed endings.
 
         Raises:
             OutsideError: The file is not below the folder.
-            PlaypenError: It is no name of such a file.
+            PlaypenError: The name is no such file's.
         """
         if not name or len(name) > 512 or not name.isprintable() or "\\" in name:
             raise OutsideError("no file name; expected a file below the folder of the designer")
@@ -81,15 +81,15 @@ class Documents:
         return found
 
     def new_path(self, name: str, *endings: str) -> Path:
-        """Return the path of a file that is not there yet; an empty one may be replaced.
+        """Return the path of a new file; an empty file may be replaced.
 
         Args:
-            name: Name of the file, from the folder on.
-            endings: Endings of which it has to have one.
+            name: Path of the file, relative to the folder.
+            endings: Allowed endings.
 
         Raises:
             OutsideError: The file is not below the folder.
-            PlaypenError: It is no name of such a file, or the file is there.
+            PlaypenError: The name is no such file's, or the file exists.
         """
         found = self.path(name, *endings)
         if found.exists() and found.stat().st_size:
@@ -97,7 +97,7 @@ class Documents:
         return found
 
     def names(self, ending: str = ".toml") -> list[str]:
-        """Return the files with an ending, in the order of their names; none of hidden folders."""
+        """Return the files with an ending, sorted by name, without those in hidden folders."""
         found: list[str] = []
         looked = 0
         for folder, folders, files in os.walk(self.root):
@@ -113,7 +113,7 @@ class Documents:
         return sorted(found)[:_LISTED]
 
     def check(self, name: str) -> None:
-        """Check that a file can be opened, or made.
+        """Check that a file can be opened or created.
 
         Raises:
             KhepTwinError: It cannot.
@@ -125,10 +125,10 @@ class Documents:
             raise PlaypenError(f"{name}: cannot be made: {reason}")
 
     def open(self, name: str) -> dict[str, object]:
-        """Return a file for the page: its playpen, its version, and the drafts that were left of it.
+        """Return a file for the page: its playpen, its version, and its drafts.
 
         Raises:
-            KhepTwinError: It cannot be used.
+            KhepTwinError: The file cannot be used.
         """
         text = self._text(name)
         playpen = playpens.parse(text, name)
@@ -140,7 +140,7 @@ class Documents:
         }
 
     def new(self, name: str | None) -> dict[str, object]:
-        """Return an empty playpen for a file that does not exist yet, and the drafts that were left of it."""
+        """Return an empty playpen for a file that does not exist yet, and the file's drafts."""
         draft = blank(Path(name or "playpen.toml").stem)
         return {"file": name, "version": None, "draft": draft, "left": self.left(name)}
 
@@ -164,7 +164,7 @@ class Documents:
         overwrite: bool = False,
         page: str = "",
     ) -> str:
-        """Write a playpen file as a whole, comments kept, and delete the page's draft of it.
+        """Write a playpen file, keep its comments, and delete the page's draft of it.
 
         Args:
             name: Name of the file.
@@ -178,8 +178,8 @@ class Documents:
             New version of the file.
 
         Raises:
-            ConflictError: The file is there, and another one than the page knows.
-            KhepTwinError: The draft is no playpen, or cannot be written.
+            ConflictError: The file has another version than the page knows.
+            KhepTwinError: The draft is no valid playpen, or cannot be written.
         """
         path = self.path(name, ".toml")
         there = self._text(name) if path.exists() else None
@@ -257,7 +257,7 @@ class Documents:
 
 
 def _kept(place: Path) -> tuple[dict[str, object], float] | None:
-    """Return what a draft's file holds, and its time [s]; None if it cannot be read."""
+    """Return the content of a draft's file, and its time [s]; None if it cannot be read."""
     try:
         if place.is_symlink() or not place.is_file():
             return None

@@ -1,4 +1,4 @@
-"""Drafts of the page: a playpen as JSON, which may be wrong for now, and its problems."""
+"""Drafts of the page: playpens as JSON, which may be invalid, and their problems."""
 
 import re
 import unicodedata
@@ -13,28 +13,28 @@ from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 Draft = dict[str, object]
 
 BLANK = 'version = 1\nname = "{name}"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
-"""A playpen to begin with: the toolbox's four walls [mm]."""
+"""Text of an empty playpen: the toolbox's four walls [mm]."""
 
 
 def name_of(stem: str) -> str:
-    """Return the name of a playpen in a file of any name: letters without accents, digits, '_' and '-'."""
+    """Return a playpen's name for a file name: letters without accents, digits, '_' and '-'."""
     letters = (each for each in unicodedata.normalize("NFKD", stem) if not unicodedata.combining(each))
     return re.sub("[^A-Za-z0-9_-]+", "-", "".join(letters))[:64].strip("-") or "playpen"
 
 
 def blank(stem: str) -> Draft:
-    """Return an empty playpen for a file whose name, less its ending, is `stem`."""
+    """Return an empty playpen for a file whose name without ending is `stem`."""
     name = name_of(stem)
     return draft_of(playpens.parse(BLANK.format(name=name), name))
 
 
 def draft_of(playpen: Playpen) -> Draft:
-    """Return a playpen as the page has it: the keys of its file, all of them, tables of a kind as lists."""
+    """Return a playpen as the page uses it: all keys of its file, tables of a kind as lists."""
     return playpen.model_dump(by_alias=True, exclude_none=True, mode="json")
 
 
 def problems_of(draft: Mapping[str, object]) -> list[dict[str, object]]:
-    """Return a draft's problems, as `playpen check` reports them: the place and a text each."""
+    """Return a draft's problems, as `playpen check` reports them: location and text."""
     return [
         {"place": [part for part in problem.location if part != "[key]"], "text": problem.text}
         for problem in toml_files.problems(Playpen, draft)
@@ -45,7 +45,7 @@ def playpen_of(draft: Mapping[str, object]) -> Playpen:
     """Return a draft as a playpen.
 
     Raises:
-        PlaypenError: It is none yet; one line per problem.
+        PlaypenError: The draft is invalid; one line per problem.
     """
     return toml_files.check(
         Playpen, toml_files.frozen(draft), str(draft.get("name", "draft"))[:64], PlaypenError
@@ -57,10 +57,10 @@ def text_of(draft: Mapping[str, object], base: str | None) -> str:
 
     Args:
         draft: Playpen to write.
-        base: Text of a file to start from, whose comments stay; None to begin anew.
+        base: Text of a file to edit, whose comments are kept; None for a new text.
 
     Raises:
-        PlaypenError: The draft is no playpen yet, or the text leaves no room for the change.
+        PlaypenError: The draft is invalid, or the text cannot be edited in this way.
     """
     playpen = playpen_of(draft)
     if base is None:
@@ -69,5 +69,5 @@ def text_of(draft: Mapping[str, object], base: str | None) -> str:
 
 
 def surfaces() -> dict[str, object]:
-    """Return the surfaces that there are in each playpen."""
+    """Return the surfaces that every playpen has."""
     return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}

@@ -1,9 +1,9 @@
-"""Guard of requests: only a page that this server has given out, in a browser on this machine, is let in.
+"""Guard of requests: only the page that this server has sent, in a browser on this machine, has access.
 
-That a server listens on loopback only does not keep other pages in the same browser away from it: they can
-send it forms, and by a name of their own that leads to 127.0.0.1 they can read its answers. So each request
-has to name this very host, has to come from this very page, and has to begin with a token that is drawn anew
-each time. What fails in that is answered 403, what is too long 413, before anything of it is looked at.
+A server on loopback is not safe from other pages in the same browser: they can send forms to it, and by a
+host name of their own that resolves to 127.0.0.1 they can read its answers. So each request must name this
+host, must come from this page, and its path must begin with a random token that is new at each start. Other
+requests are answered 403, and those that are too long 413, before their content is read.
 """
 
 import hmac
@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 JSON_LIMIT, FILE_LIMIT = 2 * 2**20, 8 * 2**20
-"""Most that the page may send: as JSON, and as a file that is dropped on it [bytes]."""
+"""Largest request of the page: JSON, and a file dropped on it [bytes]."""
 
 _JSON, _FILE = "application/json", "application/octet-stream"
 
@@ -32,7 +32,7 @@ _HEADERS = (
 
 
 class Guard:
-    """Guard of an application: passes requests on, less the token that their paths begin with.
+    """Guard of an application: passes requests on, without the token at the start of their paths.
 
     Args:
         app: Application behind it.
@@ -46,7 +46,7 @@ class Guard:
         self._origins = frozenset(f"http://{host}" for host in self._hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or have it answered."""
+        """Refuse a request, or pass it on."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -64,7 +64,7 @@ class Guard:
         await _Bounded(self._app, limit)(inner, receive, send)
 
     def _refusal(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str]:
-        """Return status and reason; 0 for a request that may pass."""
+        """Return status and reason; 0 for an accepted request."""
         named = [name for name, _ in headers]
         if any(named.count(name) > 1 for name in ("host", "origin", "content-length", "content-type")):
             return 403, "a header stands there twice"
@@ -100,7 +100,7 @@ class Guard:
 
 
 class _Bounded:
-    """Bound on a request: breaks off one that turns out to be longer than it may be."""
+    """Limit of a request's length: refuses a request that exceeds it."""
 
     def __init__(self, app: ASGIApp, limit: int) -> None:
         self._app, self._limit = app, limit
@@ -109,7 +109,7 @@ class _Bounded:
         if scope["type"] == "websocket":
             await self._app(scope, receive, send)
             return
-        # All of it is there before the application begins, so that the answer can still be 413.
+        # The whole body is read before the application runs, so that the answer can still be 413.
         body = bytearray()
         more = True
         while more:
@@ -144,7 +144,7 @@ def _limit(headers: dict[str, str]) -> int:
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, reason: str) -> None:
     if scope["type"] == "websocket":
-        # Closed before it was accepted, it is answered 403.
+        # Closing before accepting makes the server answer 403.
         await receive()
         await send({"type": "websocket.close", "code": 1008})
         return

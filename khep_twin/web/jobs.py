@@ -25,26 +25,26 @@ Tell = Callable[[Mapping[str, object]], None]
 """Function that takes a message for the page."""
 
 Progress = Callable[[float], None]
-"""Function that takes the part of a job that is done, 0 to 1; as often as the job likes."""
+"""Function that takes the completed part of a job, 0 to 1."""
 
 
 class Job(Protocol):
-    """Job that has the robot for a while."""
+    """Job of the robot."""
 
     def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Do the job, reporting its progress, until it is done or to stop."""
+        """Do the job and report its progress, until it is done or `stop` returns True."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class SeriesJob:
-    """A controller, run after run.
+    """A series of runs of a controller.
 
     Attributes:
         name: Name of the controller.
         controller: Controller to run.
         plan: Plan of the series.
-        folder: Folder for each run's metrics and variables; None for nowhere.
+        folder: Folder for each run's metrics and variables; None to save nothing.
     """
 
     name: str
@@ -53,7 +53,7 @@ class SeriesJob:
     folder: Path | None
 
     def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Run it."""
+        """Run the series."""
         kept = None
         if self.folder is not None:
             settings = {
@@ -95,7 +95,7 @@ class Sensing:
     """A sensor test and its picture.
 
     Attributes:
-        test: Test to drive.
+        test: Test to run.
         keep: Function that takes the data.
         text: Description to keep with them.
     """
@@ -105,14 +105,14 @@ class Sensing:
     text: str = ""
 
     def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Drive it."""
+        """Run the test."""
         run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
         self.keep(run)
         tell({"kind": "sensed", "rows": len(run.times), "warning": run.warning})
 
 
 def series(asked: RunRequest, documents: Documents) -> SeriesJob:
-    """Return a series as the page asks for it.
+    """Return the series that the page requests.
 
     Raises:
         KhepTwinError: There is no such controller or plan, or a file is not below the folder.
@@ -129,10 +129,10 @@ def series(asked: RunRequest, documents: Documents) -> SeriesJob:
 
 
 def sensing(asked: SenseRequest, keep: Callable[[SensorRun], None]) -> Sensing:
-    """Return a sensor test as the page asks for it.
+    """Return the sensor test that the page requests.
 
     Raises:
-        SensorTestError: It is none.
+        SensorTestError: The test is invalid.
     """
     test = SensorTest(
         what=asked.what,

@@ -1,8 +1,8 @@
-"""An outside host on the line of a robot that a program in the page may be driving, too.
+"""An outside host on the serial line of a robot that a program of the page may be driving, too.
 
-Alone it has the line as on `khep-twin serve`. Beside a program it gets in between two of the program's
-commands: one whole line at a time, whose reply is its own. Its commands take the program's time, as they
-would on one cable.
+Without such a program, it uses the line as with `khep-twin serve`. With one, its commands are inserted
+between the program's: one whole line at a time, with its own reply. They delay the program, as they would on
+one cable.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
 
 _LINE_LIMIT = 1024
-"""Longest line that is waited for to be whole [bytes]."""
+"""Longest incomplete line that is held back [bytes]."""
 
 
 class OutsideHost:
@@ -29,7 +29,7 @@ class OutsideHost:
     Attributes:
         robot: Robot of the line.
         port: Cable to the host.
-        commands: Number of lines that it has put in between others so far.
+        commands: Number of lines inserted so far.
     """
 
     def __init__(self, twin: Twin, robot: Robot, port: HostPort, tell: Callable[[str], None]) -> None:
@@ -48,17 +48,17 @@ class OutsideHost:
         return self._alone.events_ns()
 
     def exchange(self, now: Callable[[], int] | None) -> None:
-        """Pass bytes both ways, with no other program on the line."""
+        """Pass bytes in both directions, with no other program on the line."""
         if self._begun:
             self.robot.send(bytes(self._begun))
             self._begun.clear()
         self._alone.exchange(now)
 
     def speak_between(self, pass_time: Callable[[int], None]) -> None:
-        """Carry out one line of the host if there is one, and if no reply is waited for.
+        """Execute one line of the host if there is one and no reply is pending.
 
         Args:
-            pass_time: Function that lets time pass until a time [ns].
+            pass_time: Function that advances to a time [ns].
         """
         uart = self.robot.uart
         if len(uart.rx) or len(uart.tx):
@@ -68,7 +68,7 @@ class OutsideHost:
         for notice in received.notices:
             self._tell(notice)
         if received.left:
-            # What the host has sent still reaches the robot; the answers are dropped.
+            # The host's last bytes still reach the robot; the answers are dropped.
             if last := bytes(self._begun) + received.last:
                 self.robot.send(last)
             self.robot.disconnect()

@@ -1,7 +1,7 @@
-"""Time of a twin that is watched: it passes with the wall clock, and can be stopped, stepped and hurried.
+"""Time of a watched twin: paced by the wall clock; it can be paused, stepped and sped up.
 
-It stands between a world and the code that lets time pass in it, such as a controller's port in lock-step.
-Between any two slices of time it handles the user's requests and an outside host on the robot's line.
+It stands between a world and the code that advances its time, such as a controller's port in lock-step.
+Between two slices of time it handles the user's requests and an outside host on the robot's line.
 """
 
 import math
@@ -19,42 +19,42 @@ from khep_twin.units import TICK_NS
 from khep_twin.web.outside_host import OutsideHost
 
 LONGEST_WAIT = 0.02
-"""Longest wall time of one wait, whatever it waits for [s]."""
+"""Longest wall time of one wait [s]."""
 
 PICTURE_INTERVAL = 0.04
-"""Wall time from one picture to the next, at least [s]."""
+"""Shortest wall time between two pictures [s]."""
 
 STEP_NS = 10 * TICK_NS
 """Time of one step while paused [ns]."""
 
 _LISTENING_INTERVAL = 0.002
-"""Wall time from one look for hosts to the next while a program runs: each costs calls to the system [s]."""
+"""Wall time between two polls of the hosts while a program runs: each costs system calls [s]."""
 
 _PATIENCE = 1.0
-"""Longest that a controller that is to end may go on with its cycle [s of wall time]."""
+"""Longest time for a stopped controller to finish its cycle [s of wall time]."""
 
 
 class SessionEndedError(KhepTwinError):
-    """A program on a paced twin that was to end and did not by itself."""
+    """A stopped program on a paced twin that did not end by itself."""
 
 
 class PacedTwin:
-    """Time source that lets a twin's time pass at a pace, also for programs in lock-step.
+    """Time source that paces a twin's time, also for programs in lock-step.
 
     Args:
         twin: Twin to pace.
         hosts: Outside hosts, one for each robot on the line.
-        show: Callback for a picture, up to 25 times a second, with the time by its side.
+        show: Callback for a picture, up to 25 times a second.
 
     Attributes:
         world: World of the twin.
         robots: Robots of the twin.
         robot: First of them.
         view: Twin for the port of a program; closing it keeps the world.
-        speed: Simulated seconds per second; inf for as fast as it goes.
+        speed: Simulated seconds per second; inf for as fast as possible.
         paused: True if time stands still.
-        ended: True if the twin is to end.
-        busy: True if a program in lock-step has the first robot's line.
+        ended: True if the twin must end.
+        busy: True if a program in lock-step uses the first robot's line.
     """
 
     def __init__(self, twin: Twin, hosts: Sequence[OutsideHost], show: Callable[[], None]) -> None:
@@ -77,42 +77,42 @@ class PacedTwin:
         self._lock = threading.Lock()
 
     def wish(self, action: Callable[[], None]) -> None:
-        """Have the thread of the twin do something between two slices of time; from any thread."""
+        """Have the twin's thread execute an action between two slices of time; from any thread."""
         with self._lock:
             self._wishes.append(action)
 
     def step(self) -> None:
-        """Let one step pass while it is paused."""
+        """Advance one step while paused."""
         self._steps_left += STEP_NS
 
     def stop_program(self, wanted: bool = True) -> None:
-        """Request the end of the program in lock-step, or let the next one begin."""
+        """Request the end of the program in lock-step, or allow the next one to begin."""
         self._stop_at = time.monotonic() + _PATIENCE if wanted else None
         self._broken_off = False
 
     def stopping(self) -> bool:
-        """Return True if the program is to end."""
+        """Return whether the program must end."""
         return self.ended or self._stop_at is not None
 
     def advance_to(self, time_ns: int) -> None:
-        """Let time pass until `time_ns`, at the pace that is wanted, and handle requests meanwhile."""
+        """Advance to `time_ns` [ns] at the selected speed, and handle requests meanwhile."""
         world = self.world
         while world.time_ns < time_ns:
             self.attend()
             self._slice(min(time_ns, world.time_ns + TICK_NS))
 
     def idle(self) -> None:
-        """Let time pass with only outside hosts on the lines, until the next event."""
+        """Advance to the next event, with only outside hosts on the lines."""
         self.attend()
         world = self.world
         events = [time_ns for host in self._hosts for time_ns in host.events_ns()]
         self._slice(max(min([world.time_ns + TICK_NS, *events]), world.time_ns))
 
     def attend(self) -> None:
-        """Carry out requests, wait while time is to stand still, and let outside hosts speak.
+        """Execute requests, wait while time is paused, and exchange bytes with outside hosts.
 
         Raises:
-            BrokenOffError: A program was to end and went on and on.
+            SessionEndedError: A stopped program did not end in time.
         """
         while True:
             self._fulfil()
@@ -125,7 +125,7 @@ class PacedTwin:
             self._wait(LONGEST_WAIT)
         late = self.ended or (self._stop_at is not None and time.monotonic() > self._stop_at)
         if self.busy and late and not self._broken_off:
-            # Once: the commands that stop the motors still have to pass.
+            # Only once: the commands that stop the motors must still pass.
             self._broken_off = True
             raise SessionEndedError("stopped within a cycle")
         if not self.busy:
@@ -156,7 +156,7 @@ class PacedTwin:
             ):
                 pass
             if not self.busy:
-                # A host that was heard meanwhile is not to wait until then.
+                # Bytes of a host that arrived meanwhile must not wait until then.
                 time_ns = max(min(pacer.due_ns(), time_ns), self.world.time_ns)
         self.world.advance_to(time_ns)
         if pacer is not None:
@@ -175,7 +175,7 @@ class PacedTwin:
         return self.world.time_ns if pacer is None else max(pacer.due_ns(), self.world.time_ns)
 
     def _wait(self, duration: float, pacer: Pacer | None = None, next_ns: int = 0) -> bool:
-        """Wait a while, or until a host is heard; return whether one was."""
+        """Wait for a duration, or until a host sends; return whether one did."""
         descriptors = [] if self.busy else [each for host in self._hosts for each in host.descriptors()]
         wait = min(duration, LONGEST_WAIT)
         timer = self._timer.descriptor

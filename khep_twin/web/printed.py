@@ -1,4 +1,4 @@
-"""Standard output of the designer, less what controllers print: that goes to the page."""
+"""Standard output of the designer; the output of controllers goes to the page instead."""
 
 import io
 import sys
@@ -11,7 +11,7 @@ _TAKES: ContextVar[Callable[[str], object] | None] = ContextVar("_TAKES", defaul
 
 
 class _Split(io.TextIOBase):
-    """Text stream that is split by thread: to what takes the text, or else to the stream before it."""
+    """Text stream that is split by thread: to a function that takes text, or to the original stream."""
 
     def __init__(self, before: TextIO) -> None:
         self._before = before
@@ -32,7 +32,7 @@ class _Split(io.TextIOBase):
 
 @contextmanager
 def taken_by(take: Callable[[str], object]) -> Generator[None]:
-    """Give what this thread prints to a function; other threads print as before."""
+    """Pass the output of this thread to a function; other threads print as before."""
     if not isinstance(sys.stdout, _Split):
         sys.stdout = _Split(sys.stdout)
     token = _TAKES.set(take)

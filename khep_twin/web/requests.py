@@ -1,7 +1,7 @@
-"""Requests of the page: one class per action, its attributes the keys of the request.
+"""Requests of the page: one class per action, with the keys of the request as attributes.
 
-Each request is checked here before anything is done: it has these keys and no others, no value is of another
-type, numbers are finite and within their ranges, texts not too long.
+Each request is checked here before it is executed: it has these keys and no others, of these types; numbers
+are finite and within their ranges, texts not too long.
 """
 
 import json
@@ -18,17 +18,17 @@ from khep_twin.randomness import SEED_LIMIT
 from khep_twin.units import COUNTS_LIMIT
 
 _DEPTH = 32
-"""Most objects and lists within each other; a playpen has five."""
+"""Largest depth of nested objects and lists; a playpen has five."""
 
 _FAR = 100_000
 """Bound beyond all positions [mm] and turns [degrees] of a page."""
 
 
 def sendable(value: dict[str, object]) -> dict[str, object]:
-    """Return a value that JSON has.
+    """Return a value if JSON can represent it.
 
     Raises:
-        ValueError: It has numbers that are not finite, or text that is no Unicode.
+        ValueError: It has numbers that are not finite, or text that is not Unicode.
     """
     json.dumps(value, ensure_ascii=False, allow_nan=False).encode("utf-8")
     return value
@@ -48,7 +48,7 @@ Speed = Annotated[float, Field(ge=0, le=1000, description="a number from 0.001 t
 
 
 class RequestError(KhepTwinError):
-    """A request that is not understood; one line, of the first problem."""
+    """An invalid request; one line, of the first problem."""
 
     def __init__(self, message: object = "", option: str = "", *, problems: Sequence[Problem] = ()) -> None:
         super().__init__(str(message).partition("\n")[0], option, problems=problems[:1])
@@ -67,7 +67,7 @@ class Request(TomlTable):
 
 
 class Hello(Request):
-    """The first request of a page; `file` is the one that a page has had which is loaded again."""
+    """The first request of a page; `file` is the file of a page that is loaded again."""
 
     file: FileName | None = None
 
@@ -79,7 +79,7 @@ class Named(Request):
 
 
 class MaybeNamed(Request):
-    """A request about a file, or a playpen without one."""
+    """A request about a file, or about a playpen without a file."""
 
     file: FileName | None = None
 
@@ -97,14 +97,14 @@ class Drafted(Request):
 
 
 class Base(TomlTable):
-    """Source of the text to start from."""
+    """Source of the text to edit."""
 
     file: FileName | None = None
     library: FileName | None = None
 
 
 class Kept(Request):
-    """A draft to keep, or, without one, to delete; of the page that asks, or of another."""
+    """A draft to keep or, if it is None, to delete; of the requesting page or of another."""
 
     file: FileName | None = None
     draft: Draft | None = None
@@ -126,14 +126,14 @@ class Saved(Drafted):
 
 
 class Pace(Request):
-    """Pace of time; speed 0 is as fast as it goes."""
+    """Speed of time; 0 is as fast as possible."""
 
     speed: Speed = 1.0
     paused: bool = False
 
 
 class StartRequest(Drafted, Pace):
-    """A twin."""
+    """A twin to start."""
 
     file: FileName | None = None
     seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT, description="an integer from 0 to 2**63-1")] = 0
@@ -169,7 +169,7 @@ class SwitchRequest(Request):
 
 
 class RunRequest(Request):
-    """A controller, run after run."""
+    """A series of runs of a controller."""
 
     controller: Annotated[
         str, Field(min_length=1, max_length=1024, description="the name of a controller or of its file")
@@ -205,19 +205,19 @@ Asked = TypeVar("Asked", bound=Request)
 
 
 def request_of(data: bytes, kind: type[Asked], action: str) -> Asked:
-    """Return a request out of JSON.
+    """Return a request from JSON.
 
     Raises:
-        RequestError: It is none.
+        RequestError: The JSON is no valid request.
     """
     return toml_files.check(kind, toml_files.frozen(object_of(data)), action, RequestError)
 
 
 def object_of(data: bytes) -> dict[str, object]:
-    """Return an object out of JSON, or what Python takes for it: numbers may not be finite.
+    """Return an object from JSON as Python reads it: numbers may be infinite or NaN.
 
     Raises:
-        RequestError: There is none, or one that is nested too deeply.
+        RequestError: The JSON is no object, or nested too deeply.
     """
     try:
         found = json.loads(data, parse_int=_whole)
@@ -238,7 +238,7 @@ def _whole(digits: str) -> float:
 
 
 def _depth(value: object) -> int:
-    """Return how many objects and lists lie within each other."""
+    """Return the depth of nested objects and lists."""
     depth, level = 0, [value]
     while level := [items for each in level if (items := _items(each)) is not None]:
         depth, level = depth + 1, [item for items in level for item in items]

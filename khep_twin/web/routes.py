@@ -1,7 +1,7 @@
-"""Routes of the page: its files, and actions, each by a POST with JSON and an answer in JSON.
+"""Routes of the page: its files, and its actions, each a POST with JSON and an answer in JSON.
 
-An error of the user's is answered 400 with its line, a file that has changed meanwhile 409, a name that
-leads out of the folder 403.
+A user's error is answered 400 with its line, a file that has changed meanwhile 409, a path outside the
+folder 403.
 """
 
 import asyncio
@@ -46,8 +46,8 @@ class Page:
     """Application behind the page.
 
     Args:
-        documents: Documents that it works on.
-        file: File that is opened at first; None for a new playpen. Later the one that was worked on last.
+        documents: Documents of the page.
+        file: File to open at first; None for a new playpen. Later the last file in use.
     """
 
     def __init__(self, documents: Documents, file: str | None) -> None:
@@ -59,7 +59,7 @@ class Page:
         self._runs_in: str | None = None
 
     def app(self) -> Starlette:
-        """Return the application, to be put behind a guard."""
+        """Return the application, to be wrapped in a guard."""
         routes = [
             Route("/", _asset, methods=["GET"]),
             Route("/static/{name}", _asset, methods=["GET"]),
@@ -74,7 +74,7 @@ class Page:
 
     @property
     def actions(self) -> Mapping[str, "_Action"]:
-        """Return the actions of the page by name: the request's class and the function."""
+        """Actions of the page by name: the request's class and the function."""
         documents = self._documents
         return {
             "hello": _on(requests.Hello, self._hello),
@@ -106,17 +106,17 @@ class Page:
         }
 
     def close(self) -> None:
-        """End what runs."""
+        """End the session."""
         if self._actor is not None:
             self._actor.end()
 
     # Files ---------------------------------------------------------------------------------------------
 
     def _hello(self, asked: requests.Hello) -> dict[str, object]:
-        """Answer the first request of a page: a document, and what the page needs to know.
+        """Answer the first request of a page: a document and the designer's data.
 
-        A page that is loaded again names its "file". A new page gets the playpen that runs, or else the last
-        that was worked on.
+        A page that is loaded again names its "file". A new page gets the running playpen, or else the last
+        one in use.
         """
         runs = self._runs()
         file = (
@@ -146,7 +146,7 @@ class Page:
         }
 
     def _runs(self) -> dict[str, object] | None:
-        """Return the playpen that a twin runs in, and the file that it was drawn in; None without a twin."""
+        """Return the playpen of the running twin, and its file; None without a twin."""
         actor = self._actor
         if not isinstance(actor, TwinActor) or not actor.alive:
             return None
@@ -192,7 +192,7 @@ class Page:
             self._file = asked.file
 
     def _preview(self, asked: requests.Drafted) -> Response:
-        """Return a picture in perspective, as a run with seed 0 begins."""
+        """Return a perspective picture of the start of a run with seed 0."""
         playpen = at_spots(drafts.playpen_of(asked.draft), 0)
         return Response(render(playpen, Path("picture.png")), media_type="image/png")
 
@@ -206,7 +206,7 @@ class Page:
             scale = 0.0
         return await run_in_threadpool(_answered, lambda: _imported(data, name, scale))
 
-    # What runs -----------------------------------------------------------------------------------------
+    # Session -------------------------------------------------------------------------------------------
 
     def _start(self, asked: requests.StartRequest) -> None:
         playpen = drafts.playpen_of(asked.draft)
@@ -228,7 +228,7 @@ class Page:
         self._replace(RobotActor(url, self._broadcaster.tell))
 
     def _replace(self, actor: WebSession) -> None:
-        # Two that come at once would both end the last one only.
+        # Two simultaneous requests would both end the last one only.
         with self._changing:
             self.close()
             self._actor = actor
@@ -244,7 +244,7 @@ class Page:
 
     def _run(self, asked: requests.RunRequest) -> None:
         actor = self._running()
-        with taken_by(actor.take_printed):  # a file may print as it is read
+        with taken_by(actor.take_printed):  # a file may print when it is imported
             job = jobs.series(asked, self._documents)
         actor.start(job)
 
@@ -296,7 +296,7 @@ def _on(kind: type[requests.Asked], action: Callable[[requests.Asked], object]) 
 
 
 def _endpoint(name: str, action: Callable[[bytes, str], object]) -> Callable[[Request], Awaitable[Response]]:
-    """Return an endpoint that has JSON and gives JSON."""
+    """Return an endpoint that takes and returns JSON."""
 
     async def endpoint(request: Request) -> Response:
         body = await request.body()
@@ -306,7 +306,7 @@ def _endpoint(name: str, action: Callable[[bytes, str], object]) -> Callable[[Re
 
 
 async def _failed(request: Request, error: Exception) -> Response:
-    """Answer a request that has met an error of the server itself, which is printed on standard error."""
+    """Answer a request after an internal error, which is printed on standard error."""
     return _refused(f"the designer failed: {type(error).__name__}: {error}", 500)
 
 
@@ -325,13 +325,13 @@ def _answered(action: Callable[[], object]) -> Response:
 
 
 def _refused(text: str, status: int = 400, **more: bool) -> Response:
-    """Return an answer that gives the problems, a line each."""
+    """Return an answer with the problems, a line each."""
     lines = (line if line.isprintable() else ascii(line)[1:-1] for line in text.split("\n"))
     return JSONResponse({"error": "\n".join(lines), **more}, status)
 
 
 async def _asset(request: Request) -> Response:
-    """Return a file of the page itself."""
+    """Return one of the page's own files."""
     name = request.path_params.get("name", "index.html")
     known = await asyncio.to_thread(lambda: {path.name: path for path in ASSETS.iterdir()})
     if name not in known or known[name].suffix not in _KINDS:
@@ -349,14 +349,14 @@ def _imported(data: bytes, name: str, mm_per_pixel: float) -> dict[str, object]:
 
 
 def _among(key: str, index: int, items: Sequence[object]) -> int:
-    """Return the number from 0 of one of the playpen's items."""
+    """Return the index of one of the playpen's items."""
     if index >= len(items):
         raise requests.RequestError(f"{key} = {index}: the twin has {len(items)} of them, counted from 0")
     return index
 
 
 def _speed(asked: requests.Pace) -> float:
-    """Return a twin's speed in simulated per real second; 0 is for as fast as it goes."""
+    """Return a twin's speed in simulated seconds per second; a request's 0 is as fast as possible."""
     if asked.speed == 0:
         return math.inf
     if asked.speed < 0.001:

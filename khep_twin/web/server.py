@@ -1,4 +1,4 @@
-"""The designer's server: a socket, a token, a guard, and the page behind it."""
+"""The designer's server: socket, token, guard and page."""
 
 import secrets
 import socket
@@ -17,28 +17,28 @@ from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
 
 _ANY = ("0.0.0.0", "::")
-"""Hosts that stand for all of a machine's addresses."""
+"""Hosts that mean all of a machine's addresses."""
 
 MESSAGE_LIMIT = 64 * 1024
-"""Longest message that a page may send by its websocket [bytes]."""
+"""Longest message of a page over its websocket [bytes]."""
 
 
 class Server:
     """Server of the designer.
 
     Args:
-        folder: Folder whose files it may read and write.
-        file: File that is opened at first, from the folder on.
-        listen: HOST:PORT, port 0 for any that is free.
-        expose: Let other machines reach it.
+        folder: Folder whose files the page may read and write.
+        file: File to open at first, relative to the folder.
+        listen: HOST:PORT; port 0 is any free port.
+        expose: Allow connections from other machines.
         complain: Function that takes the server's own errors, a line each; without it, they are logged.
 
     Attributes:
         url: URL of the page, with its token.
-        listener: Socket that it listens at.
+        listener: Listening socket.
 
     Raises:
-        PortError: It cannot listen there, or may not.
+        PortError: The server cannot or may not listen there.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Server:
 
     @property
     def connections(self) -> int:
-        """Number of connections that are open."""
+        """Number of open connections."""
         return len(self._server.server_state.connections)
 
     def serve(self, stop: Callable[[], bool]) -> None:
@@ -109,7 +109,7 @@ class Server:
 
 
 def _names(host: str) -> list[str]:
-    """Return the names that a browser may use for the host that listens; the first for its address."""
+    """Return the names that a browser may use for the listening host; the first is that of the URL."""
     if is_loopback(host):
         return [_bracketed(host)] if host == "localhost" else [_bracketed(host), "localhost"]
     if host not in _ANY:
@@ -119,7 +119,7 @@ def _names(host: str) -> list[str]:
         own |= {str(found[4][0]) for found in socket.getaddrinfo(socket.gethostname(), None)}
     outwards = []
     with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        # Sends nothing: only the way out is looked up.
+        # Sends nothing: only looks up the route.
         probe.connect(("192.0.2.1", 9))
         outwards = [probe.getsockname()[0]]
     others = [_bracketed(name.partition("%")[0]) for name in sorted(own)]
@@ -131,7 +131,7 @@ def _bracketed(host: str) -> str:
 
 
 class _Quiet(uvicorn.Server):
-    """Server that leaves signals to its starter, asks whether to go on, and watches over its connections."""
+    """Server that leaves signals to its caller, polls `stop`, and watches its connections."""
 
     stop: Callable[[], bool]
 
@@ -140,17 +140,17 @@ class _Quiet(uvicorn.Server):
         self._watch = Watch()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start to listen."""
+        """Start listening."""
         await super().startup(sockets)
         for each in sockets or ():
             each.listen(QUEUE)  # which asyncio makes as short as what it accepts at once
 
     @contextmanager
     def capture_signals(self) -> Generator[None, None, None]:
-        """Capture none."""
+        """Capture no signals."""
         yield
 
     async def on_tick(self, counter: int) -> bool:
-        """Return whether to end, asked ten times a second."""
+        """Return whether to end; called ten times a second."""
         self._watch.look(self.server_state.connections, time.monotonic())
         return self.stop() or await super().on_tick(counter)

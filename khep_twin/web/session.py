@@ -1,6 +1,6 @@
-"""Thread behind the page: a twin in its playpen or a robot at a port.
+"""Sessions of the page: a twin in its playpen or a robot at a port, in a thread.
 
-One thread has the whole world of a twin, as no other may touch it. The page's requests are passed to it, and
+One thread owns the whole world of a twin; no other may touch it. The page's requests are passed to it, and
 its pictures are passed to the page, at most 25 times a second.
 """
 
@@ -31,24 +31,24 @@ from khep_twin.web.printed import taken_by
 from khep_twin.web.turret_outlines import TurretParts
 
 _PATIENCE = 5.0
-"""Longest time for an actor to end [s]."""
+"""Longest time for a session to end [s]."""
 
 _PRINT_LIMIT = 20_000
-"""Longest text of a controller that is sent at once [characters]."""
+"""Longest output of a controller that is sent at once [characters]."""
 
 _LOOK = 0.08
-"""Interval at which a robot at a port is asked for its readings [s]."""
+"""Interval at which the readings of a robot at a port are requested [s]."""
 
 
 class WebSession:
-    """Common part of a twin and a robot: a thread, a job at a time, and an end.
+    """Common part of twin and robot sessions: a thread with one job at a time.
 
     Args:
         tell: Function that takes messages for the page; called by the thread.
 
     Attributes:
-        job: Current job, None without.
-        part: Part of the job that is done, 0 to 1; sent with the pictures, as jobs report it at each cycle.
+        job: Current job; None without one.
+        part: Completed part of the job, 0 to 1; sent with the pictures, as jobs report it at each cycle.
     """
 
     def __init__(self, tell: Tell) -> None:
@@ -73,7 +73,7 @@ class WebSession:
         """Start a job.
 
         Raises:
-            PortError: It has a job already, or has ended.
+            PortError: The session has a job already, or has ended.
         """
         if self.job is not None or not self.alive:
             raise PortError("the robot is busy; expected a stopped robot" if self.alive else "it has ended")
@@ -81,11 +81,11 @@ class WebSession:
         self.job = job
 
     def stop(self) -> None:
-        """End its job, and stop the motors."""
+        """End the job and stop the motors."""
         raise NotImplementedError
 
     def end(self) -> None:
-        """End it; a thread that does not end in time is left to itself, and its messages are dropped."""
+        """End the session; abandon a thread that does not end in time, and drop its messages."""
         self._ended.set()
         self._thread.join(_PATIENCE)
         if self.alive:
@@ -94,12 +94,12 @@ class WebSession:
             self._left = True
 
     def tell(self, message: Mapping[str, object]) -> None:
-        """Send a message to the page, unless there may be another actor by now."""
+        """Send a message to the page, unless this session was abandoned."""
         if not self._left:
             self._tell(message)
 
     def take_printed(self, text: str) -> None:
-        """Keep what a controller prints for the page, of much the last; `_tell_printed` sends it."""
+        """Keep a controller's output for `_tell_printed`; of long output, keep the end."""
         self._printed += text
         if len(self._printed) > 2 * _PRINT_LIMIT:
             self._printed = self._printed[-_PRINT_LIMIT:]
@@ -114,7 +114,7 @@ class WebSession:
             self._live()
         except KhepTwinError as error:
             self.tell({"kind": "error", "text": error.plain})
-        except BaseException as error:  # reported where it can be seen, then as ever
+        except BaseException as error:  # reported in the page, then raised as usual
             self.tell({"kind": "error", "text": f"{type(error).__name__}: {error}"})
             raise
         finally:
@@ -128,7 +128,7 @@ class WebSession:
         self.part = round(part, 4)
 
     def _do(self, robot: Khepera, stop: Callable[[], bool]) -> None:
-        """Do the job; its errors are reported, and the robot goes on."""
+        """Do the job; report its errors and continue."""
         if (job := self.job) is None:
             return
         try:
@@ -149,11 +149,11 @@ class TwinActor(WebSession):
     Args:
         playpen: Playpen to simulate.
         options: Options of the twin.
-        log: File to record it in.
+        log: File of the log; None for none.
         tell: Function that takes messages for the page.
 
     Attributes:
-        playpen: Playpen that is simulated.
+        playpen: Simulated playpen.
         speed: Simulated seconds per second.
         paused: True if time stands still.
     """
@@ -172,16 +172,16 @@ class TwinActor(WebSession):
             self._paced.speed, self._paced.paused = speed, paused
 
     def step(self) -> None:
-        """Let one step pass."""
+        """Advance one step."""
         if self._paced is not None:
             self._paced.step()
 
     def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float) -> None:
-        """Put a robot down elsewhere; report it if there is no room."""
+        """Move a robot; report if there is no room."""
         self._wish(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg))
 
     def room(self, robot: int, x_mm: float, y_mm: float) -> None:
-        """Report to the page why a held robot has no room at a position; an empty reason if it has."""
+        """Report why a held robot has no room at a position; with room, the reason is empty."""
         self._wish(
             lambda twin: self.tell(
                 {
@@ -267,7 +267,7 @@ class TwinActor(WebSession):
                     paced.stop_program(False)
 
     def _cast(self, twin: PacedTwin, ports: list[PtyPort]) -> dict[str, object]:
-        """Return the message about the robots and the log, sent once."""
+        """Return the first message: the robots and the log."""
         return {
             "kind": "twin",
             "playpen": twin.world.playpen.name,
@@ -285,7 +285,7 @@ class TwinActor(WebSession):
         }
 
     def _picture(self, twin: PacedTwin, hosts: list[OutsideHost]) -> dict[str, object]:
-        """Return the state of the world as it is now."""
+        """Return the present state of the world."""
         world = twin.world
         robots: list[dict[str, object]] = []
         now = as_it_stands(world)
@@ -329,7 +329,7 @@ class TwinActor(WebSession):
 
 
 class RobotActor(WebSession):
-    """Robot, or twin that is served elsewhere, at a port; its readings are asked for over and over.
+    """A robot, or a twin served elsewhere, at a port; its readings are polled.
 
     Args:
         url: URL of the port.
@@ -384,7 +384,7 @@ class RobotActor(WebSession):
 
 
 def shape(model: str, sensors: str) -> dict[str, object]:
-    """Return a robot's outline and its sensors, for drawing: [mm] and [deg]."""
+    """Return a robot's radius and sensors, for drawing: [mm] and [deg]."""
     body = BODIES[model]
     measured = calibration.read(sensors)[0]
     return {

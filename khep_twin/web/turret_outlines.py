@@ -1,4 +1,4 @@
-"""Turrets from above: outlines of their geoms, in the coordinates of the robot that carries them."""
+"""Turrets from above: outlines of their geoms, in the frame of their robot."""
 
 import math
 from collections.abc import Mapping
@@ -22,10 +22,10 @@ _CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)],
 
 @cache
 def at_start(name: str) -> list[dict[str, object]]:
-    """Return the parts of a turret as it stands at start, each with its corners [mm] and its colour.
+    """Return the parts of a turret in its start pose, each with its corners [mm] and its colour.
 
     Raises:
-        TurretError: the turret's scene cannot be compiled.
+        TurretError: The turret's scene cannot be compiled.
     """
     kind = installed()[name]
     if kind.scene is None:
@@ -43,11 +43,11 @@ def at_start(name: str) -> list[dict[str, object]]:
 
 
 class TurretParts:
-    """The parts of a robot's turrets in a world, in the order of `at_start`, turret by turret.
+    """Parts of a robot's turrets in a world, in the order of `at_start`, turret by turret.
 
     Args:
         world: World of the robot.
-        index: Number of the robot.
+        index: Index of the robot.
     """
 
     def __init__(self, world: World, index: int) -> None:
@@ -61,7 +61,7 @@ class TurretParts:
         }
 
     def corners(self) -> list[list[list[float]]]:
-        """Return the corners of the parts as they stand [mm]."""
+        """Return the present corners of the parts [mm]."""
         place, turned = self._data.xpos[self._base], self._data.xmat[self._base].reshape(3, 3)
         return _outlines(self._data, self._points, place, turned)
 
@@ -74,7 +74,7 @@ def _owned(model: mujoco.MjModel, geom: int, prefix: str) -> bool:
 def _outlines(
     data: mujoco.MjData, points: Mapping[int, Floats], place: Floats, turned: Floats
 ) -> list[list[list[float]]]:
-    """Return the convex outlines of geoms with these points, seen along z of a frame [mm]."""
+    """Return the convex outlines of geoms with these points, along z of a frame [mm]."""
     found: list[list[list[float]]] = []
     for geom, local in points.items():
         at = local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
@@ -86,7 +86,7 @@ def _outlines(
 def _hull(points: list[list[float]]) -> list[list[float]]:
     """Return the corners of the convex hull of points, counter-clockwise.
 
-    For a box this takes a tenth of the time of SciPy's, which counts 25 times a second.
+    For a box this takes a tenth of the time of SciPy's, which matters at 25 calls a second.
     """
     points = sorted(points)
     hull: list[list[float]] = []
@@ -104,7 +104,7 @@ def _hull(points: list[list[float]]) -> list[list[float]]:
 
 
 def _points(model: mujoco.MjModel, geom: int) -> Floats:
-    """Return points of a geom, in its own frame, whose convex hull is about the geom."""
+    """Return points of a geom, in its own frame, whose convex hull approximates the geom."""
     size, kind = model.geom_size[geom], model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return np.vstack([_CIRCLE * size[0] + (0, 0, side * size[1]) for side in (-1, 1)])

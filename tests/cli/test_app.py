@@ -149,7 +149,7 @@ def test_a_playpen_is_checked_compiled_and_drawn(tmp_path: Path) -> None:
         (("version = 1", "version = 1\n[arena"), "not TOML"),
     ],
 )
-def test_a_wrong_playpen_is_told_file_table_key_and_value(
+def test_a_wrong_playpen_is_reported_file_table_key_and_value(
     change: tuple[str, str], line: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "arena.toml"

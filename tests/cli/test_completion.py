@@ -62,7 +62,7 @@ def in_bash(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
         ("playpen draw ../", []),
     ],
 )
-def test_bash_is_told_what_there_is(
+def test_bash_is_reported_what_there_is(
     typed: str, offered: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert in_bash(capsys, *typed.split(" ")) == offered
@@ -75,7 +75,7 @@ def test_bash_completes_a_port_behind_its_colon(capsys: pytest.CaptureFixture[st
     assert in_bash(capsys, "sense", "khep", ":", "//default", "--wh") == ["--what"]
 
 
-def test_zsh_is_told_what_there_is_and_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_zsh_is_reported_what_there_is_and_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     variables = {"_TYPER_COMPLETE_ARGS": "khep-twin conform khep://d", "_KHEP_TWIN_COMPLETE": "complete_zsh"}
     told = shown(capsys, **variables)
     assert r'"khep\\://default":"Four walls and a robot' in told

@@ -13,7 +13,7 @@ from command_line import khep_twin
 COMMAND = [sys.executable, "-m", "khep_twin", "design"]
 
 
-def test_it_tells_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) -> None:
+def test_it_prints_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) -> None:
     with subprocess.Popen(
         [*COMMAND, "mine.toml", "--no-browser"],
         cwd=tmp_path,
@@ -46,7 +46,7 @@ def test_it_tells_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) ->
         (["folder.toml"], "folder.toml"),
     ],
 )
-def test_a_mistake_is_told_in_one_line(tmp_path: Path, arguments: list[str], told: str) -> None:
+def test_a_mistake_is_reported_in_one_line(tmp_path: Path, arguments: list[str], told: str) -> None:
     (tmp_path / "broken.toml").write_text("nonsense = 1\n")
     (tmp_path / "folder.toml").mkdir()
     with socket.create_server(("127.0.0.1", 0)) as taken:

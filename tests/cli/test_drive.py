@@ -193,7 +193,7 @@ def test_a_screen_that_hangs_does_not_keep_the_robot_driving(fake: FakeRobot, te
         time.sleep(0.05)
 
 
-def test_a_lost_line_is_told_when_the_terminal_is_back(fake: FakeRobot, terminal: Terminal) -> None:
+def test_a_lost_line_is_reported_when_the_terminal_is_back(fake: FakeRobot, terminal: Terminal) -> None:
     terminal.wait_for("stop, speed 5")
     fake.disconnect(for_good=True)
     assert terminal.end() == 1

@@ -44,7 +44,7 @@ def test_scan_and_picture_become_the_playpen_as_it_was_drawn(file: str, folder: 
     assert command("check", "out.toml", cwd=folder).returncode == 0
 
 
-def test_the_command_tells_what_it_found_and_made(folder: Path) -> None:
+def test_the_command_reports_what_it_found_and_made(folder: Path) -> None:
     assert command("import", "scan.mat", cwd=folder).stdout == (
         f"bitmap   btmap1, 500 x 600 pixels of 1 mm, {DRAWN.sum()} of them solid\n"
         "flip     its first row is the bottom (the toolbox's scan turned the right way up); "
@@ -111,7 +111,7 @@ def test_a_playpen_may_have_no_robot(folder: Path) -> None:
         ),
     ],
 )  # fmt: skip
-def test_what_cannot_be_imported_is_told_in_one_line_and_nothing_is_written(
+def test_what_cannot_be_imported_is_reported_in_one_line_and_nothing_is_written(
     values: dict[str, Any], words: str, line: str, tmp_path: Path
 ) -> None:
     savemat(tmp_path / "x.mat", values)
@@ -130,12 +130,12 @@ def test_what_cannot_be_imported_is_told_in_one_line_and_nothing_is_written(
         ("painted.png -o no/out.toml", "no/out.toml: cannot be written: there is no directory no"),
     ],
 )
-def test_a_mistake_in_the_command_is_told_in_one_line(words: str, line: str, folder: Path) -> None:
+def test_a_mistake_in_the_command_is_reported_in_one_line(words: str, line: str, folder: Path) -> None:
     done = command("import", *words.split(), cwd=folder)
     assert (done.returncode, done.stderr) == (1, f"khep-twin: {line}\n")
 
 
-def test_the_page_on_the_import_tells_what_the_command_does(tmp_path: Path, monkeypatch: Any) -> None:
+def test_the_page_on_the_import_reports_what_the_command_does(tmp_path: Path, monkeypatch: Any) -> None:
     (paints,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     (told,) = re.findall(r"```\n(bitmap .*?)```", PAGE, re.DOTALL)
     monkeypatch.chdir(tmp_path)

@@ -22,7 +22,7 @@ def rollout(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
     return khep_twin("rollout", *arguments, folder=cwd)
 
 
-def test_a_rollout_tells_how_it_went_and_the_same_again(tmp_path: Path) -> None:
+def test_a_rollout_reports_how_it_went_and_the_same_again(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(OWN)
     options = ("own.py:controller", "--playpen", "looping-maze", "--seed", "1", "--seconds", "2")
     first, second = (rollout(*options, cwd=tmp_path) for _ in range(2))
@@ -33,13 +33,13 @@ def test_a_rollout_tells_how_it_went_and_the_same_again(tmp_path: Path) -> None:
     assert "homing" not in first.stdout
 
 
-def test_a_rollout_in_a_plane_goes_about_the_same_way(tmp_path: Path) -> None:
+def test_a_rollout_in_a_plane_takes_about_the_same_path(tmp_path: Path) -> None:
     options = ("--playpen", "looping-maze", "--noise", "off", "--seconds", "2")
     ways = [float(rollout(*options, *more, cwd=tmp_path).stdout.split()[-1]) for more in ((), ("--planar",))]
     assert ways[1] == pytest.approx(ways[0], abs=2e-3)
 
 
-def test_the_way_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> None:
+def test_the_path_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> None:
     options = ("--planar", "--playpen", "looping-maze", "--seconds", "4.5", "--period", "50")
     result = rollout(*options, "--picture", "way.png", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

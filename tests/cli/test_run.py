@@ -192,7 +192,7 @@ def test_only_the_same_series_goes_on(tmp_path: Path) -> None:
     assert (tmp_path / "s" / "series.json").read_bytes() == before
 
 
-def test_a_controller_that_draws_on_chance_of_its_own_is_told_on_resume(tmp_path: Path) -> None:
+def test_a_controller_with_randomness_of_its_own_is_reported_on_resume(tmp_path: Path) -> None:
     text = (
         "import random\n\ndef controller(robot):\n    robot.position()\n    return {'luck': random.random()}"
     )
@@ -411,7 +411,7 @@ def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Seq
 
 
 @pytest.mark.parametrize("kind", [("run",), ("rollout", "--planar", "--period", "20")])
-def test_the_firmware_of_a_khepera_2_alone_is_told_of_in_one_line(
+def test_the_firmware_of_a_khepera_2_alone_is_reported_in_one_line(
     tmp_path: Path, kind: Sequence[str]
 ) -> None:
     done = khep_twin(*kind, "--rom", "khepera2", "--seconds", "0.2", folder=tmp_path)

@@ -80,7 +80,7 @@ def test_earlier_runs_are_drawn_without_a_port_always_the_same(folder: Path) -> 
     assert (folder / "a.svg").read_bytes() == (folder / "b.svg").read_bytes()
 
 
-def test_a_test_that_breaks_off_keeps_its_data_and_tells_why_in_one_line(folder: Path) -> None:
+def test_a_test_that_breaks_off_keeps_its_data_and_reports_why_in_one_line(folder: Path) -> None:
     result = sense("khep://bench.toml?fault=dead:left", "--linear", 10, "-o", "run.csv", cwd=folder)
     assert result.returncode == 1
     assert result.stderr.startswith("khep-twin: the test broke off after ")

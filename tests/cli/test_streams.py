@@ -132,7 +132,7 @@ def test_a_series_whose_reader_has_gone_ends_after_its_run(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("errors", [pytest.param("full", marks=full), "closed", "unread"])
-def test_trouble_that_cannot_be_told_is_in_the_exit_code(errors: str, tmp_path: Path) -> None:
+def test_trouble_that_cannot_be_reported_is_in_the_exit_code(errors: str, tmp_path: Path) -> None:
     assert run("run nobody.py", tmp_path, "pipe", errors) == (1, "")
     assert run("run --seconds -1", tmp_path, "pipe", errors) == (2, "")
     assert run("playpen list", tmp_path, "pipe", errors) == (0, "")
@@ -141,7 +141,7 @@ def test_trouble_that_cannot_be_told_is_in_the_exit_code(errors: str, tmp_path: 
 @pytest.mark.parametrize(
     ("output", "code"), [pytest.param("full", 1, marks=full), ("closed", 1), ("unread", 128 + signal.SIGPIPE)]
 )
-def test_a_server_that_cannot_tell_its_path_serves_all_the_same(
+def test_a_server_that_cannot_print_its_path_serves_all_the_same(
     output: str, code: int, tmp_path: Path
 ) -> None:
     words = ["serve", "--link", "./robot", "--log", "run.mcap"]

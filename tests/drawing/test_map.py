@@ -110,7 +110,7 @@ def boxes(figure: Figure) -> list[Bbox]:
     return [text.get_window_extent() for text in figure.axes[0].texts]
 
 
-def test_labels_do_not_overlap_where_ways_end_together() -> None:
+def test_labels_do_not_overlap_where_paths_end_together() -> None:
     time_s = np.linspace(0, 1, 5)
     paths = [
         DrawnPath(f"starts-{k:03d}", time_s, np.stack((200 + 3 * k * time_s, 100 + time_s), axis=1))
@@ -260,7 +260,7 @@ def test_drawing_leaves_matplotlib_as_it_was(tmp_path: Path) -> None:
     assert dict(matplotlib.rcParams) == before
 
 
-def test_an_svg_is_well_formed_and_tells_neither_hour_nor_version(tmp_path: Path) -> None:
+def test_an_svg_is_well_formed_and_has_neither_hour_nor_version(tmp_path: Path) -> None:
     file = tmp_path / "scene.SVG"
     save(draw(SCENE), file)
     text = file.read_text()
@@ -276,7 +276,7 @@ def test_another_suffix_is_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     with pytest.raises(KhepTwinError, match=r"scene\.png: cannot be written: there is no directory"):
         save(draw(SCENE), tmp_path / "missing" / "scene.png")
 

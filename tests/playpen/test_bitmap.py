@@ -35,7 +35,7 @@ def test_rectangles_cover_exactly_the_solid_pixels_without_overlap(solid: NDArra
 
 @settings(max_examples=100, derandomize=True, database=None)
 @given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=12)), st.booleans())
-def test_any_bitmap_becomes_its_playpen_or_is_told_to_be_solid(
+def test_any_bitmap_becomes_its_playpen_or_is_reported_to_be_solid(
     solid: NDArray[np.bool_], walled: bool
 ) -> None:
     solid = np.pad(solid, 1, constant_values=walled)
@@ -185,7 +185,7 @@ def spot() -> NDArray[np.bool_]:
         (spot(), {"name": "a b"}, "name = \"a b\"; expected 1 to 64 letters, digits, '_' or '-'"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_a_playpen_is_told_in_one_line(
+def test_what_cannot_be_a_playpen_is_reported_in_one_line(
     solid: NDArray[np.bool_], options: dict[str, Any], line: str
 ) -> None:
     with pytest.raises(BitmapError) as caught:

@@ -124,7 +124,7 @@ def test_what_is_transparent_is_free() -> None:
         ),
     ],
 )  # fmt: skip
-def test_a_mat_file_without_a_bitmap_is_told_in_one_line(
+def test_a_mat_file_without_a_bitmap_is_reported_in_one_line(
     values: dict[str, Any], arguments: tuple[Any, ...], line: str
 ) -> None:
     assert refused(saved(values), *arguments) == line
@@ -176,7 +176,7 @@ WHOLE = png(grey(np.where(DRAWN, 0, 255)))
     ],
     ids=range(14),
 )  # fmt: skip
-def test_what_is_no_usable_picture_is_told_in_one_line(
+def test_what_is_no_usable_picture_is_reported_in_one_line(
     data: bytes, arguments: tuple[Any, ...], line: str
 ) -> None:
     told = refused(data, *arguments)
@@ -253,7 +253,7 @@ def test_the_largest_bitmaps_take_less_than_two_seconds_and_512_mb(kind: str, tm
     assert float(second) < 4
 
 
-def test_a_file_that_is_not_there_is_told_by_its_path(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_reported_by_its_path(tmp_path: Path) -> None:
     for path, reason in ((tmp_path / "none.mat", "No such file or directory"), (tmp_path, "Is a directory")):
         with pytest.raises(BitmapError) as caught:
             bitmap_files.read(path)

@@ -419,12 +419,12 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("text", "line"), WRONG.items(), ids=range(len(WRONG)))
-def test_a_wrong_file_is_told_place_key_value_and_what_would_be_right(text: str, line: str) -> None:
+def test_a_wrong_file_is_reported_place_key_value_and_what_would_be_right(text: str, line: str) -> None:
     assert f"p.toml: {line}" in lines_about(text)
 
 
 @pytest.mark.parametrize(("text", "line"), WRONG.items(), ids=range(len(WRONG)))
-def test_the_line_that_is_told_has_the_key_or_begins_the_table(text: str, line: str) -> None:
+def test_the_line_that_is_reported_has_the_key_or_begins_the_table(text: str, line: str) -> None:
     numbers = re.findall(r"^p\.toml:(\d+): (.*)$", "\n".join(numbered_lines_about(text)), re.MULTILINE)
     for number, told in numbers:
         there = text.splitlines()[int(number) - 1]
@@ -441,7 +441,7 @@ def test_no_line_shows_what_the_file_is_checked_with(text: str) -> None:
     assert not any(word in message for word in ("pydantic", "http", "Input", "validation", "Traceback"))
 
 
-def test_all_problems_are_told_at_once() -> None:
+def test_all_problems_are_reported_at_once() -> None:
     text = HEAD + ARENA.replace("600", "nan") + BLOCK.replace("50", "-50") + ROBOT + "wheels = 3\n"
     assert len(lines_about(text)) == 3
     text = HEAD + ARENA + ROBOT + ROBOT + ROBOT.replace("300", "5") + LAMP.replace("450", "550")
@@ -463,7 +463,7 @@ def test_so_many_objects_are_refused_before_they_are_compared() -> None:
     assert line == "p.toml: 5001 blocks, cylinders, lamps and robots; expected up to 5000 together"
 
 
-def test_of_very_many_problems_of_a_place_only_the_first_are_told() -> None:
+def test_of_very_many_problems_of_a_place_only_the_first_are_reported() -> None:
     robots = ",".join(["{x_mm=300,y_mm=250,heading_deg=0}"] * 1000)
     lines = lines_about(f"robot = [{robots}]\n" + HEAD + ARENA)
     assert len(lines) == PROBLEM_LIMIT + 1
@@ -511,7 +511,7 @@ def test_a_playpen_loads_by_path(tmp_path: Path) -> None:
     assert playpens.load(file) == playpens.load(str(file)) == parse()
 
 
-def test_a_missing_file_is_told_with_what_ships(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_with_what_ships(tmp_path: Path) -> None:
     with pytest.raises(
         PlaypenError, match=r"^defualt: no such file; .*did you mean 'default'\? \(choices: default,"
     ):
@@ -663,7 +663,7 @@ def test_any_text_is_a_playpen_or_is_refused_as_one(text: str) -> None:
         ),
     ],
 )
-def test_a_number_too_long_to_write_out_is_told(before: str, after: str, line: str) -> None:
+def test_a_number_too_long_to_write_out_is_reported(before: str, after: str, line: str) -> None:
     text = 'version = 1\nname = "x"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
     with pytest.raises(PlaypenError) as caught:
         playpens.parse(text.replace(before, after), "x")
@@ -703,7 +703,7 @@ def test_robots_that_share_spots_always_find_room_where_there_is() -> None:
     "robots",
     ['[[robot]]\nspots = ["a"]\n[[robot]]\nspots = ["a"]\n', '[[robot]]\nspots = ["a"]\n' + ROBOT],
 )
-def test_too_few_spots_are_told(robots: str) -> None:
+def test_too_few_spots_are_reported(robots: str) -> None:
     (line,) = lines_about(HEAD + ARENA + SPOT + robots)
     assert line == (
         "p.toml: robots: there is not a spot for each of them, clear of the others; expected a spot more"

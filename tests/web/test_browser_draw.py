@@ -24,7 +24,7 @@ need_a_browser()
 pytestmark = BROWSED
 
 
-def test_what_is_wrong_is_told_at_the_object_while_it_is_dragged(visit: Visit) -> None:
+def test_what_is_wrong_is_reported_at_the_object_while_it_is_dragged(visit: Visit) -> None:
     visit.add("block", (200, 200))
     visit.add("robot", (400, 200))
     page = visit.page
@@ -405,7 +405,7 @@ def test_a_picture_or_a_scan_becomes_a_playpen(
     assert any(abs(block.x_mm - 110) < 5 and abs(block.y_mm - 390) < 5 for block in saved_blocks(tmp_path))
 
 
-def test_what_is_no_picture_is_told_and_changes_nothing(visit: Visit, tmp_path: Path) -> None:
+def test_what_is_no_picture_is_reported_and_changes_nothing(visit: Visit, tmp_path: Path) -> None:
     visit.add("block", (200, 200))
     visit.save_as("mine.toml")
     (tmp_path / "notes.png").write_text("no picture")
@@ -515,7 +515,7 @@ def view(visit: Visit) -> list[float]:
     return [float(number) for number in visit.page.get_attribute("#view", "viewBox").split()]
 
 
-def test_what_is_typed_wrongly_is_told_drawn_somehow_and_left_by_tab(visit: Visit) -> None:
+def test_what_is_typed_wrongly_is_reported_drawn_somehow_and_left_by_tab(visit: Visit) -> None:
     page = visit.page
     visit.add("block", (300, 250))
     for text in ("", "1e99", "-5", "60"):

@@ -148,7 +148,7 @@ def test_connections_that_send_nothing_keep_no_page_out(
     assert all(ended(connection) for connection in idle[:16])
 
 
-def test_with_few_descriptors_the_page_is_answered_and_at_most_a_line_is_told(tmp_path: Path) -> None:
+def test_with_few_descriptors_the_page_is_answered_and_at_most_a_line_is_reported(tmp_path: Path) -> None:
     program = [sys.executable, "-m", "khep_twin", "design", "--no-browser"]
     with (
         subprocess.Popen(
@@ -185,7 +185,7 @@ def test_with_few_descriptors_the_page_is_answered_and_at_most_a_line_is_told(tm
         ]
 
 
-def test_a_server_without_a_descriptor_waits_and_tells_a_line(tmp_path: Path) -> None:
+def test_a_server_without_a_descriptor_waits_and_reports_a_line(tmp_path: Path) -> None:
     program = """
 import os, time
 from pathlib import Path
@@ -233,7 +233,7 @@ print(time.process_time() - used < 0.5 * (time.monotonic() - begin))
         assert process.stdout.read() == "True\n"
 
 
-def test_a_websocket_lives_as_long_as_its_page_answers(
+def test_a_websocket_stays_open_as_long_as_its_page_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
     monkeypatch.setattr("khep_twin.web.server.PING", 0.2)

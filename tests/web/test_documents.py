@@ -213,13 +213,13 @@ def test_each_problem_of_a_draft_has_its_place() -> None:
 
 
 @pytest.mark.parametrize("draft", [{}, {"arena": 3}, {"robot": [[[]]]}, {"block": {"x": 1}}, {"name": None}])
-def test_any_draft_is_told_what_is_wrong_with_it(asker: Asker, draft: dict[str, object]) -> None:
+def test_any_draft_is_reported_what_is_wrong_with_it(asker: Asker, draft: dict[str, object]) -> None:
     status, answer = asker.do("check", draft=draft)
     assert status == 200
     assert answer["problems"]
 
 
-def test_no_json_is_told(asker: Asker) -> None:
+def test_no_json_is_reported(asker: Asker) -> None:
     for body in (b"", b"[]", b"{", b"[" * 100_000, b'{"draft": 1}', b"\xff"):
         assert asker.raw("POST", f"{asker.base}/do/check", asker.own(), body)[0] == 400
 

@@ -131,7 +131,7 @@ def test_what_is_too_long_is_refused_on_every_route(asker: Asker, tmp_path: Path
             assert ask(asker, plain, asker.base + path, headers, b"") == 413, (method, path)
 
 
-def test_what_does_not_tell_its_length_is_counted(asker: Asker) -> None:
+def test_what_does_not_state_its_length_is_counted(asker: Asker) -> None:
     head = "\r\n".join(f"{name}: {value}" for name, value in asker.own(Transfer_Encoding="chunked").items())
     host, _, port = asker.host.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=10) as connection:
@@ -228,7 +228,7 @@ def test_what_cannot_be_sent_on_is_no_object_and_leaves_no_draft(asker: Asker, t
     assert asker.do("hello")[0] == 200
 
 
-def test_a_name_that_is_too_long_is_told(asker: Asker) -> None:
+def test_a_name_that_is_too_long_is_reported(asker: Asker) -> None:
     for action, more in (
         ("open", {}),
         ("save", {"draft": DRAFT}),

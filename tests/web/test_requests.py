@@ -137,7 +137,7 @@ def test_what_is_no_object_is_refused(asker: Asker) -> None:
 
 
 @pytest.mark.parametrize("key", ["x_mm", "width_mm", "seed"])
-def test_a_number_of_400_digits_in_a_draft_is_told_with_its_place(asker: Asker, key: str) -> None:
+def test_a_number_of_400_digits_in_a_draft_is_reported_with_its_place(asker: Asker, key: str) -> None:
     huge = 10**400
     draft = {**DRAFT, "block": [{"x_mm": huge}], "arena": {"height_mm": 500, "width_mm": huge}}
     if key == "seed":

@@ -91,7 +91,7 @@ def test_there_is_no_room_for_a_robot_in_a_wall(actor: TwinActor, ear: Ear) -> N
     assert "lamp = 7" in ear.wait("refused")["text"]
 
 
-def test_a_held_robot_is_told_if_it_has_room(actor: TwinActor, ear: Ear) -> None:
+def test_a_held_robot_is_reported_to_have_room_or_not(actor: TwinActor, ear: Ear) -> None:
     ear.wait("twin")
     actor.room(0, 5, 5)
     assert "overlaps the left wall" in ear.wait("room")["reason"]
@@ -198,7 +198,7 @@ def test_a_folder_that_has_a_series_is_refused_in_the_page_s_words(
     ear.wait("done")
 
 
-def test_a_sensor_test_tells_where_nothing_was_within_reach(actor: TwinActor, ear: Ear) -> None:
+def test_a_sensor_test_reports_where_nothing_was_within_reach(actor: TwinActor, ear: Ear) -> None:
     ear.wait("twin")
     for what, x_mm, warning in (
         ("proximity", 300, "no proximity count is above"),
@@ -212,7 +212,7 @@ def test_a_sensor_test_tells_where_nothing_was_within_reach(actor: TwinActor, ea
         ear.wait("done")
 
 
-def test_what_a_controller_prints_is_told_and_all_else_is_not(
+def test_what_a_controller_prints_is_reported_and_all_else_is_not(
     capsys: pytest.CaptureFixture[str], actor: TwinActor, ear: Ear
 ) -> None:
     def talks(robot: Khepera) -> None:
@@ -229,7 +229,7 @@ def test_what_a_controller_prints_is_told_and_all_else_is_not(
     assert capsys.readouterr().out == "from elsewhere\n"
 
 
-def test_a_controller_that_fails_is_told_and_the_twin_goes_on(actor: TwinActor, ear: Ear) -> None:
+def test_a_controller_that_fails_is_reported_and_the_twin_goes_on(actor: TwinActor, ear: Ear) -> None:
     def failing(robot: Khepera) -> None:
         raise KhepTwinError("out of ideas")
 
@@ -278,7 +278,7 @@ def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
     assert sorted(kind for kind in kinds if kind != "picture") == ["done", "run"]
 
 
-def test_no_picture_is_told_while_nobody_watches() -> None:
+def test_no_picture_is_reported_without_an_open_page() -> None:
     audience = Broadcaster()
     audience.tell({"kind": "picture", "time": math.nan})
     with pytest.raises(ValueError, match="not JSON compliant"):

@@ -45,7 +45,8 @@ async function read(answer) {
   return found;
 }
 
-// Receives messages; calls lost(true, ended) when the designer goes, ended if it said so, lost(false) when it is back.
+// Receives messages; calls lost(true, ended) when the connection is lost, with `ended` if the designer reported its
+// end, and lost(false) when it is back.
 export function listen(hear, lost) {
   let socket;
   const again = () => setTimeout(open, 1500);

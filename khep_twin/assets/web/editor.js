@@ -45,7 +45,7 @@ export class Editor {
     });
   }
 
-  // A tool that is kept stays for several objects; else it is left after the first one.
+  // A kept tool stays for several objects; another is left after the first one.
   use(tool, kept = false) {
     this.endWall();
     Object.assign(this, { tool, kept });
@@ -53,7 +53,7 @@ export class Editor {
     this.told(tool);
   }
 
-  // Takes a tool; keeps it, or no longer, if it is taken already.
+  // Selects a tool; if it is selected already, toggles whether it is kept.
   take(tool) {
     this.use(tool, tool !== "select" && tool === this.tool && !this.kept);
   }
@@ -177,7 +177,7 @@ export class Editor {
     if (this.#wall && !act) this.#sketch(this.#inside(at, event.altKey));
     this.told(this.tool, at);
     if (!act) return;
-    // No more than once a frame, however often the mouse moves.
+    // At most once per frame, however often the mouse moves.
     this.last = { at, event };
     if (this.pending) return;
     this.pending = requestAnimationFrame(() => {

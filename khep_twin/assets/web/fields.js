@@ -36,7 +36,7 @@ export class Fields {
   }
 
   show() {
-    // The field that was typed into stays: Tab goes on to the field after it.
+    // The edited field stays: Tab goes to the field after it.
     if (this.taking) return this.fresh(true);
     const { model } = this;
     const ids = [...model.selected];

@@ -1,4 +1,4 @@
-// The page: files, banners, dialogs, keys, and what brings the parts together.
+// The page: files, banners, dialogs, keys, and the connections between the parts.
 
 import { listen, post, tab, upload } from "./api.js";
 import { Drawing } from "./drawing.js";
@@ -32,7 +32,7 @@ const editor = new Editor(drawing, model, {
 
 // Banners ------------------------------------------------------------------------------------------------
 
-// One that is about the same takes the place of the last. An error stays until what it is about has succeeded.
+// A banner replaces the last one about the same subject. An error stays until its action has succeeded.
 function banner(text, kind = "", choices = {}, about = text) {
   const same = [...$("#banners").children].find((each) => each.dataset.about === about);
   same?.remove();
@@ -53,7 +53,7 @@ function banner(text, kind = "", choices = {}, about = text) {
   away.addEventListener("click", close);
   box.append(away);
   $("#banners").append(box);
-  // Banners that offer a choice are not pushed out.
+  // Banners that offer a choice are not removed.
   if ($("#banners").children.length > 4) [...$("#banners").children].find((each) => each.childElementCount === 2)?.remove();
   if (!Object.keys(choices).length && (kind !== "error" || about === "hand")) setTimeout(close, 8000);
   return close;
@@ -68,7 +68,7 @@ function errors(about) {
 }
 
 async function attempt(act, about) {
-  // Banners of meanwhile, as from a twin that does not start, stay.
+  // Banners shown meanwhile, such as of a twin that does not start, stay.
   const before = errors(about);
   try {
     const found = await act();
@@ -124,7 +124,7 @@ function show(found, base) {
   say({ file: model.file, tab, ask: true });
 }
 
-// Opens a document in place of the one whose changes the user has discarded, and offers the drafts left of it.
+// Opens a document instead of the one whose changes the user has discarded, and offers its drafts.
 function leaveFor(found, base) {
   const before = model.file;
   show(found, base);
@@ -137,7 +137,7 @@ function forget(file) {
   return post("keep", { file, draft: null });
 }
 
-// So that the page, loaded anew, has the same document again; every file ends in .toml.
+// The hash makes a reloaded page open the same document; every file ends in .toml.
 function remember() {
   history.replaceState(null, "", model.file ? `#${encodeURIComponent(model.file)}` : "#new");
 }
@@ -162,10 +162,10 @@ function offer(left) {
         offer(left);
         throw new Error("A twin runs in this drawing: end it first.");
       }
-      // The page that it is from may have written it once more as it was closed.
+      // Its page may have written it again when it was closed.
       const now = (await post("left", { file })).left.find(({ page }) => page === kept.page) ?? kept;
       if (model.opened !== opened) return;
-      // On the version that it was made from, so that Save asks where the file has changed since.
+      // With the version that it was made from, so that Save asks if the file has changed since.
       Object.assign(model, { version: now.version === undefined ? model.version : now.version, base: now.base ?? model.base });
       model.replace(now.draft);
       if (await keepNow()) await post("keep", { file, draft: null, page: kept.page });
@@ -199,7 +199,7 @@ async function save(name = model.file, overwrite = false, rename = false) {
   } catch (error) {
     if (!error.conflict || model.opened !== opened) throw error;
     banner(error.message, "error", {
-      "Load it anew": () => loadAnew(name),
+      "Load it again": () => loadAnew(name),
       "Save under another name": saveAs,
       "Replace it": () => save(name, true, rename),
     }, "conflict");
@@ -211,7 +211,7 @@ async function saveAs() {
   input.setAttribute("aria-label", "Name of the file");
   if (!(await ask("Save as", input, "Save"))) return;
   const name = input.value.trim().replace(/(\.toml)?$/, ".toml");
-  // A playpen under another name is called by it.
+  // A file under another name renames the playpen.
   await save(name, false, name !== model.file);
 }
 
@@ -328,16 +328,16 @@ model.addEventListener("moved", () => check());
 const KEYS = [
   ["V B C W L R P S", "select, block, cylinder, wall, lamp, robot, patch, spot; twice, or a double click on the tool: kept for several objects"],
   ["Enter", "put the tool's object into the middle; end a wall"],
-  ["Tab, Shift+Tab", "from object to object"],
-  ["arrows", "move by the grid, with Shift ten times, with Alt 1 mm; with nothing selected, the view"],
+  ["Tab, Shift+Tab", "go to the next or previous object"],
+  ["arrows", "move by the grid, with Shift ten times, with Alt 1 mm; with nothing selected, move the view"],
   ["[ ]", "turn by the angle, with Alt 1°"],
   ["Delete, right button", "remove"],
   ["Ctrl+D, Ctrl+A, Ctrl+Z, Ctrl+Y, Ctrl+S", "copy, select all, undo, redo, save"],
   ["Shift+click, drag on the floor", "select several"],
-  ["Alt while dragging", "without grid"],
+  ["Alt while dragging", "ignore the grid"],
   ["two fingers", "zoom, move the view, turn a lifted robot"],
   ["wheel, + − 0", "zoom; middle button or Ctrl+drag moves the view"],
-  ["Space . Esc", "while it runs: pause, step, stop; the wheel turns a lifted robot"],
+  ["Space . Esc", "during a run: pause, step, stop; the wheel turns a lifted robot"],
 ];
 
 async function help() {
@@ -460,14 +460,14 @@ function hear(message) {
   else if (message.kind === "page") {
     const other = JSON.parse(message.said);
     if (other.tab === tab || other.file !== model.file) return;
-    // The other page still works on a draft that was taken for abandoned.
+    // The other page still uses a draft that was considered abandoned.
     if (other.tab === offered?.page) offered.close();
-    banner(`Another page has ${model.file ?? "a new playpen"} open, too: the second to save is asked first.`, "", {}, "others");
+    banner(`Another page has ${model.file ?? "a new playpen"} open, too: the second page to save must confirm.`, "", {}, "others");
     if (other.ask) say({ file: model.file, tab });
   } else running.hear(message);
 }
 
-// Without the designer, all that needs it is off.
+// Without the designer, everything that needs it is disabled.
 function lost(away, ended) {
   if (!away) say({ file: model.file, tab, ask: true });
   if (away === gone) return;
@@ -480,7 +480,7 @@ function lost(away, ended) {
     return;
   }
   const twin = running.active && !running.real ? ", and the twin with it" : "";
-  why = ended ? `The designer has ended${twin}. To go on, start it again and use the page that it opens.` : "The designer cannot be reached.";
+  why = ended ? `The designer has ended${twin}. To continue, start it again and use the page that it opens.` : "The designer cannot be reached.";
   running.hear({ kind: "ended" });
   tellGone();
 }
@@ -494,7 +494,7 @@ async function begin() {
   try {
     hello = await post("hello", last === "" ? {} : { file: last === "new" ? null : last });
   } catch (error) {
-    banner(`The designer cannot begin: ${error.message}`, "error", { "Try again": () => location.reload() });
+    banner(`The designer cannot start: ${error.message}`, "error", { "Try again": () => location.reload() });
     return;
   }
   drawing.surfaces = hello.surfaces;

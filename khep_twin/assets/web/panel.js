@@ -74,7 +74,7 @@ export class Panel {
   }
 }
 
-// A text that stays costs no layout.
+// An unchanged text costs no layout.
 export function write(node, text) {
   if (node.textContent !== `${text}`) node.textContent = text;
 }

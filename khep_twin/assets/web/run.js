@@ -1,4 +1,4 @@
-// The running twin in the drawing or robot at a port, live, with a hand that can lift it.
+// The running twin in the drawing, or the robot at a port, and moves of robots and lamps by the user.
 
 import { post } from "./api.js";
 import { closed, make, place } from "./drawing.js";
@@ -18,7 +18,7 @@ class Trail {
   add(x, y) {
     const way = this.#last ? Math.hypot(this.#last[0] - x, this.#last[1] - y) : Infinity;
     if (way <= 3) return;
-    // After a jump, put by hand, it begins anew.
+    // After a jump, when the user has moved the robot, a new path begins.
     if (way > 150 || this.#points.length >= 60) {
       this.#points = way > 150 ? [] : [this.#last];
       this.#path = make("path", { class: "trail" });
@@ -122,7 +122,7 @@ export class Running {
     picture.hidden = false;
   }
 
-  // Waits until the twin is there, as a large playpen takes a moment; or is not, for a reason that was shown.
+  // Waits until the twin has started, which takes long in a large playpen, or has failed with a shown reason.
   async #there() {
     for (let tries = 0; tries < 300 && !this.active && !this.failed; tries++) await new Promise((done) => setTimeout(done, 100));
     return this.active;
@@ -244,7 +244,7 @@ export class Running {
     $("#runs-done tbody").append(row);
   }
 
-  // The last of what the controller prints; it scrolls along unless the user reads further up.
+  // The end of the controller's output; it scrolls along unless the user has scrolled up.
   #printed(text) {
     const box = $("#printed");
     const along = box.scrollTop + box.clientHeight >= box.scrollHeight - 4;
@@ -275,11 +275,11 @@ export class Running {
     $("#pause").textContent = this.paused ? "Resume" : "Pause";
     $("#connect").disabled = active && !real;
     document.body.classList.toggle("running", active);
-    // The twin was made from the drawing, which stays as it is.
+    // The twin was made from the drawing, which does not change.
     for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = active && !real;
   }
 
-  // The hand: lift a robot, put it down; a click on a lamp switches it. Returns whether the hand has taken something.
+  // Lifts a robot or puts it down; a click on a lamp switches it. Returns whether the pointer hit one of them.
   down(event, at, target) {
     if (this.real || !this.last || event.button !== 0) return false;
     const live = target?.closest?.(".live");
