@@ -9,23 +9,21 @@ The log has poses and readings. Lengths of rays are computed in the log's own sc
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
+from rerun.chunk import Chunk
 
 from khep_twin import playpen as playpens
 from khep_twin.drawing.light_map import illumination
 from khep_twin.errors import LogError
 from khep_twin.log.attached import playpen_of, shapes_of
+from khep_twin.log.reader import Label
 from khep_twin.log.viewer.gathered import Gatherer, Poses, Samples
 from khep_twin.units import COUNTS_LIMIT, Sensor, metres
-
-if TYPE_CHECKING:
-    from rerun.chunk import Chunk
-
-    from khep_twin.log.reader import Label
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +59,7 @@ class Rays:
         LogError: The scene cannot be used.
     """
 
-    def __init__(self, label: "Label", source: object) -> None:
+    def __init__(self, label: Label, source: object) -> None:
         self._model = shapes_of(label.attachments, label.robots, source)
         self._data = mujoco.MjData(self._model)
         self._free = {
@@ -69,7 +67,7 @@ class Rays:
             for joint in np.flatnonzero(self._model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
         }
 
-    def chunks(self, robot: str, track: Samples, poses: Poses, timeline: str) -> "list[Chunk]":
+    def chunks(self, robot: str, track: Samples, poses: Poses, timeline: str) -> list[Chunk]:
         """Return rays at the times of samples, coloured by the reading and ending at the first hit.
 
         Args:
@@ -78,9 +76,6 @@ class Rays:
             poses: Poses of all bodies at the times of those samples, or of more.
             timeline: Name of the recording's simulated time.
         """
-        import rerun as rr
-        from rerun.chunk import Chunk
-
         rows = poses.rows_at(track.times_ns)
         if rows is None or not len(rows):
             return []
@@ -140,7 +135,7 @@ class Rays:
         return ends, seen
 
 
-def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None = None) -> "list[Chunk]":
+def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None = None) -> list[Chunk]:
     """Return the path of a robot as one short line for each time, on the floor.
 
     Args:
@@ -149,9 +144,6 @@ def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None 
         timeline: Name of the recording's simulated time.
         before: Last position in the piece before, of a log that comes in pieces.
     """
-    import rerun as rr
-    from rerun.chunk import Chunk
-
     found = poses.bodies.get(f"{robot}/base")
     if found is None:
         return []
@@ -186,11 +178,8 @@ EVENTS = "/event_marks"
 """Entity path of the arena's marks of events in a recording."""
 
 
-def event_chunks(label: "Label", gathered: Gatherer, timeline: str) -> "list[Chunk]":
+def event_chunks(label: Label, gathered: Gatherer, timeline: str) -> list[Chunk]:
     """Return marks of events: in the arena at the robot's position, in the curves at 0."""
-    import rerun as rr
-    from rerun.chunk import Chunk
-
     times_ns, texts = gathered.events()
     if not len(texts):
         return []
@@ -224,7 +213,7 @@ class FloorLight:
         LogError: The playpen cannot be used.
     """
 
-    def __init__(self, label: "Label", source: object) -> None:
+    def __init__(self, label: Label, source: object) -> None:
         self._source = source
         self._playpen = playpen_of(label.attachments, source)
         self._full = np.array([lamp.power_w * lamp.dim for lamp in self._playpen.lamps])
@@ -232,11 +221,8 @@ class FloorLight:
         self._steady = not any((lamp.on_s or lamp.blink_period_s) for lamp in self._playpen.lamps)
         self._steady &= self._playpen.lighting.mode == "all"
 
-    def chunks(self, gathered: Gatherer, timeline: str) -> "Iterator[Chunk]":
+    def chunks(self, gathered: Gatherer, timeline: str) -> Iterator[Chunk]:
         """Yield the floor for each new combination of lamps, and the times at which each is shown."""
-        import rerun as rr
-        from rerun.chunk import Chunk
-
         times_ns, powers = gathered.lamps()
         if not self._full.any() or (powers is None and (self._states or not self._steady)):
             return
@@ -266,8 +252,6 @@ class FloorLight:
 
 def _lit_floor(playpen: playpens.Playpen, state: Sequence[bool]) -> Any:
     """Return the floor in the light of the lamps that are on, as columns."""
-    import rerun as rr
-
     width_mm, height_mm = playpen.arena.width_mm, playpen.arena.height_mm
     step = max(width_mm, height_mm) / _GLOW_PIXELS
     columns, rows = max(round(width_mm / step), 2), max(round(height_mm / step), 2)
@@ -295,9 +279,6 @@ def _subject(text: str, robots: Sequence[str]) -> str:
     return found[1] if found is not None and found[1] in robots else robots[0]
 
 
-def _in_frame(place: str, frame: str) -> "Chunk":
+def _in_frame(place: str, frame: str) -> Chunk:
     """Return the static coordinate frame of an entity."""
-    import rerun as rr
-    from rerun.chunk import Chunk
-
     return Chunk.from_columns(place, [], rr.CoordinateFrame.columns(frame=[frame]))

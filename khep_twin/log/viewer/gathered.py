@@ -5,13 +5,11 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from rerun.chunk import Chunk
+from rerun.chunk import Chunk
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +67,7 @@ class Gatherer:
         self._poses: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
         self._events: list[tuple[int, str]] = []
 
-    def passing(self, chunks: "Iterable[Chunk]", timeline: str) -> "Iterator[Chunk]":
+    def passing(self, chunks: Iterable[Chunk], timeline: str) -> Iterator[Chunk]:
         """Pass on the chunks of a log, and note their content."""
         for chunk in chunks:
             if not chunk.is_static:
@@ -105,7 +103,7 @@ class Gatherer:
         found = sorted(self._events, key=lambda event: event[0])
         return np.array([time_ns for time_ns, _ in found], np.int64), [text for _, text in found]
 
-    def _note(self, chunk: "Chunk", timeline: str) -> None:
+    def _note(self, chunk: Chunk, timeline: str) -> None:
         path = chunk.entity_path
         if not (path in ("/tf", "/lamps", "/events") or path.endswith(("/proximity", "/ambient", "/speed"))):
             return
@@ -131,6 +129,6 @@ class Gatherer:
                 self._poses.setdefault(name, []).append((at[own], rows[own]))
 
 
-def _joined(parts: "list[tuple[NDArray[np.int64], Floats]]") -> tuple[NDArray[np.int64], Floats]:
+def _joined(parts: list[tuple[NDArray[np.int64], Floats]]) -> tuple[NDArray[np.int64], Floats]:
     times_ns, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return times_ns, values

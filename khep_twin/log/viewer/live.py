@@ -8,7 +8,6 @@ took to arrive, in steps of 40 ms, so that the picture moves smoothly.
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
-import os
 import re
 import tempfile
 import time
@@ -16,10 +15,12 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
+from rerun.chunk import Chunk, McapReader
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -33,10 +34,6 @@ from khep_twin.log.viewer.layout import TIMELINE, Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
 from khep_twin.log.viewer.replay import UNSEEN, standing_chunks
 from khep_twin.log.viewer.robot_panel import panel_chunks
-
-if TYPE_CHECKING:
-    import rerun as rr
-    from rerun.chunk import Chunk
 
 SAMPLE_NS = NS_PER_S // 25
 """Simulated time for which one sample of each channel is shown [ns]; transcripts and events are complete."""
@@ -71,10 +68,6 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
     Raises:
         LogError: There is no such log, it is finished or no log, or the viewer fails.
     """
-    # Closing the window is no error to report, though it cuts the connection.
-    os.environ.setdefault("RUST_LOG", "off")
-    import rerun as rr
-
     found = _opened(path, stop)
     if found is None:
         return
@@ -103,7 +96,7 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
 
 def follow(
     log: GrowingLog,
-    recording: "rr.RecordingStream",
+    recording: rr.RecordingStream,
     stop: Callable[[], bool],
     first: Sequence[Message] = (),
 ) -> None:
@@ -118,8 +111,6 @@ def follow(
     Raises:
         LogError: It turns out to be no log of khep_twin, or its run has ended without finishing it.
     """
-    import rerun as rr
-
     label: Label | None = None
     dealer = _Dealer()
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
@@ -175,10 +166,8 @@ class _Translator:
         self._light: FloorLight | None = None
         self._last: dict[str, NDArray[np.float64]] = {}
 
-    def translate(self, messages: Sequence[Message], label: Label) -> "tuple[list[Chunk], list[Chunk]]":
+    def translate(self, messages: Sequence[Message], label: Label) -> tuple[list[Chunk], list[Chunk]]:
         """Return the static chunks, and those with times."""
-        from rerun.chunk import McapReader
-
         by_topic = self._thinned(messages)
         if not by_topic:
             return [], []
@@ -202,7 +191,7 @@ class _Translator:
         passing += [chunk for chunk in added if not chunk.is_static]
         return standing, passing
 
-    def _added(self, gatherer: Gatherer, label: Label) -> "Iterator[Chunk]":
+    def _added(self, gatherer: Gatherer, label: Label) -> Iterator[Chunk]:
         """Yield the chunks that are shown of a piece in addition to its own."""
         poses = gatherer.poses()
         if poses is not None and self._rays is None:
@@ -245,7 +234,7 @@ class _Dealer:
         self._until = 0.0
         self._looked = 0.0
 
-    def take(self, chunks: "Sequence[Chunk]", now: float, at_once: bool) -> None:
+    def take(self, chunks: Sequence[Chunk], now: float, at_once: bool) -> None:
         """Add a piece that came now [s]; `at_once` if there is too much of it to spread it."""
         waited = 0.0 if at_once or self._taken is None else now - self._taken
         stretch = min(waited, LONGEST_STRETCH)
@@ -258,10 +247,8 @@ class _Dealer:
             self._last_ns = max(self._last_ns, int(times_ns.max()))
             self._pending.append((batch.replace_schema_metadata(facts), times_ns))
 
-    def due(self, now: float) -> "list[Chunk]":
+    def due(self, now: float) -> list[Chunk]:
         """Return the chunks to be shown by now [s]."""
-        from rerun.chunk import Chunk
-
         # The part of the rest that corresponds to the time since the last call.
         left = self._until - self._looked
         part = 1.0 if now >= self._until else (now - self._looked) / left

@@ -13,7 +13,11 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pyarrow as pa
+import rerun as rr
+from rerun.chunk import Chunk, McapReader
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -27,9 +31,6 @@ from khep_twin.log.viewer.process import Web, open_viewer
 from khep_twin.log.viewer.robot_panel import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
 from khep_twin.log.viewer.snapshot import still
 from khep_twin.log.viewer.thinning import Copy, interval_ns
-
-if TYPE_CHECKING:
-    from rerun.chunk import Chunk
 
 Progress = Callable[[float], None] | None
 """Function that takes the share that is done, 0 to 1."""
@@ -91,7 +92,7 @@ def view_still(
         still(recording, TIMELINE, end_s if at_s is None else at_s, target)
 
 
-def standing_chunks(label: Label) -> "list[Chunk]":
+def standing_chunks(label: Label) -> list[Chunk]:
     """Return the static chunks that are added to a log's own."""
     chunks: list[Chunk] = []
     for robot in label.robots:
@@ -172,8 +173,6 @@ def _recording(
 
     Made in memory, because rerun itself may wait for ever for a disk that is full.
     """
-    import rerun as rr
-
     names = distinct_names(paths)
     title = " and ".join(names)
     with rr.RecordingStream("khep_twin", recording_id=title) as recording:
@@ -195,10 +194,8 @@ def _recording(
         return stream.read() or b""
 
 
-def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> "Generator[Chunk, None, None]":
+def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> Generator[Chunk, None, None]:
     """Yield all shown chunks of a log."""
-    from rerun.chunk import McapReader
-
     gatherer, end_ns = Gatherer(), read_end_ns(path)
     for chunk in gatherer.passing(McapReader(copy, timeline_type="duration_ns").stream(), TIMELINE):
         yield chunk
@@ -221,18 +218,15 @@ def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> "Genera
         yield from FloorLight(label, path).chunks(gatherer, TIMELINE)
 
 
-def _last_ns(chunk: "Chunk") -> int:
+def _last_ns(chunk: Chunk) -> int:
     """Return the latest time of a chunk [ns]."""
     batch: Any = chunk.to_record_batch()
     times_ns = batch.column(batch.schema.get_field_index(TIMELINE)).to_numpy(zero_copy_only=False)
     return int(times_ns.astype("int64").max(initial=0))
 
 
-def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":
+def _moved(chunks: Iterable[Chunk], log: Shown) -> Generator[Chunk, None, None]:
     """Yield the chunks of a log below its place, with coordinate frames of its own."""
-    import pyarrow as pa
-    from rerun.chunk import Chunk
-
     for chunk in chunks:
         if chunk.entity_path == "/__mcap_properties":
             continue  # of a recording that is one log

@@ -9,14 +9,12 @@ import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import rerun.experimental as rx
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import write_whole
 from khep_twin.log.viewer.process import free_ports
-
-if TYPE_CHECKING:
-    import rerun.experimental as rx
 
 _PATIENCE = 30.0
 """Longest wait for the viewer to have opened a recording [s]."""
@@ -40,8 +38,6 @@ def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
     Raises:
         LogError: The viewer does not start or does not answer.
     """
-    import rerun.experimental as rx
-
     # The viewer's output is hidden by default.
     os.environ.setdefault("RUST_LOG", "error")
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # it warns if it is unset
@@ -69,7 +65,7 @@ def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
     write_whole(target, picture)
 
 
-def _show(viewer: "rx.ViewerClient", recording: Path, timeline: str, at_s: float) -> None:
+def _show(viewer: rx.ViewerClient, recording: Path, timeline: str, at_s: float) -> None:
     """Open a recording and wait until a time of it is shown."""
     viewer.open(str(recording.resolve()))
     deadline = time.monotonic() + _PATIENCE
