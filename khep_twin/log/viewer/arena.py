@@ -22,7 +22,7 @@ from khep_twin.drawing.light_map import illumination
 from khep_twin.errors import LogError
 from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.reader import Label
-from khep_twin.log.viewer.gathered import Gatherer, Poses, Samples
+from khep_twin.log.viewer.gathered import Gatherer, Poses, Samples, time_column
 from khep_twin.units import COUNTS_LIMIT, Sensor, metres
 
 Floats = NDArray[np.float64]
@@ -67,14 +67,13 @@ class Rays:
             for joint in np.flatnonzero(self._model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
         }
 
-    def chunks(self, robot: str, track: Samples, poses: Poses, timeline: str) -> list[Chunk]:
+    def chunks(self, robot: str, track: Samples, poses: Poses) -> list[Chunk]:
         """Return rays at the times of samples, coloured by the reading and ending at the first hit.
 
         Args:
             robot: Name of the robot.
             track: Samples of the robot.
             poses: Poses of all bodies at the times of those samples, or of more.
-            timeline: Name of the recording's simulated time.
         """
         rows = poses.rows_at(track.times_ns)
         if rows is None or not len(rows):
@@ -93,7 +92,7 @@ class Rays:
             colors=colours.reshape(-1, 4),
             radii=np.full(n * len(Sensor) * _RAYS, 0.0004, np.float32),
         )
-        times = rr.TimeColumn(timeline, duration=track.times_ns.astype("timedelta64[ns]"))
+        times = time_column(track.times_ns)
         place = f"/obstacles/{robot}_sensors"
         moving = Chunk.from_columns(place, [times], lines.partition([len(Sensor) * _RAYS] * n))
         return [_in_frame(place, f"{robot}/base"), moving]
@@ -135,13 +134,12 @@ class Rays:
         return ends, seen
 
 
-def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None = None) -> list[Chunk]:
+def trail_chunks(robot: str, poses: Poses, before: Floats | None = None) -> list[Chunk]:
     """Return the path of a robot as one short line for each time, on the floor.
 
     Args:
         robot: Name of the robot.
         poses: Poses of the robot.
-        timeline: Name of the recording's simulated time.
         before: Last position in the piece before, of a log that comes in pieces.
     """
     found = poses.bodies.get(f"{robot}/base")
@@ -162,7 +160,7 @@ def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None 
         colors=np.tile(np.array([_TRAIL], np.uint8), (n, 1)),
         radii=np.full(n, 0.0015, np.float32),
     )
-    times = rr.TimeColumn(timeline, duration=times_ns.astype("timedelta64[ns]"))
+    times = time_column(times_ns)
     return [
         _in_frame(trail(robot), "world"),
         Chunk.from_columns(trail(robot), [times], lines),
@@ -178,12 +176,12 @@ EVENTS = "/event_marks"
 """Entity path of the arena's marks of events in a recording."""
 
 
-def event_chunks(label: Label, gathered: Gatherer, timeline: str) -> list[Chunk]:
+def event_chunks(label: Label, gathered: Gatherer) -> list[Chunk]:
     """Return marks of events: in the arena at the robot's position, in the curves at 0."""
     times_ns, texts = gathered.events()
     if not len(texts):
         return []
-    times = rr.TimeColumn(timeline, duration=times_ns.astype("timedelta64[ns]"))
+    times = time_column(times_ns)
     zeros = rr.Scalars.columns(scalars=np.zeros(len(texts)))
     chunks = [Chunk.from_columns(f"/{robot}/events", [times], zeros) for robot in label.robots]
     poses = gathered.poses()
@@ -221,7 +219,7 @@ class FloorLight:
         self._steady = not any((lamp.on_s or lamp.blink_period_s) for lamp in self._playpen.lamps)
         self._steady &= self._playpen.lighting.mode == "all"
 
-    def chunks(self, gathered: Gatherer, timeline: str) -> Iterator[Chunk]:
+    def chunks(self, gathered: Gatherer) -> Iterator[Chunk]:
         """Yield the floor for each new combination of lamps, and the times at which each is shown."""
         times_ns, powers = gathered.lamps()
         if not self._full.any() or (powers is None and (self._states or not self._steady)):
@@ -243,7 +241,7 @@ class FloorLight:
             shown.append(self._states.get(state, "/light/0"))
         if powers is None:
             return
-        times = rr.TimeColumn(timeline, duration=times_ns[changed].astype("timedelta64[ns]"))
+        times = time_column(times_ns[changed])
         for place in self._states.values():
             # Hidden light has no size.
             poses = rr.InstancePoses3D.columns(scales=[(float(each == place),) * 3 for each in shown])

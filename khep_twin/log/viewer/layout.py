@@ -12,13 +12,11 @@ import rerun.blueprint as rrb
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.viewer.arena import EVENTS, trail
+from khep_twin.log.viewer.gathered import TIMELINE
 from khep_twin.log.viewer.robot_panel import panel
 from khep_twin.units import Sensor
 
 Colour = tuple[int, int, int]
-
-TIMELINE = "message_log_time"
-"""Name that rerun gives to the simulated time of a log's messages."""
 
 _WARM: list[Colour] = [(228, 87, 46), (242, 159, 5), (244, 211, 94)]
 _COLD: list[Colour] = [(64, 224, 208), (77, 171, 247), (92, 124, 250)]

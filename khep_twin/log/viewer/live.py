@@ -12,7 +12,7 @@ import re
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from rerun.chunk import Chunk, McapReader
+from rerun.chunk import Chunk
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -28,12 +28,10 @@ from khep_twin.invocation import command
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.reader import Label
 from khep_twin.log.tail import GrowingLog, Message
-from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chunks
-from khep_twin.log.viewer.gathered import Gatherer
-from khep_twin.log.viewer.layout import TIMELINE, Shown, layout
+from khep_twin.log.viewer.gathered import Gatherer, times_of
+from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
-from khep_twin.log.viewer.replay import UNSEEN, standing_chunks
-from khep_twin.log.viewer.robot_panel import panel_chunks
+from khep_twin.log.viewer.replay import UNSEEN, Additions, standing_chunks
 
 SAMPLE_NS = NS_PER_S // 25
 """Simulated time for which one sample of each channel is shown [ns]; transcripts and events are complete."""
@@ -162,9 +160,7 @@ class _Translator:
         self._piece = folder / "piece.mcap"
         self._slots: dict[str, int] = {}
         self._described: set[str] = set()
-        self._rays: Rays | None = None
-        self._light: FloorLight | None = None
-        self._last: dict[str, NDArray[np.float64]] = {}
+        self._additions: Additions | None = None
 
     def translate(self, messages: Sequence[Message], label: Label) -> tuple[list[Chunk], list[Chunk]]:
         """Return the static chunks, and those with times."""
@@ -179,34 +175,17 @@ class _Translator:
         writer.finish()
         self._piece.write_bytes(piece.data)
         gatherer = Gatherer()
-        chunks = list(
-            gatherer.passing(McapReader(self._piece, timeline_type="duration_ns").stream(), TIMELINE)
-        )
+        chunks = list(gatherer.passing(self._piece))
         passing = [chunk for chunk in chunks if not chunk.is_static]
         # Each piece describes its channels; once is enough.
         standing = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]
         self._described |= {chunk.entity_path for chunk in standing}
-        added = list(self._added(gatherer, label))
+        if self._additions is None:
+            self._additions = Additions(label, self._source)
+        added = list(self._additions.chunks(gatherer, lambda samples: samples))
         standing += [chunk for chunk in added if chunk.is_static]
         passing += [chunk for chunk in added if not chunk.is_static]
         return standing, passing
-
-    def _added(self, gatherer: Gatherer, label: Label) -> Iterator[Chunk]:
-        """Yield the chunks that are shown of a piece in addition to its own."""
-        poses = gatherer.poses()
-        if poses is not None and self._rays is None:
-            self._rays, self._light = Rays(label, self._source), FloorLight(label, self._source)
-        for robot in label.robots:
-            if (samples := gatherer.samples(robot)) is not None:
-                yield from panel_chunks(robot, samples, TIMELINE)
-                if poses is not None and self._rays is not None:
-                    yield from self._rays.chunks(robot, samples, poses, TIMELINE)
-            if poses is not None and f"{robot}/base" in poses.bodies:
-                yield from trail_chunks(robot, poses, TIMELINE, self._last.get(robot))
-                self._last[robot] = poses.bodies[f"{robot}/base"][-1]
-        if self._light is not None:
-            yield from self._light.chunks(gatherer, TIMELINE)
-        yield from event_chunks(label, gatherer, TIMELINE)
 
     def _thinned(self, messages: Sequence[Message]) -> dict[str, list[Message]]:
         """Return the shown messages by topic: of samples the first in each SAMPLE_NS."""
@@ -242,8 +221,7 @@ class _Dealer:
         for chunk in chunks:
             batch: Any = chunk.to_record_batch()
             facts = {key: text for key, text in batch.schema.metadata.items() if key != _CHUNK_ID}
-            column = batch.column(batch.schema.get_field_index(TIMELINE))
-            times_ns = column.to_numpy(zero_copy_only=False).astype(np.int64)
+            times_ns = times_of(batch)
             self._last_ns = max(self._last_ns, int(times_ns.max()))
             self._pending.append((batch.replace_schema_metadata(facts), times_ns))
 

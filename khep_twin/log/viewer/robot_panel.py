@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 from rerun.chunk import Chunk
 
-from khep_twin.log.viewer.gathered import Floats, Samples
+from khep_twin.log.viewer.gathered import Floats, Samples, time_column
 from khep_twin.sensing.bars import BARS
 from khep_twin.units import BODIES, WHEEL_BASE, WHEEL_RADIUS
 
@@ -46,16 +46,10 @@ def panel(robot: str) -> str:
     return f"/{robot}/khepbase"
 
 
-def panel_chunks(robot: str, track: Samples, timeline: str) -> list[Chunk]:
-    """Return the bars of one robot's panel.
-
-    Args:
-        robot: Name of the robot.
-        track: Samples of the robot.
-        timeline: Name of the recording's simulated time.
-    """
+def panel_chunks(robot: str, track: Samples) -> list[Chunk]:
+    """Return the bars of one robot's panel."""
     place = panel(robot)
-    times = rr.TimeColumn(timeline, duration=track.times_ns.astype("timedelta64[ns]"))
+    times = time_column(track.times_ns)
     return [
         Chunk.from_columns(f"{place}/{name}", [times], _bars(_filled(name, values), at, colour))
         for name, values, at, colour in (
