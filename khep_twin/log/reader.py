@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.log.channels import FLOATS, TextLine
-from khep_twin.log.content import Content, Entry
+from khep_twin.log.content import Content
 from khep_twin.log.decoding import Misfit
+from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label, label_of, run_facts
 from khep_twin.log.messages import FOR_REPEAT, WIDTHS, Messages, TimeSeries, check_time
 
@@ -162,17 +163,17 @@ def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> 
     Raises:
         LogError: It does not exist, or is not whole.
     """
-    return (recording for recording, _, _ in read_with_messages(path, progress))
+    return (recording for recording, _ in read_with_messages(path, progress))
 
 
 def read_with_messages(
     path: Path, progress: Callable[[float], None] | None = None
-) -> Iterator[tuple[Recording, list[Entry], Callable[[str], str | bytes | None]]]:
-    """Yield pieces as `read_pieces` does, with their messages and a function for the definition of a type."""
+) -> Iterator[tuple[Recording, list[Entry]]]:
+    """Yield pieces as `read_pieces` does, with their messages."""
     with _opened(path) as content:
         label = _label(path, content)
         for share, messages in content.pieces(PIECE):
-            yield _recording(path, label, messages), messages, content.definition
+            yield _recording(path, label, messages), messages
             if progress is not None:
                 progress(share)
 
@@ -208,7 +209,7 @@ def read_raw(
     with _opened(path) as content:
         label = _label(path, content)
         recovered = any(record.name == "recovered" for record in content.metadata())
-        for topic, _, time_ns, data in content.messages():
+        for topic, _, _, time_ns, data in content.messages():
             if wanted(topic):
                 check_time(path, topic, time_ns)
                 found.setdefault(topic, []).append((time_ns, data))

@@ -39,8 +39,8 @@ def gathered(log: Path, step_ns: int, folder: Path) -> tuple[Gatherer, list[int]
     copy = folder / f"{step_ns}.mcap"
     with copy.open("wb") as file:
         writer = Copy(file, step_ns, ["^/state$"])
-        for recording, messages, definition in read_with_messages(log):
-            writer.add(messages, definition)
+        for recording, messages in read_with_messages(log):
+            writer.add(messages)
             label = recording.label
         writer.finish(label)
     for chunk in gatherer.passing(copy):

@@ -26,8 +26,9 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.invocation import command
 from khep_twin.log.batch_writer import BatchWriter
+from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
-from khep_twin.log.tail import GrowingLog, Message
+from khep_twin.log.tail import GrowingLog
 from khep_twin.log.viewer.gathered import Gatherer, times_of
 from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
@@ -70,7 +71,7 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
     if found is None:
         return
     with found as log:
-        first: list[Message] = []
+        first: list[Entry] = []
         while log.label() is None and not stop():
             first = log.new()
             time.sleep(STEP)
@@ -96,7 +97,7 @@ def follow(
     log: GrowingLog,
     recording: rr.RecordingStream,
     stop: Callable[[], bool],
-    first: Sequence[Message] = (),
+    first: Sequence[Entry] = (),
 ) -> None:
     """Pass a log to rerun while it grows, until it is finished or `stop` returns True.
 
@@ -162,7 +163,7 @@ class _Translator:
         self._described: set[str] = set()
         self._additions: Additions | None = None
 
-    def translate(self, messages: Sequence[Message], label: Label) -> tuple[list[Chunk], list[Chunk]]:
+    def translate(self, messages: Sequence[Entry], label: Label) -> tuple[list[Chunk], list[Chunk]]:
         """Return the static chunks, and those with times."""
         by_topic = self._thinned(messages)
         if not by_topic:
@@ -170,7 +171,7 @@ class _Translator:
         piece = _Bytes()
         writer = BatchWriter(piece, "ros2", "khep_twin")
         for topic, found in by_topic.items():
-            channel = writer.channel(topic, found[0].schema, found[0].definition)
+            channel = writer.channel(topic, found[0].schema, found[0].definition or "")
             writer.add_lines(channel, [each.time_ns for each in found], [each.data for each in found])
         writer.finish()
         self._piece.write_bytes(piece.data)
@@ -187,9 +188,9 @@ class _Translator:
         passing += [chunk for chunk in added if not chunk.is_static]
         return standing, passing
 
-    def _thinned(self, messages: Sequence[Message]) -> dict[str, list[Message]]:
+    def _thinned(self, messages: Sequence[Entry]) -> dict[str, list[Entry]]:
         """Return the shown messages by topic: of samples the first in each SAMPLE_NS."""
-        kept: defaultdict[str, list[Message]] = defaultdict(list)
+        kept: defaultdict[str, list[Entry]] = defaultdict(list)
         for message in messages:
             if _UNSEEN.search(message.topic):
                 continue

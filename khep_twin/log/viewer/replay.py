@@ -118,9 +118,9 @@ def _checked(path: Path, copy: Path, progress: Progress) -> Label:
     label, moves = None, False
     with copy.open("xb") as file:
         writer = Copy(file, interval_ns(read_end_ns(path)), UNSEEN)
-        for recording, messages, definition in read_with_messages(path, progress):
+        for recording, messages in read_with_messages(path, progress):
             label = recording.label
-            writer.add(messages, definition)
+            writer.add(messages)
             moves |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
         assert label is not None  # there is at least one piece
         writer.finish(label)
