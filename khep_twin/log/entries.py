@@ -49,8 +49,8 @@ class EntryReader:
                 if channel.schema_id and schema is None:
                     found = f"channel {channel.id} of schema {channel.schema_id} at byte {place}"
                     raise Misfit(found, "a schema that is defined")
-                kind = ("", None) if schema is None else (schema.name, _definition(schema))
-                self._channels.setdefault(channel.id, (channel.topic, *kind))
+                name, definition = ("", None) if schema is None else (schema.name, _definition(schema))
+                self._channels.setdefault(channel.id, (channel.topic, name, definition))
             case _:
                 raise Misfit(f"definition at byte {place}", "texts of the lengths that they say")
 

@@ -140,7 +140,7 @@ class GrowingLog:
             self._attachments[attachment.name] = attachment.data.decode("utf-8", "replace")
 
     def _unpack(self, records: RecordBytes, place: int) -> Generator[Entry, None, None]:
-        content, _ = records.chunk(place)
+        content = records.chunk(place)
         if content is None:
             recovery = command("recover", self.part)
             raise LogError(f"{self.part}: a part of it is damaged; to recover it: {recovery}")
