@@ -9,8 +9,6 @@ import platform
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import mujoco
 import numpy as np
@@ -122,14 +120,6 @@ class Recorder:
     def failure(self) -> LogError | None:
         """Error after which the log is no longer written, None if there was none."""
         return self._log.failure
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def sample(self, world: World) -> None:
         """Record the state of all bodies and boards; it is written in batches."""

@@ -43,6 +43,8 @@ class Serial(SerialBase):
     """
 
     twin: Twin
+    cts = dsr = cd = True
+    ri = False
     _port: str | None
     _timeout: float | None
     _write_timeout: float | None
@@ -213,36 +215,9 @@ class Serial(SerialBase):
             warnings.warn(f"{self._port}: {notice}", stacklevel=3)
 
     def _reconfigure_port(self) -> None:
-        """Apply the speed from the next byte on; parity and flow control are as the robot has them."""
+        """Do nothing: the speed holds from the next byte on, and the line has no other wires."""
 
-    def _update_rts_state(self) -> None:
-        """Do nothing: the robot's line has no such wire."""
-
-    def _update_dtr_state(self) -> None:
-        """Do nothing: the robot's line has no such wire."""
-
-    def _update_break_state(self) -> None:
-        """Do nothing: the robot ignores a break."""
-
-    @property
-    def cts(self) -> bool:
-        """True: the line has no flow control."""
-        return True
-
-    @property
-    def dsr(self) -> bool:
-        """True: the robot is always ready."""
-        return True
-
-    @property
-    def ri(self) -> bool:
-        """False: the line has no ring signal."""
-        return False
-
-    @property
-    def cd(self) -> bool:
-        """True: the robot is always connected."""
-        return True
+    _update_rts_state = _update_dtr_state = _update_break_state = _reconfigure_port
 
 
 def parse_url(url: str) -> tuple[str, TwinOptions]:

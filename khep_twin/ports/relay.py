@@ -11,7 +11,8 @@ import os
 import re
 import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Any
 
 import serial
@@ -102,10 +103,8 @@ class Device:
         Raises:
             PortError: The port has gone.
         """
-        try:
+        with self._checked():
             return self._port.read(_CHUNK if self.descriptor is not None else self._port.in_waiting)
-        except (serial.SerialException, OSError) as error:
-            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
     def write(self, data: bytes) -> int:
         """Send to the robot; return how many bytes the port took.
@@ -113,22 +112,26 @@ class Device:
         Raises:
             PortError: The port has gone.
         """
-        try:
+        with self._checked():
             return self._port.write(data) or 0
-        except (serial.SerialException, OSError) as error:
-            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
     @property
     def unsent(self) -> int:
         """Return the number of bytes that the port has taken and not sent yet, where it reports that."""
-        try:
+        with self._checked():
             return self._port.out_waiting if isinstance(self._port, serial.Serial) else 0
-        except (serial.SerialException, OSError) as error:
-            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
     def close(self) -> None:
         """Close the port."""
         self._port.close()
+
+    @contextmanager
+    def _checked(self) -> Generator[None]:
+        """Turn the failure of the port into a `PortError`."""
+        try:
+            yield
+        except (serial.SerialException, OSError) as error:
+            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
 
 def relay(
