@@ -1,4 +1,7 @@
-"""Reading of logs: recorded data as arrays, without ROS, rerun or the simulator."""
+"""Reading of logs: recorded data as arrays, without ROS, rerun or the simulator.
+
+Each function raises a `LogError` for a log that does not exist, or is not whole.
+"""
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -79,11 +82,7 @@ class Recording:
 
 
 def read(path: Path) -> LoggedRun:
-    """Read a log as arrays.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Read a log as arrays."""
     with _opened(path) as content:
         label = _label(path, content)
         messages = Messages(path, content.messages())
@@ -101,31 +100,19 @@ def read(path: Path) -> LoggedRun:
 
 
 def read_label(path: Path) -> Label:
-    """Read metadata and attachments of a log; fast for any length of the run.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Read metadata and attachments of a log; fast for any length of the run."""
     with _opened(path) as content:
         return _label(path, content)
 
 
 def read_end_ns(path: Path) -> int:
-    """Return the time of a log's last message [ns]; fast for any length of the run.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Return the time of a log's last message [ns]; fast for any length of the run."""
     with _opened(path) as content:
         return content.end_ns()
 
 
 def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
-    """Read a log's label and its arrays of floats by topic: times (n,) [ns] and values (n, length).
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Read a log's label and its arrays of floats by topic: times (n,) [ns] and values (n, length)."""
     with _opened(path) as content:
         label = _label(path, content)
         messages = Messages(path, (each for each in content.messages() if each.schema == FLOATS))
@@ -134,21 +121,13 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
 
 
 def read_series(path: Path) -> Recording:
-    """Read a log with each channel at its own times.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Read a log with each channel at its own times."""
     with _opened(path) as content:
         return _recording(path, _label(path, content), content.messages())
 
 
 def read_heads(path: Path) -> Recording:
-    """Return a log with the first message of each channel; fast for any length of the run.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Return a log with the first message of each channel; fast for any length of the run."""
     with _opened(path) as content:
         return _recording(path, _label(path, content), content.first_messages())
 
@@ -159,9 +138,6 @@ def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> 
     Args:
         path: Path of a finished log.
         progress: Function that takes the share that has been read, 0 to 1.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
     """
     return (recording for recording, _ in read_with_messages(path, progress))
 
@@ -201,9 +177,6 @@ def read_raw(
 
     Returns:
         Label, messages, and whether the log was recovered, so that its end may be missing.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
     """
     found: dict[str, list[tuple[int, bytes]]] = {}
     with _opened(path) as content:

@@ -278,17 +278,13 @@ def versions() -> dict[str, str]:
 
 
 class _RobotStream:
-    """Sampled channels of one robot, all of them parts of the registers of its board and its turrets.
-
-    Attributes:
-        noted: Registers of a batch (samples, registers).
-    """
+    """Sampled channels of one robot, all of them parts of the registers of its board and its turrets."""
 
     def __init__(self, robot: Robot) -> None:
         turrets = robot.firmware.turrets
         self._sources = boards(robot)
         starts = np.cumsum([0, *(len(source) for source in self._sources)])
-        self.noted = np.zeros((_BATCH, starts[-1]), np.int64)
+        self.noted = np.zeros((_BATCH, starts[-1]), np.int64)  # registers of a batch (samples, registers)
         self._channels = [
             (f"/{robot.name}/{topic}", schema, ArrayFrame(len(columns), kind, label), columns)
             for topic, schema, kind, label, columns in (

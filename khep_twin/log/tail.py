@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Self
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Metadata
+from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
@@ -125,7 +125,8 @@ class GrowingLog:
             if opcode == Opcode.CHUNK:
                 yield from self._unpack(records, place)
             elif opcode == Opcode.ATTACHMENT:
-                self._attach(records.attachment(place, end))
+                if (found := records.attachment(place, end)) is not None:
+                    self._attachments[found.name] = found.data.decode("utf-8", "replace")
             elif opcode == Opcode.METADATA:
                 record = parsed(opcode, self._rest[place + HEAD.size : end])
                 if isinstance(record, Metadata):
@@ -134,10 +135,6 @@ class GrowingLog:
                 self.finished = True
             place = end
         self._rest = self._rest[place:]
-
-    def _attach(self, attachment: Attachment | None) -> None:
-        if attachment is not None:
-            self._attachments[attachment.name] = attachment.data.decode("utf-8", "replace")
 
     def _unpack(self, records: RecordBytes, place: int) -> Generator[Entry, None, None]:
         content = records.chunk(place)

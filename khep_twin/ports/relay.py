@@ -59,7 +59,7 @@ class Device:
         descriptor: Descriptor for `select`; None where the port has none.
 
     Raises:
-        PortError: The port cannot be opened, or is no robot's.
+        PortError: The port cannot be opened, or is no robot's; here and in each method: it has gone.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -98,20 +98,12 @@ class Device:
         return self._port.baudrate
 
     def read(self) -> bytes:
-        """Return the bytes that have come from the robot.
-
-        Raises:
-            PortError: The port has gone.
-        """
+        """Return the bytes that have come from the robot."""
         with self._checked():
             return self._port.read(_CHUNK if self.descriptor is not None else self._port.in_waiting)
 
     def write(self, data: bytes) -> int:
-        """Send to the robot; return how many bytes the port took.
-
-        Raises:
-            PortError: The port has gone.
-        """
+        """Send to the robot; return how many bytes the port took."""
         with self._checked():
             return self._port.write(data) or 0
 
@@ -199,14 +191,10 @@ def relay(
 
 
 class _Dialogue:
-    """Lines sent to the robot and replies due, so that no host gets a reply meant for an earlier one.
-
-    Attributes:
-        ended: A host has left, and replies to it may still come.
-    """
+    """Lines sent to the robot and replies due, so that no host gets a reply meant for an earlier one."""
 
     def __init__(self, device: Device) -> None:
-        self.ended = False
+        self.ended = False  # a host has left, and replies to it may still come
         self._device = device
         self._due = 0
         self._asked, self._replied = _Lines(), _Lines()
@@ -254,14 +242,10 @@ class _Dialogue:
 
 
 class _Lines:
-    """Lines of one direction, without empty ones.
-
-    Attributes:
-        begun: First byte of a line that has not ended.
-    """
+    """Lines of one direction, without empty ones."""
 
     def __init__(self) -> None:
-        self.begun = b""
+        self.begun = b""  # first byte of a line that has not ended
 
     def count(self, data: bytes) -> int:
         """Return the number of lines that end in `data`."""

@@ -81,7 +81,8 @@ class Rays:
         ends, seen = self._cast(robot, poses, rows)
         n = len(rows)
         strips = np.empty((n, len(Sensor), _RAYS, 2, 3), np.float32)
-        strips[..., 0, :], strips[..., 1, :] = self._starts(robot)[None, :, None], ends
+        starts = [self._model.camera(f"{robot}/{sensor.name.lower()}").pos for sensor in Sensor]
+        strips[..., 0, :], strips[..., 1, :] = np.array(starts)[None, :, None], ends
         part = np.sqrt(np.clip(track.proximity / COUNTS_LIMIT, 0, 1))[..., None]
         colours = np.empty((n, len(Sensor), _RAYS, 4), np.uint8)
         colours[..., :3] = (_NOTHING + part * (_NEAR - _NOTHING))[:, :, None]
@@ -96,10 +97,6 @@ class Rays:
         place = f"/obstacles/{robot}_sensors"
         moving = Chunk.from_columns(place, [times], lines.partition([len(Sensor) * _RAYS] * n))
         return [_in_frame(place, f"{robot}/base"), moving]
-
-    def _starts(self, robot: str) -> Floats:
-        """Return the positions of the sensors in the robot's frame (8, 3) [m]."""
-        return np.array([self._model.camera(f"{robot}/{sensor.name.lower()}").pos for sensor in Sensor])
 
     def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the ends of rays in the robot's frame (n, 8, rays, 3) [m], and which of them hit."""

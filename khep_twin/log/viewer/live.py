@@ -14,6 +14,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -168,13 +169,13 @@ class _Translator:
         by_topic = self._thinned(messages)
         if not by_topic:
             return [], []
-        piece = _Bytes()
+        piece = BytesIO()
         writer = BatchWriter(piece, "ros2", "khep_twin")
         for topic, found in by_topic.items():
             channel = writer.channel(topic, found[0].schema, found[0].definition or "")
             writer.add_lines(channel, [each.time_ns for each in found], [each.data for each in found])
         writer.finish()
-        self._piece.write_bytes(piece.data)
+        self._piece.write_bytes(piece.getvalue())
         gatherer = Gatherer()
         chunks = list(gatherer.passing(self._piece))
         passing = [chunk for chunk in chunks if not chunk.is_static]
@@ -247,17 +248,3 @@ class _Dealer:
     def empty(self) -> bool:
         """True if everything is passed on."""
         return not self._pending
-
-
-class _Bytes:
-    """An MCAP file in memory."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-
-    def write(self, data: bytes) -> int:
-        self.data += data
-        return len(data)
-
-    def tell(self) -> int:
-        return len(self.data)

@@ -79,20 +79,15 @@ def outline_chunks(robot: str) -> list[Chunk]:
         radii=[0.001] * len(entries),
     )
     return [
-        _standing(f"{panel(robot)}/outline", lines.partition([len(strips)])),
-        _standing(f"{panel(robot)}/full", full.partition([len(frames)])),
-        _standing(f"{panel(robot)}/legend", legend.partition([len(entries)])),
+        Chunk.from_columns(f"{panel(robot)}/outline", [], lines.partition([len(strips)])),
+        Chunk.from_columns(f"{panel(robot)}/full", [], full.partition([len(frames)])),
+        Chunk.from_columns(f"{panel(robot)}/legend", [], legend.partition([len(entries)])),
     ]
 
 
 def _filled(name: str, values: Floats) -> Floats:
     parts: Floats = np.vectorize(BARS[name].filled, otypes=[np.float64])(values)
     return parts
-
-
-def _standing(place: str, columns: Any) -> Chunk:
-    """Return a static chunk."""
-    return Chunk.from_columns(place, [], columns)
 
 
 def _bars(values: Floats, feet: Floats, colour: tuple[int, int, int]) -> Any:
