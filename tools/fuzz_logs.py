@@ -22,6 +22,7 @@ from mcap.opcode import Opcode
 
 MODULES = (
     "content",
+    "entries",
     "decoding",
     "host_events",
     "messages",

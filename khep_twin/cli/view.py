@@ -1,5 +1,6 @@
 """The command line's part for viewing logs: `khep-twin view`."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -43,7 +44,10 @@ def view(
 ) -> None:
     """Show a log in rerun, or several side by side: arena, robots from above, curves and transcript."""
     _check(logs, save, png, live, web, no_browser)
-    if not live:
+    if live:
+        # Closing the window is no error to report, though it cuts rerun's connection; rerun reads this once.
+        os.environ.setdefault("RUST_LOG", "off")
+    else:
         _tell_of_long_ones(logs)
     if png is not None:
         from khep_twin.log.viewer.replay import view_still

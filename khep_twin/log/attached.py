@@ -8,7 +8,8 @@ A log may come from anywhere, so its attachments are checked like any file of a 
 # pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from io import BytesIO
 
 import mujoco
@@ -42,13 +43,8 @@ def playpen_of(attachments: Mapping[str, str], source: object) -> Playpen:
     Raises:
         LogError: It cannot be used; one line, however many problems there are.
     """
-    try:
-        text = _text(attachments, "playpen.toml")
-        return playpens.parse(text, "playpen.toml", recorded=True)
-    except Misfit as misfit:
-        raise LogError(f"{source}: playpen.toml: {misfit}") from None
-    except KhepTwinError as error:
-        raise LogError(f"{source}: {first_line(error)}") from None
+    with _named(source, "playpen.toml"):
+        return playpens.parse(_text(attachments, "playpen.toml"), "playpen.toml", recorded=True)
 
 
 def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -> Calibration | None:
@@ -65,12 +61,8 @@ def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -
     name = f"calibration/{robot}.toml"
     if name not in attachments:
         return None
-    try:
+    with _named(source, name):
         return validate(Calibration, _text(attachments, name), name, CalibrationError)
-    except Misfit as misfit:
-        raise LogError(f"{source}: {name}: {misfit}") from None
-    except KhepTwinError as error:
-        raise LogError(f"{source}: {first_line(error)}") from None
 
 
 def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: object) -> mujoco.MjModel:
@@ -84,7 +76,7 @@ def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: obj
     Raises:
         LogError: It cannot be used.
     """
-    try:
+    with _named(source, "scene.xml"):
         model = _model(_text(attachments, "scene.xml"))
         there = {model.body(index).name for index in range(model.nbody)}
         there |= {model.cam(index).name for index in range(model.ncam)}
@@ -92,9 +84,18 @@ def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: obj
             for name in ("base", *(sensor.name.lower() for sensor in Sensor)):
                 if f"{robot}/{name}" not in there:
                     raise Misfit(f"no {robot}/{name}", "it, as the log's robots have it")
+        return model
+
+
+@contextmanager
+def _named(source: object, name: str) -> Generator[None]:
+    """Turn a problem of an attachment into one line that names the log."""
+    try:
+        yield
     except Misfit as misfit:
-        raise LogError(f"{source}: scene.xml: {misfit}") from None
-    return model
+        raise LogError(f"{source}: {name}: {misfit}") from None
+    except KhepTwinError as error:
+        raise LogError(f"{source}: {first_line(error)}") from None
 
 
 def _text(attachments: Mapping[str, str], name: str) -> str:

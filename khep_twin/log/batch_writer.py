@@ -77,6 +77,7 @@ class BatchWriter:
         self._channels: dict[str, Channel] = {}
         self._pieces: list[bytes] = []
         self._size = 0
+        # Times of each channel's messages and their places in the chunk (n, 2).
         self._index: dict[int, list[NDArray[np.uint64]]] = {}
         self._counts: Counter[int] = Counter()
         self._span: tuple[int, int] | None = None
@@ -152,7 +153,7 @@ class BatchWriter:
             places.append((time_ns, size))
             size += 9 + length
         if places:
-            self._note(channel, np.array(places, np.uint64))
+            self._index.setdefault(channel, []).append(np.array(places, np.uint64))
             self._append(b"".join(pieces))
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
@@ -169,7 +170,8 @@ class BatchWriter:
         rows["publish_time"] = times_ns
         rows["data"] = messages.view(f"V{size}")
         places = self._size + rows.itemsize * np.arange(len(rows))
-        self._note(channel, np.column_stack([times_ns, places]).astype(np.uint64))
+        index = np.column_stack([times_ns, places]).astype(np.uint64)
+        self._index.setdefault(channel, []).append(index)
         self._append(rows.tobytes())
 
     def flush(self) -> None:
@@ -254,10 +256,6 @@ class BatchWriter:
     def _append(self, data: bytes) -> None:
         self._pieces.append(data)
         self._size += len(data)
-
-    def _note(self, channel: int, places: NDArray[np.uint64]) -> None:
-        """Note times and offsets within the chunk of a channel's messages (n, 2)."""
-        self._index.setdefault(channel, []).append(places)
 
 
 def _record(record: McapRecord) -> bytes:

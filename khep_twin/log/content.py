@@ -9,13 +9,14 @@ import struct
 import zlib
 from collections.abc import Iterator, Sequence
 from itertools import chain
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
+from mcap.records import Attachment, Metadata, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.log.decoding import LATEST_NS, Misfit
+from khep_twin.log.entries import Entry, EntryReader
 from khep_twin.log.record_bytes import (
     HEAD,
     LARGEST_CHUNK,
@@ -24,7 +25,6 @@ from khep_twin.log.record_bytes import (
     SLACK,
     RecordBytes,
     parsed,
-    records_in,
     unpacked,
 )
 
@@ -35,22 +35,6 @@ _FOOTER = struct.Struct("<QQI")
 _CHUNK_PLACE = struct.Struct("<QQQQI")
 _CHANNEL_PLACE = struct.Struct("<H8x")
 _PLACE = struct.Struct("<QQ")
-
-
-class Entry(NamedTuple):
-    """One message.
-
-    Attributes:
-        topic: Topic of its channel.
-        schema: Name of its type, empty if it has none.
-        time_ns: Log time [ns].
-        data: Content as written.
-    """
-
-    topic: str
-    schema: str
-    time_ns: int
-    data: bytes
 
 
 class Content:
@@ -67,8 +51,7 @@ class Content:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
         self._unpacked = 0
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, tuple[str, str]] = {}
+        self._reader = EntryReader()
         self._end_ns: int | None = None
         self._count: int | None = None
         self._chunks: list[tuple[int, int, int]] = []
@@ -128,13 +111,6 @@ class Content:
                 raise Misfit(f"metadata at byte {place}", "texts of the lengths that they say")
             yield found
 
-    def definition(self, name: str) -> str | bytes | None:
-        """Return the definition of a message type: text for ROS 2, bytes for protobuf, None for others."""
-        schema = next((each for each in self._schemas.values() if each.name == name), None)
-        if schema is None or schema.encoding not in ("ros2msg", "protobuf"):
-            return None
-        return schema.data.decode("ascii", "ignore") if schema.encoding == "ros2msg" else schema.data
-
     def end_ns(self) -> int:
         """Return the time of the last message by the index [ns]."""
         if self._end_ns is None:
@@ -160,8 +136,14 @@ class Content:
             raise Misfit(f"index at byte {start}", f"it between {magic} and {self._end}")
         lengths: dict[int, int] = {}
         for opcode, place, size in self._walk(start, self._end):
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
-                self._define(opcode, self._content(place, size), place)
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._reader.define(opcode, self._content(place, size), place)
+                continue
+            if opcode == Opcode.STATISTICS:
+                statistics = parsed(opcode, self._content(place, size))
+                if not isinstance(statistics, Statistics):
+                    raise Misfit(f"definition at byte {place}", "texts of the lengths that they say")
+                self._end_ns, self._count = statistics.message_end_time, statistics.message_count
                 continue
             if opcode == Opcode.CHUNK_INDEX:
                 content = self._content(place, size)
@@ -197,46 +179,18 @@ class Content:
         if not self._indexed:
             yield 0, self._unindexed()
         for start_ns, place, length in self._chunks if chunks is None else chunks:
-            yield start_ns, self._entries(self._chunk(place, length), place, start_ns)
+            yield start_ns, self._reader.entries(self._chunk(place, length), place, start_ns)
 
     def _unindexed(self) -> Iterator[Entry]:
         for opcode, place, size in self._walk(len(MCAP0_MAGIC), self._end):
             if opcode == Opcode.DATA_END:
                 return
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(opcode, self._content(place, size), place)
+                self._reader.define(opcode, self._content(place, size), place)
             elif opcode == Opcode.MESSAGE:
-                yield self._entry(self._content(place, size), 0, size, place)
+                yield self._reader.entry(self._content(place, size), 0, size, place)
             elif opcode == Opcode.CHUNK:
-                yield from self._entries(self._chunk(place, HEAD.size + size), place, 0)
-
-    def _entries(self, records: bytes, place: int, start_ns: int) -> Iterator[Entry]:
-        """Yield the messages of a chunk, none of which is earlier than the index says."""
-        last = 0
-        for opcode, start, end in records_in(records):
-            last = end
-            if opcode == Opcode.MESSAGE:
-                entry = self._entry(records, start, end, place)
-                if entry.time_ns < start_ns:
-                    found = f"message at {entry.time_ns} ns in the chunk at byte {place}"
-                    raise Misfit(found, f"none before {start_ns} ns, as the index says")
-                yield entry
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(opcode, records[start:end], place)
-            else:
-                found = f"record {opcode} in the chunk at byte {place}"
-                raise Misfit(found, "schemas, channels and messages")
-        if last != len(records):
-            raise Misfit(f"chunk at byte {place} with half a record", "whole ones")
-
-    def _entry(self, records: bytes, start: int, end: int, place: int) -> Entry:
-        if end - start < MESSAGE.size:
-            raise Misfit(f"message of {end - start} bytes at byte {place}", f"at least {MESSAGE.size}")
-        number, _, time_ns, _ = MESSAGE.unpack_from(records, start)
-        known = self._channels.get(number)
-        if known is None:
-            raise Misfit(f"message of channel {number} at byte {place}", "a channel that is defined")
-        return Entry(*known, time_ns, records[start + MESSAGE.size : end])
+                yield from self._reader.entries(self._chunk(place, HEAD.size + size), place)
 
     def _chunk(self, place: int, length: int) -> bytes:
         """Return the records of a chunk."""
@@ -258,23 +212,6 @@ class Content:
         if end != len(packed) or len(records) != size or (crc and zlib.crc32(records) != crc):
             raise Misfit(f"chunk at byte {place}", "one that holds what its size and checksum say")
         return records
-
-    def _define(self, opcode: int, content: bytes, place: int) -> None:
-        record = parsed(opcode, content)
-        match record:
-            case Schema():
-                self._schemas.setdefault(record.id, record)
-            case Channel():
-                schema = self._schemas.get(record.schema_id)
-                if record.schema_id and schema is None:
-                    found = f"channel {record.id} of schema {record.schema_id} at byte {place}"
-                    raise Misfit(found, "a schema that is defined")
-                name = "" if schema is None else schema.name
-                self._channels.setdefault(record.id, (record.topic, name))
-            case Statistics():
-                self._end_ns, self._count = record.message_end_time, record.message_count
-            case _:
-                raise Misfit(f"definition at byte {place}", "texts of the lengths that they say")
 
     def _records(self, wanted: Opcode) -> Iterator[tuple[int, bytes]]:
         """Yield offsets and records of a kind, heads included."""

@@ -73,15 +73,15 @@ class Salvage:
         for number, piece in enumerate(self._pieces):
             if progress is not None:
                 progress(number / len(self._pieces))
-            records = piece if isinstance(piece, bytes) else self._bytes.chunk(piece)[0]
-            for opcode, start, end in records_in(records or b""):
+            records = (piece if isinstance(piece, bytes) else self._bytes.chunk(piece)) or b""
+            for opcode, start, end in records_in(records):
                 if opcode not in _IN_CHUNKS:
                     break
                 if opcode == Opcode.MESSAGE and end - start >= MESSAGE.size:
-                    channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records or b"", start)
+                    channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
                     if channel in self.channels:
-                        content = (records or b"")[start + MESSAGE.size : end]
-                        yield Message(channel, log_time, content, publish_time, sequence)
+                        data = records[start + MESSAGE.size : end]
+                        yield Message(channel, log_time, data, publish_time, sequence)
 
     def _walk(self) -> None:
         place = len(MCAP0_MAGIC)
@@ -106,7 +106,7 @@ class Salvage:
         """Keep the content of the record at an offset; return where the next begins, None if it is none."""
         opcode, end = self._bytes.head(place)
         if opcode == Opcode.CHUNK:
-            records, end = self._bytes.chunk(place)
+            records = self._bytes.chunk(place)
             if records is None:
                 return None
             self._unpacked += len(records)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.channels import FLOATS, INTEGERS, TextLine
-from khep_twin.log.content import Entry
 from khep_twin.log.decoding import (
     LATEST_NS,
     Misfit,
@@ -20,6 +19,7 @@ from khep_twin.log.decoding import (
     read_transforms,
     shown,
 )
+from khep_twin.log.entries import Entry
 
 KINDS = {FLOATS: "d", INTEGERS: "q"}
 """Format of the numbers of a message type."""
@@ -64,7 +64,7 @@ class Messages:
     def __init__(self, path: Path, found: Iterable[Entry]) -> None:
         self._path = path
         self._found: dict[str, dict[str, tuple[list[int], list[bytes]]]] = {}
-        for topic, schema, time_ns, data in found:
+        for topic, schema, _, time_ns, data in found:
             check_time(path, topic, time_ns)
             times_ns, messages = self._found.setdefault(topic, {}).setdefault(schema, ([], []))
             times_ns.append(time_ns)

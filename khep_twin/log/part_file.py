@@ -23,7 +23,6 @@ class PartFile:
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         self._size = 0
-        self._closed = False
         with suppress(OSError):  # some network file systems have no locks
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
@@ -46,8 +45,7 @@ class PartFile:
 
     def close(self) -> None:
         """Close the file."""
-        if not self._closed:
-            self._closed = True
+        if self._descriptor >= 0:
             # The number of the descriptor may be reused from now on.
             descriptor, self._descriptor = self._descriptor, -1
             os.close(descriptor)

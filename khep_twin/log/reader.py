@@ -1,4 +1,7 @@
-"""Reading of logs: recorded data as arrays, without ROS, rerun or the simulator."""
+"""Reading of logs: recorded data as arrays, without ROS, rerun or the simulator.
+
+Each function raises a `LogError` for a log that does not exist, or is not whole.
+"""
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -11,8 +14,9 @@ from numpy.typing import NDArray
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.log.channels import FLOATS, TextLine
-from khep_twin.log.content import Content, Entry
+from khep_twin.log.content import Content
 from khep_twin.log.decoding import Misfit
+from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label, label_of, run_facts
 from khep_twin.log.messages import FOR_REPEAT, WIDTHS, Messages, TimeSeries, check_time
 
@@ -78,11 +82,7 @@ class Recording:
 
 
 def read(path: Path) -> LoggedRun:
-    """Read a log as arrays.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Read a log as arrays."""
     with _opened(path) as content:
         label = _label(path, content)
         messages = Messages(path, content.messages())
@@ -100,31 +100,19 @@ def read(path: Path) -> LoggedRun:
 
 
 def read_label(path: Path) -> Label:
-    """Read metadata and attachments of a log; fast for any length of the run.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Read metadata and attachments of a log; fast for any length of the run."""
     with _opened(path) as content:
         return _label(path, content)
 
 
 def read_end_ns(path: Path) -> int:
-    """Return the time of a log's last message [ns]; fast for any length of the run.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Return the time of a log's last message [ns]; fast for any length of the run."""
     with _opened(path) as content:
         return content.end_ns()
 
 
 def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
-    """Read a log's label and its arrays of floats by topic: times (n,) [ns] and values (n, length).
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Read a log's label and its arrays of floats by topic: times (n,) [ns] and values (n, length)."""
     with _opened(path) as content:
         label = _label(path, content)
         messages = Messages(path, (each for each in content.messages() if each.schema == FLOATS))
@@ -133,21 +121,13 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
 
 
 def read_series(path: Path) -> Recording:
-    """Read a log with each channel at its own times.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Read a log with each channel at its own times."""
     with _opened(path) as content:
         return _recording(path, _label(path, content), content.messages())
 
 
 def read_heads(path: Path) -> Recording:
-    """Return a log with the first message of each channel; fast for any length of the run.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
-    """
+    """Return a log with the first message of each channel; fast for any length of the run."""
     with _opened(path) as content:
         return _recording(path, _label(path, content), content.first_messages())
 
@@ -158,21 +138,18 @@ def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> 
     Args:
         path: Path of a finished log.
         progress: Function that takes the share that has been read, 0 to 1.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
     """
-    return (recording for recording, _, _ in read_with_messages(path, progress))
+    return (recording for recording, _ in read_with_messages(path, progress))
 
 
 def read_with_messages(
     path: Path, progress: Callable[[float], None] | None = None
-) -> Iterator[tuple[Recording, list[Entry], Callable[[str], str | bytes | None]]]:
-    """Yield pieces as `read_pieces` does, with their messages and a function for the definition of a type."""
+) -> Iterator[tuple[Recording, list[Entry]]]:
+    """Yield pieces as `read_pieces` does, with their messages."""
     with _opened(path) as content:
         label = _label(path, content)
         for share, messages in content.pieces(PIECE):
-            yield _recording(path, label, messages), messages, content.definition
+            yield _recording(path, label, messages), messages
             if progress is not None:
                 progress(share)
 
@@ -200,15 +177,12 @@ def read_raw(
 
     Returns:
         Label, messages, and whether the log was recovered, so that its end may be missing.
-
-    Raises:
-        LogError: It does not exist, or is not whole.
     """
     found: dict[str, list[tuple[int, bytes]]] = {}
     with _opened(path) as content:
         label = _label(path, content)
         recovered = any(record.name == "recovered" for record in content.metadata())
-        for topic, _, time_ns, data in content.messages():
+        for topic, _, _, time_ns, data in content.messages():
             if wanted(topic):
                 check_time(path, topic, time_ns)
                 found.setdefault(topic, []).append((time_ns, data))

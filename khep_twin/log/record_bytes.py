@@ -9,11 +9,9 @@ No length is used before the bytes are known to be there.
 import re
 import struct
 import zlib
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
-from heapq import merge
 from io import BytesIO
-from itertools import groupby
 from mmap import mmap
 
 import zstandard
@@ -48,9 +46,6 @@ LARGEST_CHUNK = 64 << 20
 
 _START = re.compile(rb"(?=[\x01\x03-\x0f].{5}\x00\x00\x00)", re.DOTALL)
 """Opcode and the upper bytes of a length, where a record may begin."""
-
-_PACKED = re.compile(rb"(?=\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4)")
-"""Middle of a chunk's head."""
 
 READERS: Mapping[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.HEADER: Header.read,
@@ -88,11 +83,11 @@ class RecordBytes:
     def next_record(self, place: int) -> int | None:
         """Return the offset of the next verified record, None if the search limit is reached."""
         limit = LARGEST_CHUNK + _PATIENCE * len(self._data)
-        for start in self._starts(place):
+        for match in _START.finditer(self._data, place):
             if self._spent > limit:
                 return None
-            if self.is_record(start):
-                return start
+            if self.is_record(match.start()):
+                return match.start()
         return None
 
     def head(self, place: int) -> tuple[int, int | None]:
@@ -119,25 +114,23 @@ class RecordBytes:
         first = name + len(compression) + 8
         return size, crc, compression, first, first + packed
 
-    def chunk(self, place: int) -> tuple[bytes | None, int | None]:
-        """Return the records in a chunk and its end, by either of the two lengths that it has."""
+    def chunk(self, place: int) -> bytes | None:
+        """Return the records in a chunk; None if its lengths differ or its checksum is another."""
         found = self.chunk_head(place)
         if found is None:
-            return None, None
-        size, crc, compression, start, inner = found
-        if size > LARGEST_CHUNK:
-            return None, None
-        for end in dict.fromkeys((self.head(place)[1], inner)):
-            if (
-                end is not None
-                and start <= end <= len(self._data)
-                and self._may_be(compression, start, end, size)
-            ):
-                records = unpacked(compression, self._data[start:end], size)
-                if len(records) == size and (not crc or zlib.crc32(records) == crc):
-                    return records, end
-                self._spent += end - start + len(records)
-        return None, None
+            return None
+        size, crc, compression, start, end = found
+        if (
+            size > LARGEST_CHUNK
+            or end != self.head(place)[1]
+            or not self._may_be(compression, start, end, size)
+        ):
+            return None
+        records = unpacked(compression, self._data[start:end], size)
+        if len(records) == size and (not crc or zlib.crc32(records) == crc):
+            return records
+        self._spent += end - start + len(records)
+        return None
 
     def _may_be(self, compression: str, start: int, end: int, size: int) -> bool:
         """Return whether the header of packed bytes states this unpacked size; a cheap test."""
@@ -163,21 +156,13 @@ class RecordBytes:
             return attachment
         return replace(attachment, name=f"damaged/{attachment.name}")
 
-    def _starts(self, place: int) -> Iterator[int]:
-        """Yield the offsets from `place` on where a record may begin."""
-        data = self._data
-        before_name = HEAD.size + _CHUNK_HEAD.size
-        starts = (match.start() for match in _START.finditer(data, place))
-        chunks = (match.start() - before_name for match in _PACKED.finditer(data, place + before_name))
-        return (start for start, _ in groupby(merge(starts, chunks)))
-
     def is_record(self, place: int) -> bool:
         """Return whether a record at an offset is verified by more than its opcode."""
-        if self.chunk(place)[0] is not None:
-            return True
         opcode, end = self.head(place)
-        if end is None or opcode == Opcode.CHUNK:
+        if end is None:
             return False
+        if opcode == Opcode.CHUNK:
+            return self.chunk(place) is not None
         if opcode == Opcode.ATTACHMENT:
             found = self.attachment(place, end)
             return found is not None and not found.name.startswith("damaged/")

@@ -9,8 +9,6 @@ import platform
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import mujoco
 import numpy as np
@@ -123,14 +121,6 @@ class Recorder:
     def failure(self) -> LogError | None:
         """Error after which the log is no longer written, None if there was none."""
         return self._log.failure
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def sample(self, world: World) -> None:
         """Record the state of all bodies and boards; it is written in batches."""
@@ -289,17 +279,13 @@ def versions() -> dict[str, str]:
 
 
 class _RobotStream:
-    """Sampled channels of one robot, all of them parts of the registers of its board and its turrets.
-
-    Attributes:
-        noted: Registers of a batch (samples, registers).
-    """
+    """Sampled channels of one robot, all of them parts of the registers of its board and its turrets."""
 
     def __init__(self, robot: Robot) -> None:
         turrets = robot.firmware.turrets
         self._sources = boards(robot)
         starts = np.cumsum([0, *(len(source) for source in self._sources)])
-        self.noted = np.zeros((_BATCH, starts[-1]), np.int64)
+        self.noted = np.zeros((_BATCH, starts[-1]), np.int64)  # registers of a batch (samples, registers)
         self._channels = [
             (f"/{robot.name}/{topic}", schema, ArrayFrame(len(columns), kind, label), columns)
             for topic, schema, kind, label, columns in (

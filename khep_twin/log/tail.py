@@ -7,46 +7,27 @@ import fcntl
 import os
 import time
 from collections.abc import Generator
-from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.invocation import command
+from khep_twin.log.decoding import Misfit
+from khep_twin.log.entries import Entry, EntryReader
 from khep_twin.log.label import Label, label_of, run_facts
 from khep_twin.log.reader import read_label
-from khep_twin.log.record_bytes import HEAD, MESSAGE, RecordBytes, parsed, records_in
+from khep_twin.log.record_bytes import HEAD, RecordBytes, parsed
 
 _BLOCK = 1 << 22
 """Bytes read at once."""
 
 _SILENCE = 2.0
 """Wall time without new data after which the run is checked to be still there [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """One message of a log.
-
-    Attributes:
-        topic: Topic of its channel.
-        schema: Name of its type.
-        definition: Definition of its type: text for ROS 2, bytes for protobuf.
-        time_ns: Simulated time [ns].
-        data: Content as written.
-    """
-
-    topic: str
-    schema: str
-    definition: str | bytes
-    time_ns: int
-    data: bytes
 
 
 class GrowingLog:
@@ -83,17 +64,14 @@ class GrowingLog:
         self._rest = b""
         self._begun = False
         self._grown = time.monotonic()
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
+        self._reader = EntryReader()
         self._facts: dict[str, str] = {}
         self._attachments: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def label(self) -> Label | None:
@@ -106,7 +84,7 @@ class GrowingLog:
             return None
         return label_of(self.part, self._facts, self._attachments)
 
-    def new(self) -> list[Message]:
+    def new(self) -> list[Entry]:
         """Return the messages written since the last call, of a long log a part of them.
 
         They are in the order of the file, in which each channel is in order of time.
@@ -124,9 +102,12 @@ class GrowingLog:
             return []
         self._grown = time.monotonic()
         self._rest += block
-        return list(self._take())
+        try:
+            return list(self._take())
+        except Misfit as misfit:
+            raise LogError(f"{self.part}: {misfit}") from None
 
-    def _take(self) -> Generator[Message, None, None]:
+    def _take(self) -> Generator[Entry, None, None]:
         """Read the whole records; a partial one stays for the next time."""
         size = len(MCAP0_MAGIC)
         place = 0
@@ -144,7 +125,8 @@ class GrowingLog:
             if opcode == Opcode.CHUNK:
                 yield from self._unpack(records, place)
             elif opcode == Opcode.ATTACHMENT:
-                self._attach(records.attachment(place, end))
+                if (found := records.attachment(place, end)) is not None:
+                    self._attachments[found.name] = found.data.decode("utf-8", "replace")
             elif opcode == Opcode.METADATA:
                 record = parsed(opcode, self._rest[place + HEAD.size : end])
                 if isinstance(record, Metadata):
@@ -154,33 +136,14 @@ class GrowingLog:
             place = end
         self._rest = self._rest[place:]
 
-    def _attach(self, attachment: Attachment | None) -> None:
-        if attachment is not None:
-            self._attachments[attachment.name] = attachment.data.decode("utf-8", "replace")
-
-    def _unpack(self, records: RecordBytes, place: int) -> Generator[Message, None, None]:
-        content, _ = records.chunk(place)
+    def _unpack(self, records: RecordBytes, place: int) -> Generator[Entry, None, None]:
+        content = records.chunk(place)
         if content is None:
             recovery = command("recover", self.part)
             raise LogError(f"{self.part}: a part of it is damaged; to recover it: {recovery}")
         if self.label() is None:
             raise LogError(f"{self.part}: an MCAP file, but no log of khep_twin")
-        for opcode, start, end in records_in(content):
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                match parsed(opcode, content[start:end]):
-                    case Schema() as schema:
-                        self._schemas[schema.id] = schema
-                    case Channel() as channel:
-                        self._channels[channel.id] = channel
-                    case _:
-                        pass
-            elif opcode == Opcode.MESSAGE:
-                number, _, time_ns, _ = MESSAGE.unpack_from(content, start)
-                channel = self._channels[number]
-                schema = self._schemas[channel.schema_id]
-                data = content[start + MESSAGE.size : end]
-                definition = schema.data.decode("ascii") if schema.encoding == "ros2msg" else schema.data
-                yield Message(channel.topic, schema.name, definition, time_ns, data)
+        yield from self._reader.entries(content, place)
 
     def _check_alive(self) -> None:
         """Check, now and then, that a process still has the file open to write."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.ports.host_port import Received
-from khep_twin.ports.network_host import WAITING_LIMIT, NetworkHost
+from khep_twin.ports.network_host import LAST_LIMIT, WAITING_LIMIT, NetworkHost
 from khep_twin.ports.ration import Ration
 
 _BACKLOG = 8
@@ -131,7 +131,7 @@ class TcpPort:
         host, self._host = self._host, None
         if host is None:
             return b""
-        last = host.rest()
+        last = host.take(LAST_LIMIT)
         if host.fault:
             notices.append(f"a host, {host.address}, was cut off: {host.fault}")
         self._dropped += host.dropped

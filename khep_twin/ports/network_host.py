@@ -117,10 +117,6 @@ class NetworkHost:
         self._flush()
         return data
 
-    def rest(self) -> bytes:
-        """Return the bytes of a host that has left, as many as are carried out."""
-        return self.take(LAST_LIMIT)
-
     def write(self, data: bytes) -> None:
         """Send whole lines; what it leaves no room for is dropped and counted."""
         self._line += data

@@ -43,6 +43,8 @@ class Serial(SerialBase):
     """
 
     twin: Twin
+    cts = dsr = cd = True
+    ri = False
     _port: str | None
     _timeout: float | None
     _write_timeout: float | None
@@ -213,36 +215,9 @@ class Serial(SerialBase):
             warnings.warn(f"{self._port}: {notice}", stacklevel=3)
 
     def _reconfigure_port(self) -> None:
-        """Apply the speed from the next byte on; parity and flow control are as the robot has them."""
+        """Do nothing: the speed holds from the next byte on, and the line has no other wires."""
 
-    def _update_rts_state(self) -> None:
-        """Do nothing: the robot's line has no such wire."""
-
-    def _update_dtr_state(self) -> None:
-        """Do nothing: the robot's line has no such wire."""
-
-    def _update_break_state(self) -> None:
-        """Do nothing: the robot ignores a break."""
-
-    @property
-    def cts(self) -> bool:
-        """True: the line has no flow control."""
-        return True
-
-    @property
-    def dsr(self) -> bool:
-        """True: the robot is always ready."""
-        return True
-
-    @property
-    def ri(self) -> bool:
-        """False: the line has no ring signal."""
-        return False
-
-    @property
-    def cd(self) -> bool:
-        """True: the robot is always connected."""
-        return True
+    _update_rts_state = _update_dtr_state = _update_break_state = _reconfigure_port
 
 
 def parse_url(url: str) -> tuple[str, TwinOptions]:
@@ -298,20 +273,22 @@ def _digit(text: str) -> int:
     return int(text, 16)
 
 
+_ON_OFF = {"on": True, "off": False}.__getitem__
+
 _NAMES = {"fault": "faults"}
 """Options whose names in the URL differ from those in `TwinOptions`."""
 
 _OPTIONS: dict[str, tuple[Callable[[str], object], str]] = {
     "seed": (_whole, "an integer from 0 to 2**63-1"),
     "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
-    "noise": ({"on": True, "off": False}.__getitem__, "on or off"),
-    "vary": ({"on": True, "off": False}.__getitem__, "on or off"),
+    "noise": (_ON_OFF, "on or off"),
+    "vary": (_ON_OFF, "on or off"),
     "rom": (str, "a version of the firmware, such as 5.02"),
     "model": (str, "a model of the robot, khepera1 or khepera2"),
     "mode": (_digit, "a running mode, one digit from 0 to F"),
     "battery_used_min": (_minutes, "a number of minutes from 0 to 1000"),
-    "unpaced": ({"on": True, "off": False}.__getitem__, "on or off"),
-    "strict_line": ({"on": True, "off": False}.__getitem__, "on or off"),
+    "unpaced": (_ON_OFF, "on or off"),
+    "strict_line": (_ON_OFF, "on or off"),
     "fault": (
         lambda text: tuple(text.split(",")),
         "faults with commas between them, such as drop:0.01,stuck:2@5",

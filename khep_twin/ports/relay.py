@@ -11,7 +11,8 @@ import os
 import re
 import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Any
 
 import serial
@@ -58,7 +59,7 @@ class Device:
         descriptor: Descriptor for `select`; None where the port has none.
 
     Raises:
-        PortError: The port cannot be opened, or is no robot's.
+        PortError: The port cannot be opened, or is no robot's; here and in each method: it has gone.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -102,10 +103,8 @@ class Device:
         Raises:
             PortError: The port is lost.
         """
-        try:
+        with self._checked():
             return self._port.read(_CHUNK if self.descriptor is not None else self._port.in_waiting)
-        except (serial.SerialException, OSError) as error:
-            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
     def write(self, data: bytes) -> int:
         """Send to the robot; return how many bytes the port took.
@@ -113,22 +112,26 @@ class Device:
         Raises:
             PortError: The port is lost.
         """
-        try:
+        with self._checked():
             return self._port.write(data) or 0
-        except (serial.SerialException, OSError) as error:
-            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
     @property
     def unsent(self) -> int:
         """Return the number of bytes that the port has taken and not sent yet, where it reports that."""
-        try:
+        with self._checked():
             return self._port.out_waiting if isinstance(self._port, serial.Serial) else 0
-        except (serial.SerialException, OSError) as error:
-            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
     def close(self) -> None:
         """Close the port."""
         self._port.close()
+
+    @contextmanager
+    def _checked(self) -> Generator[None]:
+        """Turn the failure of the port into a `PortError`."""
+        try:
+            yield
+        except (serial.SerialException, OSError) as error:
+            raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
 
 def relay(
@@ -196,14 +199,10 @@ def relay(
 
 
 class _Dialogue:
-    """Lines sent to the robot and replies due, so that no host gets a reply meant for an earlier one.
-
-    Attributes:
-        ended: A host has left, and replies to it may still come.
-    """
+    """Lines sent to the robot and replies due, so that no host gets a reply meant for an earlier one."""
 
     def __init__(self, device: Device) -> None:
-        self.ended = False
+        self.ended = False  # a host has left, and replies to it may still come
         self._device = device
         self._due = 0
         self._asked, self._replied = _Lines(), _Lines()
@@ -251,14 +250,10 @@ class _Dialogue:
 
 
 class _Lines:
-    """Lines of one direction, without empty ones.
-
-    Attributes:
-        begun: First byte of a line that has not ended.
-    """
+    """Lines of one direction, without empty ones."""
 
     def __init__(self) -> None:
-        self.begun = b""
+        self.begun = b""  # first byte of a line that has not ended
 
     def count(self, data: bytes) -> int:
         """Return the number of lines that end in `data`."""

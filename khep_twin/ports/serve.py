@@ -4,9 +4,11 @@ import math
 import select
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from contextlib import closing
 
 from khep_twin.clock import NS_PER_S, Pacer
+from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.log.recorder import Recorder
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.event_sources import Timer
 from khep_twin.ports.host_port import HostPort
@@ -46,15 +48,12 @@ def serve(
     connections = [
         Connection(twin, robot, port, tell) for robot, port in zip(twin.robots, ports, strict=True)
     ]
-    timer = Timer()
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
-    try:
-        if speed == WIRE:
-            _serve_by_wire(twin, connections, stop)
-        else:
+    if speed == WIRE:
+        _serve_by_wire(twin, connections, stop)
+    else:
+        with closing(Timer()) as timer:
             _serve_by_clock(twin, connections, pacer if math.isfinite(speed) else None, timer, stop)
-    finally:
-        timer.close()
     return pacer
 
 
@@ -117,18 +116,10 @@ def _wait(
         timer.clear()
 
 
-class Log(Protocol):
-    """A log that is flushed to disk now and then."""
-
-    def flush(self) -> None:
-        """Write everything so far to the file system."""
-        ...
-
-
 class Flush:
     """Flush of a log, if there is one, to the file system each FLUSH_NS of wall time."""
 
-    def __init__(self, log: Log | None) -> None:
+    def __init__(self, log: Recorder | LineRecorder | None) -> None:
         self._log = log
         self._flushed_ns = time.monotonic_ns()
 

@@ -11,7 +11,8 @@ from command_line import khep_twin
 
 from khep_twin.errors import LogError
 from khep_twin.lab.sensor_test.sensor_files import load
-from khep_twin.log.tail import GrowingLog, Message
+from khep_twin.log.entries import Entry
+from khep_twin.log.tail import GrowingLog
 
 BENCH = """
 version = 1
@@ -92,7 +93,7 @@ def drives(part: Path) -> bool:
     """Whether a log that grows has the order to drive."""
     try:
         with GrowingLog(part.with_suffix("")) as log:
-            found: list[Message] = []
+            found: list[Entry] = []
             while block := log.new():
                 found += block
     except LogError:  # it has only just begun

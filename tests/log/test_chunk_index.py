@@ -39,7 +39,7 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
         if opcode == Opcode.CHUNK:
             chunks += 1
             chunk = found[place]
-            head, content = records.chunk_head(place), records.chunk(place)[0]
+            head, content = records.chunk_head(place), records.chunk(place)
             assert head is not None
             assert content is not None
             times = [

@@ -21,14 +21,15 @@ from mcap.writer import MCAP0_MAGIC
 from rerun.chunk import Chunk, RrdReader
 
 from khep_twin.errors import LogError
-from khep_twin.log.tail import GrowingLog, Message
+from khep_twin.log.entries import Entry
+from khep_twin.log.tail import GrowingLog
 from khep_twin.log.viewer.live import SAMPLE_NS, _Dealer, follow
 from khep_twin.ports.twin import Twin
 
 
-def all_of(log: GrowingLog) -> list[Message]:
+def all_of(log: GrowingLog) -> list[Entry]:
     """What can be read by now."""
-    found: list[Message] = []
+    found: list[Entry] = []
     while block := log.new():
         found += block
     return found

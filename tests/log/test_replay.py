@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rerun as rr
 from PIL import Image
 from rerun.chunk import Chunk, McapReader, RrdReader
 from typer.testing import CliRunner
@@ -194,7 +193,7 @@ def test_bars_are_filled_and_as_long_as_what_they_tell() -> None:
     values = np.array([[0.0, 0.5], [1.0, -1.0]])
     columns = {
         str(each.component_descriptor()): each.as_arrow_array()
-        for each in robot_panel._bars(rr, values, np.zeros((2, 2)), (1, 2, 3))
+        for each in robot_panel._bars(values, np.zeros((2, 2)), (1, 2, 3))
     }
     (strips,) = (column for name, column in columns.items() if "strips" in name)
     points = np.array(strips.flatten().to_pylist())  # of each bar eight corners
@@ -316,7 +315,7 @@ def test_a_still_shows_the_end_of_the_run_unless_a_time_is_given(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[float] = []
-    monkeypatch.setattr(replay, "still", lambda recording, timeline, at_s, target: asked.append(at_s))
+    monkeypatch.setattr(replay, "still", lambda recording, at_s, target: asked.append(at_s))
     assert CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png")]).exit_code == 0
     assert (
         CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png"), "--at", "0"]).exit_code

@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rerun.chunk import McapReader, RrdReader
+from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
 from khep_twin.log.reader import read_with_messages
 from khep_twin.log.viewer import thinning
-from khep_twin.log.viewer.gathered import Gatherer
-from khep_twin.log.viewer.layout import TIMELINE
+from khep_twin.log.viewer.gathered import TIMELINE, Gatherer
 from khep_twin.log.viewer.thinning import Copy, interval_ns
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -40,11 +39,11 @@ def gathered(log: Path, step_ns: int, folder: Path) -> tuple[Gatherer, list[int]
     copy = folder / f"{step_ns}.mcap"
     with copy.open("wb") as file:
         writer = Copy(file, step_ns, ["^/state$"])
-        for recording, messages, definition in read_with_messages(log):
-            writer.add(messages, definition)
+        for recording, messages in read_with_messages(log):
+            writer.add(messages)
             label = recording.label
         writer.finish(label)
-    for chunk in gatherer.passing(McapReader(copy, timeline_type="duration_ns").stream(), TIMELINE):
+    for chunk in gatherer.passing(copy):
         assert chunk.entity_path != "/state"
         if chunk.entity_path == "/khepera0/serial" and not chunk.is_static:
             batch: Any = chunk.to_record_batch()

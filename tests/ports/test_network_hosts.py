@@ -245,7 +245,7 @@ def test_an_error_of_the_network_is_a_host_that_has_gone(number: int) -> None:
             else:
                 assert host.take(10) == b""
             assert host.lost
-            assert host.rest() == b""
+            assert host.take(LAST_LIMIT) == b""
 
 
 def test_a_host_that_finds_no_descriptor_is_reported_and_let_in_later(port: TcpPort) -> None:

@@ -9,23 +9,21 @@ The log has poses and readings. Lengths of rays are computed in the log's own sc
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
+from rerun.chunk import Chunk
 
 from khep_twin import playpen as playpens
 from khep_twin.drawing.light_map import illumination
 from khep_twin.errors import LogError
 from khep_twin.log.attached import playpen_of, shapes_of
-from khep_twin.log.viewer.gathered import Gatherer, Poses, Samples
+from khep_twin.log.reader import Label
+from khep_twin.log.viewer.gathered import Gatherer, Poses, Samples, time_column
 from khep_twin.units import COUNTS_LIMIT, Sensor, metres
-
-if TYPE_CHECKING:
-    from rerun.chunk import Chunk
-
-    from khep_twin.log.reader import Label
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +59,7 @@ class Rays:
         LogError: The scene cannot be used.
     """
 
-    def __init__(self, label: "Label", source: object) -> None:
+    def __init__(self, label: Label, source: object) -> None:
         self._model = shapes_of(label.attachments, label.robots, source)
         self._data = mujoco.MjData(self._model)
         self._free = {
@@ -69,25 +67,22 @@ class Rays:
             for joint in np.flatnonzero(self._model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
         }
 
-    def chunks(self, robot: str, track: Samples, poses: Poses, timeline: str) -> "list[Chunk]":
+    def chunks(self, robot: str, track: Samples, poses: Poses) -> list[Chunk]:
         """Return rays at the times of samples, coloured by the reading and ending at the first hit.
 
         Args:
             robot: Name of the robot.
             track: Samples of the robot.
             poses: Poses of all bodies at the times of those samples, or of more.
-            timeline: Name of the recording's simulated time.
         """
-        import rerun as rr
-        from rerun.chunk import Chunk
-
         rows = poses.rows_at(track.times_ns)
         if rows is None or not len(rows):
             return []
         ends, seen = self._cast(robot, poses, rows)
         n = len(rows)
         strips = np.empty((n, len(Sensor), _RAYS, 2, 3), np.float32)
-        strips[..., 0, :], strips[..., 1, :] = self._starts(robot)[None, :, None], ends
+        starts = [self._model.camera(f"{robot}/{sensor.name.lower()}").pos for sensor in Sensor]
+        strips[..., 0, :], strips[..., 1, :] = np.array(starts)[None, :, None], ends
         part = np.sqrt(np.clip(track.proximity / COUNTS_LIMIT, 0, 1))[..., None]
         colours = np.empty((n, len(Sensor), _RAYS, 4), np.uint8)
         colours[..., :3] = (_NOTHING + part * (_NEAR - _NOTHING))[:, :, None]
@@ -98,14 +93,10 @@ class Rays:
             colors=colours.reshape(-1, 4),
             radii=np.full(n * len(Sensor) * _RAYS, 0.0004, np.float32),
         )
-        times = rr.TimeColumn(timeline, duration=track.times_ns.astype("timedelta64[ns]"))
+        times = time_column(track.times_ns)
         place = f"/obstacles/{robot}_sensors"
         moving = Chunk.from_columns(place, [times], lines.partition([len(Sensor) * _RAYS] * n))
         return [_in_frame(place, f"{robot}/base"), moving]
-
-    def _starts(self, robot: str) -> Floats:
-        """Return the positions of the sensors in the robot's frame (8, 3) [m]."""
-        return np.array([self._model.camera(f"{robot}/{sensor.name.lower()}").pos for sensor in Sensor])
 
     def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the ends of rays in the robot's frame (n, 8, rays, 3) [m], and which of them hit."""
@@ -140,18 +131,14 @@ class Rays:
         return ends, seen
 
 
-def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None = None) -> "list[Chunk]":
+def trail_chunks(robot: str, poses: Poses, before: Floats | None = None) -> list[Chunk]:
     """Return the path of a robot as one short line for each time, on the floor.
 
     Args:
         robot: Name of the robot.
         poses: Poses of the robot.
-        timeline: Name of the recording's simulated time.
         before: Last position in the piece before, of a log that comes in pieces.
     """
-    import rerun as rr
-    from rerun.chunk import Chunk
-
     found = poses.bodies.get(f"{robot}/base")
     if found is None:
         return []
@@ -170,7 +157,7 @@ def trail_chunks(robot: str, poses: Poses, timeline: str, before: Floats | None 
         colors=np.tile(np.array([_TRAIL], np.uint8), (n, 1)),
         radii=np.full(n, 0.0015, np.float32),
     )
-    times = rr.TimeColumn(timeline, duration=times_ns.astype("timedelta64[ns]"))
+    times = time_column(times_ns)
     return [
         _in_frame(trail(robot), "world"),
         Chunk.from_columns(trail(robot), [times], lines),
@@ -186,15 +173,12 @@ EVENTS = "/event_marks"
 """Entity path of the arena's marks of events in a recording."""
 
 
-def event_chunks(label: "Label", gathered: Gatherer, timeline: str) -> "list[Chunk]":
+def event_chunks(label: Label, gathered: Gatherer) -> list[Chunk]:
     """Return marks of events: in the arena at the robot's position, in the curves at 0."""
-    import rerun as rr
-    from rerun.chunk import Chunk
-
     times_ns, texts = gathered.events()
     if not len(texts):
         return []
-    times = rr.TimeColumn(timeline, duration=times_ns.astype("timedelta64[ns]"))
+    times = time_column(times_ns)
     zeros = rr.Scalars.columns(scalars=np.zeros(len(texts)))
     chunks = [Chunk.from_columns(f"/{robot}/events", [times], zeros) for robot in label.robots]
     poses = gathered.poses()
@@ -224,7 +208,7 @@ class FloorLight:
         LogError: The playpen cannot be used.
     """
 
-    def __init__(self, label: "Label", source: object) -> None:
+    def __init__(self, label: Label, source: object) -> None:
         self._source = source
         self._playpen = playpen_of(label.attachments, source)
         self._full = np.array([lamp.power_w * lamp.dim for lamp in self._playpen.lamps])
@@ -232,11 +216,8 @@ class FloorLight:
         self._steady = not any((lamp.on_s or lamp.blink_period_s) for lamp in self._playpen.lamps)
         self._steady &= self._playpen.lighting.mode == "all"
 
-    def chunks(self, gathered: Gatherer, timeline: str) -> "Iterator[Chunk]":
+    def chunks(self, gathered: Gatherer) -> Iterator[Chunk]:
         """Yield the floor for each new combination of lamps, and the times at which each is shown."""
-        import rerun as rr
-        from rerun.chunk import Chunk
-
         times_ns, powers = gathered.lamps()
         if not self._full.any() or (powers is None and (self._states or not self._steady)):
             return
@@ -257,7 +238,7 @@ class FloorLight:
             shown.append(self._states.get(state, "/light/0"))
         if powers is None:
             return
-        times = rr.TimeColumn(timeline, duration=times_ns[changed].astype("timedelta64[ns]"))
+        times = time_column(times_ns[changed])
         for place in self._states.values():
             # Hidden light has no size.
             poses = rr.InstancePoses3D.columns(scales=[(float(each == place),) * 3 for each in shown])
@@ -266,8 +247,6 @@ class FloorLight:
 
 def _lit_floor(playpen: playpens.Playpen, state: Sequence[bool]) -> Any:
     """Return the floor in the light of the lamps that are on, as columns."""
-    import rerun as rr
-
     width_mm, height_mm = playpen.arena.width_mm, playpen.arena.height_mm
     step = max(width_mm, height_mm) / _GLOW_PIXELS
     columns, rows = max(round(width_mm / step), 2), max(round(height_mm / step), 2)
@@ -295,9 +274,6 @@ def _subject(text: str, robots: Sequence[str]) -> str:
     return found[1] if found is not None and found[1] in robots else robots[0]
 
 
-def _in_frame(place: str, frame: str) -> "Chunk":
+def _in_frame(place: str, frame: str) -> Chunk:
     """Return the static coordinate frame of an entity."""
-    import rerun as rr
-    from rerun.chunk import Chunk
-
     return Chunk.from_columns(place, [], rr.CoordinateFrame.columns(frame=[frame]))

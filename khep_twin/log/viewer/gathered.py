@@ -3,17 +3,20 @@
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from rerun.chunk import Chunk
+from rerun.chunk import Chunk, McapReader
 
 Floats = NDArray[np.float64]
+
+TIMELINE = "message_log_time"
+"""Name that rerun gives to the simulated time of a log's messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +72,11 @@ class Gatherer:
         self._poses: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
         self._events: list[tuple[int, str]] = []
 
-    def passing(self, chunks: "Iterable[Chunk]", timeline: str) -> "Iterator[Chunk]":
+    def passing(self, log: Path) -> Iterator[Chunk]:
         """Pass on the chunks of a log, and note their content."""
-        for chunk in chunks:
+        for chunk in McapReader(log, timeline_type="duration_ns").stream():
             if not chunk.is_static:
-                self._note(chunk, timeline)
+                self._note(chunk)
             yield chunk
 
     def samples(self, robot: str) -> Samples | None:
@@ -105,7 +108,7 @@ class Gatherer:
         found = sorted(self._events, key=lambda event: event[0])
         return np.array([time_ns for time_ns, _ in found], np.int64), [text for _, text in found]
 
-    def _note(self, chunk: "Chunk", timeline: str) -> None:
+    def _note(self, chunk: Chunk) -> None:
         path = chunk.entity_path
         if not (path in ("/tf", "/lamps", "/events") or path.endswith(("/proximity", "/ambient", "/speed"))):
             return
@@ -115,7 +118,7 @@ class Gatherer:
         def column(name: str) -> Any:
             return batch.column(batch.schema.get_field_index(name))
 
-        at: NDArray[np.int64] = column(timeline).to_numpy(zero_copy_only=False).astype(np.int64)
+        at = times_of(batch)
         if "Scalars:scalars" in names:
             scalars: Floats = column("Scalars:scalars").flatten().to_numpy(zero_copy_only=False)
             self._rows.setdefault(path, []).append((at, scalars.reshape(len(at), -1)))
@@ -131,6 +134,17 @@ class Gatherer:
                 self._poses.setdefault(name, []).append((at[own], rows[own]))
 
 
-def _joined(parts: "list[tuple[NDArray[np.int64], Floats]]") -> tuple[NDArray[np.int64], Floats]:
+def times_of(batch: Any) -> NDArray[np.int64]:
+    """Return the simulated times of a record batch's rows (n,) [ns]."""
+    column = batch.column(batch.schema.get_field_index(TIMELINE))
+    return column.to_numpy(zero_copy_only=False).astype(np.int64)
+
+
+def time_column(times_ns: NDArray[np.int64]) -> rr.TimeColumn:
+    """Return the simulated times [ns] of new chunks."""
+    return rr.TimeColumn(TIMELINE, duration=times_ns.astype("timedelta64[ns]"))
+
+
+def _joined(parts: list[tuple[NDArray[np.int64], Floats]]) -> tuple[NDArray[np.int64], Floats]:
     times_ns, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return times_ns, values

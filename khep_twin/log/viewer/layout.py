@@ -5,21 +5,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import rerun as rr
+import rerun.blueprint as rrb
 
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.viewer.arena import EVENTS, trail
+from khep_twin.log.viewer.gathered import TIMELINE
 from khep_twin.log.viewer.robot_panel import panel
 from khep_twin.units import Sensor
 
-if TYPE_CHECKING:
-    import rerun.blueprint as rrb
-
 Colour = tuple[int, int, int]
-
-TIMELINE = "message_log_time"
-"""Name that rerun gives to the simulated time of a log's messages."""
 
 _WARM: list[Colour] = [(228, 87, 46), (242, 159, 5), (244, 211, 94)]
 _COLD: list[Colour] = [(64, 224, 208), (77, 171, 247), (92, 124, 250)]
@@ -65,10 +62,8 @@ class Shown:
     last_s: float | None = None
 
 
-def layout(shown: Sequence[Shown]) -> "rrb.Blueprint":
+def layout(shown: Sequence[Shown]) -> rrb.Blueprint:
     """Return the layout: the views of one log around each other, or a column for each of several logs."""
-    import rerun.blueprint as rrb
-
     following = any(log.last_s is not None for log in shown)
     return rrb.Blueprint(
         _alone(shown[0]) if len(shown) == 1 else rrb.Horizontal(*map(_column, shown)),
@@ -78,9 +73,7 @@ def layout(shown: Sequence[Shown]) -> "rrb.Blueprint":
     )
 
 
-def _alone(log: Shown) -> "rrb.Container":
-    import rerun.blueprint as rrb
-
+def _alone(log: Shown) -> rrb.Container:
     arena, bases, transcripts = _arena(log), _bases(log), _transcripts(log)
     below = rrb.Horizontal(*([rrb.Tabs(*bases)] if bases else []), rrb.Tabs(*transcripts))
     return rrb.Horizontal(
@@ -88,20 +81,15 @@ def _alone(log: Shown) -> "rrb.Container":
     )
 
 
-def _column(log: Shown) -> "rrb.Container":
+def _column(log: Shown) -> rrb.Container:
     """Return the column of one log of several, with the same views in the same rows."""
-    import rerun.blueprint as rrb
-
     arena = _arena(log)
     rest = rrb.Tabs(*_curves(log), *_bases(log), *_transcripts(log))
     return rrb.Vertical(*arena, rest, row_shares=[2, 3] if arena else [1], name=log.name)
 
 
-def _arena(log: Shown) -> "list[rrb.Spatial3DView]":
+def _arena(log: Shown) -> list[rrb.Spatial3DView]:
     """Return the arena's view; none for a real robot, whose position is unknown."""
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     if "playpen.toml" not in log.label.attachments:
         return []
     until_now = rrb.VisibleTimeRanges(
@@ -131,9 +119,7 @@ def _arena(log: Shown) -> "list[rrb.Spatial3DView]":
     ]
 
 
-def _bases(log: Shown) -> "list[rrb.Spatial2DView]":
-    import rerun.blueprint as rrb
-
+def _bases(log: Shown) -> list[rrb.Spatial2DView]:
     if "playpen.toml" not in log.label.attachments:
         return []
     bounds = rrb.VisualBounds2D(x_range=(-0.045, 0.045), y_range=(-0.052, 0.068))
@@ -145,9 +131,7 @@ def _bases(log: Shown) -> "list[rrb.Spatial2DView]":
     ]
 
 
-def _transcripts(log: Shown) -> "list[rrb.TextLogView]":
-    import rerun.blueprint as rrb
-
+def _transcripts(log: Shown) -> list[rrb.TextLogView]:
     return [
         rrb.TextLogView(
             name=f"{robot}: serial line and events",
@@ -159,9 +143,7 @@ def _transcripts(log: Shown) -> "list[rrb.TextLogView]":
     ]
 
 
-def _curves(log: Shown) -> "list[rrb.Vertical]":
-    import rerun.blueprint as rrb
-
+def _curves(log: Shown) -> list[rrb.Vertical]:
     return [
         rrb.Vertical(
             _plot(log, robot, "proximity", "proximity [counts]", _SENSORS),
@@ -179,11 +161,8 @@ def _curves(log: Shown) -> "list[rrb.Vertical]":
 
 def _plot(
     log: Shown, robot: str, topic: str, name: str, curves: dict[str, Colour], only: str = ""
-) -> "rrb.TimeSeriesView":
+) -> rrb.TimeSeriesView:
     """Return a plot of a channel, or of those of its curves that have `only` in their name."""
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     origin, events = (f"{log.place}/{robot}/{each}" for each in (topic, "events"))
     lines = rr.SeriesLines.from_fields(
         names=list(curves),
@@ -215,10 +194,8 @@ def _plot(
     )
 
 
-def _eye(label: Label) -> "rrb.EyeControls3D":
+def _eye(label: Label) -> rrb.EyeControls3D:
     """Return a view of the arena's middle from before and above, at a distance that fits its size."""
-    import rerun.blueprint as rrb
-
     arena = playpen_of(label.attachments, "log").arena
     width, depth = arena.width_mm / 1000, arena.height_mm / 1000
     reach = max(width, depth)

@@ -8,35 +8,32 @@ took to arrive, in steps of 40 ms, so that the picture moves smoothly.
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
-import os
 import re
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
+from rerun.chunk import Chunk
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.invocation import command
 from khep_twin.log.batch_writer import BatchWriter
+from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
-from khep_twin.log.tail import GrowingLog, Message
-from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chunks
-from khep_twin.log.viewer.gathered import Gatherer
-from khep_twin.log.viewer.layout import TIMELINE, Shown, layout
+from khep_twin.log.tail import GrowingLog
+from khep_twin.log.viewer.gathered import Gatherer, times_of
+from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
-from khep_twin.log.viewer.replay import UNSEEN, standing_chunks
-from khep_twin.log.viewer.robot_panel import panel_chunks
-
-if TYPE_CHECKING:
-    import rerun as rr
-    from rerun.chunk import Chunk
+from khep_twin.log.viewer.replay import UNSEEN, Additions, standing_chunks
 
 SAMPLE_NS = NS_PER_S // 25
 """Simulated time for which one sample of each channel is shown [ns]; transcripts and events are complete."""
@@ -71,15 +68,11 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
     Raises:
         LogError: There is no such log, it is finished or no log, or the viewer fails.
     """
-    # Closing the window is no error to report, though it cuts the connection.
-    os.environ.setdefault("RUST_LOG", "off")
-    import rerun as rr
-
     found = _opened(path, stop)
     if found is None:
         return
     with found as log:
-        first: list[Message] = []
+        first: list[Entry] = []
         while log.label() is None and not stop():
             first = log.new()
             time.sleep(STEP)
@@ -103,9 +96,9 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
 
 def follow(
     log: GrowingLog,
-    recording: "rr.RecordingStream",
+    recording: rr.RecordingStream,
     stop: Callable[[], bool],
-    first: Sequence[Message] = (),
+    first: Sequence[Entry] = (),
 ) -> None:
     """Pass a log to rerun while it grows, until it is finished or `stop` returns True.
 
@@ -118,8 +111,6 @@ def follow(
     Raises:
         LogError: It turns out to be no log of khep_twin, or its run has ended without finishing it.
     """
-    import rerun as rr
-
     label: Label | None = None
     dealer = _Dealer()
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
@@ -171,57 +162,36 @@ class _Translator:
         self._piece = folder / "piece.mcap"
         self._slots: dict[str, int] = {}
         self._described: set[str] = set()
-        self._rays: Rays | None = None
-        self._light: FloorLight | None = None
-        self._last: dict[str, NDArray[np.float64]] = {}
+        self._additions: Additions | None = None
 
-    def translate(self, messages: Sequence[Message], label: Label) -> "tuple[list[Chunk], list[Chunk]]":
+    def translate(self, messages: Sequence[Entry], label: Label) -> tuple[list[Chunk], list[Chunk]]:
         """Return the static chunks, and those with times."""
-        from rerun.chunk import McapReader
-
         by_topic = self._thinned(messages)
         if not by_topic:
             return [], []
-        piece = _Bytes()
+        piece = BytesIO()
         writer = BatchWriter(piece, "ros2", "khep_twin")
         for topic, found in by_topic.items():
-            channel = writer.channel(topic, found[0].schema, found[0].definition)
+            channel = writer.channel(topic, found[0].schema, found[0].definition or "")
             writer.add_lines(channel, [each.time_ns for each in found], [each.data for each in found])
         writer.finish()
-        self._piece.write_bytes(piece.data)
+        self._piece.write_bytes(piece.getvalue())
         gatherer = Gatherer()
-        chunks = list(
-            gatherer.passing(McapReader(self._piece, timeline_type="duration_ns").stream(), TIMELINE)
-        )
+        chunks = list(gatherer.passing(self._piece))
         passing = [chunk for chunk in chunks if not chunk.is_static]
         # Each piece describes its channels; once is enough.
         standing = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]
         self._described |= {chunk.entity_path for chunk in standing}
-        added = list(self._added(gatherer, label))
+        if self._additions is None:
+            self._additions = Additions(label, self._source)
+        added = list(self._additions.chunks(gatherer, lambda samples: samples))
         standing += [chunk for chunk in added if chunk.is_static]
         passing += [chunk for chunk in added if not chunk.is_static]
         return standing, passing
 
-    def _added(self, gatherer: Gatherer, label: Label) -> "Iterator[Chunk]":
-        """Yield the chunks that are shown of a piece in addition to its own."""
-        poses = gatherer.poses()
-        if poses is not None and self._rays is None:
-            self._rays, self._light = Rays(label, self._source), FloorLight(label, self._source)
-        for robot in label.robots:
-            if (samples := gatherer.samples(robot)) is not None:
-                yield from panel_chunks(robot, samples, TIMELINE)
-                if poses is not None and self._rays is not None:
-                    yield from self._rays.chunks(robot, samples, poses, TIMELINE)
-            if poses is not None and f"{robot}/base" in poses.bodies:
-                yield from trail_chunks(robot, poses, TIMELINE, self._last.get(robot))
-                self._last[robot] = poses.bodies[f"{robot}/base"][-1]
-        if self._light is not None:
-            yield from self._light.chunks(gatherer, TIMELINE)
-        yield from event_chunks(label, gatherer, TIMELINE)
-
-    def _thinned(self, messages: Sequence[Message]) -> dict[str, list[Message]]:
+    def _thinned(self, messages: Sequence[Entry]) -> dict[str, list[Entry]]:
         """Return the shown messages by topic: of samples the first in each SAMPLE_NS."""
-        kept: defaultdict[str, list[Message]] = defaultdict(list)
+        kept: defaultdict[str, list[Entry]] = defaultdict(list)
         for message in messages:
             if _UNSEEN.search(message.topic):
                 continue
@@ -245,7 +215,7 @@ class _Dealer:
         self._until = 0.0
         self._looked = 0.0
 
-    def take(self, chunks: "Sequence[Chunk]", now: float, at_once: bool) -> None:
+    def take(self, chunks: Sequence[Chunk], now: float, at_once: bool) -> None:
         """Add a piece that came now [s]; `at_once` if there is too much of it to spread it."""
         waited = 0.0 if at_once or self._taken is None else now - self._taken
         stretch = min(waited, LONGEST_STRETCH)
@@ -253,15 +223,12 @@ class _Dealer:
         for chunk in chunks:
             batch: Any = chunk.to_record_batch()
             facts = {key: text for key, text in batch.schema.metadata.items() if key != _CHUNK_ID}
-            column = batch.column(batch.schema.get_field_index(TIMELINE))
-            times_ns = column.to_numpy(zero_copy_only=False).astype(np.int64)
+            times_ns = times_of(batch)
             self._last_ns = max(self._last_ns, int(times_ns.max()))
             self._pending.append((batch.replace_schema_metadata(facts), times_ns))
 
-    def due(self, now: float) -> "list[Chunk]":
+    def due(self, now: float) -> list[Chunk]:
         """Return the chunks to be shown by now [s]."""
-        from rerun.chunk import Chunk
-
         # The part of the rest that corresponds to the time since the last call.
         left = self._until - self._looked
         part = 1.0 if now >= self._until else (now - self._looked) / left
@@ -281,17 +248,3 @@ class _Dealer:
     def empty(self) -> bool:
         """True if everything is passed on."""
         return not self._pending
-
-
-class _Bytes:
-    """An MCAP file in memory."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-
-    def write(self, data: bytes) -> int:
-        self.data += data
-        return len(data)
-
-    def tell(self) -> int:
-        return len(self.data)

@@ -47,6 +47,9 @@ class Viewer:
 
     Attributes:
         address: Address where it takes data, for rerun's `connect_grpc`.
+
+    Raises:
+        LogError: In `open` and all that wait: it failed, or does not listen.
     """
 
     def __init__(self, subject: str, process: "subprocess.Popen[bytes]", said: IO[bytes], port: int) -> None:
@@ -58,11 +61,7 @@ class Viewer:
         return self._process.poll() is not None
 
     def open(self) -> bool:
-        """Return whether it still runs.
-
-        Raises:
-            LogError: It failed.
-        """
+        """Return whether it still runs."""
         code = self._process.poll()
         if code:
             self._said.seek(0)
@@ -73,20 +72,12 @@ class Viewer:
         return code is None
 
     def wait(self, stop: Callable[[], bool]) -> None:
-        """Wait until its window is closed, or `stop` returns True.
-
-        Raises:
-            LogError: It failed.
-        """
+        """Wait until its window is closed, or `stop` returns True."""
         while not stop() and self.open():
             time.sleep(_TURN)
 
     def wait_for(self, port: int, stop: Callable[[], bool]) -> None:
-        """Wait until it listens at a port, or `stop` returns True.
-
-        Raises:
-            LogError: It failed, or does not listen.
-        """
+        """Wait until it listens at a port, or `stop` returns True."""
         deadline = time.monotonic() + _PATIENCE
         while not stop() and self.open():
             with suppress(OSError), socket.create_connection((HERE, port), timeout=1.0):

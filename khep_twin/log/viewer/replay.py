@@ -10,10 +10,14 @@ instead of dates in 1970; both go into a rerun recording, which is saved or show
 
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pyarrow as pa
+import rerun as rr
+from rerun.chunk import Chunk
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -21,15 +25,12 @@ from khep_twin.files.atomic import is_same, part_file
 from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.reader import Label, read_end_ns, read_with_messages
 from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chunks
-from khep_twin.log.viewer.gathered import Gatherer
-from khep_twin.log.viewer.layout import TIMELINE, Shown, layout
+from khep_twin.log.viewer.gathered import Floats, Gatherer, Samples, times_of
+from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
 from khep_twin.log.viewer.robot_panel import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
 from khep_twin.log.viewer.snapshot import still
 from khep_twin.log.viewer.thinning import Copy, interval_ns
-
-if TYPE_CHECKING:
-    from rerun.chunk import Chunk
 
 Progress = Callable[[float], None] | None
 """Function that takes the share that is done, 0 to 1."""
@@ -88,16 +89,13 @@ def view_still(
     """
     with _saved(paths, bar) as recording:
         end_s = max(map(read_end_ns, paths)) / NS_PER_S
-        still(recording, TIMELINE, end_s if at_s is None else at_s, target)
+        still(recording, end_s if at_s is None else at_s, target)
 
 
-def standing_chunks(label: Label) -> "list[Chunk]":
+def standing_chunks(label: Label) -> list[Chunk]:
     """Return the static chunks that are added to a log's own."""
-    chunks: list[Chunk] = []
-    for robot in label.robots:
-        if "playpen.toml" in label.attachments:
-            chunks += outline_chunks(robot)
-    return chunks
+    robots = label.robots if "playpen.toml" in label.attachments else ()
+    return [chunk for robot in robots for chunk in outline_chunks(robot)]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
@@ -120,9 +118,9 @@ def _checked(path: Path, copy: Path, progress: Progress) -> Label:
     label, moves = None, False
     with copy.open("xb") as file:
         writer = Copy(file, interval_ns(read_end_ns(path)), UNSEEN)
-        for recording, messages, definition in read_with_messages(path, progress):
+        for recording, messages in read_with_messages(path, progress):
             label = recording.label
-            writer.add(messages, definition)
+            writer.add(messages)
             moves |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
         assert label is not None  # there is at least one piece
         writer.finish(label)
@@ -172,8 +170,6 @@ def _recording(
 
     Made in memory, because rerun itself may wait for ever for a disk that is full.
     """
-    import rerun as rr
-
     names = distinct_names(paths)
     title = " and ".join(names)
     with rr.RecordingStream("khep_twin", recording_id=title) as recording:
@@ -195,44 +191,57 @@ def _recording(
         return stream.read() or b""
 
 
-def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> "Generator[Chunk, None, None]":
+def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> Generator[Chunk, None, None]:
     """Yield all shown chunks of a log."""
-    from rerun.chunk import McapReader
-
     gatherer, end_ns = Gatherer(), read_end_ns(path)
-    for chunk in gatherer.passing(McapReader(copy, timeline_type="duration_ns").stream(), TIMELINE):
+    for chunk in gatherer.passing(copy):
         yield chunk
         if progress is not None and not chunk.is_static and end_ns:
-            progress(min(_last_ns(chunk) / end_ns, 1.0))
+            progress(min(times_of(chunk.to_record_batch()).max(initial=0) / end_ns, 1.0))
     yield from standing_chunks(label)
-    yield from event_chunks(label, gatherer, TIMELINE)
-    poses = gatherer.poses()
-    rays = None if poses is None else Rays(label, path)
-    for robot in label.robots:
-        samples = gatherer.samples(robot)
-        if samples is not None:
-            few = samples.thinned(max(SAMPLES_PER_PICTURE, len(samples.times_ns) // PICTURES))
-            yield from panel_chunks(robot, few, TIMELINE)
-            if rays is not None and poses is not None:
-                yield from rays.chunks(robot, few, poses, TIMELINE)
-        if poses is not None:
-            yield from trail_chunks(robot, poses, TIMELINE)
-    if poses is not None:
-        yield from FloorLight(label, path).chunks(gatherer, TIMELINE)
+    yield from Additions(label, path).chunks(gatherer, _few)
 
 
-def _last_ns(chunk: "Chunk") -> int:
-    """Return the latest time of a chunk [ns]."""
-    batch: Any = chunk.to_record_batch()
-    times_ns = batch.column(batch.schema.get_field_index(TIMELINE)).to_numpy(zero_copy_only=False)
-    return int(times_ns.astype("int64").max(initial=0))
+def _few(samples: Samples) -> Samples:
+    """Return the samples that have a picture."""
+    return samples.thinned(max(SAMPLES_PER_PICTURE, len(samples.times_ns) // PICTURES))
 
 
-def _moved(chunks: "Iterable[Chunk]", log: Shown) -> "Generator[Chunk, None, None]":
+class Additions:
+    """Chunks that views show in addition to a log's own; the log may come in pieces.
+
+    Args:
+        label: Label of the log.
+        source: Name of the log in messages.
+    """
+
+    def __init__(self, label: Label, source: object) -> None:
+        self._label, self._source = label, source
+        self._rays: Rays | None = None
+        self._light: FloorLight | None = None
+        self._last: dict[str, Floats] = {}
+
+    def chunks(self, gathered: Gatherer, thinned: Callable[[Samples], Samples]) -> Iterator[Chunk]:
+        """Yield those of a piece; `thinned` returns the samples that have a picture."""
+        yield from event_chunks(self._label, gathered)
+        poses = gathered.poses()
+        if poses is not None and self._rays is None:
+            self._rays, self._light = Rays(self._label, self._source), FloorLight(self._label, self._source)
+        for robot in self._label.robots:
+            if (samples := gathered.samples(robot)) is not None:
+                few = thinned(samples)
+                yield from panel_chunks(robot, few)
+                if poses is not None and self._rays is not None:
+                    yield from self._rays.chunks(robot, few, poses)
+            if poses is not None and f"{robot}/base" in poses.bodies:
+                yield from trail_chunks(robot, poses, self._last.get(robot))
+                self._last[robot] = poses.bodies[f"{robot}/base"][-1]
+        if self._light is not None:
+            yield from self._light.chunks(gathered)
+
+
+def _moved(chunks: Iterable[Chunk], log: Shown) -> Generator[Chunk, None, None]:
     """Yield the chunks of a log below its path, with coordinate frames of its own."""
-    import pyarrow as pa
-    from rerun.chunk import Chunk
-
     for chunk in chunks:
         if chunk.entity_path == "/__mcap_properties":
             continue  # of a recording that is one log

@@ -9,16 +9,15 @@ dark); beside each wheel a bar of its speed (0 to 20 pulses/10 ms, downwards whe
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun as rr
+from rerun.chunk import Chunk
 
-from khep_twin.log.viewer.gathered import Floats, Samples
+from khep_twin.log.viewer.gathered import Floats, Samples, time_column
 from khep_twin.sensing.bars import BARS
 from khep_twin.units import BODIES, WHEEL_BASE, WHEEL_RADIUS
-
-if TYPE_CHECKING:
-    from rerun.chunk import Chunk
 
 SAMPLES_PER_PICTURE = 5
 """Samples of the log, 20 ms apart, per picture: ten a second are enough for the eye."""
@@ -47,21 +46,12 @@ def panel(robot: str) -> str:
     return f"/{robot}/khepbase"
 
 
-def panel_chunks(robot: str, track: Samples, timeline: str) -> "list[Chunk]":
-    """Return the bars of one robot's panel.
-
-    Args:
-        robot: Name of the robot.
-        track: Samples of the robot.
-        timeline: Name of the recording's simulated time.
-    """
-    import rerun as rr
-    from rerun.chunk import Chunk
-
+def panel_chunks(robot: str, track: Samples) -> list[Chunk]:
+    """Return the bars of one robot's panel."""
     place = panel(robot)
-    times = rr.TimeColumn(timeline, duration=track.times_ns.astype("timedelta64[ns]"))
+    times = time_column(track.times_ns)
     return [
-        Chunk.from_columns(f"{place}/{name}", [times], _bars(rr, _filled(name, values), at, colour))
+        Chunk.from_columns(f"{place}/{name}", [times], _bars(_filled(name, values), at, colour))
         for name, values, at, colour in (
             ("proximity", track.proximity, _FEET - _BESIDE, _PROXIMITY),
             ("light", track.ambient, _FEET + _BESIDE, _LIGHT),
@@ -70,10 +60,8 @@ def panel_chunks(robot: str, track: Samples, timeline: str) -> "list[Chunk]":
     ]
 
 
-def outline_chunks(robot: str) -> "list[Chunk]":
+def outline_chunks(robot: str) -> list[Chunk]:
     """Return the static parts of one robot's panel."""
-    import rerun as rr
-
     wheels = [_box(side * WHEEL_BASE / 2, 0.0, 0.0015, WHEEL_RADIUS) for side in (-1, 1)]
     nose = np.array([(-0.004, -0.020), (0, -0.0245), (0.004, -0.020)])
     strips = [_circle(_BODY.radius), *wheels, nose]
@@ -91,9 +79,9 @@ def outline_chunks(robot: str) -> "list[Chunk]":
         radii=[0.001] * len(entries),
     )
     return [
-        _standing(f"{panel(robot)}/outline", lines.partition([len(strips)])),
-        _standing(f"{panel(robot)}/full", full.partition([len(frames)])),
-        _standing(f"{panel(robot)}/legend", legend.partition([len(entries)])),
+        Chunk.from_columns(f"{panel(robot)}/outline", [], lines.partition([len(strips)])),
+        Chunk.from_columns(f"{panel(robot)}/full", [], full.partition([len(frames)])),
+        Chunk.from_columns(f"{panel(robot)}/legend", [], legend.partition([len(entries)])),
     ]
 
 
@@ -102,14 +90,7 @@ def _filled(name: str, values: Floats) -> Floats:
     return parts
 
 
-def _standing(place: str, columns: Any) -> "Chunk":
-    """Return a static chunk."""
-    from rerun.chunk import Chunk
-
-    return Chunk.from_columns(place, [], columns)
-
-
-def _bars(rr: Any, values: Floats, feet: Floats, colour: tuple[int, int, int]) -> Any:
+def _bars(values: Floats, feet: Floats, colour: tuple[int, int, int]) -> Any:
     """Return filled bars on their feet (k, 2), of values from -1 to 1 (n, k), as columns.
 
     rerun fills no boxes: a bar is one line up and down beside itself, without a gap.

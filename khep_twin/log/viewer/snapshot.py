@@ -9,14 +9,13 @@ import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import rerun.experimental as rx
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import write_whole
+from khep_twin.log.viewer.gathered import TIMELINE
 from khep_twin.log.viewer.process import free_ports
-
-if TYPE_CHECKING:
-    import rerun.experimental as rx
 
 _PATIENCE = 30.0
 """Longest wait for the viewer to have opened a recording [s]."""
@@ -28,20 +27,17 @@ _WIDTH = 1600
 """Width of a still [pixels]."""
 
 
-def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
+def still(recording: Path, at_s: float, target: Path) -> None:
     """Write a still of a recording in rerun's viewer at a time.
 
     Args:
         recording: Recording of rerun, a file.
-        timeline: Timeline of the time.
         at_s: Time [s].
         target: Path of the PNG file.
 
     Raises:
         LogError: The viewer does not start or does not answer.
     """
-    import rerun.experimental as rx
-
     # The viewer's output is hidden by default.
     os.environ.setdefault("RUST_LOG", "error")
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # it warns if it is unset
@@ -56,7 +52,7 @@ def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
     except Exception as error:  # rerun's own errors are of many kinds
         raise LogError(f"{target}: rerun's viewer does not start: {_first_line(error)}") from error
     try:
-        _show(viewer, recording, timeline, at_s)
+        _show(viewer, recording, at_s)
         picture = viewer.take_screenshot(max_size=_WIDTH)
     except Exception as error:
         raise LogError(
@@ -69,13 +65,13 @@ def still(recording: Path, timeline: str, at_s: float, target: Path) -> None:
     write_whole(target, picture)
 
 
-def _show(viewer: "rx.ViewerClient", recording: Path, timeline: str, at_s: float) -> None:
+def _show(viewer: rx.ViewerClient, recording: Path, at_s: float) -> None:
     """Open a recording and wait until a time of it is shown."""
     viewer.open(str(recording.resolve()))
     deadline = time.monotonic() + _PATIENCE
     while True:
         try:
-            viewer.set_time(timeline, duration=at_s, play_state="paused")
+            viewer.set_time(TIMELINE, duration=at_s, play_state="paused")
             break
         except ConnectionError:
             raise

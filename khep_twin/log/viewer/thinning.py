@@ -6,14 +6,14 @@ a log of a day took more than 23 GB of memory (measured).
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import groupby
 from operator import attrgetter
 
 from khep_twin import __version__
 from khep_twin.log.batch_writer import BatchWriter, Sink
-from khep_twin.log.content import Entry
+from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
 
 SAMPLES = 180_000
@@ -66,17 +66,12 @@ class Copy:
         self._interval_ns, self._hidden = interval_ns, re.compile("|".join(hidden))
         self._channels: dict[str, _Channel | None] = {}
 
-    def add(self, entries: Iterable[Entry], definition: Callable[[str], str | bytes | None]) -> None:
-        """Copy the shown parts of a piece of the log.
-
-        Args:
-            entries: Messages, none earlier than those added before.
-            definition: Function that returns a message type's definition; None if rerun does not show it.
-        """
+    def add(self, entries: Iterable[Entry]) -> None:
+        """Copy the shown parts of a piece of the log: messages that are no earlier than those before."""
         for topic, found in groupby(sorted(entries, key=attrgetter("topic", "time_ns")), attrgetter("topic")):
             messages = list(found)
             if topic not in self._channels:
-                self._channels[topic] = self._channel(topic, messages[0].schema, definition)
+                self._channels[topic] = self._channel(messages[0])
             channel = self._channels[topic]
             if channel is None:
                 continue
@@ -93,11 +88,9 @@ class Copy:
         self._writer.describe("run", label.metadata)
         self._writer.finish()
 
-    def _channel(
-        self, topic: str, schema: str, definition: Callable[[str], str | bytes | None]
-    ) -> _Channel | None:
-        known = None if self._hidden.search(topic) else definition(schema)
-        if known is None:
+    def _channel(self, first: Entry) -> _Channel | None:
+        """Define the channel of a message; None if it is not shown."""
+        if first.definition is None or self._hidden.search(first.topic):
             return None
-        n_times = 0 if topic == "/events" else _LINES if schema.endswith("/Log") else 1
-        return _Channel(self._writer.channel(topic, schema, known), n_times)
+        n_times = 0 if first.topic == "/events" else _LINES if first.schema.endswith("/Log") else 1
+        return _Channel(self._writer.channel(first.topic, first.schema, first.definition), n_times)
