@@ -8,7 +8,7 @@ from typing import Protocol
 
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.ports.connection import Connection
-from khep_twin.ports.event_sources import Timer
+from khep_twin.ports.event_sources import exact_timeouts
 from khep_twin.ports.host_connection import Cable
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
@@ -46,24 +46,17 @@ def serve(
     connections = [
         Connection(twin, robot, cable, tell) for robot, cable in zip(twin.robots, cables, strict=True)
     ]
-    timer = Timer()
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
-    try:
-        if speed == WIRE:
-            _serve_by_wire(twin, connections, stop)
-        else:
-            _serve_by_clock(twin, connections, pacer if math.isfinite(speed) else None, timer, stop)
-    finally:
-        timer.close()
+    if speed == WIRE:
+        _serve_by_wire(twin, connections, stop)
+    else:
+        exact_timeouts()
+        _serve_by_clock(twin, connections, pacer if math.isfinite(speed) else None, stop)
     return pacer
 
 
 def _serve_by_clock(
-    twin: Twin,
-    connections: Sequence[Connection],
-    pacer: Pacer | None,
-    timer: Timer,
-    stop: Callable[[], bool],
+    twin: Twin, connections: Sequence[Connection], pacer: Pacer | None, stop: Callable[[], bool]
 ) -> None:
     """Advance with the wall clock, or as fast as possible without a pacer."""
     world = twin.world
@@ -74,7 +67,7 @@ def _serve_by_clock(
             [world.time_ns + TICK_NS, *(time_ns for each in connections for time_ns in each.events_ns())]
         )
         next_ns = max(next_ns, world.time_ns)
-        _wait(connections, 0.0 if pacer is None else pacer.wait(next_ns), timer, pacer, next_ns)
+        _wait(connections, 0.0 if pacer is None else pacer.wait(next_ns))
         due_ns = next_ns if pacer is None else pacer.due_ns()
         twin.advance_to(max(min(due_ns, next_ns), world.time_ns))
         for connection in connections:
@@ -98,23 +91,10 @@ def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable
         flush()
 
 
-def _wait(
-    connections: Sequence[Connection],
-    duration: float,
-    timer: Timer | None = None,
-    pacer: Pacer | None = None,
-    next_ns: int = 0,
-) -> None:
-    """Wait for bytes, for hosts that come or go, or until a simulated time is due."""
+def _wait(connections: Sequence[Connection], duration: float) -> None:
+    """Wait for bytes, for hosts that come or go, or until a duration is over [s]."""
     descriptors = [descriptor for each in connections for descriptor in each.descriptors()]
-    wait = min(max(duration, 0.0), LONGEST_WAIT)
-    if wait and timer is not None and pacer is not None and timer.descriptor is not None:
-        timer.set(min(pacer.wall_ns(next_ns), time.monotonic_ns() + int(LONGEST_WAIT * NS_PER_S)))
-        descriptors.append(timer.descriptor)
-        wait = 2 * LONGEST_WAIT
-    ready = select.select(descriptors, [], [], wait)[0]
-    if timer is not None and timer.descriptor in ready:
-        timer.clear()
+    select.select(descriptors, [], [], min(max(duration, 0.0), LONGEST_WAIT))
 
 
 class Log(Protocol):

@@ -11,9 +11,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from khep_twin.clock import NS_PER_S, Pacer
+from khep_twin.clock import Pacer
 from khep_twin.errors import KhepTwinError
-from khep_twin.ports.event_sources import Timer
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
@@ -68,7 +67,6 @@ class PacedTwin(Twin):
         self._broken_off = False
         self._pacer = Pacer(1.0, self.world.time_ns)
         self._paced_by: float | None = None
-        self._timer = Timer()
         self._shown = self._listened = 0.0
         self._lock = threading.Lock()
 
@@ -140,19 +138,14 @@ class PacedTwin(Twin):
         """Keep the world for what comes next."""
 
     def end(self) -> None:
-        """Release the timer, and complete the log."""
-        self._timer.close()
+        """Complete the log."""
         super().close()
 
     def _slice(self, time_ns: int) -> None:
         """Wait until a time is due, and advance the world to it."""
         pacer = self._pacer_now()
         if pacer is not None and not self.paused and not self.stopping():
-            while (
-                (left := pacer.wait(time_ns)) > 0
-                and not self._wishes
-                and not self._wait(left, pacer, time_ns)
-            ):
+            while (left := pacer.wait(time_ns)) > 0 and not self._wishes and not self._wait(left):
                 pass
             if not self.busy:
                 # A host that was heard meanwhile is not to wait until then.
@@ -173,20 +166,10 @@ class PacedTwin(Twin):
         pacer = self._pacer_now()
         return self.world.time_ns if pacer is None else max(pacer.due_ns(), self.world.time_ns)
 
-    def _wait(self, duration: float, pacer: Pacer | None = None, next_ns: int = 0) -> bool:
+    def _wait(self, duration: float) -> bool:
         """Wait a while, or until a host is heard; return whether one was."""
         descriptors = [] if self.busy else [each for host in self._hosts for each in host.descriptors()]
-        wait = min(duration, LONGEST_WAIT)
-        timer = self._timer.descriptor
-        if pacer is not None and timer is not None:
-            self._timer.set(min(pacer.wall_ns(next_ns), time.monotonic_ns() + int(LONGEST_WAIT * NS_PER_S)))
-            ready = select.select([*descriptors, timer], [], [], 2 * LONGEST_WAIT)[0]
-            if timer in ready:
-                self._timer.clear()
-                ready.remove(timer)
-        else:
-            ready = select.select(descriptors, [], [], wait)[0]
-        return bool(ready)
+        return bool(select.select(descriptors, [], [], min(duration, LONGEST_WAIT))[0])
 
     def _fulfil(self) -> None:
         while self._wishes:

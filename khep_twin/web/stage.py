@@ -17,6 +17,7 @@ from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera, commands
 from khep_twin.placing import as_it_stands, no_room, put
 from khep_twin.playpen import Playpen
+from khep_twin.ports.event_sources import exact_timeouts
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.service_registry import registered
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -246,6 +247,7 @@ class TwinActor(WebSession):
                 self._tell_printed()
                 self.tell(self._picture(paced, hosts))
 
+            exact_timeouts()
             paced = PacedTwin(twin, hosts, show)
             stack.callback(paced.end)
             paced.speed, paced.paused = self.speed, self.paused
