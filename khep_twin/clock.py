@@ -64,10 +64,6 @@ class Pacer:
         """Return the wall time until simulated `time_ns` is due [s]; 0 or less when it is overdue."""
         return ((time_ns - self._time_ns) / self.speed - (time.monotonic_ns() - self._wall_ns)) / NS_PER_S
 
-    def wall_ns(self, time_ns: int) -> int:
-        """Return the wall time at which simulated `time_ns` is due, as of `time.monotonic_ns` [ns]."""
-        return self._wall_ns + round((time_ns - self._time_ns) / self.speed)
-
     def slip(self, time_ns: int) -> int:
         """Record that the loop has reached `time_ns`; return the slip in wall time, 0 if in time [ns]."""
         late_ns = -round(self.wait(time_ns) * NS_PER_S)

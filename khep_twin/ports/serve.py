@@ -4,13 +4,12 @@ import math
 import select
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
 
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recorder import Recorder
 from khep_twin.ports.connection import Connection
-from khep_twin.ports.event_sources import Timer
+from khep_twin.ports.event_sources import exact_timeouts
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
@@ -52,17 +51,13 @@ def serve(
     if speed == WIRE:
         _serve_by_wire(twin, connections, stop)
     else:
-        with closing(Timer()) as timer:
-            _serve_by_clock(twin, connections, pacer if math.isfinite(speed) else None, timer, stop)
+        exact_timeouts()
+        _serve_by_clock(twin, connections, pacer if math.isfinite(speed) else None, stop)
     return pacer
 
 
 def _serve_by_clock(
-    twin: Twin,
-    connections: Sequence[Connection],
-    pacer: Pacer | None,
-    timer: Timer,
-    stop: Callable[[], bool],
+    twin: Twin, connections: Sequence[Connection], pacer: Pacer | None, stop: Callable[[], bool]
 ) -> None:
     """Advance with the wall clock, or as fast as possible without a pacer."""
     world = twin.world
@@ -73,7 +68,7 @@ def _serve_by_clock(
             [world.time_ns + TICK_NS, *(time_ns for each in connections for time_ns in each.events_ns())]
         )
         next_ns = max(next_ns, world.time_ns)
-        _wait(connections, 0.0 if pacer is None else pacer.wait(next_ns), timer, pacer, next_ns)
+        _wait(connections, 0.0 if pacer is None else pacer.wait(next_ns))
         due_ns = next_ns if pacer is None else pacer.due_ns()
         twin.advance_to(max(min(due_ns, next_ns), world.time_ns))
         for connection in connections:
@@ -97,23 +92,10 @@ def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable
         flush()
 
 
-def _wait(
-    connections: Sequence[Connection],
-    duration: float,
-    timer: Timer | None = None,
-    pacer: Pacer | None = None,
-    next_ns: int = 0,
-) -> None:
-    """Wait for bytes, for hosts that come or go, or until a simulated time is due."""
+def _wait(connections: Sequence[Connection], duration: float) -> None:
+    """Wait for bytes, for hosts that come or go, or until a duration is over [s]."""
     descriptors = [descriptor for each in connections for descriptor in each.descriptors()]
-    wait = min(max(duration, 0.0), LONGEST_WAIT)
-    if wait and timer is not None and pacer is not None and timer.descriptor is not None:
-        timer.set(min(pacer.wall_ns(next_ns), time.monotonic_ns() + int(LONGEST_WAIT * NS_PER_S)))
-        descriptors.append(timer.descriptor)
-        wait = 2 * LONGEST_WAIT
-    ready = select.select(descriptors, [], [], wait)[0]
-    if timer is not None and timer.descriptor in ready:
-        timer.clear()
+    select.select(descriptors, [], [], min(max(duration, 0.0), LONGEST_WAIT))
 
 
 class Flush:

@@ -11,9 +11,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from khep_twin.clock import NS_PER_S, Pacer
+from khep_twin.clock import Pacer
 from khep_twin.errors import KhepTwinError
-from khep_twin.ports.event_sources import Timer
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
 from khep_twin.web.outside_host import OutsideHost
@@ -72,7 +71,6 @@ class PacedTwin:
         self._broken_off = False
         self._pacer = Pacer(1.0, self.world.time_ns)
         self._paced_by: float | None = None
-        self._timer = Timer()
         self._shown = self._listened = 0.0
         self._lock = threading.Lock()
 
@@ -141,19 +139,14 @@ class PacedTwin:
         self._picture()
 
     def end(self) -> None:
-        """Release the timer, and complete the log."""
-        self._timer.close()
+        """Complete the log."""
         self._twin.close()
 
     def _slice(self, time_ns: int) -> None:
         """Wait until a time is due, and advance the world to it."""
         pacer = self._pacer_now()
         if pacer is not None and not self.paused and not self.stopping():
-            while (
-                (left := pacer.wait(time_ns)) > 0
-                and not self._wishes
-                and not self._wait(left, pacer, time_ns)
-            ):
+            while (left := pacer.wait(time_ns)) > 0 and not self._wishes and not self._wait(left):
                 pass
             if not self.busy:
                 # Bytes of a host that arrived meanwhile must not wait until then.
@@ -174,20 +167,10 @@ class PacedTwin:
         pacer = self._pacer_now()
         return self.world.time_ns if pacer is None else max(pacer.due_ns(), self.world.time_ns)
 
-    def _wait(self, duration: float, pacer: Pacer | None = None, next_ns: int = 0) -> bool:
+    def _wait(self, duration: float) -> bool:
         """Wait for a duration, or until a host sends; return whether one did."""
         descriptors = [] if self.busy else [each for host in self._hosts for each in host.descriptors()]
-        wait = min(duration, LONGEST_WAIT)
-        timer = self._timer.descriptor
-        if pacer is not None and timer is not None:
-            self._timer.set(min(pacer.wall_ns(next_ns), time.monotonic_ns() + int(LONGEST_WAIT * NS_PER_S)))
-            ready = select.select([*descriptors, timer], [], [], 2 * LONGEST_WAIT)[0]
-            if timer in ready:
-                self._timer.clear()
-                ready.remove(timer)
-        else:
-            ready = select.select(descriptors, [], [], wait)[0]
-        return bool(ready)
+        return bool(select.select(descriptors, [], [], min(duration, LONGEST_WAIT))[0])
 
     def _fulfil(self) -> None:
         while self._wishes:

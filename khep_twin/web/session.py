@@ -17,6 +17,7 @@ from khep_twin.host import Khepera, commands
 from khep_twin.move_robot import as_it_stands, put
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import no_room
+from khep_twin.ports.event_sources import exact_timeouts
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.service_registry import registered
@@ -247,6 +248,7 @@ class TwinActor(WebSession):
                 self._tell_printed()
                 self.tell(self._picture(paced, hosts))
 
+            exact_timeouts()
             paced = PacedTwin(twin, hosts, show)
             stack.callback(paced.end)
             paced.speed, paced.paused = self.speed, self.paused
