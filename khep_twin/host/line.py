@@ -187,11 +187,7 @@ class Line:
         return values
 
     def _settle(self) -> list[str] | None:
-        """Find where the robot's answers stand.
-
-        Returns:
-            The lines that came before the answer to a probe; None where none came.
-        """
+        """Find where the robot's answers stand: return the lines before the answer to a probe, or None."""
         probe = next((letter for letter in _PROBES if letter not in self._unanswered), None)
         if probe is None:
             # Answers to each of them may still be on their way: they have had their time.
