@@ -348,13 +348,7 @@ def _given_type(annotation: object) -> object:
 
 def _range(field: FieldInfo) -> str:
     """Return a number's limits, e.g. "from 0 to 2", "above 0 up to 1000"."""
-    keys = ("ge", "gt", "le", "lt")
+    keys = ("gt", "ge", "le")
     limits = {key: getattr(rule, key) for rule in field.metadata for key in keys if hasattr(rule, key)}
-    words: list[str] = []
-    if "gt" in limits:
-        words.append(f"above {limits['gt']:g}")
-    if "ge" in limits:
-        words.append(f"from {limits['ge']:g}")
-    if "le" in limits:
-        words.append(f"{'to' if 'ge' in limits else 'up to'} {limits['le']:g}")
-    return " ".join(words)
+    words = {"gt": "above", "ge": "from", "le": "to" if "ge" in limits else "up to"}
+    return " ".join(f"{words[key]} {limits[key]:g}" for key in keys if key in limits)

@@ -187,11 +187,7 @@ class Line:
         return values
 
     def _settle(self) -> list[str] | None:
-        """Resynchronize with the robot's answers.
-
-        Returns:
-            The lines that came before the answer to a probe; None where none came.
-        """
+        """Resynchronize with the robot; return the lines before the answer to a probe, None without one."""
         probe = next((letter for letter in _PROBES if letter not in self._unanswered), None)
         if probe is None:
             # Answers to each of them may be late: they have had their time.

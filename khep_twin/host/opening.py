@@ -69,11 +69,9 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
             write_timeout=bound,
         )
     # One error says all; its causes repeat it.
-    except serial.SerialException as error:
-        if error.errno in (errno.EBUSY, errno.EAGAIN):
-            raise PortInUse(f"{url}: in use by a program that has locked it") from None
-        raise PortError(*_why_not_opened(url, error)) from None
     except (OSError, ValueError) as error:
+        if isinstance(error, serial.SerialException) and error.errno in (errno.EBUSY, errno.EAGAIN):
+            raise PortInUse(f"{url}: in use by a program that has locked it") from None
         raise PortError(*_why_not_opened(url, error)) from None
 
 

@@ -194,10 +194,7 @@ class Content:
 
     def _chunk(self, place: int, length: int) -> bytes:
         """Return the records of a chunk."""
-        opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
-        if opcode != Opcode.CHUNK or HEAD.size + size != length:
-            found = f"record {opcode} of {HEAD.size + size} bytes at byte {place}"
-            raise Misfit(found, f"a chunk of {length}, as the index says")
+        self._check_head(place, length, Opcode.CHUNK, "a chunk")
         packed = self._bytes(place, length)
         found = RecordBytes(packed).chunk_head(0)
         if found is None:
@@ -222,11 +219,15 @@ class Content:
                 elif opcode == Opcode.DATA_END:
                     return
         for place, length in self._named[wanted]:
-            opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
-            if opcode != wanted or HEAD.size + size != length:
-                found = f"record {opcode} of {HEAD.size + size} bytes at byte {place}"
-                raise Misfit(found, f"record {wanted:d} of {length}, as the index says")
-            yield place, self._content(place, size)
+            self._check_head(place, length, wanted, f"record {wanted:d}")
+            yield place, self._content(place, length - HEAD.size)
+
+    def _check_head(self, place: int, length: int, wanted: Opcode, name: str) -> None:
+        """Check that the record at a place is the one that the index names."""
+        opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
+        if opcode != wanted or HEAD.size + size != length:
+            found = f"record {opcode} of {HEAD.size + size} bytes at byte {place}"
+            raise Misfit(found, f"{name} of {length}, as the index says")
 
     def _walk(self, place: int, end: int) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, offset and length of the content of consecutive records."""

@@ -64,11 +64,8 @@ class LineRecorder:
             topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
         }
         attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
-        facts = {"robots": ROBOT, "khep_twin": __version__}
-        self._log.describe(
-            {"configuration.json": attachment},
-            {**facts, **{key: str(value) for key, value in settings.items()}},
-        )
+        facts = {"robots": ROBOT, "khep_twin": __version__, **settings}
+        self._log.describe({"configuration.json": attachment}, facts)
         self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
         self._log.flush()
         self._log.tell = carry_on

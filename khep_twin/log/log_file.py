@@ -66,12 +66,12 @@ class LogFile:
         with self.guarded():
             self._writer = BatchWriter(self._file, "ros2", f"khep_twin {__version__}")
 
-    def describe(self, attachments: Mapping[str, str], facts: Mapping[str, str]) -> None:
+    def describe(self, attachments: Mapping[str, str], facts: Mapping[str, object]) -> None:
         """Write the run's description: texts by name, and a table of facts."""
         with self.guarded():
             for name, text in attachments.items():
                 self._writer.attach(name, text)
-            self._writer.describe("run", facts)
+            self._writer.describe("run", {key: str(value) for key, value in facts.items()})
 
     def add(
         self, topic: str, schema: str, time_ns: int, message: bytes, descriptors: bytes | None = None

@@ -238,7 +238,7 @@ class Recorder:
             **versions(),
             **more_facts,
         }
-        self._log.describe(attachments, {**facts, **{key: str(value) for key, value in settings.items()}})
+        self._log.describe(attachments, {**facts, **settings})
         message = channels.text_message(urdf(world.model))
         self._log.add("/robot_description", "std_msgs/msg/String", 0, message)
         self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())

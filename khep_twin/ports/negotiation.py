@@ -131,7 +131,6 @@ class _Line:
         self._data_bits = value
 
     def reset_input_buffer(self) -> None:
-        """Do nothing: no input waits here."""
+        """Do nothing: neither input nor output waits here."""
 
-    def reset_output_buffer(self) -> None:
-        """Do nothing: no output waits here."""
+    reset_output_buffer = reset_input_buffer

@@ -223,11 +223,7 @@ class _Dialogue:
         self._quiet_since = max(self._quiet_since, time.monotonic())
 
     def end(self, waiting: bytes) -> bytes:
-        """Note that the host has left; return what must still be sent to the robot.
-
-        Args:
-            waiting: Bytes of the host that have not been sent.
-        """
+        """Note that the host has left; return what must be sent of it, after the bytes that wait already."""
         begun = (self._asked.begun + waiting)[-1:]
         if begun and begun not in b"\r\n":
             waiting += _SPOIL
