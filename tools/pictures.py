@@ -7,7 +7,7 @@ The pictures of the tutorial and the README: tutorial.py.
 
 # MuJoCo's rendering is not typed here.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportAttributeAccessIssue=false, reportPrivateUsage=false, reportGeneralTypeIssues=false
+# pyright: reportAttributeAccessIssue=false, reportPrivateUsage=false
 
 import contextlib
 import copy

@@ -177,7 +177,10 @@ def _dark_pixels(picture: Image.Image) -> Pixels:
 
 
 def _pixel_chunks(data: bytes) -> bytes:
-    """Return a PNG without text, profiles and animation, which can be zip bombs; check its size."""
+    """Return a PNG without text, profiles and animation, which can be zip bombs; check its size.
+
+    Pillow alone unpacks them all: 24 s for 10 MB of colour profiles.
+    """
     kept, place, count = [_PNG], len(_PNG), 0
     while place < len(data):
         count += 1
