@@ -87,12 +87,7 @@ class HostMetrics:
 
 
 class GroundTruthMetrics:
-    """Tap that records the ground truth of one run of one robot.
-
-    Args:
-        world: World to record from now on.
-        index: Index of the robot.
-    """
+    """Observer that records the ground truth of the robot with an index, from now on, for one run."""
 
     def __init__(self, world: World, index: int) -> None:
         self._world, self._index = world, index

@@ -264,11 +264,7 @@ def _rows(times_ns: NDArray[np.int64], channel: Channel) -> NDArray[np.int64]:
 
 
 def _part(log: Path, channel: Channel, piece: Recording) -> Channel:
-    """Return a channel with its series in a piece of the log.
-
-    Raises:
-        LogError: Its rows have another length there than at its begin.
-    """
+    """Return a channel with its series in a piece of the log, whose rows must be as long as at its begin."""
     series = piece.series.get(channel.topic, TimeSeries(np.zeros(0, np.int64), channel.series.values[:0]))
     if series.values.shape[1:] != channel.series.values.shape[1:]:
         raise LogError(
@@ -285,13 +281,7 @@ def _is_whole(channel: Channel) -> bool:
 
 
 class _Csv:
-    """CSV file that is written piece by piece.
-
-    Args:
-        file: File.
-        channels: Channels that make its columns.
-        fractional: Names of the channels that are not integers.
-    """
+    """CSV file that is written piece by piece; all but the `fractional` channels are integers."""
 
     def __init__(self, file: BinaryIO, channels: Sequence[Channel], fractional: Collection[str]) -> None:
         self._file, self._fractional = file, fractional

@@ -21,7 +21,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from khep_twin.drawing.map import STYLE
-from khep_twin.drawing.symbols import INK
+from khep_twin.drawing.symbols import INK, Look
 from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun
 from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
@@ -54,7 +54,7 @@ def draw(
     check(runs, sensor=sensor, y_min=y_min)
     with matplotlib.style.context(STYLE):
         if sensor is not None:
-            figure = _sheet(6.4, 4.4)
+            figure = sheet(6.4, 4.4)
             axes = figure.add_axes((0.11, 0.12, 0.86, 0.79 if len(runs) == 1 else 0.73))
             _draw_sensor(axes, runs, SENSORS.index(sensor), y_min, grid)
             axes.set_xlabel(_UNITS[runs[0].test.motion])
@@ -72,11 +72,7 @@ def draw(
 
 
 def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 0) -> None:
-    """Check arguments of `draw`.
-
-    Raises:
-        SensorTestError: See `draw`.
-    """
+    """Raise the errors of `draw`."""
     if sensor is not None and sensor not in SENSORS:
         found = f"sensor = {sensor}: no such sensor"
         raise SensorTestError(found, key="sensor", value=sensor, expected=SENSORS)
@@ -85,7 +81,7 @@ def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 
         raise SensorTestError(
             f"runs of {' and of '.join(kinds) or 'no kind'}; expected runs of one kind in a figure"
         )
-    if any(not len(run.dv) for run in runs):
+    if not all(len(run.dv) for run in runs):
         raise SensorTestError("a run without rows; expected runs with rows")
     if not 0 <= y_min < _limit(runs[0]):
         raise SensorTestError(f"y-min = {y_min}; expected 0 to {_limit(runs[0]) - 1} for {runs[0].test.what}")
@@ -128,14 +124,15 @@ def _common(runs: Sequence[SensorRun]) -> tuple[float, float]:
     return low, high
 
 
-def _sheet(width: float, height: float) -> Figure:
+def sheet(width: float, height: float) -> Figure:
+    """Return an empty figure or page of a size [inch]."""
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
 def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
-    figure = _sheet(10.5, 7.6)
+    figure = sheet(10.5, 7.6)
     cells = figure.add_gridspec(
         3, 4, left=0.07, right=0.985, bottom=0.075, top=0.955, hspace=0.42, wspace=0.26
     )
@@ -151,8 +148,7 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
         if index == 0 and len(runs) > 1:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="lower right", frameon=False, bbox_to_anchor=(0.985, 0.06))
-    middle = figure.add_subplot(cells[1, 1:3])
-    _draw_robot(middle)
+    _draw_robot(figure.add_subplot(cells[1, 1:3]))
     about = figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
     about.set_parse_math(False)  # a dollar in the text is a dollar
     return figure
@@ -161,17 +157,10 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
 def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int, grid: bool) -> None:
     """Draw one sensor's counts over the path."""
     alone = len(runs) == 1
+    look: Look = {"lw": 1.1, "alpha": 1.0, "marker": "o"} if alone else {"lw": 0.7, "alpha": 0.45}
     for number, run in enumerate(runs):
-        axes.plot(
-            places(run),
-            run.dv[:, 2 + sensor],
-            color=_RUN,
-            lw=1.1 if alone else 0.7,
-            alpha=1.0 if alone else 0.45,
-            marker="o" if alone else "",
-            ms=2.6,
-            label=f"{len(runs)} runs" if number == 0 else None,
-        )
+        label = f"{len(runs)} runs" if number == 0 else None
+        axes.plot(places(run), run.dv[:, 2 + sensor], color=_RUN, ms=2.6, label=label, **look)
     if not alone:
         x, mean, spread = mean_and_spread(runs)
         low, high = mean[:, sensor] - spread[:, sensor], mean[:, sensor] + spread[:, sensor]
