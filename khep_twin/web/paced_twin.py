@@ -6,7 +6,6 @@ Between any two slices of time it handles the user's requests and an outside hos
 
 import math
 import select
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -67,23 +66,21 @@ class PacedTwin:
         self.busy = False
         self._hosts, self._show_picture = hosts, show
         self._wishes: deque[Callable[[], None]] = deque()
-        self._steps_left = 0
+        self._steps_left_ns = 0
         self._stop_at: float | None = None
         self._broken_off = False
         self._pacer = Pacer(1.0, self.world.time_ns)
         self._paced_by: float | None = None
         self._timer = Timer()
         self._shown = self._listened = 0.0
-        self._lock = threading.Lock()
 
     def wish(self, action: Callable[[], None]) -> None:
         """Have the thread of the twin do something between two slices of time; from any thread."""
-        with self._lock:
-            self._wishes.append(action)
+        self._wishes.append(action)  # a deque's own lock suffices
 
     def step(self) -> None:
         """Let one step pass while it is paused."""
-        self._steps_left += STEP_NS
+        self._steps_left_ns += STEP_NS
 
     def stop_program(self, wanted: bool = True) -> None:
         """Request the end of the program in lock-step, or let the next one begin."""
@@ -115,11 +112,12 @@ class PacedTwin:
             BrokenOffError: A program was to end and went on and on.
         """
         while True:
-            self._fulfil()
+            while self._wishes:
+                self._wishes.popleft()()
             if self.ended or self._stop_at is not None or not self.paused:
                 break
-            if self._steps_left >= TICK_NS:
-                self._steps_left -= TICK_NS
+            if self._steps_left_ns >= TICK_NS:
+                self._steps_left_ns -= TICK_NS
                 break
             self._picture()
             self._wait(LONGEST_WAIT)
@@ -177,7 +175,6 @@ class PacedTwin:
     def _wait(self, duration: float, pacer: Pacer | None = None, next_ns: int = 0) -> bool:
         """Wait a while, or until a host is heard; return whether one was."""
         descriptors = [] if self.busy else [each for host in self._hosts for each in host.descriptors()]
-        wait = min(duration, LONGEST_WAIT)
         timer = self._timer.descriptor
         if pacer is not None and timer is not None:
             self._timer.set(min(pacer.wall_ns(next_ns), time.monotonic_ns() + int(LONGEST_WAIT * NS_PER_S)))
@@ -186,14 +183,8 @@ class PacedTwin:
                 self._timer.clear()
                 ready.remove(timer)
         else:
-            ready = select.select(descriptors, [], [], wait)[0]
+            ready = select.select(descriptors, [], [], min(duration, LONGEST_WAIT))[0]
         return bool(ready)
-
-    def _fulfil(self) -> None:
-        while self._wishes:
-            with self._lock:
-                action = self._wishes.popleft()
-            action()
 
     def _picture(self) -> None:
         now = time.monotonic()

@@ -24,7 +24,7 @@ MESSAGE_LIMIT = 64 * 1024
 
 
 class Server:
-    """Server of the designer.
+    """Server of the designer; `url` is the URL of its page, with its token.
 
     Args:
         folder: Folder whose files it may read and write.
@@ -32,10 +32,6 @@ class Server:
         listen: HOST:PORT, port 0 for any that is free.
         expose: Let other machines reach it.
         complain: Function that takes the server's own errors, a line each; without it, they are logged.
-
-    Attributes:
-        url: URL of the page, with its token.
-        listener: Socket that it listens at.
 
     Raises:
         PortError: It cannot listen there, or may not.
