@@ -171,12 +171,7 @@ class CheckedPort:
 
 
 def conform(url: str, *, move: bool = False, baudrate: int = 9600) -> ConformanceReport:
-    """Check the robot or twin at a port.
-
-    Args:
-        url: URL of the port.
-        move: If true, also run the checks that move the robot.
-        baudrate: Baud rate of the line.
+    """Check the robot or twin at a port; with `move` also by the checks that move the robot.
 
     Raises:
         PortError: The port cannot be opened.

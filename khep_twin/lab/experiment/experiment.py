@@ -78,20 +78,16 @@ def run(
         raise ValueError("no cycles and no seconds; expected one of them")
     if (cycles is not None and cycles < 1) or (seconds is not None and not seconds > 0):
         raise ValueError(f"cycles = {cycles}, seconds = {seconds}; expected numbers above 0")
-    algorithm = as_controller(controller)
-    asked = stop or (lambda: False)
+    algorithm, asked = as_controller(controller), stop or (lambda: False)
     start = before = robot.time
-    done = 0
-    part = 0.0
+    done, part = 0, 0.0
 
     def end_cycle() -> bool:
         """Count a cycle and return whether another one follows."""
         nonlocal before, done, part
         if robot.time == before:
-            raise ControllerError(
-                f"{_source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; expected "
-                f"{algorithm.passes_time}"
-            )
+            place = f"{_source_file(controller)}: {name_of(controller)}"
+            raise ControllerError(f"{place}: a cycle lets no time pass; expected {algorithm.passes_time}")
         before = robot.time
         done += 1
         if after_cycle is not None:

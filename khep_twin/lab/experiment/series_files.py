@@ -48,10 +48,6 @@ class SeriesFolder:
         settings: Settings of the series by name, which must be the same to resume it.
         resume: If true, resume the series in the folder.
 
-    Attributes:
-        path: Path of the folder.
-        rows: Rows of the runs so far.
-
     Raises:
         ControllerError: It cannot be made, has a series already, or with `resume` another one.
         KhepTwinError: It cannot be written.
@@ -81,10 +77,7 @@ class SeriesFolder:
         self._write()
 
     def keep(self, run: SeriesRun) -> bool:
-        """Save a run; a repeated run must equal the saved one.
-
-        Returns:
-            True if the run is new.
+        """Save a run and return whether it is new; a repeated run must equal the saved one.
 
         Raises:
             ControllerError: A repeated run differs from the saved one.

@@ -73,15 +73,10 @@ def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
     if not error:
         return Difference(other.mean - one.mean, 0.0)
     # Welch and Satterthwaite's degrees of freedom.
-    freedom = (
-        sum(parts) ** 2
-        / sum(
-            part**2 / (each.count - 1) if each.count > 1 else math.nan
-            for part, each in zip(parts, (one, other), strict=True)
-        )
-        if not math.isnan(error)
-        else math.nan
-    )
+    freedom = math.nan
+    if not math.isnan(error):
+        pairs = zip(parts, (one, other), strict=True)
+        freedom = sum(parts) ** 2 / sum(part**2 / (each.count - 1) for part, each in pairs)
     return Difference(other.mean - one.mean, _ci95(error, freedom))
 
 

@@ -178,10 +178,10 @@ def _test(text: str) -> Drive | DutyDrive | SensorData:
             f"`khep-twin sense --speed 1`, and up to {FASTEST_TURN}"
         )
     if parts["lamp"]:
-        if not float(parts["power"]):
+        power, height = float(parts["power"]), float(parts["height"] or FILAMENT_MM) / 1e3
+        if not power:
             raise FitError(f"{text}: a lamp of 0 W; expected a power above 0")
-        height = float(parts["height"] or FILAMENT_MM) / 1e3
-        return SensorData(text, run, float(parts["lamp"]) / 1e3, power=float(parts["power"]), height=height)
+        return SensorData(text, run, float(parts["lamp"]) / 1e3, power=power, height=height)
     if parts["cylinder"]:
         if not float(parts["radius"]):
             raise FitError(f"{text}: a cylinder of radius 0; expected a radius above 0")

@@ -138,10 +138,8 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
         return (twin - measured).ravel()
 
     found = least_squares(left, parameters, _WISH, step=_STEP)
-    no_load, torque_mnm = found.values
-    motors = MotorCalibration(
-        no_load_speed_rad_s=round(no_load, 2), stall_torque_n_m=round(torque_mnm / 1e3, 6)
-    )
+    no_load, torque = round(found.values[0], 2), round(found.values[1] / 1e3, 6)
+    motors = MotorCalibration(no_load_speed_rad_s=no_load, stall_torque_n_m=torque)
     return MotorFit(motors, found.intervals[0], found.intervals[1] / 1e3)
 
 

@@ -46,16 +46,12 @@ _SENSORS = tuple(name.replace(" ", "_") for name in SENSORS)
 _SENSED = {
     kind: tuple((f"{kind}_{name}", "counts") for name in _SENSORS) for kind in ("proximity", "ambient")
 }
+_LATER = (Board.PROXIMITY, Board.AMBIENT, Board.SUPPLY, Board.CURRENT)
 _REGISTERS = (
     *(f"{side}_{register.name.lower()}" for side in _SIDES for register in Wheel),
-    *(
-        register.name.lower()
-        for register in Board
-        if register not in (Board.PROXIMITY, Board.AMBIENT, Board.SUPPLY, Board.CURRENT)
-    ),
+    *(register.name.lower() for register in Board if register not in _LATER),
     *(f"{kind}_{name}" for kind in ("proximity", "ambient") for name in _SENSORS),
-    "supply",
-    "current",
+    *("supply", "current"),
 )
 _KNOWN: dict[str, tuple[tuple[str, str], ...]] = {
     "pose": (("x_m", "m"), ("y_m", "m"), ("heading_rad", "rad")),

@@ -29,7 +29,6 @@ _PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
 _SPEED, _SETPOINT, _CONTACT = "#2f7d5b", "#2b2f36", "#c2452d"
 _MARK_LIMIT = 300
 
-
 Values = NDArray[np.int64] | Floats
 
 WIDTH = 7.1

@@ -29,7 +29,6 @@ from khep_twin.units import BODY_RADIUS
 USUAL_DARK_COUNTS = 500
 """Default dark level of a sensor, if the log has no calibration [counts]."""
 
-
 _UNSET = ("None", "()")
 
 

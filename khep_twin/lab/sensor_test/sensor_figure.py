@@ -26,6 +26,8 @@ from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun
 from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
 
+Floats = NDArray[np.float64]
+
 AMBIENT_LIMIT = 525
 """Upper limit of the axis of ambient light [counts]; in the dark a sensor reads about 500."""
 
@@ -63,9 +65,8 @@ def draw(
             axes.set_title(title, loc="left", fontsize=10, pad=6 if len(runs) == 1 else 25)
             if len(runs) > 1:
                 # Above the axes, where no data can be.
-                axes.legend(
-                    loc="lower left", bbox_to_anchor=(-0.015, 0.99), ncols=3, fontsize=8, frameon=False
-                )
+                above: Look = {"loc": "lower left", "bbox_to_anchor": (-0.015, 0.99)}
+                axes.legend(ncols=3, fontsize=8, frameon=False, **above)
         else:
             figure = _draw_all(runs, y_min, grid)
     return figure
@@ -89,16 +90,14 @@ def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 
         _common(runs)
 
 
-def places(run: SensorRun) -> NDArray[np.float64]:
+def places(run: SensorRun) -> Floats:
     """Return the rows' x values in the figure (n,): distance to the end [cm] or angle turned [degrees]."""
     if run.test.motion == "rotational":
         return run.travelled
     return abs(run.test.amount) - run.travelled * np.sign(run.test.amount)
 
 
-def mean_and_spread(
-    runs: Sequence[SensorRun],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def mean_and_spread(runs: Sequence[SensorRun]) -> tuple[Floats, Floats, Floats]:
     """Return mean and spread of several runs, over the places that all of them cover.
 
     Returns:
@@ -133,9 +132,8 @@ def sheet(width: float, height: float) -> Figure:
 
 def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
     figure = sheet(10.5, 7.6)
-    cells = figure.add_gridspec(
-        3, 4, left=0.07, right=0.985, bottom=0.075, top=0.955, hspace=0.42, wspace=0.26
-    )
+    edges = {"left": 0.07, "right": 0.985, "bottom": 0.075, "top": 0.955}
+    cells = figure.add_gridspec(3, 4, hspace=0.42, wspace=0.26, **edges)
     for index, name in enumerate(SENSORS):
         row, column = _CELLS[index]
         axes = figure.add_subplot(cells[row, column])
@@ -174,9 +172,8 @@ def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int,
     else:
         low, high = min(*amounts, 0.0), max(*amounts, 0.0)
         axes.set_xlim(low - 0.02 * (high - low), high + 0.02 * (high - low))
-        axes.xaxis.set_major_locator(
-            MultipleLocator(next(s for s in (15, 30, 90, 180) if high - low <= 4 * s))
-        )
+        step = next(step for step in (15, 30, 90, 180) if high - low <= 4 * step)
+        axes.xaxis.set_major_locator(MultipleLocator(step))
     # A margin keeps readings at the limits clear of the frame.
     margin = 0.02 * (_limit(runs[0]) - y_min)
     axes.set_ylim(y_min - margin, _limit(runs[0]) + margin)
