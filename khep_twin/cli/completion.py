@@ -1,7 +1,6 @@
 """Completions for the shell, and choices for a message about a missing argument."""
 
 import os
-import sys
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
@@ -69,13 +68,9 @@ def summary(playpen: str) -> str:
 
 
 def missing(error: Any) -> str:
-    """Return the message about a missing argument or option, with its choices.
-
-    Args:
-        error: Typer's error, which has the parameter.
-    """
-    parameter, context = error.param, error.ctx
-    offers = [item.value for item in parameter.shell_complete(context, "")]
+    """Return the message of typer's error about a missing argument or option, with its choices."""
+    parameter = error.param
+    offers = [item.value for item in parameter.shell_complete(error.ctx, "")]
     told = f"Missing {parameter.param_type_name} {parameter.get_error_hint()}: {parameter.help or ''}".strip()
     if not offers:
         return told
@@ -87,10 +82,8 @@ def complete_in_bash(complete: Callable[[], object]) -> None:
     """Print bash's completions of a word with colons, such as khep://default.
 
     Bash splits words at each colon: the words come joined here, and what stands before the last
-    colon of the completed one is left out of the answer.
-
-    Args:
-        complete: Prints the completions of the words in the environment.
+    colon of the completed one is left out of the answer. `complete` prints the completions of the
+    words in the environment.
     """
     words, index = _rejoined(os.environ["COMP_WORDS"].split("\n"), int(os.environ["COMP_CWORD"]))
     os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(words), str(index)
@@ -102,7 +95,7 @@ def complete_in_bash(complete: Callable[[], object]) -> None:
     finally:
         before = word.rpartition(":")[0]
         for line in shown.getvalue().splitlines():
-            print(line.removeprefix(f"{before}:") if before else line, file=sys.stdout)
+            print(line.removeprefix(f"{before}:") if before else line)
 
 
 def _rejoined(words: list[str], index: int) -> tuple[list[str], int]:
@@ -110,7 +103,7 @@ def _rejoined(words: list[str], index: int) -> tuple[list[str], int]:
     joined: list[str] = []
     now = index
     for place, word in enumerate(words):
-        if joined and place and (word.startswith(":") or joined[-1].endswith(":")):
+        if joined and (word.startswith(":") or joined[-1].endswith(":")):
             joined[-1] += word
             now -= place <= index
         else:

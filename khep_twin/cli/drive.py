@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -138,10 +138,8 @@ def _show(window: "curses.window", operation: "Teleoperation", name: str, ended:
 
     # Raw: Ctrl-S would hold up the screen, Ctrl-C the line.
     curses.raw()
-    try:
+    with suppress(curses.error):  # a terminal whose cursor is always there
         curses.curs_set(0)
-    except curses.error:
-        pass  # a terminal whose cursor is always there
     window.timeout(_LOOK_MS)
     hung_up = select.poll()
     hung_up.register(sys.stdin.fileno(), select.POLLHUP)
@@ -178,23 +176,16 @@ def _press(operation: "Teleoperation", key: int) -> None:
 
     from khep_twin.lab.experiment.teleoperation import Direction
 
-    ways = {
-        curses.KEY_UP: Direction.FORWARD,
-        curses.KEY_DOWN: Direction.BACK,
-        curses.KEY_LEFT: Direction.LEFT,
-        curses.KEY_RIGHT: Direction.RIGHT,
-        ord("w"): Direction.FORWARD,
-        ord("s"): Direction.BACK,
-        ord("a"): Direction.LEFT,
-        ord("d"): Direction.RIGHT,
-        ord(" "): Direction.STOP,
-    }
-    letter = ord(chr(key).lower()) if key < 128 else key
+    arrows = {curses.KEY_UP: "w", curses.KEY_LEFT: "a", curses.KEY_DOWN: "s", curses.KEY_RIGHT: "d"}
+    ways = {"w": Direction.FORWARD, "a": Direction.LEFT, "s": Direction.BACK, "d": Direction.RIGHT}
+    letter = chr(key).lower() if key < 128 else arrows.get(key, "")
     if letter in ways:
         operation.press(ways[letter])
-    elif letter in (ord("+"), ord("-")):
-        operation.choose(operation.view.speed + (1 if letter == ord("+") else -1))
-    elif ord("1") <= letter <= ord("9"):
-        operation.choose(letter - ord("0"))
-    elif letter == ord("l"):
+    elif letter == " ":
+        operation.press(Direction.STOP)
+    elif letter in ("+", "-"):
+        operation.choose(operation.view.speed + (1 if letter == "+" else -1))
+    elif "1" <= letter <= "9":
+        operation.choose(int(letter))
+    elif letter == "l":
         operation.switch_leds()

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import calibrations
-from khep_twin.cli.options import Force, check_apart, check_new
+from khep_twin.cli.options import Force, check_apart, check_new, check_writable
 from khep_twin.errors import FitError
-from khep_twin.files.atomic import is_same, unusable, write_whole
+from khep_twin.files.atomic import is_same, write_whole
 
 
 def fit(
@@ -41,9 +41,7 @@ def fit(
     from khep_twin.lab.fit.robot_fit import fit_robot, met, named
     from khep_twin.sensing import calibration
 
-    for path in filter(None, (output, picture)):
-        if reason := unusable(path):
-            raise FitError(f"{path}: cannot be written: {reason}")
+    check_writable(output, picture)
     if output is not None and picture is not None and is_same(output, picture):
         raise FitError(f"{picture}: this is the calibration; expected a file of its own for the picture")
     recorded = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
@@ -56,9 +54,8 @@ def fit(
     check_new(force, output)
     data, unused = fit_inputs(tests), fit_inputs(check or [])
     if picture is not None and not (data.objects or data.lamps or data.motors):
-        raise FitError(
-            f"{picture}: measured drives give no picture; expected a sensor test or steps of duty, too"
-        )
+        wish = "expected a sensor test or steps of duty, too"
+        raise FitError(f"{picture}: measured drives give no picture; {wish}")
     found = fit_robot(data, calibration.read(start)[0])
     for line in found.lines:
         typer.echo(line)

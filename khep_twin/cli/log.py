@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs, ports
+from khep_twin.cli.options import complain
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.clock import NS_PER_S
 
@@ -51,14 +52,12 @@ def repeat(
         return
     check(recorded)
     for line in elsewhere(recorded):
-        typer.echo(f"khep-twin: {line}", err=True)
+        complain(line)
     with progress_bar() as progress:
         difference = run_again(recorded, progress)
     if difference is None:
-        count = sum(map(len, recorded.lines))
-        typer.echo(
-            f"identical: {recorded.end_ns / NS_PER_S:.2f} s, {len(recorded.states)} states, {count} lines"
-        )
+        counts = f"{len(recorded.states)} states, {sum(map(len, recorded.lines))} lines"
+        typer.echo(f"identical: {recorded.end_ns / NS_PER_S:.2f} s, {counts}")
         return
     typer.echo(f"different from {difference.time_ns / NS_PER_S:.4f} s on, {difference.channel}")
     typer.echo(f"recorded  {difference.recorded}")

@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from khep_twin.errors import KhepTwinError, choices
-from khep_twin.files.atomic import is_same
+from khep_twin.files.atomic import is_same, unusable
 from khep_twin.invocation import command
 
 if TYPE_CHECKING:
@@ -67,6 +67,13 @@ def check_new(force: bool, *paths: Path | None) -> None:
             raise usage(f"{path}: is there already; expected another name, or --force to replace it")
 
 
+def check_writable(*paths: Path | None) -> None:
+    """Refuse files that could not be written at the end."""
+    for path in filter(None, paths):
+        if reason := unusable(path):
+            raise KhepTwinError(f"{path}: cannot be written: {reason}")
+
+
 def check_apart(read: Iterable[str | Path], *written: Path | None) -> None:
     """Refuse to overwrite input files with output."""
     for path in filter(None, written):
@@ -116,5 +123,5 @@ def complain(text: str) -> None:
 
 def usage(text: str) -> typer.Exit:
     """Print one line about wrong usage, and return the exit that goes with it."""
-    typer.echo(f"khep-twin: {text}", err=True)
+    complain(text)
     return typer.Exit(2)

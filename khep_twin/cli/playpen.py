@@ -54,20 +54,11 @@ def check(playpen: PlaypenName) -> None:
     found = playpens.load(playpen)
     for robot in found.robots:
         calibration.read(robot.calibration)
-    kinds = {
-        **found.objects,
-        "wall": found.walls,
-        "patch": found.patches,
-        "lamp": found.lamps,
-        "spot": found.spots,
-        "robot": found.robots,
-    }
-    plural = {"patch": "patches"}
-    counts = [
-        f"{len(items)} {kind if len(items) == 1 else plural.get(kind, kind + 's')}"
-        for kind, items in kinds.items()
-        if items
-    ]
+    kinds = {**found.objects, "wall": found.walls, "patch": found.patches, "lamp": found.lamps}
+    kinds |= {"spot": found.spots, "robot": found.robots}
+    plural = {kind: f"{kind}s" for kind in kinds} | {"patch": "patches"}
+    there = [(kind, len(items)) for kind, items in kinds.items() if items]
+    counts = [f"{count} {kind if count == 1 else plural[kind]}" for kind, count in there]
     typer.echo(f"{found.name}: {', '.join(counts) or 'an empty arena'}: no problem")
 
 
@@ -172,11 +163,8 @@ def _ways(log: Path) -> "list[DrawnPath]":
     from khep_twin.drawing.map import DrawnPath
     from khep_twin.log.reader import read
 
-    return [
-        DrawnPath(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3)
-        for name, track in read(log).robots.items()
-        if len(track.pose)
-    ]
+    driven = [(name, track) for name, track in read(log).robots.items() if len(track.pose)]
+    return [DrawnPath(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3) for name, track in driven]
 
 
 @playpen_app.command("import")
@@ -245,10 +233,8 @@ def _summary(found: "Bitmap", made: "Imported", upside_down: bool, mm_per_pixel:
     """Yield the lines about what was found in a bitmap, and what was made of it."""
     rows, columns = found.solid.shape
     borders, arena = made.borders, made.playpen.arena
-    yield (
-        f"bitmap   {found.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, "
-        f"{int(found.solid.sum())} of them solid"
-    )
+    solid = f"{int(found.solid.sum())} of them solid"
+    yield f"bitmap   {found.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, {solid}"
     first = "bottom" if upside_down else "top"
     why = " (the toolbox's scan turned the right way up)" if upside_down and found.scanned else ""
     other = "--no-flip" if upside_down else "--flip"

@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs
-from khep_twin.cli.options import Force, check_new
+from khep_twin.cli.options import Force, check_new, check_writable
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import is_same, unusable, whole_file, write_whole
+from khep_twin.files.atomic import is_same, whole_file, write_whole
 
 LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
 
@@ -77,22 +77,17 @@ def report(
 
     found = report_on(read_series(log), str(log))
     if kind == ".html":
-        from khep_twin.lab.report.pages import html
-
-        data = html(found)
+        from khep_twin.lab.report.pages import html as pages
     else:
-        from khep_twin.lab.report.pdf import pdf
-
-        data = pdf(found)
-    write_whole(output, data)
+        from khep_twin.lab.report.pdf import pdf as pages
+    write_whole(output, pages(found))
     typer.echo(f"report  {output}")
 
 
 def _check_outputs(log: Path, *outputs: Path) -> None:
     """Refuse files that could not be written at the end, and the log itself."""
     for path in outputs:
-        if reason := unusable(path):
-            raise LogError(f"{path}: cannot be written: {reason}")
+        check_writable(path)
         if is_same(path, log):
             raise LogError(f"{path}: this is the log; expected a file of its own")
     if len({path.resolve() for path in outputs}) < len(outputs):

@@ -17,13 +17,7 @@ if TYPE_CHECKING:
 
 
 class RunLogs:
-    """Logs of a run, or of a series.
-
-    Args:
-        options: Options of the logs.
-        picture: Picture that is drawn from it at the end; None for none.
-        source: Source of the controller.
-    """
+    """Logs of a run, or of a series, from which a picture may be drawn at the end."""
 
     def __init__(self, options: LogOptions, picture: Path | None, source: "Source") -> None:
         self._options, self._path, self._picture, self._source = options, options.log, picture, source
@@ -57,9 +51,7 @@ class RunLogs:
 
     def failed(self) -> bool:
         """Return whether a log has failed without which runs cannot continue."""
-        return not self._options.ignore_log_errors and any(
-            each.failure is not None for each in self._recorders
-        )
+        return not self._options.ignore_log_errors and any(each.failure for each in self._recorders)
 
     def finish(self) -> None:
         """Print where the logs are and draw them; end the command if one has failed."""

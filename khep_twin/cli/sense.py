@@ -12,10 +12,9 @@ import typer
 
 from khep_twin.cli.completion import ports
 from khep_twin.cli.option_groups import grouped
-from khep_twin.cli.options import Force, check_new
+from khep_twin.cli.options import Force, check_new, check_writable, complain
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
-from khep_twin.files.atomic import unusable
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
@@ -142,9 +141,7 @@ def sense(
     tests = [] if port is None else drive.tests(what)
     names = [_numbered(drive.output or [], number, len(tests)) for number in range(1, len(tests) + 1)]
     outputs, pictures = [*chain.from_iterable(names)], [*filter(None, [drawn.picture])]
-    for path in (*outputs, *pictures):
-        if reason := unusable(path):
-            raise SensorTestError(f"{path}: cannot be written: {reason}")
+    check_writable(*outputs, *pictures)
     for path in outputs:
         sensor_files.checked_suffix(path)
     _check_distinct([*outputs, *pictures, *(drawn.overlay or [])])
@@ -165,7 +162,7 @@ def sense(
     if broken is not None:
         raise broken
     if stopped:
-        typer.echo("khep-twin: stopped before its end", err=True)
+        complain("stopped before its end")
         raise typer.Exit(130)
 
 
@@ -177,15 +174,12 @@ def _check_options(port: str | None, drive: DriveOptions, drawn: PictureOptions)
         if option := _first(drive):
             raise SensorTestError(f"{option} is for a robot; expected its PORT, such as khep://default")
         if not drawn.overlay:
-            raise SensorTestError(
-                "there is nothing to do; expected a PORT such as khep://default, "
-                "or --overlay FILE --picture FILE"
-            )
+            wish = "expected a PORT such as khep://default, or --overlay FILE --picture FILE"
+            raise SensorTestError(f"there is nothing to do; {wish}")
     elif (drive.linear is None) == (drive.rotate is None):
         count = "none" if drive.linear is None else "both"
-        raise SensorTestError(
-            f"--linear and --rotate: {count} is given; expected one, --linear CM or --rotate DEG"
-        )
+        wish = "expected one, --linear CM or --rotate DEG"
+        raise SensorTestError(f"--linear and --rotate: {count} is given; {wish}")
 
 
 def _first(options: DriveOptions | PictureOptions) -> str:
@@ -201,11 +195,10 @@ def _numbered(paths: list[Path], number: int, count: int) -> list[Path]:
 
 
 def _check_distinct(paths: list[Path]) -> None:
-    seen: set[Path] = set()
-    for path in paths:
-        if path.resolve() in seen:
+    resolved = [path.resolve() for path in paths]
+    for number, path in enumerate(paths):
+        if resolved[number] in resolved[:number]:
             raise SensorTestError(f"{path}: is given twice; expected a name for each file")
-        seen.add(path.resolve())
 
 
 def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[SensorRun], None]") -> bool:
@@ -235,19 +228,17 @@ def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) ->
         return
     done.append(run)
     # First the files, then the text about them; a file that fails does not prevent the others.
-    failures: list[KhepTwinError] = []
-    for path in names[len(done) - 1]:
+    paths, failures = names[len(done) - 1], list[str]()
+    for path in paths:
         try:
             save(path, run)
         except KhepTwinError as error:
-            failures.append(error)
-    typer.echo(
-        f"run {len(done)}: {len(run.dv)} rows over {run.travelled[-1]:.1f} {run.test.unit} "
-        f"in {run.times[-1]:.1f} s"
-    )
+            failures.append(str(error))
+    way = f"{run.travelled[-1]:.1f} {run.test.unit}"
+    typer.echo(f"run {len(done)}: {len(run.dv)} rows over {way} in {run.times[-1]:.1f} s")
     for sensor, counts in zip(SENSORS, run.dv[:, 2:].T, strict=True):
         typer.echo(f"  {sensor:10}  {counts.min():4} to {counts.max():4} counts")
     if failures:
-        raise KhepTwinError("\n".join(map(str, failures)))
-    for path in names[len(done) - 1]:
+        raise KhepTwinError("\n".join(failures))
+    for path in paths:
         typer.echo(f"data     {path}")

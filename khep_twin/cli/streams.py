@@ -21,14 +21,7 @@ browser (measured); the rest is room for hosts, browsers and files of a controll
 
 
 class Told(io.FileIO):
-    """Output of a standard stream as bytes.
-
-    Args:
-        descriptor: Descriptor 1 or 2.
-
-    Attributes:
-        trouble: Reason why nothing can be written any more; None if it can.
-    """
+    """Output of descriptor 1 or 2 as bytes; `trouble` is why nothing can be written any more, or None."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "w", closefd=False)

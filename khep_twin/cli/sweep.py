@@ -58,10 +58,8 @@ def sweep(
     file = studies.load(study)
     if check:
         work = work_of(file)
-        typer.echo(
-            f"{file.study.name}: {work.n_episodes} episodes of {file.study.seconds:g} s "
-            f"in {len(work.tasks)} tasks"
-        )
+        told = f"{work.n_episodes} episodes of {file.study.seconds:g} s in {len(work.tasks)} tasks"
+        typer.echo(f"{file.study.name}: {told}")
         return
     executor = run_locally(workers)
     if ray:

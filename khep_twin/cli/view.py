@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs as known_logs
-from khep_twin.cli.options import usage
+from khep_twin.cli.options import complain, usage
 from khep_twin.cli.progress import clock, progress
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -47,8 +47,8 @@ def view(
     if live:
         # Closing the window is no error to report, though it cuts rerun's connection; rerun reads this once.
         os.environ.setdefault("RUST_LOG", "off")
-    else:
-        _tell_of_long_ones(logs)
+    for log in () if live else logs:
+        _tell_if_long(log)
     if png is not None:
         from khep_twin.log.viewer.replay import view_still
 
@@ -68,24 +68,20 @@ def view(
         if live:
             from khep_twin.log.viewer.live import view_live
 
-            view_live(logs[0], page, stop, lambda text: typer.echo(f"khep-twin: {text}", err=True))
+            view_live(logs[0], page, stop, complain)
         else:
             view_logs(logs, web=page, stop=stop, bar=progress)
 
 
-def _tell_of_long_ones(logs: list[Path]) -> None:
-    """Print which logs are shown with fewer samples than they have."""
+def _tell_if_long(log: Path) -> None:
+    """Print that a log is shown with fewer samples than it has."""
     from khep_twin.log.reader import read_end_ns
     from khep_twin.log.viewer.thinning import interval_ns
 
-    for log in logs:
-        end_ns = read_end_ns(log)
-        if step_ns := interval_ns(end_ns):
-            typer.echo(
-                f"khep-twin: {log}: one sample in {step_ns / NS_PER_S:.2f} s is shown, as it lasts "
-                f"{clock(end_ns / NS_PER_S)}; khep-twin export writes all",
-                err=True,
-            )
+    end_ns = read_end_ns(log)
+    if step_ns := interval_ns(end_ns):
+        why = f"as it lasts {clock(end_ns / NS_PER_S)}; khep-twin export writes all"
+        complain(f"{log}: one sample in {step_ns / NS_PER_S:.2f} s is shown, {why}")
 
 
 def _check(

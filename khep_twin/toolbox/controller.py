@@ -34,16 +34,10 @@ ARGUMENTS = ("port_id", "cycles_per_run", "runs", "pause_stat")
 
 
 class ToolboxController(LoopingController):
-    """A function of the toolbox's form.
+    """A function of `ARGUMENTS`, unpaced if it drives by `sim_` commands and `kheprom`, not through a port.
 
     Its variables are all that it has when it returns: its own, the global ones that it names, and what it
     returns.
-
-    Args:
-        function: Function of `ARGUMENTS`.
-
-    Attributes:
-        unpaced: True if it drives by `sim_` commands and `kheprom`, and not through a port.
     """
 
     passes_time = "kheprom(btmap1) in each cycle of a simulated robot, or a command to a real one"
@@ -76,7 +70,9 @@ class ToolboxController(LoopingController):
             robot.listen(run.heard_by)
         if not run.counts and run.ended == robot.time:
             end_cycle()  # which reports that no time has passed
-        self._told = {**_globals(function), **run.variables(), **_returned(returned)}
+        names = function.__globals__
+        named = {name: names[name] for name in function.__code__.co_names if name in names}
+        self._told = {**named, **run.variables(), **_returned(returned)}
         return run.count if run.counts else cycles
 
 
@@ -172,17 +168,9 @@ def _names_the_simulator(function: Callable[..., object], seen: set[CodeType]) -
     if any(name == "kheprom" or name.startswith("sim_") for name in code.co_names):
         return True
     called = [function.__globals__.get(name) for name in code.co_names]
-    return any(
-        _names_the_simulator(each, seen)
-        for each in called
-        if isinstance(each, FunctionType) and each.__module__ == function.__module__
-    )
-
-
-def _globals(function: Callable[..., object]) -> dict[str, object]:
-    """Return the global variables that a function names."""
-    names = function.__globals__
-    return {name: names[name] for name in function.__code__.co_names if name in names}
+    functions = [each for each in called if isinstance(each, FunctionType)]
+    own = [each for each in functions if each.__module__ == function.__module__]
+    return any(_names_the_simulator(each, seen) for each in own)
 
 
 def _returned(value: object) -> Mapping[str, object]:

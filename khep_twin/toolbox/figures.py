@@ -155,10 +155,9 @@ def _drawn(
     driven = test_of(dv)
     what = what or (driven.what if driven else "proximity")
     speed = speed if speed is not None or driven is None else driven.speed
-    if motion == "linear":
-        test = SensorTest(what, _amount(khep_pos, left + right, PULSES_PER_CM), None, speed, None)
-    else:
-        test = SensorTest(what, None, _amount(khep_pos, right - left, PULSES_PER_DEGREE), speed, None)
+    linear_cm = _amount(khep_pos, left + right, PULSES_PER_CM) if motion == "linear" else None
+    rotate_deg = _amount(khep_pos, right - left, PULSES_PER_DEGREE) if motion == "rotational" else None
+    test = SensorTest(what, linear_cm, rotate_deg, speed, None)
     run = SensorRun(test, rows, np.full(len(rows), np.nan))
     figure = sensor_figure.draw([run], sensor=sensor, y_min=y_min, grid=grid)
     _graphs[:] = [figure]

@@ -43,13 +43,7 @@ def place_lamp(
 
 
 def move_lamp(xabs: SupportsFloat, yabs: SupportsFloat, to_x: SupportsFloat, to_y: SupportsFloat) -> None:
-    """Move the lamp that is nearest to a position.
-
-    Args:
-        xabs: Position near the lamp in x, from the arena's lower left inner corner [mm].
-        yabs: Position in y, likewise [mm].
-        to_x: New position in x [mm].
-        to_y: New position in y [mm].
+    """Move the lamp that is nearest to a position to another one; both are as for `place_lamp`.
 
     Raises:
         PlaypenError: There is no lamp, or its new position lies outside the arena.
@@ -73,8 +67,7 @@ def remove_lamp(xabs: SupportsFloat, yabs: SupportsFloat) -> None:
 def lamp_control(mode: str) -> None:
     """Switch the lamps: "all", or one by one, "random" or "sequenced", RoboRunner's Lamp Control.
 
-    Args:
-        mode: One of these, which begins now; "off" removes all lamps.
+    The mode begins now; "off" removes all lamps.
 
     Raises:
         PlaypenError: It is none of them.

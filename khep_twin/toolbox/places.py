@@ -44,13 +44,13 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
     x, y, reach = (length * 1e3 for length in robot.disc)
     heading_deg = math.degrees(robot.pose[2])
     angles = [*range(-SWEEP_DEG, SWEEP_DEG + 1, SWEEP_STEP_DEG)]
+    way = reach + CLEARANCE_MM
     probes: list[Thing] = []
     for number, angle_deg in enumerate([*angles, *(180 + angle for angle in angles)], 1):
         angle = math.radians(heading_deg + angle_deg)
-        way = reach + CLEARANCE_MM
         point = Circle(x + way * math.cos(angle), y + way * math.sin(angle), 1e-3)
         probes.append(Thing("probe", number, None, point, 0, BODY_HEIGHT * 1e3, True))
-    others = near(as_it_stands(scene.twin.world), robot.index, Circle(x, y, reach + CLEARANCE_MM))
+    others = near(as_it_stands(scene.twin.world), robot.index, Circle(x, y, way))
     found = placement_problems([*others, *probes], scene.twin.world.playpen.arena)
     met = {problem.location[1] for problem in found if problem.location[0] == "probe"}
     front = any(number in met for number in range(len(angles)))

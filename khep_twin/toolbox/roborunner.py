@@ -68,11 +68,8 @@ def roborun2(
     if ctrl_name is None:
         play_pen()
         return []
-    controller = (
-        find_controller(ctrl_name, as_toolbox_form)
-        if isinstance(ctrl_name, str)
-        else as_toolbox_form(ctrl_name)
-    )
+    typed = isinstance(ctrl_name, str)
+    controller = find_controller(ctrl_name, as_toolbox_form) if typed else as_toolbox_form(ctrl_name)
     functions = [user] if isinstance(user, str) or callable(user) else user
     after = [find_after(each, controller) if isinstance(each, str) else each for each in functions]
     robot = _robot(controller, port_id)
@@ -95,8 +92,7 @@ def roborun2(
 def getstat(*, runs: Sequence[SeriesRun] | str | Path | None = None) -> dict[str, Summary]:
     """Return the statistics of runs: mean, standard deviation and confidence of each metric, by its name.
 
-    Args:
-        runs: Runs of `roborun2`, or the folder that keeps them; without, those of the latest `roborun2`.
+    The runs are those of `roborun2`, or the folder that keeps them; without, those of the latest `roborun2`.
 
     Raises:
         ControllerError: There are no runs.
@@ -131,11 +127,7 @@ def plotrun(
 
 
 def user1(*, runs: Sequence[SeriesRun] | str | Path | None = None, save: str | Path | None = None) -> None:
-    """Print the statistics of runs, and save their table.
-
-    Args:
-        runs: Runs as for `getstat`.
-        save: CSV, Parquet or MAT file with a row for each run.
+    """Print the statistics of runs as `getstat` takes them, and save their table as CSV, Parquet or MAT.
 
     Raises:
         ControllerError: There are no runs.
@@ -168,8 +160,7 @@ def template(file: str | Path) -> Path:
 def play_pen(file: str | Path | None = None) -> None:
     """Open the page in which playpens are built and robots are run, until Ctrl-C, as `khep-twin design` does.
 
-    Args:
-        file: Playpen file below the current folder; it may still have to be made.
+    It opens a playpen file below the current folder, which may still have to be made.
 
     Raises:
         KhepTwinError: The page could not be opened; the page's own process prints the reason.

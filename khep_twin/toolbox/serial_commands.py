@@ -58,9 +58,7 @@ Row = NDArray[np.int64]
 def ports(choice: Mapping[int, str | Khepera]) -> None:
     """Set the ports 1 to 4, instead of those set before, and close the previous ports.
 
-    Args:
-        choice: URLs such as "/dev/ttyUSB0" or "khep://default?seed=1", by number; a robot that is open
-            already will do.
+    A port is a URL such as "/dev/ttyUSB0" or "khep://default?seed=1", or a robot that is open already.
 
     Raises:
         PortError: A number is none of 1 to 4.
@@ -93,11 +91,7 @@ def robot_at(port_id: Port) -> Khepera:
 
 @contextmanager
 def lent(robot: Khepera, port_id: int | None = None) -> Generator[int]:
-    """Let the port numbers that have no port yet stand for an open robot within the context.
-
-    Args:
-        robot: Robot that they stand for.
-        port_id: Number that stands for it in any case.
+    """Let `port_id`, and the numbers that have no port yet, stand for an open robot within the context.
 
     Returns:
         A number that stands for it: `port_id`, or without it the first one that is free.
@@ -162,14 +156,9 @@ def cspc(
 
     Speeds [pulses/10 ms], accelerations [3.125 mm/s^2]; 20, 64 after a reset.
     """
-    values = _whole(
-        "cspc",
-        max_speed_left=max_speed_left,
-        acc_left=acc_left,
-        max_speed_right=max_speed_right,
-        acc_right=acc_right,
-    )
-    robot_at(port_id).configure_profile(*values)
+    left = _whole("cspc", max_speed_left=max_speed_left, acc_left=acc_left)
+    right = _whole("cspc", max_speed_right=max_speed_right, acc_right=acc_right)
+    robot_at(port_id).configure_profile(*left, *right)
 
 
 def rmc(port_id: Port) -> Row:
@@ -228,8 +217,7 @@ atexit.register(ports, {})
 def _port(port_id: int) -> str | Khepera:
     """Return the port that a number stands for."""
     if port_id not in PORT_IDS:
-        wish = "1 to 4, or a port such as '/dev/ttyUSB0'"
-        raise PortError(key="port_id", value=port_id, expected=wish)
+        raise PortError(key="port_id", value=port_id, expected="1 to 4, or a port such as '/dev/ttyUSB0'")
     port = _meaning(port_id)
     if port is None:
         raise PortError(

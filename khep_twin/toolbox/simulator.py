@@ -42,9 +42,7 @@ CYCLE = 0.05
 class OpenPlaypen:
     """Playpen that is open in the simulator: the `btmap1` that a program passes on.
 
-    Attributes:
-        twin: Twin of the world in it, for ground truth.
-        robots: Host's end of each robot in it; their lines take no time.
+    Its `twin` has the ground truth, its `robots` are the host's ends of lines that take no time.
     """
 
     def __init__(self, twin: Twin, robots: tuple[Khepera, ...] = ()) -> None:
@@ -63,11 +61,13 @@ class OpenPlaypen:
         Raises:
             PortError: There are several robots, and none of this number.
         """
+        if len(self.robots) == 1:
+            return 0
         numbers = range(1, len(self.robots) + 1)
-        if len(self.robots) > 1 and port_id not in numbers:
+        if port_id not in numbers:
             found = f"port_id = {port_id!r}: no such robot"
             raise PortError(found, key="port_id", value=port_id, expected=numbers)
-        return int(port_id) - 1 if len(self.robots) > 1 else 0
+        return int(port_id) - 1
 
     def pass_time(self, duration: float) -> None:
         """Let time pass [s]."""
@@ -84,12 +84,7 @@ def open_default(
 ) -> OpenPlaypen:
     """Open four walls with a robot in their middle, RoboRunner's Open Default; close what was open.
 
-    Args:
-        seed: Seed of every random stream.
-        noise: Add noise to the sensors.
-        rom: Version of the robot's ROM, as for `open_custom`.
-        lighting: Lamp Control, as for `open_custom`; lamps come by `place_lamp`.
-        log: File to record the run in.
+    The arguments are those of `open_custom`; lamps come by `place_lamp`.
     """
     return open_custom("default", seed=seed, noise=noise, rom=rom, lighting=lighting, log=log)
 
@@ -142,11 +137,8 @@ def close_playpen() -> None:
 def opened(btmap1: object = None) -> OpenPlaypen:
     """Return the playpen that is open.
 
-    Args:
-        btmap1: Playpen that a program takes to be open; None for whichever is.
-
     Raises:
-        PlaypenError: None is open, or it is another one.
+        PlaypenError: None is open, or another one than `btmap1`, unless that is None.
     """
     if _current is None:
         raise PlaypenError("no playpen is open; expected btmap1 = open_default(), or open_custom('NAME')")

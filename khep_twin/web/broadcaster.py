@@ -17,14 +17,9 @@ _WAITING = 500
 
 
 class Broadcaster:
-    """Sender of messages to the open pages.
-
-    Attributes:
-        watching: True if there are any.
-    """
+    """Sender of messages to the open pages."""
 
     def __init__(self) -> None:
-        self.watching = False
         self._watchers: list[_Watcher] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._last: dict[str, str] = {}
@@ -32,7 +27,7 @@ class Broadcaster:
     def tell(self, message: Mapping[str, object]) -> None:
         """Send a message to all pages; from any thread."""
         kind = str(message.get("kind"))
-        if kind == "picture" and not self.watching:
+        if kind == "picture" and not self._watchers:
             return
         text = json.dumps(message, allow_nan=False, separators=(",", ":"))
         if kind in ("twin", "robot"):
@@ -51,7 +46,6 @@ class Broadcaster:
         for text in self._last.values():
             watcher.take("cast", text)
         self._watchers.append(watcher)
-        self.watching = True
         sending = asyncio.create_task(self._send(socket, watcher))
         try:
             while True:
@@ -62,7 +56,6 @@ class Broadcaster:
             pass
         finally:
             self._watchers.remove(watcher)
-            self.watching = bool(self._watchers)
             sending.cancel()
 
     def _broadcast(self, kind: str, text: str, but: "_Watcher | None" = None) -> None:

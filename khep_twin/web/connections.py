@@ -55,16 +55,12 @@ class PageConnection(H11Protocol):
         self.since = self.loop.time()
         places = most()
         taken = [each for each in self.connections if not _gone(each)]
-        idle = [
-            each
-            for each in taken
-            if isinstance(each, PageConnection) and _stands_at(each)[0] in ("head", "end")
-        ]
+        pages = [each for each in taken if isinstance(each, PageConnection)]
+        idle = [each for each in pages if _stands_at(each)[0] in ("head", "end")]
         for each in sorted(idle, key=lambda each: each.since)[: max(len(taken) - places, 0)]:
             each.transport.abort()
-            self.logger.error(
-                "all %d connections are taken; the one that is idle the longest is ended", places
-            )
+            text = "all %d connections are taken; the one that is idle the longest is ended"
+            self.logger.error(text, places)
 
     def on_response_complete(self) -> None:
         """Continue with the next request, unless requests arrive faster than they are answered."""

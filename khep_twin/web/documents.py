@@ -41,21 +41,13 @@ class ConflictError(KhepTwinError):
 
 
 class Documents:
-    """Playpens below a folder.
-
-    Args:
-        root: Path of the folder.
-    """
+    """Playpens below a folder; names of files are from there on."""
 
     def __init__(self, root: Path) -> None:
         self.root = root.resolve()
 
     def path(self, name: str, *endings: str) -> Path:
-        """Return the path of a file.
-
-        Args:
-            name: Path of the file, relative to the folder.
-            endings: Allowed endings.
+        """Return the path of a file that has one of these endings.
 
         Raises:
             OutsideError: The file is not below the folder.
@@ -82,10 +74,6 @@ class Documents:
 
     def new_path(self, name: str, *endings: str) -> Path:
         """Return the path of a new file; an empty file may be replaced.
-
-        Args:
-            name: Path of the file, relative to the folder.
-            endings: Allowed endings.
 
         Raises:
             OutsideError: The file is not below the folder.
@@ -131,13 +119,8 @@ class Documents:
             KhepTwinError: The file cannot be used.
         """
         text = self._text(name)
-        playpen = playpens.parse(text, name)
-        return {
-            "file": name,
-            "version": _version(text),
-            "draft": draft_of(playpen),
-            "left": self.left(name),
-        }
+        draft = draft_of(playpens.parse(text, name))
+        return {"file": name, "version": _version(text), "draft": draft, "left": self.left(name)}
 
     def new(self, name: str | None) -> dict[str, object]:
         """Return an empty playpen for a file that does not exist yet, and the file's drafts."""
@@ -218,11 +201,7 @@ class Documents:
             write_whole(place, json.dumps(kept).encode("utf-8"))
 
     def left(self, name: str | None) -> list[dict[str, object]]:
-        """Return the readable drafts of a file, the newest first, each with its "page" and its "time" [s].
-
-        Args:
-            name: File that the drafts belong to; None for a playpen without a file.
-        """
+        """Return the readable drafts of a file, the newest first, each with its "page" and its "time" [s]."""
         found: list[tuple[float, dict[str, object]]] = []
         with suppress(OSError, KhepTwinError):
             path = self._draft_path(name)

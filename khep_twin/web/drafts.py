@@ -47,25 +47,18 @@ def playpen_of(draft: Mapping[str, object]) -> Playpen:
     Raises:
         PlaypenError: The draft is invalid; one line per problem.
     """
-    return toml_files.check(
-        Playpen, toml_files.frozen(draft), str(draft.get("name", "draft"))[:64], PlaypenError
-    )
+    name = str(draft.get("name", "draft"))[:64]
+    return toml_files.check(Playpen, toml_files.frozen(draft), name, PlaypenError)
 
 
 def text_of(draft: Mapping[str, object], base: str | None) -> str:
-    """Return the text of a playpen file for a draft.
-
-    Args:
-        draft: Playpen to write.
-        base: Text of a file to edit, whose comments are kept; None for a new text.
+    """Return the text of a playpen file for a draft, in place of `base`, whose comments stay.
 
     Raises:
         PlaypenError: The draft is invalid, or the text cannot be edited in this way.
     """
     playpen = playpen_of(draft)
-    if base is None:
-        base = BLANK.format(name=playpen.name)
-    return playpens.edited(base, playpen)
+    return playpens.edited(BLANK.format(name=playpen.name) if base is None else base, playpen)
 
 
 def surfaces() -> dict[str, object]:

@@ -34,10 +34,7 @@ _HEADERS = (
 class Guard:
     """Guard of an application: passes requests on, without the token at the start of their paths.
 
-    Args:
-        app: Application behind it.
-        token: Token that gives access.
-        hosts: Hosts as a browser names them, each with its port.
+    The hosts are those that a browser may name, each with its port.
     """
 
     def __init__(self, app: ASGIApp, token: str, hosts: Iterable[str]) -> None:
@@ -50,9 +47,8 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        headers: list[tuple[str, str]] = [
-            (name.decode("latin-1").lower(), value.decode("latin-1")) for name, value in scope["headers"]
-        ]
+        given = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
+        headers = [(name.lower(), value) for name, value in given]
         status, reason = self._refusal(scope, headers)
         if status:
             await _refuse(scope, receive, send, status, reason)

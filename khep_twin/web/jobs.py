@@ -6,6 +6,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Protocol
@@ -54,36 +55,20 @@ class SeriesJob:
 
     def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
         """Run the series."""
-        kept = None
+        plan, kept = self.plan, None
         if self.folder is not None:
-            settings = {
-                "controller": self.name,
-                "port": robot.name,
-                "cycles": self.plan.cycles,
-                "seconds": self.plan.seconds,
-                "pause": self.plan.pause,
-            }
-            kept = SeriesFolder(self.folder, settings, resume=False)
+            length = {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause}
+            kept = SeriesFolder(self.folder, {"controller": self.name, "port": robot.name, **length})
 
         def row(run: DoneRun, stopped: bool = False) -> None:
-            tell(
-                {
-                    "kind": "run",
-                    "number": run.number,
-                    "stopped": stopped,
-                    "cycles": run.cycles,
-                    "seconds": run.duration,
-                    "metrics": {name: value for name, value in run.metrics.items() if math.isfinite(value)},
-                }
-            )
+            metrics = {name: value for name, value in run.metrics.items() if math.isfinite(value)}
+            told = {"number": run.number, "stopped": stopped, "cycles": run.cycles, "seconds": run.duration}
+            tell({"kind": "run", **told, "metrics": metrics})
 
+        broken_off = partial(row, stopped=True)
+        source = OneRobot(robot)
         for run in run_series(
-            self.controller,
-            OneRobot(robot),
-            self.plan,
-            progress=progress,
-            stop=stop,
-            broken_off=lambda run: row(run, stopped=True),
+            self.controller, source, plan, progress=progress, stop=stop, broken_off=broken_off
         ):
             if kept is not None:
                 kept.keep(run)
@@ -134,22 +119,13 @@ def sensing(asked: SenseRequest, keep: Callable[[SensorRun], None]) -> Sensing:
     Raises:
         SensorTestError: The test is invalid.
     """
-    test = SensorTest(
-        what=asked.what,
-        speed=asked.speed,
-        acceleration=asked.acceleration,
-        return_to_zero=asked.back,
-        **{"rotate_deg" if asked.motion == "rotational" else "linear_cm": asked.amount},
-    )
+    motion = (asked.amount, None) if asked.motion == "linear" else (None, asked.amount)
+    test = SensorTest(asked.what, *motion, asked.speed, asked.acceleration, asked.back)
     return Sensing(test, keep, asked.text)
 
 
 def figure(run: SensorRun, sensor: str | None, y_min: int, grid: bool) -> bytes:
-    """Return the toolbox's picture of a sensor test, as PNG.
-
-    Raises:
-        SensorTestError: There is no such sensor.
-    """
+    """Return the toolbox's picture of a sensor test, as PNG, or of a single sensor."""
     from khep_twin.lab.sensor_test.sensor_figure import draw
 
     picture = BytesIO()

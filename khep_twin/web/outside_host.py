@@ -27,8 +27,6 @@ class OutsideHost:
         tell: Callback that takes notices for the user.
 
     Attributes:
-        robot: Robot of the line.
-        port: Cable to the host.
         commands: Number of lines inserted so far.
     """
 
@@ -55,11 +53,7 @@ class OutsideHost:
         self._alone.exchange(now)
 
     def speak_between(self, pass_time: Callable[[int], None]) -> None:
-        """Execute one line of the host if there is one and no reply is pending.
-
-        Args:
-            pass_time: Function that advances to a time [ns].
-        """
+        """Execute one line of the host if there is one and no reply is pending."""
         uart = self.robot.uart
         if len(uart.rx) or len(uart.tx):
             return
@@ -74,7 +68,7 @@ class OutsideHost:
             self.robot.disconnect()
             self._begun.clear()
         self._begun += received.data
-        end = min((at for at in map(self._begun.find, map(_byte, LINE_ENDS)) if at >= 0), default=-1)
+        end = next((at for at, byte in enumerate(self._begun) if byte in LINE_ENDS), -1)
         if end < 0:
             if len(self._begun) >= _LINE_LIMIT:
                 self._begun.clear()
@@ -86,7 +80,3 @@ class OutsideHost:
         while events := self._alone.events_ns():
             pass_time(min(events))
             self._alone.give()
-
-
-def _byte(value: int) -> bytes:
-    return bytes([value])

@@ -6,7 +6,6 @@ Between two slices of time it handles the user's requests and an outside host on
 
 import math
 import select
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -66,22 +65,20 @@ class PacedTwin:
         self.busy = False
         self._hosts, self._show_picture = hosts, show
         self._wishes: deque[Callable[[], None]] = deque()
-        self._steps_left = 0
+        self._steps_left_ns = 0
         self._stop_at: float | None = None
         self._broken_off = False
         self._pacer = Pacer(1.0, self.world.time_ns)
         self._paced_by: float | None = None
         self._shown = self._listened = 0.0
-        self._lock = threading.Lock()
 
     def wish(self, action: Callable[[], None]) -> None:
         """Have the twin's thread execute an action between two slices of time; from any thread."""
-        with self._lock:
-            self._wishes.append(action)
+        self._wishes.append(action)  # a deque's own lock suffices
 
     def step(self) -> None:
         """Advance one step while paused."""
-        self._steps_left += STEP_NS
+        self._steps_left_ns += STEP_NS
 
     def stop_program(self, wanted: bool = True) -> None:
         """Request the end of the program in lock-step, or allow the next one to begin."""
@@ -113,11 +110,12 @@ class PacedTwin:
             SessionEndedError: A stopped program did not end in time.
         """
         while True:
-            self._fulfil()
+            while self._wishes:
+                self._wishes.popleft()()
             if self.ended or self._stop_at is not None or not self.paused:
                 break
-            if self._steps_left >= TICK_NS:
-                self._steps_left -= TICK_NS
+            if self._steps_left_ns >= TICK_NS:
+                self._steps_left_ns -= TICK_NS
                 break
             self._picture()
             self._wait(LONGEST_WAIT)
@@ -171,12 +169,6 @@ class PacedTwin:
         """Wait for a duration, or until a host sends; return whether one did."""
         descriptors = [] if self.busy else [each for host in self._hosts for each in host.descriptors()]
         return bool(select.select(descriptors, [], [], min(duration, LONGEST_WAIT))[0])
-
-    def _fulfil(self) -> None:
-        while self._wishes:
-            with self._lock:
-                action = self._wishes.popleft()
-            action()
 
     def _picture(self) -> None:
         now = time.monotonic()

@@ -37,6 +37,9 @@ def sendable(value: dict[str, object]) -> dict[str, object]:
 FileName = Annotated[str, Field(min_length=1, max_length=1024, description="the name of a file")]
 Text = Annotated[str, Field(max_length=10_000, description="text of up to 10000 characters")]
 Word = Annotated[str, Field(max_length=1024, description="text of up to 1024 characters")]
+PageId = Annotated[
+    str, Field(pattern="^[A-Za-z0-9-]{0,40}$", description="up to 40 letters, digits and hyphens")
+]
 Draft = Annotated[
     dict[str, object],
     Field(description="a playpen as an object, of finite numbers and Unicode text"),
@@ -55,15 +58,9 @@ class RequestError(KhepTwinError):
 
 
 class Request(TomlTable):
-    """A request without keys of its own.
+    """A request without keys of its own; `tab` is the identifier of the page that asks."""
 
-    Attributes:
-        tab: Identifier of the page that asks.
-    """
-
-    tab: Annotated[
-        str, Field(pattern="^[A-Za-z0-9-]{0,40}$", description="up to 40 letters, digits and hyphens")
-    ] = ""
+    tab: PageId = ""
 
 
 class Hello(Request):
@@ -110,9 +107,7 @@ class Kept(Request):
     draft: Draft | None = None
     version: Word | None = None
     base: Base | None = None
-    page: Annotated[
-        str | None, Field(pattern="^[A-Za-z0-9-]{0,40}$", description="up to 40 letters, digits and hyphens")
-    ] = None
+    page: PageId | None = None
 
 
 class Saved(Drafted):

@@ -7,6 +7,7 @@ folder 403.
 import asyncio
 import math
 import threading
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -43,19 +44,14 @@ _KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".
 
 
 class Page:
-    """Application behind the page.
-
-    Args:
-        documents: Documents of the page.
-        file: File to open at first; None for a new playpen. Later the last file in use.
-    """
+    """Application behind the page, which opens a file at first, or with None a new playpen."""
 
     def __init__(self, documents: Documents, file: str | None) -> None:
-        self._documents, self._file = documents, file
+        self._documents, self._file = documents, file  # later the one that was worked on last
         self._broadcaster = Broadcaster()
         self._actor: WebSession | None = None
         self._changing = threading.Lock()
-        self._sensed: SensorRun | None = None
+        self._sensed: deque[SensorRun] = deque(maxlen=1)  # the latest test
         self._runs_in: str | None = None
 
     def app(self) -> Starlette:
@@ -96,10 +92,7 @@ class Page:
             "room": _on(requests.Room, self._room),
             "switch": _on(requests.SwitchRequest, self._switch),
             "run": _on(requests.RunRequest, self._run),
-            "sense": _on(
-                requests.SenseRequest,
-                lambda asked: self._running().start(jobs.sensing(asked, self._keep_sensed)),
-            ),
+            "sense": _on(requests.SenseRequest, self._sense),
             "figure": _on(requests.Figure, self._figure),
             "save-sensed": _on(requests.Named, self._save_sensed),
             "stop": _on(requests.Request, lambda asked: self._running().stop()),
@@ -119,9 +112,9 @@ class Page:
         one in use.
         """
         runs = self._runs()
-        file = (
-            asked.file if "file" in asked.model_fields_set else self._file if runs is None else self._runs_in
-        )
+        file = self._file if runs is None else self._runs_in
+        if "file" in asked.model_fields_set:
+            file = asked.file
         trouble = None
         try:
             there = file is not None and self._documents.version(file) is not None
@@ -153,13 +146,9 @@ class Page:
         return {"file": self._runs_in, "draft": drafts.draft_of(actor.playpen)}
 
     def _list(self, asked: requests.Request) -> dict[str, object]:
-        found = [{"url": port.url, "what": port.what} for port in found_ports()]
-        return {
-            "files": self._documents.names(),
-            "programs": self._documents.names(".py"),
-            "library": playpens.names(),
-            "ports": found,
-        }
+        ports = [{"url": port.url, "what": port.what} for port in found_ports()]
+        files, programs = self._documents.names(), self._documents.names(".py")
+        return {"files": files, "programs": programs, "library": playpens.names(), "ports": ports}
 
     def _open(self, asked: requests.Named) -> dict[str, object]:
         found = self._documents.open(asked.file)
@@ -261,19 +250,21 @@ class Page:
         twin = self._twin()
         twin.switch(_among("lamp", asked.lamp, twin.playpen.lamps), asked.on)
 
+    def _sense(self, asked: requests.SenseRequest) -> None:
+        self._running().start(jobs.sensing(asked, self._sensed.append))
+
     def _figure(self, asked: requests.Figure) -> Response:
-        if self._sensed is None:
-            raise PortError("no sensor test was driven yet")
-        picture = jobs.figure(self._sensed, asked.sensor or None, asked.y_min, asked.grid)
+        picture = jobs.figure(self._latest(), asked.sensor or None, asked.y_min, asked.grid)
         return Response(picture, media_type="image/png")
 
     def _save_sensed(self, asked: requests.Named) -> None:
-        if self._sensed is None:
-            raise PortError("no sensor test was driven yet")
-        sensor_files.save(self._documents.new_path(asked.file, ".mat", ".csv", ".mcap"), self._sensed)
+        run = self._latest()
+        sensor_files.save(self._documents.new_path(asked.file, ".mat", ".csv", ".mcap"), run)
 
-    def _keep_sensed(self, run: SensorRun) -> None:
-        self._sensed = run
+    def _latest(self) -> SensorRun:
+        if not self._sensed:
+            raise PortError("no sensor test was driven yet")
+        return self._sensed[-1]
 
     def _running(self) -> WebSession:
         if self._actor is None or not self._actor.alive:
@@ -360,7 +351,6 @@ def _speed(asked: requests.Pace) -> float:
     if asked.speed == 0:
         return math.inf
     if asked.speed < 0.001:
-        raise requests.RequestError(
-            f"speed = {asked.speed:g}: expected a number from 0.001 to 1000, or 0 for the most"
-        )
+        wish = "expected a number from 0.001 to 1000, or 0 for the most"
+        raise requests.RequestError(f"speed = {asked.speed:g}: {wish}")
     return asked.speed

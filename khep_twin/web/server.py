@@ -24,7 +24,7 @@ MESSAGE_LIMIT = 64 * 1024
 
 
 class Server:
-    """Server of the designer.
+    """Server of the designer; `url` is the URL of its page, with its token.
 
     Args:
         folder: Folder whose files the page may read and write.
@@ -32,10 +32,6 @@ class Server:
         listen: HOST:PORT; port 0 is any free port.
         expose: Allow connections from other machines.
         complain: Function that takes the server's own errors, a line each; without it, they are logged.
-
-    Attributes:
-        url: URL of the page, with its token.
-        listener: Listening socket.
 
     Raises:
         PortError: The server cannot or may not listen there.

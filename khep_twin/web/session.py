@@ -44,19 +44,15 @@ _LOOK = 0.08
 class WebSession:
     """Common part of twin and robot sessions: a thread with one job at a time.
 
-    Args:
-        tell: Function that takes messages for the page; called by the thread.
-
-    Attributes:
-        job: Current job; None without one.
-        part: Completed part of the job, 0 to 1; sent with the pictures, as jobs report it at each cycle.
+    The thread calls `tell` with messages for the page. `job` is the current job, None without.
     """
 
     def __init__(self, tell: Tell) -> None:
         self._tell = tell
         self._left = False
         self.job: Job | None = None
-        self.part = 0.0
+        # The completed part of the job goes with the pictures, as jobs report it at each cycle.
+        self._part = 0.0
         self._printed = ""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
@@ -78,7 +74,7 @@ class WebSession:
         """
         if self.job is not None or not self.alive:
             raise PortError("the robot is busy; expected a stopped robot" if self.alive else "it has ended")
-        self.part = 0.0
+        self._part = 0.0
         self.job = job
 
     def stop(self) -> None:
@@ -126,7 +122,7 @@ class WebSession:
         raise NotImplementedError
 
     def _progress(self, part: float) -> None:
-        self.part = round(part, 4)
+        self._part = round(part, 4)
 
     def _do(self, robot: Khepera, stop: Callable[[], bool]) -> None:
         """Do the job; report its errors and continue."""
@@ -152,11 +148,6 @@ class TwinActor(WebSession):
         options: Options of the twin.
         log: File of the log; None for none.
         tell: Function that takes messages for the page.
-
-    Attributes:
-        playpen: Simulated playpen.
-        speed: Simulated seconds per second.
-        paused: True if time stands still.
     """
 
     def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, tell: Tell) -> None:
@@ -183,15 +174,12 @@ class TwinActor(WebSession):
 
     def room(self, robot: int, x_mm: float, y_mm: float) -> None:
         """Report why a held robot has no room at a position; with room, the reason is empty."""
-        self._wish(
-            lambda twin: self.tell(
-                {
-                    "kind": "room",
-                    "robot": robot,
-                    "reason": no_room(as_it_stands(twin.world), robot, x_mm, y_mm),
-                }
-            )
-        )
+
+        def report(twin: PacedTwin) -> None:
+            reason = no_room(as_it_stands(twin.world), robot, x_mm, y_mm)
+            self.tell({"kind": "room", "robot": robot, "reason": reason})
+
+        self._wish(report)
 
     def switch(self, lamp: int, on: bool) -> None:
         """Switch a lamp."""
@@ -199,9 +187,8 @@ class TwinActor(WebSession):
 
     def stop(self) -> None:
         """End the job; without one, stop the motors."""
-        twin = self._paced
-        if self.job is not None and twin is not None:
-            twin.stop_program()
+        if self.job is not None and self._paced is not None:
+            self._paced.stop_program()
         else:
             self._wish(lambda twin: twin.robot.send(b"D,0,0\n"))
 
@@ -219,10 +206,9 @@ class TwinActor(WebSession):
         def safely() -> None:
             try:
                 action(twin)
-            except KhepTwinError as error:
-                self.tell({"kind": "refused", "text": error.plain})
-            except IndexError as error:
-                self.tell({"kind": "refused", "text": str(error)})
+            except (KhepTwinError, IndexError) as error:
+                text = error.plain if isinstance(error, KhepTwinError) else str(error)
+                self.tell({"kind": "refused", "text": text})
 
         twin.wish(safely)
 
@@ -230,19 +216,15 @@ class TwinActor(WebSession):
         options = replace(self._options, robot=None)
         with ExitStack() as stack:
             twin = stack.enter_context(open_twin(self.playpen, options))
-            ports = [
-                stack.enter_context(closing(PtyPort(None, robot.firmware.baud))) for robot in twin.robots
-            ]
-            hosts = [
-                OutsideHost(twin, robot, port, self._note)
-                for robot, port in zip(twin.robots, ports, strict=True)
-            ]
+            bauds = [robot.firmware.baud for robot in twin.robots]
+            ports = [stack.enter_context(closing(PtyPort(None, baud))) for baud in bauds]
+            pairs = zip(twin.robots, ports, strict=True)
+            hosts = [OutsideHost(twin, robot, port, self._note) for robot, port in pairs]
             if self._log is not None:
                 twin.record(self._log)
             with suppress(PortError):
-                stack.enter_context(
-                    registered([port.path for port in ports], f"twin in {self.playpen.name}, in a page")
-                )
+                what = f"twin in {self.playpen.name}, in a page"
+                stack.enter_context(registered([port.path for port in ports], what))
 
             def show() -> None:
                 self._tell_printed()
@@ -307,19 +289,19 @@ class TwinActor(WebSession):
                     "host_commands": host.commands,
                 }
             )
-        lamps = world.lamps
+        lamps = [
+            {"power_w": round(power, 3), "off": world.lamps.turned_off(index)}
+            for index, power in enumerate(world.lamps.powers)
+        ]
         return {
             "kind": "picture",
             "time": world.time_ns / 1e9,
             "busy": twin.busy,
             "paused": twin.paused,
             "speed": twin.speed if math.isfinite(twin.speed) else 0,
-            "part": self.part,
+            "part": self._part,
             "robots": robots,
-            "lamps": [
-                {"power_w": round(power, 3), "off": lamps.turned_off(index)}
-                for index, power in enumerate(lamps.powers)
-            ],
+            "lamps": lamps,
             **{
                 kind: {i: [it.x_mm, it.y_mm, it.angle_deg] for i, it in enumerate(items) if it.movable}
                 for kind, items in now.objects.items()
@@ -331,12 +313,7 @@ class TwinActor(WebSession):
 
 
 class RobotActor(WebSession):
-    """A robot, or a twin served elsewhere, at a port; its readings are polled.
-
-    Args:
-        url: URL of the port.
-        tell: Function that takes messages for the page.
-    """
+    """Robot, or twin that is served elsewhere, at a port; its readings are polled."""
 
     def __init__(self, url: str, tell: Tell) -> None:
         super().__init__(tell)
@@ -375,24 +352,14 @@ class RobotActor(WebSession):
         self._tell_printed()
         proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
         self._looked = robot.time
-        reading = {
-            "proximity": list(proximity),
-            "ambient": list(ambient),
-            "speed": list(speed),
-            "leds": [0, 0],
-        }
+        reading = {"proximity": [*proximity], "ambient": [*ambient], "speed": [*speed], "leds": [0, 0]}
         time_s, busy = robot.time - self._began, self.job is not None
-        self.tell({"kind": "picture", "time": time_s, "busy": busy, "part": self.part, "robots": [reading]})
+        self.tell({"kind": "picture", "time": time_s, "busy": busy, "part": self._part, "robots": [reading]})
 
 
 def shape(model: str, sensors: str) -> dict[str, object]:
     """Return a robot's radius and sensors, for drawing: [mm] and [deg]."""
     body = BODIES[model]
-    measured = calibration.read(sensors)[0]
-    return {
-        "radius_mm": body.radius * 1e3,
-        "sensors": [
-            [round(x * 1e3, 2), round(y * 1e3, 2), heading]
-            for (x, y), heading in zip(body.sensor_positions, measured.heading_deg, strict=True)
-        ],
-    }
+    poses = zip(body.sensor_positions, calibration.read(sensors)[0].heading_deg, strict=True)
+    placed = [[round(x * 1e3, 2), round(y * 1e3, 2), heading] for (x, y), heading in poses]
+    return {"radius_mm": body.radius * 1e3, "sensors": placed}

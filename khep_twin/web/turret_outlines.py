@@ -43,12 +43,7 @@ def at_start(name: str) -> list[dict[str, object]]:
 
 
 class TurretParts:
-    """Parts of a robot's turrets in a world, in the order of `at_start`, turret by turret.
-
-    Args:
-        world: World of the robot.
-        index: Index of the robot.
-    """
+    """Parts of the turrets of a world's robot, in the order of `at_start`, turret by turret."""
 
     def __init__(self, world: World, index: int) -> None:
         model, name = world.model, world.robots[index].name

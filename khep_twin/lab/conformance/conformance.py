@@ -119,8 +119,7 @@ class CheckedPort:
 
     def silent(self, why: str) -> None:
         """Raise a `Deviation` if anything is received."""
-        data = self.read_for(SILENCE)
-        if data:
+        if data := self.read_for(SILENCE):
             raise Deviation(f"{why}: received {data!r}; expected silence")
 
     def read_for(self, duration: float) -> bytes:
@@ -138,9 +137,9 @@ class CheckedPort:
             told += more
         return told
 
-    def numbers(self, request: str, letter: str, count: int) -> list[int]:
+    def numbers(self, request: str, count: int) -> list[int]:
         """Return the integers of a reply; raise a `Deviation` unless there are `count`."""
-        answer = self.ask(request)
+        answer, letter = self.ask(request), request[0].lower()
         head, *fields = answer.split(",")
         if head != letter or len(fields) != count:
             raise Deviation(f"{request!r} was answered {answer!r}; expected {letter!r} and {count} numbers")
@@ -148,11 +147,18 @@ class CheckedPort:
             raise Deviation(f"{request!r} was answered {answer!r}; expected plain integers")
         return [int(field) for field in fields]
 
-    def expect(self, request: str, reply: str, end: str = "\n") -> None:
+    def expect(self, request: str, reply: str) -> None:
         """Raise a `Deviation` unless a request gets this reply."""
-        answer = self.ask(request, end)
-        if answer != reply:
-            raise Deviation(f"{request + end!r} was answered {answer!r}; expected {reply!r}")
+        if (answer := self.ask(request)) != reply:
+            line = f"{request}\n"
+            raise Deviation(f"{line!r} was answered {answer!r}; expected {reply!r}")
+
+    def order(self, *requests: str, pause: float = 0.0) -> None:
+        """Send commands, each of which must be answered by its letter alone; then wait [s]."""
+        for request in requests:
+            self.expect(request, request[0].lower())
+        if pause:
+            self.sleep(pause)
 
     def sleep(self, duration: float) -> None:
         """Wait for a duration in the port's own time [s]."""
@@ -165,12 +171,7 @@ class CheckedPort:
 
 
 def conform(url: str, *, move: bool = False, baudrate: int = 9600) -> ConformanceReport:
-    """Check the robot or twin at a port.
-
-    Args:
-        url: URL of the port.
-        move: If true, also run the checks that move the robot.
-        baudrate: Baud rate of the line.
+    """Check the robot or twin at a port; with `move` also by the checks that move the robot.
 
     Raises:
         PortError: The port cannot be opened.

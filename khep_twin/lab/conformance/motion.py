@@ -24,10 +24,10 @@ QUARTER_PULSES = 510
 
 def _drive_to(line: CheckedPort, left: int, right: int) -> float:
     """Send the wheels to a target; return the time until both are there [s]."""
-    line.expect(f"C,{left},{right}", "c")
+    line.order(f"C,{left},{right}")
     start = line.time()
     limit = 5 + max(abs(left), abs(right)) / 1000
-    while (status := line.numbers("K", "k", 6))[0] + status[3] < 2:
+    while (status := line.numbers("K", 6))[0] + status[3] < 2:
         if line.time() - start > limit:
             raise Deviation(f"C,{left},{right} was not on target after {limit:.0f} s: K gave {status}")
     return line.time() - start
@@ -35,12 +35,10 @@ def _drive_to(line: CheckedPort, left: int, right: int) -> float:
 
 def _ways(line: CheckedPort, command: str, left: int, right: int, duration: float) -> list[int]:
     """Apply D or P for a duration [s] and stop; return the change of the counters [pulses]."""
-    before = line.numbers("H", "h", 2)
-    line.expect(f"{command},{left},{right}", command.lower())
-    line.sleep(duration)
-    after = line.numbers("H", "h", 2)
-    line.expect(f"{command},0,0", command.lower())
-    line.sleep(0.3)
+    before = line.numbers("H", 2)
+    line.order(f"{command},{left},{right}", pause=duration)
+    after = line.numbers("H", 2)
+    line.order(f"{command},0,0", pause=0.3)
     return [now - then for then, now in zip(before, after, strict=True)]
 
 
@@ -53,15 +51,13 @@ def _took_its_time(took: float) -> None:
 @check("D drives both wheels at the requested speed", "A, command D", FORWARD)
 def _drive(line: CheckedPort) -> None:
     for sign in (1, -1):
-        line.expect("G,0,0", "g")
-        line.expect(f"D,{10 * sign},{10 * sign}", "d")
+        line.order("G,0,0", f"D,{10 * sign},{10 * sign}")
         start = line.time()
         line.sleep(1.0)
-        speeds = line.numbers("E", "e", 2)
-        counts = line.numbers("H", "h", 2)
+        speeds = line.numbers("E", 2)
+        counts = line.numbers("H", 2)
         took = line.time() - start
-        line.expect("D,0,0", "d")
-        line.sleep(0.5)
+        line.order("D,0,0", pause=0.5)
         within("E", [sign * speed for speed in speeds], 7, 13)
         # 10 pulses per 10 ms are 1000 a second, less the start.
         within("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
@@ -70,96 +66,84 @@ def _drive(line: CheckedPort) -> None:
 @check("E reads the measured speeds, not the setpoints", "A, command E", SPIN)
 def _measured_speeds(line: CheckedPort) -> None:
     for left, right in ((40, -40), (-40, 40)):
-        line.expect(f"P,{left},{right}", "p")
-        line.sleep(0.4)
-        speeds = line.numbers("E", "e", 2)
-        line.expect("P,0,0", "p")
-        line.expect("D,0,0", "d")
-        line.sleep(0.4)
+        line.order(f"P,{left},{right}", pause=0.4)
+        speeds = line.numbers("E", 2)
+        line.order("P,0,0", "D,0,0", pause=0.4)
         if speeds[0] * left <= 0 or speeds[1] * right <= 0:
             raise Deviation(f"P,{left},{right} turned the wheels at the speeds {speeds} by E")
 
 
 @check("K reads the left wheel first, and the error left", "A, command K", FORWARD)
 def _status_of_each_wheel(line: CheckedPort) -> None:
-    line.expect("J,20,64,20,64", "j")
-    line.expect("G,0,0", "g")
-    line.expect("C,1000,0", "c")
-    line.sleep(0.6)
-    status = line.numbers("K", "k", 6)
+    line.order("J,20,64,20,64", "G,0,0", "C,1000,0", pause=0.6)
+    status = line.numbers("K", 6)
     if status[:5:3] != [0, 1]:
         raise Deviation(f"with only the left wheel on its way K gave {status}; expected T 0 and 1")
     line.sleep(1.5)
     _drive_to(line, 0, 0)
     for target, sign in ((1000, 1), (0, -1)):
-        line.expect(f"C,{target},{target}", "c")
+        line.order(f"C,{target},{target}")
         errors: list[int] = []
         for _ in range(12):
-            errors += [error * sign for error in line.numbers("K", "k", 6)[2::3]]
+            errors += [error * sign for error in line.numbers("K", 6)[2::3]]
             line.sleep(0.04)
         _drive_to(line, target, target)
         if max(errors) <= 0:
             raise Deviation(f"on the way to C,{target},{target} K gave no error towards the target")
-    line.expect("D,0,0", "d")
+    line.order("D,0,0")
 
 
 @check("G in motion sets the counters and stops nothing", "A, command G", FORWARD)
 def _renumbering(line: CheckedPort) -> None:
-    line.expect("D,10,10", "d")
-    line.sleep(0.5)
-    line.expect("G,0,-5000", "g")
-    line.sleep(0.5)
-    left, right = line.numbers("H", "h", 2)
-    line.expect("D,-10,-10", "d")
-    line.sleep(1.0)
-    line.expect("D,0,0", "d")
-    line.sleep(0.4)
+    line.order("D,10,10", pause=0.5)
+    line.order("G,0,-5000", pause=0.5)
+    left, right = line.numbers("H", 2)
+    line.order("D,-10,-10", pause=1.0)
+    line.order("D,0,0", pause=0.4)
     within("H", [left, right + 5000], 350, 800)
 
 
 @check("J sets speed and acceleration of both wheels", "A, command J", FORWARD)
 def _profiles(line: CheckedPort) -> None:
-    line.expect("G,0,0", "g")
+    line.order("G,0,0")
     # 1000 pulses: at 10 pulses/tick 100 ticks and a ramp of 40; at 16/256 pulse/tick^2 2 sqrt(16000) ticks.
     for profile, target, right in (("10,64,10,64", 1000, 1.4), ("20,16,20,16", 0, 2.53)):
-        line.expect(f"J,{profile}", "j")
+        line.order(f"J,{profile}")
         took = _drive_to(line, target, target)
         if not 0.9 * right < took < right + 0.6:
             raise Deviation(
                 f"with J,{profile} 1000 pulses took {took:.2f} s; expected {right} s and some settling"
             )
-    line.expect("J,20,64,20,64", "j")
+    line.order("J,20,64,20,64")
 
 
 @check("C goes to positions below zero and beyond 16 bits", "A, command C", FORWARD)
 def _far_numbers(line: CheckedPort) -> None:
     for start, target in ((0, -500), (70_000, 70_500)):
-        line.expect(f"G,{start},{start}", "g")
+        line.order(f"G,{start},{start}")
         _drive_to(line, target, target)
-        within("H", [count - target for count in line.numbers("H", "h", 2)], -3, 3)
-    line.expect("D,0,0", "d")
+        within("H", [count - target for count in line.numbers("H", 2)], -3, 3)
+    line.order("D,0,0")
 
 
 @check("a restart stops the motors", "3.2.1, tool restart", FORWARD)
 def _restart_stops(line: CheckedPort) -> None:
-    line.expect("D,8,8", "d")
-    line.sleep(0.3)
+    line.order("D,8,8", pause=0.3)
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
     line.sleep(0.3)
-    before = line.numbers("H", "h", 2)
+    before = line.numbers("H", 2)
     line.sleep(0.4)
-    after = line.numbers("H", "h", 2)
-    line.expect("D,-8,-8", "d")
-    line.sleep(0.4)
-    line.expect("D,0,0", "d")
+    after = line.numbers("H", 2)
+    line.order("D,-8,-8", pause=0.4)
+    line.order("D,0,0")
     if max(abs(now - then) for then, now in zip(before, after, strict=True)) > 5:
         raise Deviation(f"after a restart in motion the counters went on from {before} to {after}")
 
 
 @check("D drives the left and the right wheel in this order", "A, command D", SPIN)
 def _sides(line: CheckedPort) -> None:
-    line.expect("G,0,0", "g")
+    line.order("G,0,0")
     for left, right in ((5, -5), (-5, 5)):
         ways = _ways(line, "D", left, right, 0.7)
         if ways[0] * left <= 100 or ways[1] * right <= 100:
@@ -168,18 +152,17 @@ def _sides(line: CheckedPort) -> None:
 
 @check("C goes to a position along the profile and reports arrival", "A, commands C and J", FORWARD)
 def _position(line: CheckedPort) -> None:
-    line.expect("J,20,64,20,64", "j")
-    line.expect("G,0,0", "g")
+    line.order("J,20,64,20,64", "G,0,0")
     for target in (1000, 0):
         took = _drive_to(line, target, target)
         _took_its_time(took)
-        within("H", [count - target for count in line.numbers("H", "h", 2)], -3, 3)
-        within("K", line.numbers("K", "k", 6)[2::3], -3, 3)
+        within("H", [count - target for count in line.numbers("H", 2)], -3, 3)
+        within("K", line.numbers("K", 6)[2::3], -3, 3)
 
 
 @check("a restart sets the profile to 20 and 64", "A, command J", FORWARD)
 def _profile_of_a_reset(line: CheckedPort) -> None:
-    line.expect("J,5,5,5,5", "j")
+    line.order("J,5,5,5,5")
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
     for target in (1000, 0):
@@ -188,27 +171,24 @@ def _profile_of_a_reset(line: CheckedPort) -> None:
 
 @check("the sensors come in the manual's order, clockwise from the left", "A, command N", TO_A_WALL)
 def _sensor_order(line: CheckedPort) -> None:
-    line.expect("D,0,0", "d")
-    line.expect("G,0,0", "g")
-    line.expect("D,10,10", "d")
+    line.order("D,0,0", "G,0,0", "D,10,10")
     start = line.time()
-    while max(line.numbers("N", "n", N_SENSORS)[2:4]) < NEAR:
+    while max(line.numbers("N", N_SENSORS)[2:4]) < NEAR:
         if line.time() - start > TIME_TO_A_WALL:
-            line.expect("D,0,0", "d")
+            line.order("D,0,0")
             _drive_to(line, 0, 0)
             raise Deviation("the front sensors detected nothing within 40 cm; expected a light-coloured wall")
-    line.expect("D,0,0", "d")
-    line.sleep(0.3)
-    here = line.numbers("H", "h", 2)[0]
+    line.order("D,0,0", pause=0.3)
+    here = line.numbers("H", 2)[0]
     seen: list[int] = []
     for turn in (0, QUARTER_PULSES, -QUARTER_PULSES, -2 * QUARTER_PULSES):
         _drive_to(line, here + turn, here - turn)
         line.sleep(0.1)
-        counts = line.numbers("N", "n", N_SENSORS)
+        counts = line.numbers("N", N_SENSORS)
         seen.append(counts.index(max(counts)))
     _drive_to(line, here, here)
     _drive_to(line, 0, 0)
-    line.expect("D,0,0", "d")
+    line.order("D,0,0")
     sides = ({2, 3}, {0, 1}, {4, 5}, {6, 7})
     if not all(index in side for index, side in zip(seen, sides, strict=True)):
         raise Deviation(
@@ -219,22 +199,17 @@ def _sensor_order(line: CheckedPort) -> None:
 
 @check("P drives the motors open loop", "A, command P", FORWARD)
 def _open_loop(line: CheckedPort) -> None:
-    line.expect("G,0,0", "g")
+    line.order("G,0,0")
     for duty in (40, -40):
         ways = _ways(line, "P", duty, duty, 0.4)
         if min(way * duty for way in ways) <= 0:
             raise Deviation(f"P,{duty},{duty} moved the counters by {ways}")
-    line.expect("D,0,0", "d")
+    line.order("D,0,0")
 
 
 @check("a value beyond the range is accepted and keeps its sign", "A, commands D and P", FORWARD)
 def _saturation(line: CheckedPort) -> None:
-    line.expect("P,0,0", "p")
-    line.expect("D,0,0", "d")
-    line.expect("G,0,0", "g")
-    for request, reply in (("P,999,999", "p"), ("D,0,0", "d"), ("D,999,999", "d"), ("D,0,0", "d")):
-        line.expect(request, reply)
-    line.sleep(0.5)
+    line.order("P,0,0", "D,0,0", "G,0,0", "P,999,999", "D,0,0", "D,999,999", "D,0,0", pause=0.5)
 
 
 @check("a gripper, if there is one, opens, closes and moves its arm", "gripper manual", ARM)

@@ -68,7 +68,7 @@ def source_of(controller: AnyController) -> Source:
         data: bytes = Path(file).read_bytes() if get_data is None else get_data(file)
         text = _text(data)
     except (OSError, SyntaxError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = getattr(error, "strerror", None) or error
         return Source(facts | {"controller_source": f"left out: cannot be read: {reason}"})
     if len(data) > MOST_BYTES:
         return Source(facts | {"controller_source": f"left out: {len(data)} bytes, more than {MOST_BYTES}"})

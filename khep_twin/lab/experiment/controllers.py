@@ -53,11 +53,7 @@ class Controller:
 
 
 class FunctionController(Controller):
-    """A controller made of a function; a mapping that it returns holds its variables.
-
-    Attributes:
-        function: Function called once a cycle.
-    """
+    """A controller made of a function called once a cycle; a mapping that it returns has its variables."""
 
     def __init__(self, function: Callable[[Khepera], object]) -> None:
         self.function = function

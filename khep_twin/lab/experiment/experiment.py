@@ -3,6 +3,7 @@
 import importlib.util
 import inspect
 import sys
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -77,20 +78,16 @@ def run(
         raise ValueError("no cycles and no seconds; expected one of them")
     if (cycles is not None and cycles < 1) or (seconds is not None and not seconds > 0):
         raise ValueError(f"cycles = {cycles}, seconds = {seconds}; expected numbers above 0")
-    algorithm = as_controller(controller)
-    asked = stop or (lambda: False)
+    algorithm, asked = as_controller(controller), stop or (lambda: False)
     start = before = robot.time
-    done = 0
-    part = 0.0
+    done, part = 0, 0.0
 
     def end_cycle() -> bool:
         """Count a cycle and return whether another one follows."""
         nonlocal before, done, part
         if robot.time == before:
-            raise ControllerError(
-                f"{_source_file(controller)}: {name_of(controller)}: a cycle lets no time pass; expected "
-                f"{algorithm.passes_time}"
-            )
+            place = f"{_source_file(controller)}: {name_of(controller)}"
+            raise ControllerError(f"{place}: a cycle lets no time pass; expected {algorithm.passes_time}")
         before = robot.time
         done += 1
         if after_cycle is not None:
@@ -128,13 +125,10 @@ def run(
 
 
 def call(place: Callable[P, Returned], *given: P.args, **named: P.kwargs) -> Returned:
-    """Call a user's function or a controller's method; report its errors with file and line.
-
-    Returns:
-        Its return value.
+    """Call a user's function or a controller's method and return what it returns.
 
     Raises:
-        ControllerError: It failed.
+        ControllerError: It failed, with file and line.
     """
     try:
         return place(*given, **named)
@@ -161,22 +155,15 @@ def find_controller(
     """Find a controller by its built-in name, or as FILE.py or FILE.py:NAME.
 
     Without NAME, the file's `controller` is used, or its only public function or subclass of `Controller`.
-
-    Args:
-        name: Name of the controller, as typed.
-        adapt: Function that makes a controller of a function of another form, and returns others unchanged.
+    `adapt` makes a controller of a function of another form, and returns others unchanged.
 
     Raises:
         ControllerError: There is no such controller, or its file fails.
     """
     if name in BUILT_IN:
         return BUILT_IN[name]
-    path, wanted = _file_and_name(name)
-    if path is None:
-        raise ControllerError(
-            f"{name}: no such controller; expected FILE.py, FILE.py:NAME or a built-in name; "
-            f"{choices(name, BUILT_IN)}"
-        )
+    wish = f"FILE.py, FILE.py:NAME or a built-in name; {choices(name, BUILT_IN)}"
+    path, wanted = _file_and_name(name, f"no such controller; expected {wish}")
     offers = _offers_of(_module_of(path))
     classes = {each: offer for each, offer in offers.items() if isinstance(offer, type)}
     if not wanted and len(classes) == 1 and "controller" not in offers:
@@ -190,21 +177,14 @@ def find_controller(
 
 
 def find_function(name: str, taking: str, n_parameters: int) -> AnyFunction:
-    """Find a function as FILE.py or FILE.py:NAME.
+    """Find a function of `n_parameters`, described by `taking`, as FILE.py or FILE.py:NAME.
 
     Without NAME, the file's `controller` is used, or its only public function.
-
-    Args:
-        name: Name as typed.
-        taking: Description of its parameters.
-        n_parameters: Number of its parameters.
 
     Raises:
         ControllerError: There is no such function, or its file fails.
     """
     path, wanted = _file_and_name(name)
-    if path is None:
-        raise ControllerError(f"{name}: no such function; expected FILE.py or FILE.py:NAME")
     functions = _functions_of(_offers_of(_module_of(path)))
     wanted, found = _chosen(path, wanted, functions, "controller", taking)
     if len(inspect.signature(found).parameters) != n_parameters:
@@ -215,18 +195,13 @@ def find_function(name: str, taking: str, n_parameters: int) -> AnyFunction:
 def find_after(name: str, controller: AnyController) -> AnyFunction:
     """Find a function that is called with each run, as FILE.py or FILE.py:NAME.
 
-    Without NAME, the file's `after` is used, or its only public function.
-
-    Args:
-        name: Name as typed.
-        controller: Controller of the runs; if the same file defines both, they share its variables.
+    Without NAME, the file's `after` is used, or its only public function. If the same file defines the
+    controller of the runs, too, they share its variables.
 
     Raises:
         ControllerError: There is no such function, or its file fails.
     """
     path, wanted = _file_and_name(name)
-    if path is None:
-        raise ControllerError(f"{name}: no such function; expected FILE.py or FILE.py:NAME")
     module = inspect.getmodule(defining(controller))
     same = module is not None and Path(module.__file__ or "") == path.absolute()
     functions = _functions_of(_offers_of(module if module is not None and same else _module_of(path)))
@@ -238,10 +213,6 @@ def find_after(name: str, controller: AnyController) -> AnyFunction:
 
 def call_after(function: AnyFunction, run: "SeriesRun") -> object:
     """Call a user's function after a run: with the run, or with those of its variables that it names.
-
-    Args:
-        function: Function of the run, or of parameters that have the names of the run's variables.
-        run: Run of a series.
 
     Raises:
         ControllerError: It failed, or has other parameters.
@@ -260,10 +231,14 @@ def call_after(function: AnyFunction, run: "SeriesRun") -> object:
     return call(function, *(run.variables[name] for name in wanted))
 
 
-def _file_and_name(typed: str) -> tuple[Path | None, str]:
-    """Split FILE.py[:NAME] in its parts; the file is None if it is not a Python file."""
+def _file_and_name(
+    typed: str, otherwise: str = "no such function; expected FILE.py or FILE.py:NAME"
+) -> tuple[Path, str]:
+    """Split FILE.py[:NAME] in its parts; raise a `ControllerError` if it is not a Python file."""
     path, _, name = typed.partition(":")
-    return (Path(path) if path.endswith(".py") else None), name
+    if not path.endswith(".py"):
+        raise ControllerError(f"{typed}: {otherwise}")
+    return Path(path), name
 
 
 def _chosen(
@@ -351,9 +326,7 @@ def _line_in(error: BaseException, path: Path) -> str:
     """Return the line of a file in which an error arose, as ":LINE"."""
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
-    trace, line = error.__traceback__, ""
-    while trace is not None:
-        if Path(trace.tb_frame.f_code.co_filename).resolve() == path.resolve():
-            line = f":{trace.tb_lineno}"
-        trace = trace.tb_next
-    return line
+    frames = traceback.walk_tb(error.__traceback__)
+    there = path.resolve()
+    lines = [line for frame, line in frames if Path(frame.f_code.co_filename).resolve() == there]
+    return f":{lines[-1]}" if lines else ""

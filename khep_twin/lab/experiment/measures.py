@@ -134,13 +134,12 @@ class GroundTruthMetrics:
         entry = playpen.robots[self._index]
         radius = units.BODIES[entry.model].radius
         motion = statistics.motion(times_s, pose)
-        duration_s = motion.duration_s or math.inf
         collisions = statistics.collisions(times_s, pose, playpen, radius)
         dark = np.array(calibration.read(entry.calibration)[0].ambient.dark_counts)
         return {
             "distance_m": motion.distance,
             "mean_speed_m_per_s": motion.mean_speed,
-            "turn_rate_rad_per_s": (motion.left_turn + motion.right_turn) / duration_s,
+            "turn_rate_rad_per_s": (motion.left_turn + motion.right_turn) / (motion.duration_s or math.inf),
             "near_s": statistics.near(times_s, proximity).total_s,
             "collisions": float(len(collisions.times_s)),
             "collision_s": collisions.total_s,
@@ -152,10 +151,7 @@ class GroundTruthMetrics:
 def coverage(positions: statistics.Floats, playpen: Playpen, radius: float) -> float:
     """Return the share of cells that a robot's centre visited, of those with room for it in their middle.
 
-    Args:
-        positions: Positions of the centre (n, 2) [m].
-        playpen: Playpen of the robot.
-        radius: Radius of the robot [m].
+    The centre's positions (n, 2) and the robot's radius are in [m].
     """
     xs, ys = (np.array(each) / 1e3 for each in zip(*playpen.arena.corners, strict=True))
     counts = [max(1, math.ceil(float(np.ptp(each)) / CELL - 1e-9)) for each in (xs, ys)]

@@ -48,8 +48,6 @@ def run_together(
         if len(scripts) != len(twin.robots):
             raise PortError(f"{len(scripts)} scripts for {len(twin.robots)} robots; expected one for each")
         seats = [_Seat(twin, index, script) for index, script in enumerate(scripts)]
-        for seat in seats:
-            seat.start()
         while waiting := [seat for seat in seats if not seat.done]:
             seat = min(waiting, key=lambda seat: (seat.goal_ns, seat.index))
             twin.advance_to(seat.goal_ns)
@@ -61,15 +59,7 @@ def run_together(
 
 
 class _Seat(Generic[Result]):
-    """A script, its thread, and the time that it waits for: the `TimeSource` of its robot's port.
-
-    Attributes:
-        index: Index of its robot.
-        goal_ns: Time that it waits for [ns].
-        done: True if it has ended.
-        result: Return value of the script, once it has ended without an error.
-        error: Exception of the script, None without.
-    """
+    """A script, its thread, and the time that it waits for: the `TimeSource` of its robot's port."""
 
     def __init__(self, twin: Twin, index: int, script: Callable[[Khepera], Result]) -> None:
         self.index = index
@@ -82,11 +72,8 @@ class _Seat(Generic[Result]):
         view = Twin(twin.world, (twin.robots[index],), twin.options, self)
         self._robot = Khepera(Serial.of(view, timeout=TIMEOUT))
         self._turn, self._pause = threading.Semaphore(0), threading.Semaphore(0)
-        self._thread = threading.Thread(target=self._run, name=f"khepera{index}", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread, which waits for its turn."""
-        self._thread.start()
+        # The thread waits for its turn.
+        threading.Thread(target=self._run, name=f"khepera{index}", daemon=True).start()
 
     def resume(self) -> None:
         """Run the script until it waits again or ends."""

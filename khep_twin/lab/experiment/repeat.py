@@ -62,14 +62,7 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Divergence:
-    """First difference between a repeated run and the recorded one.
-
-    Attributes:
-        time_ns: Time of the difference [ns].
-        channel: Channel of the difference.
-        recorded: Recorded value.
-        repeated: Repeated value.
-    """
+    """First difference between a repeated run and the recorded one: its time, channel and both values."""
 
     time_ns: int
     channel: str
@@ -129,21 +122,16 @@ def _decoded(
 
 def elsewhere(recorded: Recorded) -> list[str]:
     """Return the differences between the versions of a log and those installed, a line each."""
-    here = versions()
     made = recorded.label.metadata
     return [
         f"made with {key} {shown(made.get(key, 'unknown'))}, here is {value}"
-        for key, value in here.items()
+        for key, value in versions().items()
         if made.get(key) != value
     ]
 
 
 def check(recorded: Recorded) -> None:
-    """Raise a `LogError` if a log has no states to compare a run with.
-
-    Raises:
-        LogError: The log has no states.
-    """
+    """Raise a `LogError` if a log has no states to compare a run with."""
     if not recorded.states:
         made = recorded.label.metadata.get("khep_twin", "an unknown version")
         reason = (
@@ -273,11 +261,7 @@ def _repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
 
 
 class _Watch:
-    """Observer that compares each sample with the recorded one and keeps the transcript.
-
-    Attributes:
-        difference: First difference between states.
-    """
+    """Observer that keeps the transcript and the first difference between a sample and the recorded one."""
 
     def __init__(self, world: World, recorded: Recorded) -> None:
         self.difference: Divergence | None = None

@@ -179,17 +179,10 @@ def _paired(recorded: Sequence[TextLine], came: Sequence[str]) -> tuple[list[tup
     """Return each recorded reply with its counterpart, empty for none, and the number of other replies."""
     pairs: list[tuple[TextLine, str]] = []
     place, more = 0, 0
+    texts = [line.text for line in recorded]
     for index, line in enumerate(recorded):
-        letter = line.text[:1]
-        ahead = next((k for k, text in enumerate(came[place : place + _WINDOW]) if text[:1] == letter), None)
-        behind = next(
-            (
-                k
-                for k, later in enumerate(recorded[index : index + _WINDOW])
-                if place < len(came) and later.text[:1] == came[place][:1]
-            ),
-            None,
-        )
+        ahead = _nearest(line.text, came[place : place + _WINDOW])
+        behind = _nearest(came[place], texts[index : index + _WINDOW]) if place < len(came) else None
         if ahead is None or (behind is not None and behind < ahead):
             pairs.append((line, ""))
             continue
@@ -197,6 +190,11 @@ def _paired(recorded: Sequence[TextLine], came: Sequence[str]) -> tuple[list[tup
         pairs.append((line, came[place + ahead]))
         place += ahead + 1
     return pairs, more + len(came) - place
+
+
+def _nearest(reply: str, others: Sequence[str]) -> int | None:
+    """Return the index of the first reply with the same letter, None without."""
+    return next((index for index, other in enumerate(others) if other[:1] == reply[:1]), None)
 
 
 def _difference(before: str, now: str) -> list[int]:

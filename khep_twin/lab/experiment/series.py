@@ -49,11 +49,7 @@ class Plan:
     pause: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ControllerError: A value is out of its range, or a run has no end.
-        """
+        """Raise a `ControllerError` if a value is out of its range, or a run has no end."""
         if self.runs < 1 or (self.cycles is not None and self.cycles < 1):
             raise ControllerError(f"{self.runs} runs of {self.cycles} cycles; expected numbers above 0")
         if self.cycles is None and self.seconds is None:
@@ -133,9 +129,7 @@ class Session:
 class OneRobot:
     """One robot for all runs; each starts where the robot stands.
 
-    Args:
-        robot: Robot on any port.
-        record: Called before the first run to start the log of a twin in this process.
+    `record` is called before the first run, to start the log of a twin in this process.
     """
 
     def __init__(self, robot: Khepera, record: Callable[[Twin], None] | None = None) -> None:
@@ -270,7 +264,8 @@ def _run(
     broken_off: Callable[[SeriesRun], None] | None,
 ) -> SeriesRun | None:
     """Return one run; None if it was aborted, with which `broken_off` is called."""
-    host_metrics, ground_truth = HostMetrics(), _truth_of(robot)
+    host_metrics, twin = HostMetrics(), twin_of(robot)
+    ground_truth = None if twin is None else GroundTruthMetrics(twin.world, twin.robot.index)
     began, done = robot.time, 0
 
     def end_cycle() -> None:
@@ -282,7 +277,7 @@ def _run(
         metrics = host_metrics.metrics() | ({} if ground_truth is None else ground_truth.metrics())
         return SeriesRun(number, start, outcome.cycles, outcome.duration, metrics, variables(controller))
 
-    _tell(robot, f"run {number} begins")
+    _log(twin, f"run {number} begins")
     robot.listen(host_metrics)
     try:
         try:
@@ -304,7 +299,7 @@ def _run(
         if broken_off is not None and stop is not None and stop():
             broken_off(result(experiment.Outcome(done, robot.time - began, complete=False)))
         raise
-    _tell(robot, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
+    _log(twin, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
     if outcome.complete:
         return result(outcome)
     if broken_off is not None:
@@ -320,15 +315,7 @@ def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> 
         left -= _LOOK
 
 
-def _truth_of(robot: Khepera) -> GroundTruthMetrics | None:
-    """Start recording the ground truth of a robot, if it is a twin in this process."""
-    twin = twin_of(robot)
-    return None if twin is None else GroundTruthMetrics(twin.world, twin.robot.index)
-
-
-def _tell(robot: Khepera, text: str) -> None:
-    """Write an event to the log of a twin in this process."""
-    twin = twin_of(robot)
+def _log(twin: Twin | None, text: str) -> None:
     if twin is not None:
         twin.world.log_event(twin.robot.index, text)
 

@@ -30,13 +30,7 @@ def shown(names: Sequence[str]) -> list[str]:
 
 
 def draw(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence[str]) -> Figure:
-    """Draw columns of one series or several, a panel each.
-
-    Args:
-        labels: Labels of the series.
-        series: Rows of each series.
-        names: Names of the columns.
-    """
+    """Draw columns of one series or several, a panel each."""
     across = min(len(names), 2 if len(names) < 5 else 3)
     down = math.ceil(len(names) / across)
     with matplotlib.style.context(STYLE):

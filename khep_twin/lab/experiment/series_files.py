@@ -13,10 +13,10 @@ The files depend on neither machine nor time: the same series gives the same byt
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
 
 import csv
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from io import BytesIO, StringIO
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +48,6 @@ class SeriesFolder:
         settings: Settings of the series by name, which must be the same to resume it.
         resume: If true, resume the series in the folder.
 
-    Attributes:
-        path: Path of the folder.
-        rows: Rows of the runs so far.
-
     Raises:
         ControllerError: It cannot be made, has a series already, or with `resume` another one.
         KhepTwinError: It cannot be written.
@@ -81,10 +77,7 @@ class SeriesFolder:
         self._write()
 
     def keep(self, run: SeriesRun) -> bool:
-        """Save a run; a repeated run must equal the saved one.
-
-        Returns:
-            True if the run is new.
+        """Save a run and return whether it is new; a repeated run must equal the saved one.
 
         Raises:
             ControllerError: A repeated run differs from the saved one.
@@ -179,9 +172,9 @@ def columns(rows: Sequence[Row]) -> list[str]:
 
 def _csv(rows: Sequence[Row], names: Sequence[str]) -> bytes:
     text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([row.get(name, "") for name in names] for row in rows)
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
     return text.getvalue().encode("utf-8")
 
 
@@ -223,17 +216,14 @@ def _identifier(name: str, taken: Mapping[str, object]) -> str:
     """Return a name as a Matlab identifier that is not taken."""
     plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name)
     plain = (plain if plain[:1].isalpha() else f"v{plain}")[:_NAME_LIMIT]
-    found, number = plain, 1
-    while found in taken:
-        number += 1
-        found = f"{plain[: _NAME_LIMIT - 8]}_{number}"
-    return found
+    numbered = (f"{plain[: _NAME_LIMIT - 8]}_{number}" for number in itertools.count(2))
+    return next(name for name in itertools.chain([plain], numbered) if name not in taken)
 
 
 def _where_they_differ(one: object, other: object) -> tuple[str, str]:
     """Return two settings shortened; of texts with several lines, the first line that differs."""
     if isinstance(one, str) and isinstance(other, str):
-        pairs = zip_longest(one.splitlines(), other.splitlines(), fillvalue="nothing")
+        pairs = itertools.zip_longest(one.splitlines(), other.splitlines(), fillvalue="nothing")
         one, other = next((pair for pair in pairs if pair[0] != pair[1]), (one, other))
     return _short(one), _short(other)
 

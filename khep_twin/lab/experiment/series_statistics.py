@@ -44,11 +44,9 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Difference between the means of two series.
+    """Difference between the means of two series, with half of its 95 % confidence interval.
 
-    Attributes:
-        mean: Difference of the means.
-        ci95: Half of its 95 % confidence interval, by Welch's t for unequal variances.
+    The interval is by Welch's t for unequal variances.
     """
 
     mean: float
@@ -75,15 +73,10 @@ def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
     if not error:
         return Difference(other.mean - one.mean, 0.0)
     # Welch and Satterthwaite's degrees of freedom.
-    freedom = (
-        sum(parts) ** 2
-        / sum(
-            part**2 / (each.count - 1) if each.count > 1 else math.nan
-            for part, each in zip(parts, (one, other), strict=True)
-        )
-        if not math.isnan(error)
-        else math.nan
-    )
+    freedom = math.nan
+    if not math.isnan(error):
+        pairs = zip(parts, (one, other), strict=True)
+        freedom = sum(parts) ** 2 / sum(part**2 / (each.count - 1) for part, each in pairs)
     return Difference(other.mean - one.mean, _ci95(error, freedom))
 
 
@@ -94,11 +87,7 @@ def values(rows: Sequence[Row], name: str) -> list[float]:
 
 
 def measured(series: Sequence[Sequence[Row]], wanted: Sequence[str] | None = None) -> list[str]:
-    """Return the names of the numeric columns.
-
-    Args:
-        series: Rows of one series or several.
-        wanted: Names of the only columns to return, in their order.
+    """Return the names of the numeric columns of one series or several, or those `wanted` in their order.
 
     Raises:
         ControllerError: There is no such column.

@@ -142,15 +142,9 @@ def _grid(wish: str, playpen: Playpen, robot: int) -> list[StartPose]:
             f"of up to {_GRID_LIMIT} places"
         )
     (left, right), (low, high) = extent(playpen)
-    places = [
-        StartPose(
-            left + (right - left) * (column + 0.5) / columns,
-            low + (high - low) * (row + 0.5) / rows,
-            float(parts[3] or 0),
-        )
-        for row in range(rows)
-        for column in range(columns)
-    ]
+    xs = [left + (right - left) * (column + 0.5) / columns for column in range(columns)]
+    ys = [low + (high - low) * (row + 0.5) / rows for row in range(rows)]
+    places = [StartPose(x, y, float(parts[3] or 0)) for y in ys for x in xs]
     free = [start for start in places if not no_room(playpen, robot, start.x_mm, start.y_mm)]
     if not free:
         raise PlaypenError(f"start {wish}: none of the {len(places)} places has room for the robot")

@@ -53,8 +53,7 @@ class Direction(Enum):
 
     def speeds(self, speed: int) -> Speeds:
         """Return the wheels' speeds [pulses/10 ms]; a wheel that turns does so with at least 1."""
-        left, right = (_away_from_zero(factor * speed) for factor in self.value)
-        return Speeds(left, right)
+        return Speeds(*(_away_from_zero(factor * speed) for factor in self.value))
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,18 +36,15 @@ class Wire:
 
 
 def wire(lines: Sequence[TextLine]) -> Wire:
-    """Return the statistics of a transcript; a reply belongs to the oldest open command of its letter.
-
-    Args:
-        lines: Lines of host and robot, in order of time.
-    """
+    """Return the statistics of a transcript; a reply belongs to the oldest open command of its letter."""
     commands: Counter[str] = Counter()
     open_commands: list[tuple[str, int]] = []
     took_ns: list[int] = []
     refused = unanswered = 0
     for line in lines:
         if line.name == "host":
-            name = _name(line.text)
+            # A command's letter or a tool's word.
+            name = line.text.strip().split(",")[0].split(" ")[0][:12] or "?"
             commands[name] += 1
             if name.isupper() or not name.isalpha():
                 open_commands.append((name[:1].lower(), line.time_ns))
@@ -66,12 +63,6 @@ def wire(lines: Sequence[TextLine]) -> Wire:
     mean_s = sum(took_ns) / len(took_ns) / 1e9 if took_ns else 0.0
     ordered = dict(sorted(commands.items(), key=lambda item: (-item[1], item[0])))
     return Wire(ordered, len(took_ns), refused, unanswered, mean_s, max(took_ns, default=0) / 1e9)
-
-
-def _name(text: str) -> str:
-    """Return a command's letter or a tool's word."""
-    head = text.strip().split(",")[0].split(" ")[0]
-    return head[:12] or "?"
 
 
 def _find(letters: list[str], text: str) -> int | None:

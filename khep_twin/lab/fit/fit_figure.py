@@ -27,10 +27,6 @@ _ROW, _MARGIN, _DRIVE = 1.75, 0.85, 2.6
 def draw_fit(tests: Measured, found: Calibration) -> Figure | None:
     """Draw sensor tests and drives with fixed duties as dots, and the fitted twin as lines.
 
-    Args:
-        tests: Fitted tests.
-        found: Fitted calibration.
-
     Returns:
         The figure; None if only measured drives were fitted.
     """

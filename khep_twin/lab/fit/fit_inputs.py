@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.infrared import MeasuredTable
+from khep_twin.lab.fit.infrared import Floats, MeasuredTable
 from khep_twin.lab.fit.lamp_fit import LampTable
 from khep_twin.lab.fit.motor_fit import DutyDrive, read_drive
 from khep_twin.lab.fit.wheel_fit import Drive, pulses
@@ -26,8 +25,6 @@ from khep_twin.lab.sensor_test.sensor_files import load
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
 from khep_twin.sensing.calibration import WheelCalibration
 from khep_twin.units import BODY_RADIUS, BULB_RADIUS, PULSES_PER_TURN, SENSOR_HEIGHT
-
-Floats = NDArray[np.float64]
 
 FILAMENT_MM = 15.0
 """Default height of a lamp's filament [mm]: as a playpen's lamps."""
@@ -143,18 +140,16 @@ def fit_inputs(words: list[str]) -> Measured:
         LogError: A log cannot be read.
         SensorTestError: A sensor test cannot be read.
     """
-    files: set[Path] = set()
-    tests: list[Drive | DutyDrive | SensorData] = []
+    tests: dict[Path, Drive | DutyDrive | SensorData] = {}
     for text in words:
         file = Path(text.rpartition("=")[0]).resolve()
-        if file in files:
+        if file in tests:
             raise FitError(f"{text}: this file is given twice; expected each test once")
-        files.add(file)
-        tests.append(_test(text))
-    sensors = [test for test in tests if isinstance(test, SensorData)]
+        tests[file] = _test(text)
+    sensors = [test for test in tests.values() if isinstance(test, SensorData)]
     return Measured(
-        tuple(test for test in tests if isinstance(test, Drive)),
-        tuple(test for test in tests if isinstance(test, DutyDrive)),
+        tuple(test for test in tests.values() if isinstance(test, Drive)),
+        tuple(test for test in tests.values() if isinstance(test, DutyDrive)),
         tuple(test for test in sensors if test.power is None),
         tuple(test for test in sensors if test.power is not None),
     )
@@ -171,8 +166,8 @@ def _test(text: str) -> Drive | DutyDrive | SensorData:
         return Drive(parts["file"], *pulses(path), distance=float(parts["distance"]) / 1e3)
     if parts["turns"]:
         return Drive(parts["file"], *pulses(path), turned=float(parts["turns"]) * 2 * math.pi)
-    run = load(path, "light" if parts["lamp"] else "proximity")
     what = "light" if parts["lamp"] else "proximity"
+    run = load(path, what)
     if run.test.what != what:
         raise FitError(f"{text}: a test of {run.test.what}; expected one of {what}")
     speed = run.test.speed
@@ -183,10 +178,10 @@ def _test(text: str) -> Drive | DutyDrive | SensorData:
             f"`khep-twin sense --speed 1`, and up to {FASTEST_TURN}"
         )
     if parts["lamp"]:
-        if not float(parts["power"]):
+        power, height = float(parts["power"]), float(parts["height"] or FILAMENT_MM) / 1e3
+        if not power:
             raise FitError(f"{text}: a lamp of 0 W; expected a power above 0")
-        height = float(parts["height"] or FILAMENT_MM) / 1e3
-        return SensorData(text, run, float(parts["lamp"]) / 1e3, power=float(parts["power"]), height=height)
+        return SensorData(text, run, float(parts["lamp"]) / 1e3, power=power, height=height)
     if parts["cylinder"]:
         if not float(parts["radius"]):
             raise FitError(f"{text}: a cylinder of radius 0; expected a radius above 0")

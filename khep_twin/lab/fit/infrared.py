@@ -52,8 +52,8 @@ class Bench:
 
     def wall(self, distances: Floats, bearings: Floats) -> RayHits:
         """Return the view of a wall at distances from the robot's edge [m] and bearings, ccw [rad]."""
-        towards, directions = self._towards(bearings), self._directions()
-        cosines = towards @ directions.T
+        towards = _directions(bearings)
+        cosines = towards @ self._rays().T
         away = self.radius + distances - towards @ np.array(self.position)
         met = cosines > 1e-9
         lengths = np.where(met, away[:, None] / np.where(met, cosines, 1), np.inf)
@@ -61,21 +61,20 @@ class Bench:
 
     def cylinder(self, distances: Floats, bearings: Floats, radius: float) -> RayHits:
         """Return the view of an upright cylinder of a radius [m], likewise."""
-        towards, directions = self._towards(bearings), self._directions()
-        centres = towards * (self.radius + distances + radius)[:, None] - np.array(self.position)
-        along = centres @ directions.T
+        away = (self.radius + distances + radius)[:, None]
+        centres = _directions(bearings) * away - np.array(self.position)
+        along = centres @ self._rays().T
         tangential = (centres**2).sum(axis=1)[:, None] - along**2
         met = (tangential < radius**2) & (along > 0)
         depth = np.sqrt(np.where(met, radius**2 - tangential, 0))
         return RayHits(np.where(met, along - depth, np.inf), depth / radius)
 
-    def _directions(self) -> Floats:
-        angles = self.heading - np.arctan(self.tangents)
-        return np.column_stack([np.cos(angles), np.sin(angles)])
+    def _rays(self) -> Floats:
+        return _directions(self.heading - np.arctan(self.tangents))
 
-    @staticmethod
-    def _towards(bearings: Floats) -> Floats:
-        return np.column_stack([np.cos(bearings), np.sin(bearings)])
+
+def _directions(angles: Floats) -> Floats:
+    return np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,22 +130,13 @@ def proximity(
     reflectance: float = 1.0,
     limit_counts: int = COUNTS_LIMIT,
 ) -> Floats:
-    """Return the counts of a sensor without noise, not rounded (n_places,).
-
-    Args:
-        view: Hits of its rays.
-        tangents: Tangents of its rays' angles.
-        optics: Optics of the sensor.
-        reflectance: Reflectance of the object.
-        limit_counts: Highest reading [counts].
-    """
+    """Return the counts of a sensor without noise, not rounded (n_places,)."""
     return np.clip(level(view, tangents, optics, reflectance), 0, limit_counts)
 
 
 def level(view: RayHits, tangents: Floats, optics: Optics, reflectance: float = 1.0) -> Floats:
     """Return `proximity` before it is clipped (n_places,) [counts]."""
     weights = np.array(lobe_weights(tangents, optics.lobe_exponent))
-    lit = weights * np.where(view.incidences > 0, view.incidences, 0) ** optics.incidence_exponent
-    lit = np.where(view.incidences > 0, lit, 0)
+    lit = np.where(view.incidences > 0, weights * view.incidences**optics.incidence_exponent, 0)
     light = (lit / (view.lengths * 1e3 + optics.offset_mm) ** 2).sum(axis=1)
     return optics.gain_counts_mm2 * reflectance * light - optics.threshold_counts

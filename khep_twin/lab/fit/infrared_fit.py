@@ -21,8 +21,9 @@ from scipy.special import ndtr
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.infrared import TANGENTS, Floats, MeasuredTable, Optics, level
 from khep_twin.lab.fit.least_squares import Parameter, least_squares
+from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import N_SENSORS, Sensor
+from khep_twin.units import N_SENSORS
 
 _LEAST_READINGS = 10
 """Least number of unclipped readings to fit a sensor."""
@@ -95,8 +96,8 @@ def deviation(levels: Floats, noise: float, limit: float) -> Floats:
 
 
 def _fit_sensor(tables: Sequence[MeasuredTable], sensor: int, start: Calibration) -> SensorFit:
-    name = Sensor(sensor).name.lower().replace("_", " ")
-    before, proximity = Optics.of(start.proximity, sensor), start.proximity
+    name, proximity = SENSORS[sensor], start.proximity
+    before = Optics.of(proximity, sensor)
     views = [table.view(sensor, float(np.radians(start.heading_deg[sensor]))) for table in tables]
     counts = np.concatenate([table.counts[:, sensor] for table in tables])
     noise, limit = proximity.noise_counts, proximity.limit_counts
@@ -111,7 +112,7 @@ def _fit_sensor(tables: Sequence[MeasuredTable], sensor: int, start: Calibration
         optics = replace(before, gain_counts_mm2=x[0], threshold_counts=x[1])
         return np.concatenate([level(view, TANGENTS, optics) for view in views])
 
-    weights = np.ones(len(counts))
+    weights: float | Floats = 1.0
 
     def left(x: Floats) -> Floats:
         return (expected(levels(x), noise, limit) - counts) * weights
@@ -126,7 +127,7 @@ def _fit_sensor(tables: Sequence[MeasuredTable], sensor: int, start: Calibration
     weights = 1 / np.hypot(deviation(levels(np.array(first.values)), noise, limit), _BLUR)
     found = least_squares(left, parameters, _WISH, "soft_l1", 3.0, unit_variance=True)
     (gain, threshold), (gain_interval, threshold_interval) = found.values, found.intervals
-    weights = np.ones(len(counts))
+    weights = 1.0
     rms = float(np.sqrt(np.mean(left(np.array(found.values)) ** 2)))
     optics = replace(before, gain_counts_mm2=gain, threshold_counts=threshold)
     return SensorFit(optics, gain_interval / gain, threshold_interval, rms)

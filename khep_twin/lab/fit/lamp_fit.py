@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.least_squares import CONFIDENCE, Parameter, least_squares
+from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, Parameter, least_squares
+from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import AmbientCalibration, Calibration
-from khep_twin.units import N_SENSORS, SCAN_NS, SENSOR_POSITIONS, Sensor
-
-Floats = NDArray[np.float64]
+from khep_twin.units import N_SENSORS, SCAN_NS, SENSOR_POSITIONS
 
 _LEAST_LIGHT = 40.0
 """Least depth of a reading below the dark level to fit a receiver [counts]."""
@@ -58,18 +56,10 @@ class LampFit:
 
 def ambient_counts(table: LampTable, channel: int, calibration: AmbientCalibration) -> Floats:
     """Return the readings of a receiver without noise and with a lamp in full sight, not rounded (n,)."""
-    ambient = calibration
-    return _counts(
-        table,
-        channel,
-        (
-            ambient.heading_deg[channel],
-            ambient.gain_counts_mm2_per_w[channel],
-            ambient.lobe_exponent[channel],
-        ),
-        (ambient.dark_counts, ambient.floor_counts, ambient.diffuse),
-        ambient.offset_mm,
-    )
+    columns = (calibration.heading_deg, calibration.gain_counts_mm2_per_w, calibration.lobe_exponent)
+    receiver = tuple(column[channel] for column in columns)
+    levels = calibration.dark_counts, calibration.floor_counts, calibration.diffuse
+    return _counts(table, channel, receiver, levels, calibration.offset_mm)
 
 
 def fit_lamps(tables: Sequence[LampTable], start: Calibration) -> LampFit:
@@ -80,10 +70,10 @@ def fit_lamps(tables: Sequence[LampTable], start: Calibration) -> LampFit:
     """
     before = start.ambient
     counts = np.concatenate([table.counts for table in tables])
-    for sensor in Sensor:
-        if np.ptp(counts[:, sensor]) < _LEAST_LIGHT:
+    for name, readings in zip(SENSORS, counts.T, strict=True):
+        if np.ptp(readings) < _LEAST_LIGHT:
             raise FitError(
-                f"{_name(sensor)}: the gain for lamps cannot be determined: its readings differ by less than "
+                f"{name}: the gain for lamps cannot be determined: its readings differ by less than "
                 f"{_LEAST_LIGHT:.0f} counts; expected a turn of 360 degrees in a lamp's light"
             )
     shared = [
@@ -97,8 +87,8 @@ def fit_lamps(tables: Sequence[LampTable], start: Calibration) -> LampFit:
             Parameter("level of the brightest light", before.floor_counts, 20, 20, " counts", 0, 1023)
         )
     own: list[Parameter] = []
-    for sensor in Sensor:
-        name, gain = _name(sensor), before.gain_counts_mm2_per_w[sensor]
+    for sensor, name in enumerate(SENSORS):
+        gain = before.gain_counts_mm2_per_w[sensor]
         own += [
             Parameter(f"{name}: heading to lamps", before.heading_deg[sensor], 10, 10, " deg"),
             Parameter(f"{name}: gain for lamps", gain, gain / 4, gain / 5, " counts mm2/W", 0.0),
@@ -116,7 +106,7 @@ def fit_lamps(tables: Sequence[LampTable], start: Calibration) -> LampFit:
                 _counts(table, sensor, tuple(each[sensor]), common, before.offset_mm)
                 - table.counts[:, sensor]
                 for table in tables
-                for sensor in Sensor
+                for sensor in range(N_SENSORS)
             ]
         )
 
@@ -161,7 +151,3 @@ def _counts(
     lobe = (1 - diffuse) * straight + diffuse * (1 + cosines) / 2
     light = gain * table.power * lobe / np.maximum(distances * 1e3 - offset_mm, 1) ** 2
     return np.maximum(dark - light, floor)
-
-
-def _name(sensor: Sensor) -> str:
-    return sensor.name.lower().replace("_", " ")

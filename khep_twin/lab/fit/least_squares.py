@@ -6,7 +6,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,24 +97,16 @@ def least_squares(
         ways = np.eye(len(x)) * step
         return np.column_stack([(scaled(x + way) - scaled(x - way)) / (2 * step) for way in ways])
 
-    found = optimize.least_squares(
-        scaled,
-        np.zeros(len(start)),
-        jac=slopes,  # pyright: ignore[reportArgumentType]
-        bounds=(low, high),
-        loss=loss,
-        f_scale=f_scale,
-    )
+    first, jac = np.zeros(len(start)), cast(Any, slopes)
+    found = optimize.least_squares(scaled, first, jac, (low, high), loss=loss, f_scale=f_scale)
     left = scaled(found.x)
     rms = float(np.sqrt(np.mean(left**2)))
     noise = max(rms, 1.0) if unit_variance else rms
     intervals = CONFIDENCE * noise * scales * np.sqrt(_variances(found.jac, parameters, wish))
     for parameter, interval in zip(parameters, intervals, strict=True):
         if not interval <= parameter.widest:
-            raise FitError(
-                f"{parameter.name}: can be determined to +-{interval:.3g}{parameter.unit} only; "
-                f"expected {wish}"
-            )
+            found_to = f"can be determined to +-{interval:.3g}{parameter.unit} only"
+            raise FitError(f"{parameter.name}: {found_to}; expected {wish}")
     return Estimate(tuple((start + found.x * scales).tolist()), tuple(intervals.tolist()), rms)
 
 

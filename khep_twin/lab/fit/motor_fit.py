@@ -19,14 +19,12 @@ from numpy.typing import NDArray
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
-from khep_twin.lab.fit.least_squares import Parameter, least_squares
+from khep_twin.lab.fit.least_squares import Floats, Parameter, least_squares
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import read
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
 from khep_twin.units import PULSES_PER_TURN, TICK_NS
 from khep_twin.world import World
-
-Floats = NDArray[np.float64]
 
 _WISH = "steps of duty (P) of up to 50 and of half a second and more, while polling E or H"
 _HIGHEST_DUTY = 50
@@ -121,21 +119,16 @@ def read_drive(log: Path) -> DutyDrive:
 
 
 def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
-    """Fit the motors to the drives.
-
-    Args:
-        drives: Recorded drives.
-        start: Calibration of the rest of the robot, and initial values.
+    """Fit the motors to the drives; `start` has the rest of the robot, and the initial values.
 
     Raises:
         FitError: The drives do not determine a parameter.
     """
     measured = np.concatenate([drive.speeds(drive.values) for drive in drives])
     begin = start.motors
-    torque_mnm = begin.stall_torque_n_m * 1e3
     parameters = [
         Parameter("no-load speed", begin.no_load_speed_rad_s, 30, 5, " rad/s", 20, 1000),
-        Parameter("stall torque", torque_mnm, 3, 2, " mN m", 0.5, 200),
+        Parameter("stall torque", begin.stall_torque_n_m * 1e3, 3, 2, " mN m", 0.5, 200),
     ]
 
     def left(x: Floats) -> Floats:
@@ -145,10 +138,8 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
         return (twin - measured).ravel()
 
     found = least_squares(left, parameters, _WISH, step=_STEP)
-    no_load, torque_mnm = found.values
-    motors = MotorCalibration(
-        no_load_speed_rad_s=round(no_load, 2), stall_torque_n_m=round(torque_mnm / 1e3, 6)
-    )
+    no_load, torque = round(found.values[0], 2), round(found.values[1] / 1e3, 6)
+    motors = MotorCalibration(no_load_speed_rad_s=no_load, stall_torque_n_m=torque)
     return MotorFit(motors, found.intervals[0], found.intervals[1] / 1e3)
 
 

@@ -5,10 +5,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.lab.fit.fit_inputs import Measured, SensorData
-from khep_twin.lab.fit.infrared import TANGENTS, Optics, level
+from khep_twin.lab.fit.infrared import TANGENTS, Floats, Optics, level
 from khep_twin.lab.fit.infrared_fit import deviation, expected, fit_infrared, fitted
 from khep_twin.lab.fit.lamp_fit import ambient_counts, fit_lamps
 from khep_twin.lab.fit.motor_fit import driven, fit_motors
@@ -17,28 +16,17 @@ from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import N_SENSORS
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True)
 class RobotFit:
-    """Fit of a robot.
-
-    Attributes:
-        calibration: Fitted calibration.
-        lines: Fitted values with 95 % confidence intervals, as text.
-    """
+    """Fitted calibration of a robot, and its values with 95 % confidence intervals as lines of text."""
 
     calibration: Calibration
     lines: tuple[str, ...]
 
 
 def fit_robot(tests: Measured, start: Calibration) -> RobotFit:
-    """Fit the parts of a robot that have tests.
-
-    Args:
-        tests: Measured tests.
-        start: Calibration of the other parts.
+    """Fit the parts of a robot that have tests; the others stay as in `start`.
 
     Raises:
         FitError: The tests do not determine a parameter.
@@ -126,14 +114,9 @@ def modelled(data: SensorData, found: Calibration) -> Floats:
 def _levels(data: SensorData, found: Calibration) -> Floats:
     """Return proximity without noise and clipping (n, 8)."""
     table, proximity = data.table(found.wheels), found.proximity
-    columns = [
-        level(
-            table.view(channel, float(np.radians(found.heading_deg[channel]))),
-            TANGENTS,
-            Optics.of(proximity, channel),
-        )
-        for channel in range(N_SENSORS)
-    ]
+    headings = np.radians(found.heading_deg).tolist()
+    views = [table.view(channel, heading) for channel, heading in enumerate(headings)]
+    columns = [level(view, TANGENTS, Optics.of(proximity, channel)) for channel, view in enumerate(views)]
     return np.column_stack(columns)
 
 

@@ -108,16 +108,14 @@ def fit_wheels(drives: Sequence[Drive]) -> WheelFit:
             f"a wheel radius of {radius * 1e3:.2f} mm and a base of {base * 1e3:.1f} mm are not a Khepera's; "
             "expected distances in mm and whole turns as counted, counter-clockwise positive"
         ) from None
-    found_intervals = CONFIDENCE * float(spread[0]), CONFIDENCE * float(spread[1])
-    for name, interval, value in zip(
-        ("wheel radius", "wheel base"), found_intervals, (radius, base), strict=True
-    ):
+    intervals = CONFIDENCE * float(spread[0]), CONFIDENCE * float(spread[1])
+    for name, interval, value in zip(("wheel radius", "wheel base"), intervals, (radius, base), strict=True):
         if interval > _WIDEST * value:
             raise FitError(
                 f"{name}: can be determined to +-{interval * 1e3:.2g} mm only, as the drives contradict "
                 "each other; expected distances in mm and turns as they were driven"
             )
-    return WheelFit(radius, base, *found_intervals)
+    return WheelFit(radius, base, *intervals)
 
 
 def pulses(log: Path) -> tuple[int, int]:

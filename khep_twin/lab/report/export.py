@@ -46,16 +46,12 @@ _SENSORS = tuple(name.replace(" ", "_") for name in SENSORS)
 _SENSED = {
     kind: tuple((f"{kind}_{name}", "counts") for name in _SENSORS) for kind in ("proximity", "ambient")
 }
+_LATER = (Board.PROXIMITY, Board.AMBIENT, Board.SUPPLY, Board.CURRENT)
 _REGISTERS = (
     *(f"{side}_{register.name.lower()}" for side in _SIDES for register in Wheel),
-    *(
-        register.name.lower()
-        for register in Board
-        if register not in (Board.PROXIMITY, Board.AMBIENT, Board.SUPPLY, Board.CURRENT)
-    ),
+    *(register.name.lower() for register in Board if register not in _LATER),
     *(f"{kind}_{name}" for kind in ("proximity", "ambient") for name in _SENSORS),
-    "supply",
-    "current",
+    *("supply", "current"),
 )
 _KNOWN: dict[str, tuple[tuple[str, str], ...]] = {
     "pose": (("x_m", "m"), ("y_m", "m"), ("heading_rad", "rad")),
@@ -264,11 +260,7 @@ def _rows(times_ns: NDArray[np.int64], channel: Channel) -> NDArray[np.int64]:
 
 
 def _part(log: Path, channel: Channel, piece: Recording) -> Channel:
-    """Return a channel with its series in a piece of the log.
-
-    Raises:
-        LogError: Its rows have another length there than at its begin.
-    """
+    """Return a channel with its series in a piece of the log, whose rows must be as long as at its begin."""
     series = piece.series.get(channel.topic, TimeSeries(np.zeros(0, np.int64), channel.series.values[:0]))
     if series.values.shape[1:] != channel.series.values.shape[1:]:
         raise LogError(
@@ -285,13 +277,7 @@ def _is_whole(channel: Channel) -> bool:
 
 
 class _Csv:
-    """CSV file that is written piece by piece.
-
-    Args:
-        file: File.
-        channels: Channels that make its columns.
-        fractional: Names of the channels that are not integers.
-    """
+    """CSV file that is written piece by piece; all but the `fractional` channels are integers."""
 
     def __init__(self, file: BinaryIO, channels: Sequence[Channel], fractional: Collection[str]) -> None:
         self._file, self._fractional = file, fractional

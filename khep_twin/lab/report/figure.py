@@ -7,7 +7,6 @@ from collections.abc import Iterable
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
@@ -30,18 +29,10 @@ _PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
 _SPEED, _SETPOINT, _CONTACT = "#2f7d5b", "#2b2f36", "#c2452d"
 _MARK_LIMIT = 300
 
-
 Values = NDArray[np.int64] | Floats
 
 WIDTH = 7.1
 """Width of the figures and of a page's text [inch]."""
-
-
-def sheet(width: float, height: float) -> Figure:
-    """Return an empty figure or page of a size [inch]."""
-    figure = Figure(figsize=(width, height), facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -82,17 +73,10 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] 
         axes = figure.add_subplot(cells[side, 0])
         if robot.speed is not None:
             times_s, values = robot.speed.times_ns / 1e9, robot.speed.values
-            axes.plot(
-                *_thinned(times_s, values[:, side]),
-                color=_SPEED,
-                lw=0.9,
-                label="speed",
-                drawstyle="steps-post",
-            )
+            look: Look = {"lw": 0.9, "drawstyle": "steps-post"}
+            axes.plot(*_thinned(times_s, values[:, side]), color=_SPEED, label="speed", **look)
             setpoint = _thinned(times_s, values[:, 2 + side])
-            axes.plot(
-                *setpoint, color=_SETPOINT, lw=0.9, ls=(0, (4, 2)), label="setpoint", drawstyle="steps-post"
-            )
+            axes.plot(*setpoint, color=_SETPOINT, ls=(0, (4, 2)), label="setpoint", **look)
         _mark_contact(axes, robot)
         axes.set_xlim(_times(robot))
         axes.set_ylabel(f"{name}\n[pulses/10 ms]", fontsize=8)

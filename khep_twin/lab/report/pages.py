@@ -16,16 +16,10 @@ from matplotlib.figure import Figure
 
 from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import STYLE
-from khep_twin.lab.report.figure import (
-    SENSOR_HEIGHT,
-    WHEEL_HEIGHT,
-    WIDTH,
-    draw_sensors,
-    draw_wheels,
-    sheet,
-)
+from khep_twin.lab.report.figure import SENSOR_HEIGHT, WHEEL_HEIGHT, WIDTH, draw_sensors, draw_wheels
 from khep_twin.lab.report.report import Report, RobotReport
 from khep_twin.lab.report.rows import DEFINITIONS, Row
+from khep_twin.lab.sensor_test.sensor_figure import sheet
 
 Draw = Callable[[Figure, RobotReport, tuple[float, float]], None]
 """Function that draws a robot's picture onto a figure; the corner is the lower left [inch]."""
@@ -75,10 +69,8 @@ def html(report: Report) -> bytes:
             parts.append(f'<p class="missing">{escape(robot.missing)}</p>')
         for draw, height, name in pictures(robot):
             parts.append(_image(_drawn(draw, height, robot), f"{name} of {robot.name} over time"))
-    parts += [
-        "<h2>Faults and events</h2>",
-        _table(listed(report.events)) if report.events else "<p>None.</p>",
-    ]
+    events = _table(listed(report.events)) if report.events else "<p>None.</p>"
+    parts += ["<h2>Faults and events</h2>", events]
     parts += ["<h2>Versions and settings</h2>", _table(report.settings, "small")]
     parts += ["<h2>What the numbers mean</h2>", _table(DEFINITIONS, "small")]
     return _PAGE.substitute(title=escape(report.title), body="\n".join(parts)).encode("utf-8")

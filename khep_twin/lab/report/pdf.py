@@ -16,10 +16,11 @@ from matplotlib.lines import Line2D
 from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import METADATA, STYLE
 from khep_twin.drawing.symbols import INK
-from khep_twin.lab.report.figure import WIDTH, sheet
+from khep_twin.lab.report.figure import WIDTH
 from khep_twin.lab.report.pages import DPI, draw_map, listed, pictures
 from khep_twin.lab.report.report import Report
 from khep_twin.lab.report.rows import DEFINITIONS, Row
+from khep_twin.lab.sensor_test.sensor_figure import sheet
 
 _PAGE = (210 / 25.4, 297 / 25.4)
 """A4 [inch]."""
@@ -65,11 +66,7 @@ def pdf(report: Report) -> bytes:
 
 
 class _Pages:
-    """Pages filled from top to bottom.
-
-    Attributes:
-        figures: Figures, one per page.
-    """
+    """Pages filled from top to bottom, a figure each."""
 
     def __init__(self) -> None:
         self.figures: list[Figure] = []

@@ -5,7 +5,6 @@ time. A real robot's log has no ground truth: the report shows what the host has
 is missing.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,14 +22,12 @@ from khep_twin.lab.report.rows import (
     wire_rows,
 )
 from khep_twin.log.attached import calibration_of, playpen_of
-from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import Recording, TimeSeries
 from khep_twin.playpen import Playpen
 from khep_twin.units import BODY_RADIUS
 
 USUAL_DARK_COUNTS = 500
 """Default dark level of a sensor, if the log has no calibration [counts]."""
-
 
 _UNSET = ("None", "()")
 
@@ -82,11 +79,7 @@ class Report:
 
 
 def report(recording: Recording, source: str) -> Report:
-    """Return the report on a log.
-
-    Args:
-        recording: Recording of the log.
-        source: Name of its file in messages.
+    """Return the report on a log, whose file is `source` in messages.
 
     Raises:
         LogError: An attachment of the log cannot be used.
@@ -100,6 +93,7 @@ def report(recording: Recording, source: str) -> Report:
         title = f"Run of the robot at {facts['relay']}" if "relay" in facts else "Run"
     names = recording.label.robots
     poses = {name: _series(recording, f"/{name}/pose", 3) for name in names}
+    events = recording.lines.get("/events", [])
     tracks = tuple(
         DrawnPath(name, pose.times_ns / 1e9, pose.values[:, :2].astype(np.float64) * 1000)
         for name, pose in poses.items()
@@ -110,7 +104,7 @@ def report(recording: Recording, source: str) -> Report:
         playpen,
         tracks,
         tuple(_robot(recording, source, playpen, index, name) for index, name in enumerate(names)),
-        tuple((f"{line.time_ns / 1e9:.2f} s, {line.name}", line.text) for line in _events(recording)),
+        tuple((f"{line.time_ns / 1e9:.2f} s, {line.name}", line.text) for line in events),
         tuple((key.replace("_", " "), value) for key, value in facts.items() if value not in _UNSET),
     )
 
@@ -124,6 +118,7 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
     lines = recording.lines.get(f"/{name}/serial", [])
     calibration = calibration_of(recording.label.attachments, name, source)
     dark = None if calibration is None else calibration.ambient.dark_counts
+    level = float(USUAL_DARK_COUNTS if dark is None else dark)
     rows: list[Row] = [("Duration", f"{_duration_s(recording):.2f} s")]
     contact = np.zeros((0, 2))
     if pose is not None:
@@ -137,10 +132,9 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
         if registers is not None and np.array_equal(registers.times_ns, pose.times_ns):
             rows += slip_rows(pose, registers)
     if proximity is not None:
-        found = statistics.near(proximity.times_ns / 1e9, proximity.values.astype(np.int64))
-        rows += near_rows(found)
+        rows += near_rows(statistics.near(proximity.times_ns / 1e9, proximity.values.astype(np.int64)))
     if ambient is not None:
-        rows += light_rows(ambient, USUAL_DARK_COUNTS if dark is None else dark)
+        rows += light_rows(ambient, level)
     rows += wire_rows(lines, _duration_s(recording))
     there = {"pose": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
     absent = [what for what, series in there.items() if series is None]
@@ -153,7 +147,6 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
         missing += " Of a real robot it has what the host asked for, at the time of the reply."
     if ambient is not None and dark is None:
         missing += f" No calibration either: the dark level is taken as {USUAL_DARK_COUNTS} counts."
-    level = float(USUAL_DARK_COUNTS if dark is None else dark)
     return RobotReport(name, tuple(rows), missing.strip(), proximity, ambient, speed, level, contact)
 
 
@@ -171,7 +164,3 @@ def _duration_s(recording: Recording) -> float:
     last_ns = [int(series.times_ns[-1]) for series in recording.series.values()]
     last_ns += [lines[-1].time_ns for lines in recording.lines.values() if lines]
     return max(last_ns, default=0) / 1e9
-
-
-def _events(recording: Recording) -> Sequence[TextLine]:
-    return recording.lines.get("/events", [])

@@ -81,10 +81,8 @@ def light_rows(ambient: TimeSeries, dark: float) -> Iterator[Row]:
     levels = np.full(8, float(dark))
     found = statistics.light(ambient.times_ns / 1e9, ambient.values.astype(np.int64), levels)
     yield "Light gained", f"{found.mean:.1f} counts in the mean of all sensors"
-    yield (
-        "Brightest moment",
-        f"{found.brightest:.0f} counts, sensor {SENSORS[found.sensor]}, at {found.time_s:.1f} s",
-    )
+    sensor = SENSORS[found.sensor]
+    yield "Brightest moment", f"{found.brightest:.0f} counts, sensor {sensor}, at {found.time_s:.1f} s"
 
 
 def wire_rows(lines: Sequence[TextLine], duration_s: float) -> Iterator[Row]:
@@ -98,8 +96,7 @@ def wire_rows(lines: Sequence[TextLine], duration_s: float) -> Iterator[Row]:
     words = ", ".join(f"{letter} {count}" for letter, count in letters[:12])
     yield "Commands", f"{found.count}{rate}: {words}{', …' if len(letters) > 12 else ''}"
     if found.replies:
-        times = f"{1000 * found.mean_s:.1f} ms in the mean, {1000 * found.longest_s:.1f} ms at most"
-        yield "Reply time", times
+        yield "Reply time", f"{1e3 * found.mean_s:.1f} ms in the mean, {1e3 * found.longest_s:.1f} ms at most"
     yield "Unanswered", f"{found.unanswered}; refused {found.refused}"
 
 

@@ -21,10 +21,12 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from khep_twin.drawing.map import STYLE
-from khep_twin.drawing.symbols import INK
+from khep_twin.drawing.symbols import INK, Look
 from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun
 from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+
+Floats = NDArray[np.float64]
 
 AMBIENT_LIMIT = 525
 """Upper limit of the axis of ambient light [counts]; in the dark a sensor reads about 500."""
@@ -54,7 +56,7 @@ def draw(
     check(runs, sensor=sensor, y_min=y_min)
     with matplotlib.style.context(STYLE):
         if sensor is not None:
-            figure = _sheet(6.4, 4.4)
+            figure = sheet(6.4, 4.4)
             axes = figure.add_axes((0.11, 0.12, 0.86, 0.79 if len(runs) == 1 else 0.73))
             _draw_sensor(axes, runs, SENSORS.index(sensor), y_min, grid)
             axes.set_xlabel(_UNITS[runs[0].test.motion])
@@ -63,20 +65,15 @@ def draw(
             axes.set_title(title, loc="left", fontsize=10, pad=6 if len(runs) == 1 else 25)
             if len(runs) > 1:
                 # Above the axes, where no data can be.
-                axes.legend(
-                    loc="lower left", bbox_to_anchor=(-0.015, 0.99), ncols=3, fontsize=8, frameon=False
-                )
+                above: Look = {"loc": "lower left", "bbox_to_anchor": (-0.015, 0.99)}
+                axes.legend(ncols=3, fontsize=8, frameon=False, **above)
         else:
             figure = _draw_all(runs, y_min, grid)
     return figure
 
 
 def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 0) -> None:
-    """Check arguments of `draw`.
-
-    Raises:
-        SensorTestError: See `draw`.
-    """
+    """Raise the errors of `draw`."""
     if sensor is not None and sensor not in SENSORS:
         found = f"sensor = {sensor}: no such sensor"
         raise SensorTestError(found, key="sensor", value=sensor, expected=SENSORS)
@@ -85,7 +82,7 @@ def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 
         raise SensorTestError(
             f"runs of {' and of '.join(kinds) or 'no kind'}; expected runs of one kind in a figure"
         )
-    if any(not len(run.dv) for run in runs):
+    if not all(len(run.dv) for run in runs):
         raise SensorTestError("a run without rows; expected runs with rows")
     if not 0 <= y_min < _limit(runs[0]):
         raise SensorTestError(f"y-min = {y_min}; expected 0 to {_limit(runs[0]) - 1} for {runs[0].test.what}")
@@ -93,16 +90,14 @@ def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 
         _common(runs)
 
 
-def places(run: SensorRun) -> NDArray[np.float64]:
+def places(run: SensorRun) -> Floats:
     """Return the rows' x values in the figure (n,): distance to the end [cm] or angle turned [degrees]."""
     if run.test.motion == "rotational":
         return run.travelled
     return abs(run.test.amount) - run.travelled * np.sign(run.test.amount)
 
 
-def mean_and_spread(
-    runs: Sequence[SensorRun],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def mean_and_spread(runs: Sequence[SensorRun]) -> tuple[Floats, Floats, Floats]:
     """Return mean and spread of several runs, over the range that all of them cover.
 
     Returns:
@@ -128,17 +123,17 @@ def _common(runs: Sequence[SensorRun]) -> tuple[float, float]:
     return low, high
 
 
-def _sheet(width: float, height: float) -> Figure:
+def sheet(width: float, height: float) -> Figure:
+    """Return an empty figure or page of a size [inch]."""
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
 def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
-    figure = _sheet(10.5, 7.6)
-    cells = figure.add_gridspec(
-        3, 4, left=0.07, right=0.985, bottom=0.075, top=0.955, hspace=0.42, wspace=0.26
-    )
+    figure = sheet(10.5, 7.6)
+    edges = {"left": 0.07, "right": 0.985, "bottom": 0.075, "top": 0.955}
+    cells = figure.add_gridspec(3, 4, hspace=0.42, wspace=0.26, **edges)
     for index, name in enumerate(SENSORS):
         row, column = _CELLS[index]
         axes = figure.add_subplot(cells[row, column])
@@ -151,8 +146,7 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
         if index == 0 and len(runs) > 1:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="lower right", frameon=False, bbox_to_anchor=(0.985, 0.06))
-    middle = figure.add_subplot(cells[1, 1:3])
-    _draw_robot(middle)
+    _draw_robot(figure.add_subplot(cells[1, 1:3]))
     about = figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
     about.set_parse_math(False)  # a dollar in the text is a dollar
     return figure
@@ -161,17 +155,10 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
 def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int, grid: bool) -> None:
     """Draw one sensor's counts over the path."""
     alone = len(runs) == 1
+    look: Look = {"lw": 1.1, "alpha": 1.0, "marker": "o"} if alone else {"lw": 0.7, "alpha": 0.45}
     for number, run in enumerate(runs):
-        axes.plot(
-            places(run),
-            run.dv[:, 2 + sensor],
-            color=_RUN,
-            lw=1.1 if alone else 0.7,
-            alpha=1.0 if alone else 0.45,
-            marker="o" if alone else "",
-            ms=2.6,
-            label=f"{len(runs)} runs" if number == 0 else None,
-        )
+        label = f"{len(runs)} runs" if number == 0 else None
+        axes.plot(places(run), run.dv[:, 2 + sensor], color=_RUN, ms=2.6, label=label, **look)
     if not alone:
         x, mean, spread = mean_and_spread(runs)
         low, high = mean[:, sensor] - spread[:, sensor], mean[:, sensor] + spread[:, sensor]
@@ -185,9 +172,8 @@ def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int,
     else:
         low, high = min(*amounts, 0.0), max(*amounts, 0.0)
         axes.set_xlim(low - 0.02 * (high - low), high + 0.02 * (high - low))
-        axes.xaxis.set_major_locator(
-            MultipleLocator(next(s for s in (15, 30, 90, 180) if high - low <= 4 * s))
-        )
+        step = next(step for step in (15, 30, 90, 180) if high - low <= 4 * step)
+        axes.xaxis.set_major_locator(MultipleLocator(step))
     # A margin keeps readings at the limits clear of the frame.
     margin = 0.02 * (_limit(runs[0]) - y_min)
     axes.set_ylim(y_min - margin, _limit(runs[0]) + margin)

@@ -63,9 +63,7 @@ def save(path: Path, run: SensorRun) -> None:
 def load(path: Path, what: What | None = None) -> SensorRun:
     """Read a run that `save` has written, or a MAT file of the Khepera Toolbox.
 
-    Args:
-        path: Path of the file.
-        what: Quantity of the readings in a MAT file that does not state it; by default proximity.
+    A MAT file that does not state the quantity of its readings has that of `what`, by default proximity.
 
     Raises:
         SensorTestError: There is no such file, or it holds no sensor test.
@@ -112,27 +110,20 @@ def facts(test: SensorTest) -> dict[str, str]:
 def _test(words: Mapping[str, str]) -> SensorTest:
     """Return a test from texts by key."""
 
-    def number(key: str) -> float | None:
-        return None if key not in words else _number(key, words[key], float)
-
     def whole(key: str) -> int:
         if key not in words:
             raise SensorTestError(f"{key}: missing; expected an integer")
         return _number(key, words[key], int)
 
     what = words.get("what")
-    if what is None:
-        raise SensorTestError("what: missing; expected proximity or light")
     if what != "proximity" and what != "light":
-        raise SensorTestError(f"what = {shown(what)}; expected proximity or light")
-    test = SensorTest(
-        what,
-        number("linear_cm"),
-        number("rotate_deg"),
-        whole("speed"),
-        whole("acceleration"),
-        bool(whole("return_to_zero")),
+        found = "what: missing" if what is None else f"what = {shown(what)}"
+        raise SensorTestError(f"{found}; expected proximity or light")
+    linear_cm, rotate_deg = (
+        _number(key, words[key], float) if key in words else None for key in ("linear_cm", "rotate_deg")
     )
+    speed, acceleration, back = map(whole, ("speed", "acceleration", "return_to_zero"))
+    test = SensorTest(what, linear_cm, rotate_deg, speed, acceleration, bool(back))
     if words.get("motion") != test.motion:
         raise SensorTestError(f"motion = {shown(words.get('motion', ''))}; expected {test.motion} here")
     return test
@@ -151,10 +142,8 @@ def _number(name: str, text: str, kind: type[Number]) -> Number:
 def _csv(run: SensorRun) -> str:
     head = [_TITLE, *(f"# {key}: {value}" for key, value in facts(run.test).items())]
     head += [f"# text: {line}" for line in run.text.split("\n")]
-    rows = (
-        ",".join([repr(time), *map(str, row)])
-        for time, row in zip(run.times.tolist(), run.dv.tolist(), strict=True)
-    )
+    data = zip(run.times.tolist(), run.dv.tolist(), strict=True)
+    rows = (",".join([repr(time), *map(str, row)]) for time, row in data)
     return "\n".join([*head, ",".join(["time_s", *_COLUMNS]), *rows, ""])
 
 
@@ -190,15 +179,13 @@ def _from_csv(data: bytes) -> SensorRun:
             raise SensorTestError(f"line {number}: {len(fields)} fields; expected {len(columns)}")
         times.append(_number(f"line {number}: time_s", fields[0], float))
         if not math.isfinite(times[-1]) and fields[0] != "nan":
-            raise SensorTestError(
-                f"line {number}: time_s = {fields[0][:40]}; expected a time, or nan in all rows"
-            )
+            wish = "expected a time, or nan in all rows"
+            raise SensorTestError(f"line {number}: time_s = {fields[0][:40]}; {wish}")
         counts = zip(_COLUMNS, fields[1:], strict=True)
         rows.append([_count(f"line {number}: {name}", field) for name, field in counts])
         if any(not 0 <= count <= COUNTS_LIMIT for count in rows[-1][2:]):
-            raise SensorTestError(
-                f"line {number}: a count out of range; expected 0 to {COUNTS_LIMIT}, as of N and O"
-            )
+            wish = f"expected 0 to {COUNTS_LIMIT}, as of N and O"
+            raise SensorTestError(f"line {number}: a count out of range; {wish}")
     if 0 < sum(map(math.isnan, times)) < len(times):
         raise SensorTestError("time_s: nan in some rows; expected a time in each, or nan in all")
     if not rows:
@@ -215,14 +202,8 @@ def _count(name: str, text: str) -> int:
 def _mat(run: SensorRun) -> bytes:
     words = facts(run.test)
     numbers = {key: float(value) for key, value in words.items() if key not in ("what", "motion")}
-    values: dict[str, object] = {
-        "dv": run.dv.astype(np.float64),
-        "dlgstr": run.text,
-        "times": run.times.reshape(-1, 1),
-        "what": words["what"],
-        "motion": words["motion"],
-        **numbers,
-    }
+    data = {"dv": run.dv.astype(np.float64), "dlgstr": run.text, "times": run.times.reshape(-1, 1)}
+    values: dict[str, object] = {**data, "what": words["what"], "motion": words["motion"], **numbers}
     return mat_bytes(values, "sensor test", packed=False)
 
 

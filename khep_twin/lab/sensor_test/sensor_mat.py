@@ -22,11 +22,7 @@ from khep_twin.lab.sensor_test.sensor_test import (
 
 
 def read_mat(data: bytes, what: What | None) -> SensorRun:
-    """Read a run from the bytes of a MAT file, Matlab 4 to 7.2.
-
-    Args:
-        data: Bytes of the file.
-        what: Quantity of the readings in a file that does not state it; by default proximity.
+    """Read a run from the bytes of a MAT file, Matlab 4 to 7.2; `what` is as for `sensor_files.load`.
 
     Raises:
         SensorTestError: The bytes hold no sensor test.
@@ -59,12 +55,10 @@ def _test(values: Mapping[str, Variable], dv: NDArray[np.int64], what: What | No
     told = _text(values, "what") or what or "proximity"
     if told != "proximity" and told != "light":
         raise SensorTestError(f"what = {told[:40]!r}; expected proximity or light")
-    motions = [name for name in ("linear_cm", "rotate_deg") if name in values]
-    if not motions:
+    motions = ("linear_cm", "rotate_deg")
+    if not values.keys() & {*motions}:
         return _guessed(told, dv)
-    linear_cm, rotate_deg = (
-        _number(values, name) if name in motions else None for name in ("linear_cm", "rotate_deg")
-    )
+    linear_cm, rotate_deg = (_number(values, name) if name in values else None for name in motions)
     speed, acceleration, return_to_zero = (
         _whole(values, name) for name in ("speed", "acceleration", "return_to_zero")
     )

@@ -72,11 +72,7 @@ class SensorTest:
     return_to_zero: bool = False
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            SensorTestError: A value is out of its range, or there is not one motion.
-        """
+        """Raise a `SensorTestError` if a value is out of its range, or there is not one motion."""
         if self.what not in ("proximity", "light"):
             found = f"what = {self.what}"
             raise SensorTestError(found, key="what", value=self.what, expected="proximity or light")
@@ -138,12 +134,7 @@ class SensorRun:
     text: str = ""
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ValueError: The shapes are not (n, 10) and (n,).
-            SensorTestError: The text has characters that not every file can hold.
-        """
+        """Check the shapes; raise a `SensorTestError` for a text that not every file can hold."""
         if self.dv.shape != (len(self.times), 10) or self.times.ndim != 1:
             raise ValueError(f"shapes {self.dv.shape} and {self.times.shape} are not (n, 10) and (n,)")
         if wrong := next((each for each in self.text if not each.isprintable() and each not in "\n\t"), ""):
@@ -178,11 +169,7 @@ class SensorRun:
 
 
 class BrokenOffError(SensorTestError):
-    """Error that ended a test early.
-
-    Attributes:
-        run: Data until then.
-    """
+    """Error that ended a test early; `run` has the data until then."""
 
     def __init__(self, message: str, run: SensorRun) -> None:
         super().__init__(message)
@@ -190,11 +177,7 @@ class BrokenOffError(SensorTestError):
 
 
 class InterruptedTest(KeyboardInterrupt):
-    """Ctrl-C during a test.
-
-    Attributes:
-        run: Data until then.
-    """
+    """Ctrl-C during a test; `run` has the data until then."""
 
     def __init__(self, run: SensorRun) -> None:
         super().__init__(f"the test was interrupted after {len(run.dv)} rows")
@@ -288,11 +271,7 @@ def _drive(
     look: Callable[[tuple[int, int]], None] | None,
     stop: Callable[[], bool],
 ) -> bool:
-    """Send the wheels to a target and read the sensors until they are there; return whether they are.
-
-    Raises:
-        SensorTestError: A wheel is blocked.
-    """
+    """Send the wheels to a target and read the sensors until they are there; return whether they are."""
     robot.set_target(*target)
     nearest, since = [math.inf, math.inf], [robot.time] * 2
     while not stop():
