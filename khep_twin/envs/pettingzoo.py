@@ -96,13 +96,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
 
     def step(
         self, actions: Mapping[str, NDArray[np.float32]]
-    ) -> tuple[
-        dict[str, Observation],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, Info],
-    ]:
+    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
         """Advance by a control period at these speeds [pulses/10 ms] (2,) of each agent.
 
         Raises:
