@@ -324,12 +324,8 @@ def decide(function, registers, memory, genes, speeds):
     )
 
 
-_ADDRESS, _BYTE_POINTER, _INT, _DOUBLE = (
-    types.intp,
-    ir.IntType(8).as_pointer(),
-    ir.IntType(32),
-    ir.DoubleType(),
-)
+_ADDRESS, _BYTE_POINTER = types.intp, ir.IntType(8).as_pointer()
+_INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
 
 
 def _foreign(builder, arguments, kinds, result):
