@@ -211,12 +211,7 @@ class Firmware:
             return PROTOCOL_ERROR
         # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to 3, 4 and 5.
         last = (self.register_view[Board.SCAN] - 1) % N_SENSORS
-        sources = {
-            0: Board.SUPPLY,
-            1: Board.PROXIMITY + last,
-            2: Board.AMBIENT + last,
-            6: Board.CURRENT,
-        }
+        sources = {0: Board.SUPPLY, 1: Board.PROXIMITY + last, 2: Board.AMBIENT + last, 6: Board.CURRENT}
         return reply("I", self.register_view[sources[channel]] if channel in sources else 0)
 
     def _j_configure_profile(

@@ -80,9 +80,7 @@ def as_it_stands(world: World) -> Playpen:
 
     playpen = world.playpen
     robots = tuple(
-        entry.model_copy(
-            update={"x_mm": x * 1e3, "y_mm": y * 1e3, "heading_deg": math.degrees(heading)},
-        )
+        entry.model_copy(update={"x_mm": x * 1e3, "y_mm": y * 1e3, "heading_deg": math.degrees(heading)})
         for entry, (x, y, heading) in zip(playpen.robots, (robot.pose for robot in world.robots), strict=True)
     )
     objects = {f"{kind}s": moved(items, kind) for kind, items in playpen.objects.items()}

@@ -108,8 +108,9 @@ class Robot:
         self._qpos: NDArray[np.float64] = data.qpos
         self._qvel: NDArray[np.float64] = data.qvel
         self._ctrl: NDArray[np.float64] = data.ctrl
-        lights = zip(self.indices.led_lights, self.indices.leds, strict=True)
-        self._lights = [_Light(model, light, led) for light, led in lights]
+        positions = [model.body_pos[light] for light in self.indices.led_lights]
+        hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
+        self._lights = list(zip(positions, hidden, model.site_pos[list(self.indices.leds)], strict=True))
         rng = partial(stream, seed, "robot", index)
         self._line_noise = rng("line") if strict_line else None
         self._faults = None
@@ -276,8 +277,8 @@ class Robot:
 
     def show_leds(self) -> None:
         """Move the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
-        for led, light in zip(_LEDS, self._lights, strict=True):
-            light.show(bool(self._register_view[led]))
+        for led, (position, hidden, shown) in zip(_LEDS, self._lights, strict=True):
+            position[:] = shown if self._register_view[led] else hidden
 
     def reset_motion(self) -> None:
         """Reset counters, setpoints, controllers and LEDs, and cut the motors' voltage."""
@@ -304,10 +305,6 @@ class Robot:
         answer = self._over_the_line(answer, time_ns)
         self._context.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
 
-    @property
-    def _mismatched(self) -> bool:
-        return self._host is not None and self._host.baud != self._baud
-
     def _take_speed(self, baud: int) -> None:
         """Set the robot's end of the line to a speed of the firmware."""
         self._baud = baud
@@ -316,7 +313,8 @@ class Robot:
 
     def _over_the_line(self, data: bytes, time_ns: int) -> bytes:
         """Return the bytes as they arrive at the other end of the cable."""
-        if self._mismatched and self._line_noise is not None:
+        mismatched = self._host is not None and self._host.baud != self._baud
+        if mismatched and self._line_noise is not None:
             errors = self._line_noise.integers(1, 256, len(data)).tolist()
             data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
         return data if self._faults is None else self._faults.over_the_line(data, time_ns)
@@ -333,22 +331,6 @@ class Robot:
             if banner := self.firmware.reset():
                 self._take_speed(self.firmware.reply_baud)
                 self._reply(banner, time_ns)
-
-
-class _Light:
-    """Light of one LED in the scene: a body without mass."""
-
-    def __init__(self, model: mujoco.MjModel, light: int, led: int) -> None:
-        self._position: NDArray[np.float64] = model.body_pos[light]
-        self._hidden = self._position.copy()
-        self._place: NDArray[np.float64] = model.site_pos[led]
-        self._lit = False
-
-    def show(self, lit: bool) -> None:
-        """Move it to its LED or hide it."""
-        if lit != self._lit:
-            self._position[:] = self._place if lit else self._hidden
-            self._lit = lit
 
 
 _PROXIMITY, _AMBIENT = int(Board.PROXIMITY), int(Board.AMBIENT)

@@ -80,7 +80,9 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
         tangents = _tangents(model, camera, (rays.stop - rays.start) // LENGTH_AND_NORMAL)
         tangential.append(tangents.tolist())
         weights.append(lobe_weights(tangents, numbers.lobe_exponent[channel]))
-    seen = model.geom_user[_visible_geoms(model, robot.base), 0]
+    # Rays hit what is visible, except the floor and the robot's own body; its turrets are included.
+    upright = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+    seen = model.geom_user[(model.geom_rgba[:, 3] > 0) & upright & (model.geom_bodyid != robot.base), 0]
     brightest, n_rays = float(seen.max(initial=0.0)), len(tangential[0])
     return Proximity(
         gain=[gain * 1e-6 for gain in numbers.gain_counts_mm2],
@@ -125,13 +127,3 @@ def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]
         yield 0.0
     while True:
         yield from draw(256).tolist()
-
-
-def _visible_geoms(model: mujoco.MjModel, base: int) -> NDArray[np.bool_]:
-    """Return the mask of the geoms that a robot's rays may hit (n_geoms,).
-
-    They are the visible ones, except the floor and the robot's own body; its turrets are included.
-    """
-    shown = model.geom_rgba[:, 3] > 0
-    upright = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
-    return shown & upright & (model.geom_bodyid != base)

@@ -159,16 +159,7 @@ BODIES = {
 figure 7, scaled to that diameter, their height after Webots; supports and height like the Khepera's
 (assumed)."""
 
-SENSOR_HEADINGS = (
-    math.radians(88),
-    math.radians(45),
-    math.radians(8),
-    math.radians(-8),
-    math.radians(-45),
-    math.radians(-88),
-    math.radians(180),
-    math.radians(180),
-)
+SENSOR_HEADINGS = tuple(math.radians(heading_deg) for heading_deg in (88, 45, 8, -8, -45, -88, 180, 180))
 """Heading of each sensor, counter-clockwise from straight ahead [rad] (a lamp far away, measured on one
 robot and made symmetric)."""
 

@@ -88,7 +88,7 @@ class World:
         faults: Sequence[Fault] = (),
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
-        mujoco.set_mju_user_warning(_keep_quiet)
+        mujoco.set_mju_user_warning(keep_quiet)
         self.playpen = playpen = at_spots(playpen, seed)
         self.observers: list[Observer] = []
         self._untold: list[tuple[int | None, str]] = []
@@ -263,5 +263,5 @@ class World:
         return self._failure
 
 
-def _keep_quiet(warning: str) -> None:
+def keep_quiet(warning: str) -> None:
     """Ignore a warning, which the check of MuJoCo's counters finds."""

@@ -75,10 +75,7 @@ class Injector:
     """
 
     def __init__(
-        self,
-        faults: Iterable[Fault],
-        rng: Callable[[str], np.random.Generator],
-        tell: Callable[[str], None],
+        self, faults: Iterable[Fault], rng: Callable[[str], np.random.Generator], tell: Callable[[str], None]
     ) -> None:
         self._faults = tuple(faults)
         self._rng = {fault.text: rng(fault.text) for fault in self._faults}

@@ -110,17 +110,10 @@ _PROTOCOL = "Serial Communication Protocol"
 ROMS: Mapping[str, Rom] = {
     # Banner and versions as in K-Team's FAQ; its line breaks are a guess.
     "5.02": Rom(
-        bios="5.02",
-        protocol="5.01",
-        banner=(_AUTHOR, "K-Team S.A.", "October 22, 1998 Rev. 5.01", _PROTOCOL),
+        bios="5.02", protocol="5.01", banner=(_AUTHOR, "K-Team S.A.", "October 22, 1998 Rev. 5.01", _PROTOCOL)
     ),
     # The mode codes are those of the toolbox's reference to the manual 4.06; the rest is assumed.
-    "4.06": Rom(
-        bios="4.06",
-        protocol="4.06",
-        banner=(_AUTHOR, "Rev. 4.06", _PROTOCOL),
-        mode_codes=(1, 0, 2),
-    ),
+    "4.06": Rom(bios="4.06", protocol="4.06", banner=(_AUTHOR, "Rev. 4.06", _PROTOCOL), mode_codes=(1, 0, 2)),
     # Modes and memory: manual II. No source gives its version numbers or its banner: assumed.
     "khepera2": Rom(
         bios="6.01",

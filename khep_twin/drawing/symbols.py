@@ -137,12 +137,7 @@ def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> Patch:
     else:
         corner = (shape.x_mm - shape.length_mm / 2, shape.y_mm - shape.width_mm / 2)
         patch = Rectangle(
-            corner,
-            shape.length_mm,
-            shape.width_mm,
-            angle=shape.angle_deg,
-            rotation_point="center",
-            **look,
+            corner, shape.length_mm, shape.width_mm, angle=shape.angle_deg, rotation_point="center", **look
         )
     axes.add_patch(patch)
     return patch

@@ -44,56 +44,46 @@ class Physics(mujoco.Physics):
 
     Args:
         episode: Episode to simulate.
+
+    Attributes:
+        episode: Simulated episode.
+        outcome: Result of the last period; None at an episode's start.
+        observation: Observation, all terms concatenated (n,).
     """
 
     def __init__(self, episode: TaskEpisode) -> None:
-        self._episode = episode
-        self._outcome: StepResult | None = None
+        self.episode = episode
+        self.outcome: StepResult | None = None
+        self.observation = episode.begin(0)[0]
         self._speeds = (0.0, 0.0)
-        self._observation = episode.begin(0)[0]
         super().__init__(wrapper.MjData(episode.data))
 
     def proximity(self) -> NDArray[np.int64]:
         """Return the counts of command N (8,)."""
-        return self._episode.registers[0][PROXIMITY]
+        return self.episode.registers[0][PROXIMITY]
 
     def ambient(self) -> NDArray[np.int64]:
         """Return the counts of command O (8,), low in the light."""
-        return self._episode.registers[0][AMBIENT]
+        return self.episode.registers[0][AMBIENT]
 
     def setpoints(self) -> NDArray[np.int64]:
         """Return the speed setpoints of the wheels (2,) [pulses/10 ms]."""
-        return self._episode.registers[0][SETPOINTS]
+        return self.episode.registers[0][SETPOINTS]
 
     def pose(self) -> NDArray[np.float64]:
         """Return the true x, y [m] and heading [rad] (3,)."""
-        return np.array(self._episode.poses[0])
+        return np.array(self.episode.poses[0])
 
     def time(self) -> float:
         """Return the episode's simulated time [s]."""
-        return self._episode.time_s
-
-    @property
-    def episode(self) -> TaskEpisode:
-        """Episode that is simulated."""
-        return self._episode
-
-    @property
-    def outcome(self) -> StepResult | None:
-        """Result of the last period; None at an episode's start."""
-        return self._outcome
-
-    @property
-    def observation(self) -> NDArray[np.float32]:
-        """Observation, all terms concatenated (n,)."""
-        return self._observation
+        return self.episode.time_s
 
     def begin(self, seed: int) -> None:
         """Start an episode."""
-        self._observation, self._outcome = self._episode.begin(seed)[0], None
-        if self._episode.data is not self._scene:
+        self.observation, self.outcome = self.episode.begin(seed)[0], None
+        if self.episode.data is not self._scene:
             # Each episode of a world creates a new one, so the view is reloaded.
-            self._reload_from_data(wrapper.MjData(self._episode.data))
+            self._reload_from_data(wrapper.MjData(self.episode.data))
 
     def set_control(self, control: object) -> None:
         """Set the speeds of the next period (2,) [pulses/10 ms], not voltages."""
@@ -102,12 +92,12 @@ class Physics(mujoco.Physics):
     def step(self, nstep: int = 1) -> None:
         """Advance by control periods."""
         for _ in range(nstep):
-            (self._outcome,) = self._episode.step([self._speeds])
-            self._observation = self._outcome.observation
+            (self.outcome,) = self.episode.step([self._speeds])
+            self.observation = self.outcome.observation
 
     def timestep(self) -> float:
         """Return the control period [s]."""
-        return self._episode.setup.period_ns / 1e9
+        return self.episode.setup.period_ns / 1e9
 
     def reset(self, keyframe_id: int | None = None) -> None:
         """Do nothing: an episode starts by `begin`, with its seed."""
@@ -159,13 +149,10 @@ class TrialTask(control.Task):
 
     def get_observation(self, physics: Physics) -> "OrderedDict[str, NDArray[np.float32]]":
         """Return each observation term by name."""
-        found: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
-        first = 0
-        for name in self._task.observation_terms:
-            count = len(TERMS[name].names)
-            found[name] = physics.observation[first : first + count].copy()
-            first += count
-        return found
+        names = self._task.observation_terms
+        ends = np.cumsum([len(TERMS[name].names) for name in names])
+        parts = np.split(physics.observation.copy(), ends[:-1])
+        return OrderedDict(zip(names, parts, strict=True))
 
     def observation_spec(self, physics: Physics) -> "OrderedDict[str, specs.BoundedArray]":
         """Return the bounds of each observation term."""

@@ -45,6 +45,12 @@ RENDER_MODES = ("rgb_array",)
 Result = TypeVar("Result")
 
 
+def ground_truth(episode: TaskEpisode, robot: int, seed: int) -> Info:
+    """Return what a robot's trial has in `info`."""
+    x, y, heading = episode.poses[robot]
+    return {"x": x, "y": y, "heading": heading, "time": episode.time_s, "seed": seed}
+
+
 def spaces(task: Task) -> tuple[Space[Any], Space[Any]]:
     """Return a task's observation space and action space [pulses/10 ms]."""
     low, high = task.bounds
@@ -97,12 +103,13 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
         self._seed = int((options or {}).get("seed", drawn))
-        return self._episode.begin(self._seed)[0], self._info()
+        return self._episode.begin(self._seed)[0], ground_truth(self._episode, 0, self._seed)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Advance by a control period at these speeds of left and right wheel [pulses/10 ms] (2,)."""
         (outcome,) = self._episode.step([clipped(action)])
-        return outcome.observation, outcome.reward, outcome.ended, self._episode.over, self._info()
+        info = ground_truth(self._episode, 0, self._seed)
+        return outcome.observation, outcome.reward, outcome.ended, self._episode.over, info
 
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return a picture of the present state; None without a render mode."""
@@ -113,10 +120,6 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
     def close(self) -> None:
         """Release the resources of rendering."""
         self._painter.close()
-
-    def _info(self) -> Info:
-        x, y, heading = self._episode.poses[0]
-        return {"x": x, "y": y, "heading": heading, "time": self._episode.time_s, "seed": self._seed}
 
 
 class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]):

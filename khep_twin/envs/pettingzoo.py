@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.envs.gymnasium import RENDER_MODES, Info, spaces
+from khep_twin.envs.gymnasium import RENDER_MODES, Info, ground_truth, spaces
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.task_episode import TaskEpisode, TaskSetup, clipped
 from khep_twin.envs.tasks import Observation, Task
@@ -96,13 +96,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
 
     def step(
         self, actions: Mapping[str, NDArray[np.float32]]
-    ) -> tuple[
-        dict[str, Observation],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, Info],
-    ]:
+    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
         """Advance by a control period at these speeds [pulses/10 ms] (2,) of each agent.
 
         Raises:
@@ -142,14 +136,9 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
 
     def _infos(self) -> dict[str, Info]:
         """Return the ground truth of each present agent."""
-        poses = dict(zip(self.possible_agents, self._episode.poses, strict=True))
+        robots = enumerate(self.possible_agents)
         return {
-            agent: {
-                "x": poses[agent][0],
-                "y": poses[agent][1],
-                "heading": poses[agent][2],
-                "time": self._episode.time_s,
-                "seed": self._seed,
-            }
-            for agent in self.agents
+            agent: ground_truth(self._episode, robot, self._seed)
+            for robot, agent in robots
+            if agent in self.agents
         }

@@ -42,6 +42,9 @@ class Renderer:
         view: "scene" rendered by MuJoCo, "map", or "auto" for a scene if possible, else a map with a
             warning.
 
+    Attributes:
+        view: View of the pictures; "auto" before the first.
+
     Raises:
         KhepTwinError: The view is unknown.
     """
@@ -50,14 +53,9 @@ class Renderer:
         if view not in VIEWS:
             raise KhepTwinError(f"view {view!r}: unknown; {choices(view, VIEWS)}")
         self._playpen = playpen
-        self._view: View = view
+        self.view: View = view
         self._renderer: mujoco.Renderer | None = None
         self._own: mujoco.MjData | None = None
-
-    @property
-    def view(self) -> View:
-        """View of the pictures; "auto" before the first."""
-        return self._view
 
     def picture(self, data: mujoco.MjData, poses: Sequence[Pose]) -> Picture:
         """Return a picture of a state, which is not changed.
@@ -69,20 +67,20 @@ class Renderer:
         Raises:
             KhepTwinError: The view is "scene", and MuJoCo cannot render here.
         """
-        if self._view != "map":
+        if self.view != "map":
             try:
                 picture = self._scene(data)
             except Exception as error:  # each GL backend raises its own errors
-                if self._view == "scene":
+                if self.view == "scene":
                     raise KhepTwinError(f"MuJoCo cannot render here ({_told(error)}); {_REMEDY}") from error
                 warnings.warn(
                     f"pictures are maps, as MuJoCo cannot render here ({_told(error)}); {_REMEDY}",
                     MapWarning,
                     stacklevel=2,
                 )
-                self._view = "map"
+                self.view = "map"
             else:
-                self._view = "scene"
+                self.view = "scene"
                 return picture
         return self._map(poses)
 

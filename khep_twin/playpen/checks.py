@@ -130,11 +130,8 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
     lowest_mm = LOWEST_WALL_WITH_TURRET_MM if turrets else LOWEST_WALL_MM
     if playpen.robots and height_mm < lowest_mm:
         what = "a robot with a turret topples over it" if turrets else "a robot drives over it"
-        yield Problem.of(
-            ("arena", "wall_height_mm"),
-            f"arena: wall_height_mm = {height_mm:g}: {what} at full speed",
-            f"at least {lowest_mm:g}",
-        )
+        found = f"arena: wall_height_mm = {height_mm:g}: {what} at full speed"
+        yield Problem.of(("arena", "wall_height_mm"), found, f"at least {lowest_mm:g}")
     thickness_mm = playpen.arena.wall_thickness_mm
     movable = [
         (kind, index, item)
@@ -143,20 +140,12 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
         if item.movable and playpen.robots
     ]
     if movable and thickness_mm < THINNEST_WALL_MM:
-        what = "a robot presses movable things through it"
-        yield Problem.of(
-            ("arena", "wall_thickness_mm"),
-            f"arena: wall_thickness_mm = {thickness_mm:g}: {what}",
-            f"at least {THINNEST_WALL_MM:g}",
-        )
+        found = f"arena: wall_thickness_mm = {thickness_mm:g}: a robot presses movable things through it"
+        yield Problem.of(("arena", "wall_thickness_mm"), found, f"at least {THINNEST_WALL_MM:g}")
     for kind, index, item in movable:
         if item.mass_g < LIGHTEST_G:
-            what = "a robot presses it through walls"
-            yield Problem.of(
-                (kind, index, "mass_g"),
-                f"{kind} {index + 1}: mass_g = {item.mass_g:g}: {what}",
-                f"at least {LIGHTEST_G:g}",
-            )
+            found = f"{kind} {index + 1}: mass_g = {item.mass_g:g}: a robot presses it through walls"
+            yield Problem.of((kind, index, "mass_g"), found, f"at least {LIGHTEST_G:g}")
 
 
 def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
@@ -185,9 +174,8 @@ def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
                     yield Problem.of(location, found, f"0 to {limit:g}", value)
         for number, (start, end) in enumerate(edges(wall.points_mm, closed=wall.closed), 1):
             if start == end:
-                yield Problem.of(
-                    location, f"{place}: points_mm {number}: same as the next point", "each point once"
-                )
+                found = f"{place}: points_mm {number}: same as the next point"
+                yield Problem.of(location, found, "each point once")
 
 
 def _patch_problems(playpen: "Playpen") -> Iterator[Problem]:
@@ -200,11 +188,9 @@ def _patch_problems(playpen: "Playpen") -> Iterator[Problem]:
 def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
     lighting = playpen.lighting
     if not lighting.min_angle_deg < lighting.max_angle_deg:
-        yield Problem.of(
-            ("lighting", "max_angle_deg"),
-            f"lighting: max_angle_deg = {lighting.max_angle_deg:g}",
-            f"above min_angle_deg = {lighting.min_angle_deg:g}",
-        )
+        found = f"lighting: max_angle_deg = {lighting.max_angle_deg:g}"
+        wish = f"above min_angle_deg = {lighting.min_angle_deg:g}"
+        yield Problem.of(("lighting", "max_angle_deg"), found, wish)
     for index, lamp in enumerate(playpen.lamps):
         if 0 < lamp.blink_period_s < SHORTEST_BLINK_S:
             found = f"{label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}"
@@ -212,11 +198,8 @@ def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
         last = 0.0
         for start, end in lamp.on_s:
             if not last <= start < end:
-                yield Problem.of(
-                    ("lamp", index, "on_s"),
-                    f"{label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]",
-                    f"times that rise, from {last:g} on",
-                )
+                found = f"{label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]"
+                yield Problem.of(("lamp", index, "on_s"), found, f"times that rise, from {last:g} on")
                 break
             last = end
 

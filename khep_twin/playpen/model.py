@@ -14,17 +14,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, Table, TomlTable
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
-from khep_twin.playpen.parts import (
-    Arena,
-    Block,
-    Cylinder,
-    Lamp,
-    Lighting,
-    Patch,
-    Robot,
-    Spot,
-    Wall,
-)
+from khep_twin.playpen.parts import Arena, Block, Cylinder, Lamp, Lighting, Patch, Robot, Spot, Wall
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES, Surface
 
 
@@ -47,10 +37,7 @@ class Playpen(TomlTable):
     @property
     def objects(self) -> dict[str, tuple[Block | Cylinder, ...]]:
         """Objects that stand on the floor, by the name of their table."""
-        return {
-            "block": self.blocks,
-            "cylinder": self.cylinders,
-        }
+        return {"block": self.blocks, "cylinder": self.cylinders}
 
     def surface(self, name: str) -> Surface:
         """Return the surface of a name, built-in or this playpen's own."""

@@ -74,9 +74,8 @@ class Floor(Protocol):
 def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
     """Yield the placement problems of things on a floor, one line each."""
     if len(things) > THING_LIMIT:
-        yield Problem.of(
-            (), f"{len(things)} blocks, cylinders, lamps and robots", f"up to {THING_LIMIT} together"
-        )
+        found = f"{len(things)} blocks, cylinders, lamps and robots"
+        yield Problem.of((), found, f"up to {THING_LIMIT} together")
         return
     yield from _shared_names(things)
     inside: list[Thing] = []
@@ -94,11 +93,8 @@ def _shared_names(things: Sequence[Thing]) -> Iterator[Problem]:
         # The pieces of a wall share one name.
         if thing.name is not None and first.setdefault(thing.name, thing).place != thing.place:
             other = first[thing.name].label
-            yield Problem.of(
-                (*thing.place, "name"),
-                f'{thing.label}: name = "{thing.name}": taken by {other}',
-                "a unique name",
-            )
+            found = f'{thing.label}: name = "{thing.name}": taken by {other}'
+            yield Problem.of((*thing.place, "name"), found, "a unique name")
 
 
 def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
@@ -107,9 +103,8 @@ def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
     for key, value, limit in (("x_mm", at.x_mm, floor.width_mm), ("y_mm", at.y_mm, floor.height_mm)):
         if value > limit:
             told = True
-            yield Problem.of(
-                (*thing.place, key), f"{thing.label}: {key} = {value:g}: outside the arena", f"0 to {limit:g}"
-            )
+            found = f"{thing.label}: {key} = {value:g}: outside the arena"
+            yield Problem.of((*thing.place, key), found, f"0 to {limit:g}")
     if not told and floor.outline_mm and not contains(floor.outline_mm, at.x_mm, at.y_mm):
         yield Problem.of(thing.place, f"{thing} is outside the arena's outline", "a place within it")
 
@@ -123,16 +118,12 @@ def _collisions(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
             continue
         for number, wall in enumerate(around, 1):
             if overlap(thing.footprint, wall):
-                yield Problem.of(
-                    thing.place, f"{thing} overlaps the wall after corner {number}", "a place further in"
-                )
+                found = f"{thing} overlaps the wall after corner {number}"
+                yield Problem.of(thing.place, found, "a place further in")
         for wall, depth_mm in () if around else sticks_out(thing.footprint, width_mm, height_mm):
             inward_mm = math.ceil(depth_mm * 10) / 10
-            yield Problem.of(
-                thing.place,
-                f"{thing} overlaps the {wall} wall at {walls[wall]}",
-                f"{inward_mm:g} mm further in",
-            )
+            found = f"{thing} overlaps the {wall} wall at {walls[wall]}"
+            yield Problem.of(thing.place, found, f"{inward_mm:g} mm further in")
     for thing, other in _overlapping_pairs(things):
         # Spots may coincide, and a robot may stand on one: a robot is placed on a spot only if it is clear.
         kinds = {thing.kind, other.kind}

@@ -225,8 +225,7 @@ class Lamp(TomlTable):
         77,
     )
     on_s: Annotated[
-        tuple[TimePair, ...],
-        Field(max_length=1000, description="intervals, such as [[0, 10], [30, 40]]"),
+        tuple[TimePair, ...], Field(max_length=1000, description="intervals, such as [[0, 10], [30, 40]]")
     ] = ()
     dim: Annotated[float, Field(ge=0, le=1)] = 1.0
     blink_period_s: Seconds = 0.0

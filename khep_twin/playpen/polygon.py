@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, product
 
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 
@@ -86,17 +86,13 @@ def reaching_in(points: Sequence[Point], thickness_mm: float) -> list[int]:
     found: list[int] = []
     for number, wall in enumerate(walls_around(points, thickness_mm), 1):
         (ahead_x, ahead_y), (left_x, left_y) = wall.axes()
-        for step in range(-9, 10):
-            along = step / 10 * wall.length_mm / 2
-            for across in (-0.45 * thickness_mm, 0.0, 0.4 * thickness_mm):
-                x = wall.x_mm + along * ahead_x + across * left_x
-                y = wall.y_mm + along * ahead_y + across * left_y
-                if contains(ring, x, y) and distance(ring, x, y) > 1e-6:
-                    found.append(number)
-                    break
-            else:
-                continue
-            break
+        for step, side in product(range(-9, 10), (-0.45, 0.0, 0.4)):
+            along, across = step / 10 * wall.length_mm / 2, side * thickness_mm
+            x = wall.x_mm + along * ahead_x + across * left_x
+            y = wall.y_mm + along * ahead_y + across * left_y
+            if contains(ring, x, y) and distance(ring, x, y) > 1e-6:
+                found.append(number)
+                break
     return found
 
 

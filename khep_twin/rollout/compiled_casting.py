@@ -142,22 +142,13 @@ def sensor_frame(scene, channel):
     return scene.frames[scene.cameras[channel]]
 
 
+_through = njit(raycast.through)
+
+
 @njit
 def direction(scene, frame, channel, ray, tangential):
     """Return the same as `raycast.direction`."""
     return _through(frame, tangential)
-
-
-@njit
-def _through(frame, tangential):
-    """Return the same as `raycast.through`."""
-    x, y, z = (
-        frame[0] * tangential - frame[2],
-        frame[3] * tangential - frame[5],
-        frame[6] * tangential - frame[8],
-    )
-    scale = 1 / np.sqrt(x * x + y * y + z * z)
-    return x * scale, y * scale, z * scale
 
 
 @njit
@@ -333,12 +324,8 @@ def decide(function, registers, memory, genes, speeds):
     )
 
 
-_ADDRESS, _BYTE_POINTER, _INT, _DOUBLE = (
-    types.intp,
-    ir.IntType(8).as_pointer(),
-    ir.IntType(32),
-    ir.DoubleType(),
-)
+_ADDRESS, _BYTE_POINTER = types.intp, ir.IntType(8).as_pointer()
+_INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
 
 
 def _foreign(builder, arguments, kinds, result):

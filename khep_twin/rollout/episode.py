@@ -48,9 +48,12 @@ from khep_twin.sensing.occlusion import SightLines
 from khep_twin.sensing.optics import Bulbs
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensors import proximity_optics
+from khep_twin.world import keep_quiet
 
 METRICS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
 """Metrics of an episode: means over its control periods, distance, and distance forwards less backwards."""
+
+_MEANS = stepping.AVOIDANCE, stepping.SEEKING, stepping.HOMING, stepping.FOLLOWING
 
 SPAN_NS = 2_000_000_000
 """Simulated time per draw of random numbers [ns]."""
@@ -148,7 +151,7 @@ class EpisodeSetup:
                 f"control period of {period_ns / 1e6:g} ms; expected whole ticks of "
                 f"{units.TICK_NS / 1e6:g} ms"
             )
-        mujoco.set_mju_user_warning(_keep_quiet)
+        mujoco.set_mju_user_warning(keep_quiet)
         if step_ns is None:
             step_ns = PLANAR_STEP_NS if planar else units.STEP_NS
         self.playpen, self.step_ns, self.period_ns = playpen, step_ns, period_ns
@@ -287,9 +290,8 @@ class Episode:
         backend.put(None if begins == own else begins)
         self.registers[:] = 0
         kernel.reset(self.registers.data)
-        driver = self._driver
-        rom = ROMS[setup.entry.rom]
-        self._state[:] = 0, 1, rom.modes[setup.entry.mode].function == DEMO, stepping.FINE
+        driver, mode = self._driver, ROMS[setup.entry.rom].modes[setup.entry.mode]
+        self._state[:] = 0, 1, mode.function == DEMO, stepping.FINE
         self._robot = stepping.RobotState(
             backend.scene,
             proximity,
@@ -384,14 +386,11 @@ class Episode:
         self._insist()
         sums = self._controller.sums
         periods = max(float(sums[stepping.PERIODS]), 1.0)
-        means = [
-            float(sums[each]) / periods
-            for each in (stepping.AVOIDANCE, stepping.SEEKING, stepping.HOMING, stepping.FOLLOWING)
-        ]
+        means = [float(sums[each]) / periods for each in _MEANS]
         if not self._controller.home[2]:
             means[2] = math.nan
-        ray_directions = [float(sums[each]) for each in (stepping.DISTANCE, stepping.FORWARD)]
-        return dict(zip(METRICS, [*means, *ray_directions], strict=True))
+        distances = float(sums[stepping.DISTANCE]), float(sums[stepping.FORWARD])
+        return dict(zip(METRICS, [*means, *distances], strict=True))
 
     def _insist(self) -> None:
         """Raise a `ValueError` unless an episode has begun."""
@@ -403,11 +402,8 @@ class Episode:
         draws: list[Floats] = [np.zeros(0)] * 3
         if self._rng:
             proximity, ambient, idle = self._rng
-            draws = [
-                proximity.standard_normal(conversions),
-                ambient.standard_normal(conversions),
-                idle.standard_exponential(conversions),
-            ]
+            draws = [each.standard_normal(conversions) for each in (proximity, ambient)]
+            draws.append(idle.standard_exponential(conversions))
         sim_indices, step_ns = self._setup.sim_indices, self._setup.step_ns
         fed = self.steps // sim_indices.steps_per_supply + (n_supplies > 1 or self.steps > 0)
         feed_ns = sim_indices.steps_per_supply * step_ns
@@ -464,7 +460,3 @@ def _as_arrays(values: Numbers) -> Numbers:
 
 def _as_it_is(values: Numbers) -> Numbers:
     return values
-
-
-def _keep_quiet(warning: str) -> None:
-    """Ignore a warning; MuJoCo's counters are checked instead."""

@@ -22,11 +22,7 @@ def n_genes(sizes: Sequence[int], recurrent: bool) -> int:
 
 
 def forward(
-    sizes: Vector[int],
-    recurrent: bool,
-    genes: Vector[float],
-    memory: Vector[float],
-    values: Vector[float],
+    sizes: Vector[int], recurrent: bool, genes: Vector[float], memory: Vector[float], values: Vector[float]
 ) -> int:
     """Evaluate a network once.
 

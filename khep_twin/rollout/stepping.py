@@ -39,11 +39,7 @@ FASTEST = 1000.0
 
 _SPEED_LIMIT = 127
 _CONVERSION = units.STEP_NS * 1e-9
-_PROXIMITY, _AMBIENT, _SCAN = (
-    int(kernel.Board.PROXIMITY),
-    int(kernel.Board.AMBIENT),
-    int(kernel.Board.SCAN),
-)
+_PROXIMITY, _AMBIENT, _SCAN = (int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT), int(kernel.Board.SCAN))
 _RIGHT = kernel.RIGHT
 _LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
@@ -191,31 +187,20 @@ def advance(robot: RobotState, controller: ControllerState, inputs: StepInputs, 
     """
     # Functions are passed only the parts that they need: passing whole bodies makes compiling slow.
     state, indices, registers, qpos = robot.state, robot.indices, robot.registers, robot.qpos
-    conversions = indices.conversions
+    conversions, dark, floor = indices.conversions, robot.ambient.dark, robot.ambient.floor
     on, n_supplies = n_steps >= 0, 0
     if not on:
         raycast.step(robot.scene)
     for i in range(n_steps if on else _N // conversions):
         step = state[STEPS] if on else i
         if on and step % indices.steps_per_period == 0:
-            if state[POWERED] and not _control(
-                registers, controller, robot.ambient.dark, robot.ambient.floor
-            ):
+            if state[POWERED] and not _control(registers, controller, dark, floor):
                 state[TERMINATION] = NO_SPEED
                 break
             period = indices.steps_per_period * conversions * _CONVERSION
             position = qpos[indices.pose], qpos[indices.pose + 1]
             ahead = raycast.heading(qpos, indices.pose)
-            note(
-                registers,
-                controller.sums,
-                controller.home,
-                robot.ambient.dark,
-                robot.ambient.floor,
-                position,
-                ahead,
-                period,
-            )
+            note(registers, controller.sums, controller.home, dark, floor, position, ahead, period)
         raycast.step(robot.scene)
         row = 0 if len(inputs.powers) == 1 else i
         for turn in range(conversions):

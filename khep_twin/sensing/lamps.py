@@ -30,6 +30,7 @@ class Lamps:
         positions: Positions of the bulbs' centres (n, 3) [m].
         powers: Current powers (n,) [W].
         steady: True if the powers never change.
+        lit: Index of the lamp that is on, if they are on one at a time; else None.
     """
 
     def __init__(self, playpen: Playpen, rng: np.random.Generator, time_ns: int = 0) -> None:
@@ -43,17 +44,11 @@ class Lamps:
         one_by_one = self._lighting.mode != "all" and bool(self._lamps)
         self.steady = not one_by_one and not any(lamp.blink_period_s or lamp.on_s for lamp in self._lamps)
         self._off: set[int] = set()
-        self._lit: int | None = None
+        self.lit: int | None = None
         if one_by_one:
-            random = self._lighting.mode == "random"
-            self._lit = int(rng.integers(len(self._lamps))) if random else 0
+            self.lit = int(rng.integers(len(self._lamps))) if self._lighting.mode == "random" else 0
         self._time_ns = time_ns
         self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
-
-    @property
-    def lit(self) -> int | None:
-        """Index of the lamp that is on, if they are on one at a time; else None."""
-        return self._lit
 
     def turn(self, index: int, on: bool, time_ns: int) -> None:
         """Switch a lamp by hand at a time [ns]: off, or back to its own schedule."""
@@ -77,7 +72,7 @@ class Lamps:
             True if another lamp is on now.
         """
         elapsed_s, self._time_ns = (time_ns - self._time_ns) * 1e-9, time_ns
-        switched = self._lit is not None and self._switch(self._lit, robots)
+        switched = self.lit is not None and self._switch(self.lit, robots)
         for index, lamp in enumerate(self._lamps):
             wanted, power = self._full[index] * self._wanted(index), self.powers[index]
             step = self._full[index] * elapsed_s / lamp.fade_s if lamp.fade_s else math.inf
@@ -86,7 +81,7 @@ class Lamps:
 
     def _wanted(self, index: int) -> bool:
         """Return whether a lamp is on."""
-        if self._lit not in (None, index) or index in self._off:
+        if self.lit not in (None, index) or index in self._off:
             return False
         return _in_its_turn(self._lamps[index], self._time_ns)
 
@@ -102,8 +97,8 @@ class Lamps:
         step = 1
         if self._lighting.mode == "random":
             step = 1 + int(self._rng.integers(len(self._lamps) - 1))
-        self._lit = (lit + step) % len(self._lamps)
-        self._near_lamp = self._near(self._lit, reach, robots)
+        self.lit = (lit + step) % len(self._lamps)
+        self._near_lamp = self._near(self.lit, reach, robots)
         return True
 
     def _near(self, index: int, reach: float, robots: Sequence[tuple[float, float, float]]) -> bool:

@@ -36,13 +36,8 @@ class SightLines:
         self, model: mujoco.MjModel, robot: RobotIndices, lamps: list[tuple[float, float, float]]
     ) -> None:
         self.lamps = lamps
-        self.known = _nothing_else_moves(model, robot)
+        self.known = not {int(body) for body in model.geom_bodyid} - {0, robot.base, *robot.wheels}
         self.hidden = [list(_directions(model, lamp)) for lamp in lamps] if self.known else []
-
-
-def _nothing_else_moves(model: mujoco.MjModel, robot: RobotIndices) -> bool:
-    """Return whether all that stops light stands still, apart from the robot itself."""
-    return not {int(body) for body in model.geom_bodyid} - {0, robot.base, *robot.wheels}
 
 
 def _directions(
@@ -74,8 +69,5 @@ def _directions(
             for side in (-1, 1)
             for end in (-1, 1)
         ]
-        half = max(abs((corner + math.pi) % _TURN - math.pi) for corner in corners)
+        half = max(abs((corner + math.pi) % math.tau - math.pi) for corner in corners)
         yield middle + angle, half + math.asin(BULB_RADIUS / nearest), nearest - BULB_RADIUS
-
-
-_TURN = 2 * math.pi

@@ -323,7 +323,7 @@ def _reflected(found: Sequence[float], proximity: Proximity, channel: int) -> fl
 def _look(scene: raycast.Scene, proximity: Proximity, channel: int, found: Sequence[float]) -> None:
     """Fill in the rays' incidences and reflectances."""
     frame = raycast.sensor_frame(scene, channel)
-    tangential = proximity.tangential[channel]
+    tangential, directions = proximity.tangential[channel], proximity.directions
     farthest = -1.0
     for i in range(len(tangential)):
         first = raycast.LENGTH_AND_NORMAL * i
@@ -332,14 +332,10 @@ def _look(scene: raycast.Scene, proximity: Proximity, channel: int, found: Seque
         if proximity.uniform and found[first] < 0:
             continue  # it is not cast again and adds no light
         dx, dy, dz = raycast.direction(scene, frame, channel, i, tangential[i])
-        proximity.directions[3 * i], proximity.directions[3 * i + 1], proximity.directions[3 * i + 2] = (
-            dx,
-            dy,
-            dz,
-        )
+        directions[3 * i], directions[3 * i + 1], directions[3 * i + 2] = dx, dy, dz
         proximity.incidences[i] = -(found[first + 1] * dx + found[first + 2] * dy + found[first + 3] * dz)
     if not proximity.uniform:
-        raycast.surfaces(scene, channel, proximity.directions, farthest + _SLACK, proximity.reflectances)
+        raycast.surfaces(scene, channel, directions, farthest + _SLACK, proximity.reflectances)
 
 
 def _falling_off(ambient: Ambient, channel: int, distance: float) -> float:

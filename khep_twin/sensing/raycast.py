@@ -163,11 +163,8 @@ def direction(
 
 def through(frame: Sequence[float], tangential: float) -> tuple[float, float, float]:
     """Return the unit vector of a ray at a tangent off the axis of a frame."""
-    x, y, z = (
-        frame[0] * tangential - frame[2],
-        frame[3] * tangential - frame[5],
-        frame[6] * tangential - frame[8],
-    )
+    x, y = frame[0] * tangential - frame[2], frame[3] * tangential - frame[5]
+    z = frame[6] * tangential - frame[8]
     scale = 1 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 

@@ -153,33 +153,23 @@ class Study(TomlTable):
         for key, values in self._lists():
             for value in sorted({str(each) for each in values if values.count(each) > 1}):
                 yield Problem.of(key, f"{key[-1]} has {show(value)} twice", "once")
-        taken: set[str] = {*self.controllers}
-        for kind, tables in (("network", self.networks), ("program", self.programs)):
+        controllers: set[str] = {*self.controllers}
+        columns = {*COLUMNS, *METRICS}
+        for kind, tables, taken in (
+            ("network", self.networks, controllers),
+            ("program", self.programs, controllers),
+            ("measure", self.measures, columns),
+        ):
             for index, table in enumerate(tables):
                 if table.name in taken:
-                    yield Problem.of(
-                        (kind, index, "name"),
-                        f'{kind} {index + 1}: name = "{table.name}": taken',
-                        "a unique name",
-                    )
+                    found = f'{kind} {index + 1}: name = "{table.name}": taken'
+                    yield Problem.of((kind, index, "name"), found, "a unique name")
                 taken.add(table.name)
-        columns = {*COLUMNS, *METRICS}
-        for index, table in enumerate(self.measures):
-            if table.name in columns:
-                yield Problem.of(
-                    ("measure", index, "name"),
-                    f'measure {index + 1}: name = "{table.name}": taken',
-                    "a unique name",
-                )
-            columns.add(table.name)
         for index, table in enumerate(self.networks):
             if (table.genomes is None) == (table.drawn is None):
                 given = "both" if table.drawn else "neither"
-                yield Problem.of(
-                    ("network", index),
-                    f"network {index + 1}: has {given} of genomes and drawn",
-                    "one of them",
-                )
+                found = f"network {index + 1}: has {given} of genomes and drawn"
+                yield Problem.of(("network", index), found, "one of them")
 
     def _lists(self) -> Iterator[tuple[Location, tuple[object, ...]]]:
         for key in ("playpens", "controllers", "fitness"):
@@ -224,12 +214,8 @@ def load(path: Path) -> StudyFile:
     if not path.exists():
         raise StudyError("no such file", file=path, expected="the path of a study")
     text, source = toml_files.read("studies", path, StudyError)
-    return StudyFile(
-        toml_files.validate(Study, text, source, StudyError),
-        source,
-        path.parent.absolute(),
-        LineNumbers(text),
-    )
+    study = toml_files.validate(Study, text, source, StudyError)
+    return StudyFile(study, source, path.parent.absolute(), LineNumbers(text))
 
 
 def checked(file: StudyFile, location: Location, key: str, error: KhepTwinError) -> StudyError:

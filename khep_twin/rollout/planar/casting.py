@@ -182,12 +182,7 @@ def _fill(scene: Scene, x: float, y: float, found: Vector[float]) -> None:
 
 
 def _within(
-    scene: Scene,
-    x: float,
-    y: float,
-    cone: tuple[float, float, float, float],
-    reach: float,
-    away: float,
+    scene: Scene, x: float, y: float, cone: tuple[float, float, float, float], reach: float, away: float
 ) -> bool:
     """Return whether anything is within reach [m] and in a sensor's cone; False is certain."""
     things = scene.things

@@ -26,13 +26,7 @@ def _copy(module: ModuleType, **others: ModuleType) -> ModuleType:
 
 _FLAT = _copy(plane)
 _MOTION = _copy(motion, flat=_FLAT, contact_solver=_copy(contact_solver, flat=_FLAT))
-_CASTING = _copy(
-    casting,
-    flat=_FLAT,
-    motion=_MOTION,
-    planar_rays=_copy(rays),
-    shadows=_copy(shadows),
-)
+_CASTING = _copy(casting, flat=_FLAT, motion=_MOTION, planar_rays=_copy(rays), shadows=_copy(shadows))
 # Here, too, a controller is called by its address.
 setattr(_CASTING, "decide", compiled_casting.decide)  # noqa: B010
 _EPISODE = _copy(

@@ -232,11 +232,8 @@ def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str,
     masses = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, masses)
     turning, axle = at.velocity + 5, at.wheel_speeds[0]
-    mass, inertia, spin = (
-        float(model.body_subtreemass[at.base]),
-        float(masses[turning, turning]),
-        float(masses[axle, axle]),
-    )
+    mass = float(model.body_subtreemass[at.base])
+    inertia, spin = float(masses[turning, turning]), float(masses[axle, axle])
     wheel = float(model.geom(f"{_PREFIX}left_tyre").size[0])
     left, right = (float(model.body_pos[wheel, 1]) for wheel in at.wheels)
     track, h = left - right, units.STEP_NS * 1e-9
@@ -257,13 +254,13 @@ def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str,
         track=track,
         wheel=wheel,
         mass=mass,
-        inertia=float(inertia),
-        spin=float(spin),
+        inertia=inertia,
+        spin=spin,
         stall=stall,
         damping=damping,
         free_speed=wheel / constant,
-        going=float(going / (going + h * damping)),
-        turning=float(swinging / (swinging + h * damping)),
+        going=going / (going + h * damping),
+        turning=swinging / (swinging + h * damping),
         grip=TYRE_FRICTION * weight / 2,
         relief=TYRE_FRICTION * behind / 2,
         friction=SHELL_FRICTION,

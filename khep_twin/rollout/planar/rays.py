@@ -3,16 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from khep_twin.rollout.planar.plane import (
-    CENTRE_X,
-    CENTRE_Y,
-    COSINE,
-    LENGTH,
-    SINE,
-    WIDTH,
-    PlanarRobot,
-    Plane,
-)
+from khep_twin.rollout.planar.plane import CENTRE_X, CENTRE_Y, COSINE, LENGTH, SINE, WIDTH, PlanarRobot, Plane
 from khep_twin.sensing.buffers import Matrix
 
 

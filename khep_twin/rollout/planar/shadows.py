@@ -2,17 +2,7 @@
 
 import math
 
-from khep_twin.rollout.planar.plane import (
-    BOTTOM,
-    CENTRE_X,
-    CENTRE_Y,
-    COSINE,
-    LENGTH,
-    SINE,
-    TOP,
-    WIDTH,
-    Plane,
-)
+from khep_twin.rollout.planar.plane import BOTTOM, CENTRE_X, CENTRE_Y, COSINE, LENGTH, SINE, TOP, WIDTH, Plane
 from khep_twin.sensing.buffers import Matrix
 
 Vector = tuple[float, float, float]
@@ -83,14 +73,7 @@ def blocked(
 
 
 def _beside(
-    things: Matrix,
-    thing: int,
-    x: float,
-    y: float,
-    way_x: float,
-    way_y: float,
-    length: float,
-    broad: float,
+    things: Matrix, thing: int, x: float, y: float, way_x: float, way_y: float, length: float, broad: float
 ) -> bool:
     """Return True if an obstacle is surely beside, behind or beyond a path of a length and half width [m]."""
     dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
