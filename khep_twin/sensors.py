@@ -112,7 +112,7 @@ def ray_tangents(model: mujoco.MjModel, camera: int) -> NDArray[np.float64]:
     """
     width, height = map(int, model.cam_resolution[camera])
     focal_length = height / 2 / math.tan(float(model.cam_fovy[camera]) * math.pi / 360)
-    return (np.arange(width) + 0.5 - width / 2) / focal_length
+    return (np.arange(width, dtype=np.float64) + 0.5 - width / 2) / focal_length
 
 
 def lobe_weights(tangents: NDArray[np.float64], exponent: float) -> list[float]:
