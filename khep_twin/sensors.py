@@ -76,8 +76,8 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
     numbers = calibration.proximity
     weights: list[list[float]] = []
     tangential: list[list[float]] = []
-    for channel, (camera, rays) in enumerate(zip(robot.cameras, robot.rays, strict=True)):
-        tangents = _tangents(model, camera, (rays.stop - rays.start) // LENGTH_AND_NORMAL)
+    for channel, camera in enumerate(robot.cameras):
+        tangents = ray_tangents(model, camera)
         tangential.append(tangents.tolist())
         weights.append(lobe_weights(tangents, numbers.lobe_exponent[channel]))
     # Rays hit what is visible, except the floor and the robot's own body; its turrets are included.
@@ -105,20 +105,20 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
     )
 
 
+def ray_tangents(model: mujoco.MjModel, camera: int) -> NDArray[np.float64]:
+    """Return the tangents of a sensor's rays (width,), which go through the camera's pixels, left to right.
+
+    They are computed as in MuJoCo, so that a ray that is cast again is the same to the last bit.
+    """
+    width, height = map(int, model.cam_resolution[camera])
+    focal_length = height / 2 / math.tan(float(model.cam_fovy[camera]) * math.pi / 360)
+    return (np.arange(width, dtype=np.float64) + 0.5 - width / 2) / focal_length
+
+
 def lobe_weights(tangents: NDArray[np.float64], exponent: float) -> list[float]:
     """Return the weights w_i of a cone's rays, from the tangents of their angles off the axis (n_rays,)."""
     weights = np.cos(np.arctan(tangents)) ** exponent
     return (weights / weights.sum()).tolist()
-
-
-def _tangents(model: mujoco.MjModel, camera: int, n_rays: int) -> NDArray[np.float64]:
-    """Return the tangents of a sensor's rays (n_rays,), which go through the camera's pixels, left to right.
-
-    They are computed as in MuJoCo, so that a ray that is cast again is the same to the last bit.
-    """
-    width, height = model.cam_resolution[camera].tolist()
-    focal_length = height / 2 / math.tan(float(model.cam_fovy[camera]) * math.pi / 360)
-    return (np.arange(n_rays) + 0.5 - width / 2) / focal_length
 
 
 def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]:

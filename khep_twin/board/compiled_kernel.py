@@ -34,8 +34,7 @@ def compiled_copy(
     others: Mapping[str, ModuleType] | None = None,
     name: str = "compiled",
     *,
-    counted: bool = True,
-    within: bool = False,
+    inlined: bool = False,
 ) -> ModuleType:
     """Return a second copy of a module whose own functions are compiled, each when it is first called.
 
@@ -43,10 +42,9 @@ def compiled_copy(
         module: Module whose source numba can compile.
         others: Compiled modules that the copy uses instead of its own, by the names in the module.
         name: Name that distinguishes this copy from others of the same module.
-        counted: True for numba's reference counts of arrays. Code that neither makes nor returns arrays needs
-            none; counting can take half of the time.
-        within: True to inline functions into their callers, for long chains of calls with many arguments; a
-            division by 0 then raises nothing, so sources must avoid it.
+        inlined: True to inline functions into their callers, for long chains of calls with many arguments,
+            and to leave out numba's reference counts of arrays, which can take half of the time. Sources must
+            then neither make nor return arrays, and avoid a division by 0, which raises nothing.
 
     Raises:
         MissingExtraError: numba is not installed.
@@ -56,9 +54,9 @@ def compiled_copy(
     except ImportError as error:
         raise MissingExtraError("numba", "batch") from error
     copy = another_copy(module, others, name)
-    options: dict[str, Any] = {} if counted else {"_nrt": False}
-    if within:
-        options |= {"forceinline": True, "error_model": "numpy"}
+    options: dict[str, Any] = {}
+    if inlined:
+        options = {"_nrt": False, "forceinline": True, "error_model": "numpy"}
     # A compiled function looks up the others, compiled too, by their names in the copy.
     for own, function in inspect.getmembers(copy, inspect.isfunction):
         if function.__module__ == copy.__name__:

@@ -35,7 +35,7 @@ from khep_twin.rollout.backends import (
     supports_episodes,
     with_robots,
 )
-from khep_twin.rollout.episode import EpisodeSetup
+from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.sensing import calibration
 
 PERIOD_NS = 50_000_000

@@ -14,14 +14,9 @@ from pathlib import Path
 import mujoco
 
 
-def model_address(model: mujoco.MjModel) -> int:
-    """Return the memory address of a model."""
-    return int(model._address)  # pyright: ignore
-
-
-def data_address(data: mujoco.MjData) -> int:
-    """Return the memory address of a state."""
-    return int(data._address)  # pyright: ignore
+def object_address(of: mujoco.MjModel | mujoco.MjData) -> int:
+    """Return the memory address of a model or a state."""
+    return int(of._address)  # pyright: ignore
 
 
 @cache

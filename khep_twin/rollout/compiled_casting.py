@@ -15,7 +15,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from khep_twin.rollout.addresses import data_address, function_address, model_address
+from khep_twin.rollout.addresses import function_address, object_address
 from khep_twin.sensing import raycast
 from khep_twin.sensing.raycast import FEW, LENGTH_AND_NORMAL, MANY, Floats
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -77,7 +77,7 @@ class CompiledScene(NamedTuple):
 def scene_of(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotIndices) -> CompiledScene:
     """Return the scene of a robot's sensors; model and state must outlive it."""
     rays = robot.rays[0]
-    addresses = [function_address("mj_step"), model_address(model), data_address(data)]
+    addresses = [function_address("mj_step"), object_address(model), object_address(data)]
     # Visible geoms, except those of the robot's own body.
     solid = np.flatnonzero((model.geom_rgba[:, 3] > 0) & (model.geom_bodyid != robot.base))
     return CompiledScene(

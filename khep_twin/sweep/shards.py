@@ -20,7 +20,7 @@ from khep_twin.files.atomic import read_regular
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
 from khep_twin.rollout.controllers import Braitenberg, Driver, Floats
-from khep_twin.rollout.episode import EpisodeSetup
+from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.sensing import calibration
 from khep_twin.sweep.genomes import genomes_of
 from khep_twin.sweep.programs import Program, function_of

@@ -18,7 +18,7 @@ def test_a_step_by_address_is_a_step() -> None:
         data.ctrl[:] = 1.0, -0.5
     for _ in range(200):
         mujoco.mj_step(model, by_module)
-        step(addresses.model_address(model), addresses.data_address(by_address))
+        step(addresses.object_address(model), addresses.object_address(by_address))
     assert by_address.time == by_module.time > 0.4
     assert np.abs(by_module.qvel).max() > 0.1
     assert by_address.qpos.tobytes() == by_module.qpos.tobytes()

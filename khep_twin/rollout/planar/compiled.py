@@ -21,7 +21,7 @@ from khep_twin.sensing import optics
 
 
 def _copy(module: ModuleType, **others: ModuleType) -> ModuleType:
-    return compiled_copy(module, others, "compiled in a plane", counted=False, within=True)
+    return compiled_copy(module, others, "compiled in a plane", inlined=True)
 
 
 _FLAT = _copy(plane)

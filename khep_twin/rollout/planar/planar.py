@@ -31,6 +31,7 @@ from khep_twin.rollout.planar.plane import PlanarRobot, Plane
 from khep_twin.sensing import optics, raycast
 from khep_twin.sensing.buffers import Vector, view
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensors import ray_tangents
 
 N_CONTACTS = 8
 """Most obstacles that push the robot at once: more than fit around it."""
@@ -106,7 +107,7 @@ class PlanarScene:
         self.things[:, flat.REFLECTANCE] = model.geom_user[upright, 0]
         self.mounts = np.array([_mount(model, camera) for camera in at.cameras])
         n_rays = int(model.cam_resolution[at.cameras[0], 0])
-        ray_directions = np.array([_ways(model, camera, n_rays) for camera in at.cameras])
+        ray_directions = np.array([_ways(model, camera) for camera in at.cameras])
         wide = np.zeros((len(at.cameras), 2, -(-n_rays // WIDE) * WIDE))
         wide[:, :, :n_rays] = ray_directions.transpose(0, 2, 1)
         self.ray_directions = wide.reshape(len(at.cameras), -1)
@@ -298,11 +299,9 @@ def _ahead(model: mujoco.MjModel, camera: int) -> tuple[float, float]:
     return -float(turn[2]), -float(turn[5])
 
 
-def _ways(model: mujoco.MjModel, camera: int, n_rays: int) -> Floats:
+def _ways(model: mujoco.MjModel, camera: int) -> Floats:
     """Return the directions of a sensor's rays in the robot's frame, left to right (n_rays, 2)."""
     c, s = _ahead(model, camera)
-    width, height = model.cam_resolution[camera].tolist()
-    focal_length = height / 2 / math.tan(math.radians(float(model.cam_fovy[camera])) / 2)
-    tangential = (np.arange(n_rays) + 0.5 - width / 2) / focal_length
+    tangential = ray_tangents(model, camera)
     ray_directions = np.column_stack([c + tangential * s, s - tangential * c])
     return ray_directions / np.sqrt(1 + tangential * tangential)[:, None]
