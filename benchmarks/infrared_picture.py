@@ -45,8 +45,8 @@ def draw(target: Path) -> None:
             panel.plot(millimetres, modelled, color=colour, lw=1.6, label=f"{name}, twin")
             lines.append(f"{name.split()[0]} {rms([modelled - fit_inputs]):.0f}")
             if table.radius == 0:
-                for (peer, (places, counts)), style in zip(PEERS.items(), _STYLES, strict=True):
-                    curve = np.clip(np.interp(millimetres, places, counts), 0, 1023)
+                for (peer, (positions, counts)), style in zip(PEERS.items(), _STYLES, strict=True):
+                    curve = np.clip(np.interp(millimetres, positions, counts), 0, 1023)
                     panel.plot(millimetres, curve, style, color=_GREY, lw=1.2, label=f"wall, {peer}")
                     lines.append(f"{peer} {rms([curve - fit_inputs]):.0f}")
         panel.set_title(lines[0], fontsize=10)

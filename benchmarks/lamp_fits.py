@@ -40,10 +40,10 @@ def sampled_lamp(folder: Path, height: float = FILAMENT_HEIGHT) -> tuple[Floats,
     """Return the distances from the robot's edge to the bulb's glass (n,) [m], and the readings there."""
     rows = np.genfromtxt(folder / "data" / "evorobot_light_samples.csv", delimiter=",", skip_header=1)
     distances, counts = rows[:, 0] / 1e3, COUNTS_AT_0 * (1 - rows[:, 2:] / SAMPLED_LIMIT)
-    return distances, LampTable(places(distances, -np.radians(rows[:, 1]), height), counts, POWER)
+    return distances, LampTable(positions(distances, -np.radians(rows[:, 1]), height), counts, POWER)
 
 
-def places(distances: Floats, bearings: Floats, height: float = FILAMENT_HEIGHT) -> Floats:
+def positions(distances: Floats, bearings: Floats, height: float = FILAMENT_HEIGHT) -> Floats:
     """Return the positions of the sampled lamp's filament from the robot's centre (n, 3) [m]."""
     away = BODY_RADIUS + distances + BULB_RADIUS
     angles = bearings + SET_UP_BEARING
@@ -63,7 +63,7 @@ def main() -> None:
         distances, table = sampled_lamp(reference(), height)
         far = distances >= FAR
         used = far | (np.arange(len(distances)) % _THINNED == 0)
-        thinned = LampTable(table.places[used], table.counts[used], POWER)
+        thinned = LampTable(table.positions[used], table.counts[used], POWER)
         found = fit_lamps([thinned], start).ambient
         errors = left_over(table, found)
         parts = (np.sqrt(np.mean(errors[part] ** 2)) for part in (far, ~far))

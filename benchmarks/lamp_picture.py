@@ -24,22 +24,25 @@ def draw(target: Path) -> None:
     """Draw all sensors."""
     ambient = calibration.read("khepera1")[0].ambient
     distances, table = sampled_lamp(reference())
-    bearings = np.arctan2(table.places[:, 1], table.places[:, 0])
+    bearings = np.arctan2(table.positions[:, 1], table.positions[:, 0])
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     panels = figure.subplots(2, 4, sharey=True).ravel()
     for panel, sensor in zip(panels, [0, 1, 2, 7, 5, 4, 3, 6], strict=True):
         counts, modelled = table.counts[:, sensor], ambient_counts(table, sensor, ambient)
         tangential = np.angle(np.exp(1j * (bearings - np.radians(ambient.heading_deg[sensor]))))
         near = np.abs(tangential) <= np.radians(10)
-        places = np.unique(distances)
+        positions = np.unique(distances)
         means = [
-            [each[near & (distances == place)].mean() for place in places] for each in (counts, modelled)
+            [each[near & (distances == position)].mean() for position in positions]
+            for each in (counts, modelled)
         ]
-        panel.plot(places * 1e3, means[0], "o", ms=3.5, color=_INK, label="over distance [mm], robot")
-        panel.plot(places * 1e3, means[1], color=_INK, lw=1.6, label="over distance [mm], twin")
+        panel.plot(positions * 1e3, means[0], "o", ms=3.5, color=_INK, label="over distance [mm], robot")
+        panel.plot(positions * 1e3, means[1], color=_INK, lw=1.6, label="over distance [mm], twin")
         # Michel's simulator publishes this for a lamp straight ahead, the same for any power.
-        michel = np.where(places < 0.25, 500 - 450 * (1 - places / 0.25), 500)
-        panel.plot(places * 1e3, michel, "--", color=_GREY, lw=1.2, label="over distance, Michel's simulator")
+        michel = np.where(positions < 0.25, 500 - 450 * (1 - positions / 0.25), 500)
+        panel.plot(
+            positions * 1e3, michel, "--", color=_GREY, lw=1.2, label="over distance, Michel's simulator"
+        )
         turn = np.isclose(distances, _AWAY)
         order = np.argsort(tangential[turn])
         degrees = np.degrees(tangential[turn][order])

@@ -66,8 +66,8 @@ class Problem:
         cls, location: Location, found: str, expected: Expected, value: object = None, file: str | None = None
     ) -> Self:
         """Return the problem whose text has what was found, and then what was expected."""
-        wish = f"expected {expected}" if isinstance(expected, str) else choices(value, expected)
-        return cls(location, found if expected == "" else f"{found}; {wish}", value, expected, file)
+        wanted = f"expected {expected}" if isinstance(expected, str) else choices(value, expected)
+        return cls(location, found if expected == "" else f"{found}; {wanted}", value, expected, file)
 
     @property
     def key(self) -> str | None:
@@ -117,9 +117,9 @@ class KhepTwinError(Exception):
     ) -> None:
         if file is not None or key is not None or expected != "":
             found = str(message) or f"{key} = {value!r}{'' if isinstance(expected, str) else ': unknown'}"
-            wish = expected if isinstance(expected, str) else tuple(expected)
+            wanted = expected if isinstance(expected, str) else tuple(expected)
             place = None if file is None else str(file)
-            problems = [Problem.of(() if key is None else (key,), found, wish, value, place)]
+            problems = [Problem.of(() if key is None else (key,), found, wanted, value, place)]
         self.plain = "\n".join(map(str, problems)) or str(message)
         super().__init__(f"{self.plain}{option}")
         self.problems = tuple(problems)

@@ -110,8 +110,8 @@ class Firmware:
         if (mode := self._rom.mode_at(baud)) is not None:
             return f"for {baud} baud: serve --mode {mode}, or khep://...?mode={mode}"
         if (mode := ROMS["khepera2"].mode_at(baud)) is not None:
-            wish = f"serve --model khepera2 --mode {mode}, or khep://...?model=khepera2&mode={mode}"
-            return f"for {baud} baud, of a Khepera II: {wish}"
+            wanted = f"serve --model khepera2 --mode {mode}, or khep://...?model=khepera2&mode={mode}"
+            return f"for {baud} baud, of a Khepera II: {wanted}"
         return f"no running mode has {baud} baud: expected {self.baud} at the host"
 
     def brown_out(self) -> None:

@@ -42,8 +42,8 @@ def put(
         )
     if reason := no_room(as_it_stands(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
-    place = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
-    world.on_host_event(index, HostEvent(HostEventKind.PUT, world.time_ns, None, place))
+    position = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
+    world.on_host_event(index, HostEvent(HostEventKind.PUT, world.time_ns, None, position))
     model, data = world.model, world.data
     robot, half = world.robots[index].indices, math.radians(heading_deg) / 2
     at = robot.pose
@@ -59,8 +59,8 @@ def put(
 
 def repeat_move(world: World, index: int, event: HostEvent) -> None:
     """Move a robot as recorded in a log."""
-    place, rest = event.data[: _PLACE.size], event.data[_PLACE.size :]
-    put(world, index, *_PLACE.unpack(place), afresh=rest == _AFRESH)
+    position, rest = event.data[: _PLACE.size], event.data[_PLACE.size :]
+    put(world, index, *_PLACE.unpack(position), afresh=rest == _AFRESH)
 
 
 def scan(world: World) -> None:
@@ -90,8 +90,8 @@ def as_it_stands(world: World) -> Playpen:
 def _place(world: World, name: str, kind: str) -> dict[str, float]:
     body = world.model.body(name).id
     x, y, _ = world.data.xpos[body].tolist()
-    place = {"x_mm": x * 1e3, "y_mm": y * 1e3}
+    position = {"x_mm": x * 1e3, "y_mm": y * 1e3}
     if kind == "block":
         along_x, along_y = world.data.xmat[body].reshape(3, 3)[:2, 0].tolist()
-        place["angle_deg"] = math.degrees(math.atan2(along_y, along_x))
-    return place
+        position["angle_deg"] = math.degrees(math.atan2(along_y, along_x))
+    return position

@@ -73,7 +73,7 @@ def day(hours: float, log: Path) -> float:
 
         # Flush as often in simulated time as otherwise in wall time.
         serve.time = SimpleNamespace(monotonic_ns=lambda: world.time_ns)  # pyright: ignore
-        serve.serve(twin, [port], serve.WIRE, stop=stop, tell=print)
+        serve.serve(twin, [port], serve.WIRE, stop=stop, notify=print)
         grown = memory() - first
         begun = time.monotonic()
     took, size = time.monotonic() - begun, log.stat().st_size / 1e6

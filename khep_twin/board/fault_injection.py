@@ -57,12 +57,12 @@ def parse(text: str) -> Fault:
     kind, *values = what.split(":")
     if kind not in _KINDS:
         raise FaultError(f"fault {text!r}: unknown; {choices(kind, _KINDS)}")
-    read, wish = _KINDS[kind]
+    read, wanted = _KINDS[kind]
     try:
         start_ns = to_ns(_number(start, 0, 1e6)) if at else 0
         return Fault(kind, text, start_ns=start_ns, **read(*values))
     except (TypeError, ValueError):
-        raise FaultError(f"fault {text!r}: expected {wish}, with @SECONDS appended if wanted") from None
+        raise FaultError(f"fault {text!r}: expected {wanted}, with @SECONDS appended if wanted") from None
 
 
 class Injector:
@@ -71,15 +71,18 @@ class Injector:
     Args:
         faults: Faults to inject.
         rng: Factory of each fault's own random stream, by its text.
-        tell: Callback that logs a message.
+        log_event: Callback that logs a message.
     """
 
     def __init__(
-        self, faults: Iterable[Fault], rng: Callable[[str], np.random.Generator], tell: Callable[[str], None]
+        self,
+        faults: Iterable[Fault],
+        rng: Callable[[str], np.random.Generator],
+        log_event: Callable[[str], None],
     ) -> None:
         self._faults = tuple(faults)
         self._rng = {fault.text: rng(fault.text) for fault in self._faults}
-        self._tell = tell
+        self._log_event = log_event
         self._begun: set[str] = set()
 
     def over_the_line(self, data: bytes, time_ns: int) -> bytes:
@@ -87,13 +90,13 @@ class Injector:
         for fault in self._active("drop", time_ns):
             hit = self._draw(fault, len(data))
             if hit.any():
-                self._tell(f"fault {fault.text}: {int(hit.sum())} of {data!r} dropped")
+                self._log_event(f"fault {fault.text}: {int(hit.sum())} of {data!r} dropped")
                 data = bytes(byte for byte, lost in zip(data, hit, strict=True) if not lost)
         for fault in self._active("garble", time_ns):
             hit = self._draw(fault, len(data))
             if hit.any():
                 bits = self._rng[fault.text].integers(0, 8, len(data)).tolist()
-                self._tell(f"fault {fault.text}: {int(hit.sum())} of {data!r} garbled")
+                self._log_event(f"fault {fault.text}: {int(hit.sum())} of {data!r} garbled")
                 data = bytes(
                     byte ^ (1 << bit if wrong else 0)
                     for byte, bit, wrong in zip(data, bits, hit, strict=True)
@@ -105,7 +108,7 @@ class Injector:
         delay_ns = 0
         for fault in self._active("late", time_ns):
             if self._draw(fault, 1).any():
-                self._tell(f"fault {fault.text}: a reply is late")
+                self._log_event(f"fault {fault.text}: a reply is late")
                 delay_ns += fault.delay_ns
         return delay_ns
 
@@ -137,7 +140,7 @@ class Injector:
         for fault in active:
             if fault.text not in self._begun:
                 self._begun.add(fault.text)
-                self._tell(f"fault {fault.text} begins")
+                self._log_event(f"fault {fault.text} begins")
         return active
 
     def _draw(self, fault: Fault, count: int) -> NDArray[np.bool_]:

@@ -92,11 +92,11 @@ class Rom:
     def refused(self, mode: int) -> str:
         """Return the reason why a running mode is unavailable; empty if it is available."""
         had = ", ".join(f"{number:X}" for number, entry in self.modes.items() if not entry.refusal)
-        wish = f"a running mode that the twin has ({had})"
+        wanted = f"a running mode that the twin has ({had})"
         if mode not in self.modes:
-            return f"there is no such mode; expected {wish}"
+            return f"there is no such mode; expected {wanted}"
         refusal = self.modes[mode].refusal
-        return f"mode {mode:X} {refusal}; expected {wish}" if refusal else ""
+        return f"mode {mode:X} {refusal}; expected {wanted}" if refusal else ""
 
     def mode_at(self, baud: int) -> int | None:
         """Find the running mode that speaks the protocol at this speed [baud]; None if there is none."""

@@ -38,7 +38,7 @@ def design(
             raise usage(f"{file}: outside the folder; expected a file below {folder}, or to start there")
         name = str(file.resolve().relative_to(folder.resolve()))
     with stopping() as stop:
-        server = Server(folder, name, listen, expose=allow_remote, complain=complain)
+        server = Server(folder, name, listen, allow_remote=allow_remote, complain=complain)
         if allow_remote:
             complain("anyone with this address may do all that you may; it is not encrypted")
         how = "open this page in a browser" if no_browser else "the browser opens this page"

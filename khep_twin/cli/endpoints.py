@@ -44,7 +44,7 @@ class EndpointOptions:
         from khep_twin.ports.endpoints import open_endpoints
 
         return open_endpoints(
-            bauds, link=self.link, tcp=self.tcp, rfc2217=self.rfc2217, expose=self.allow_remote
+            bauds, link=self.link, tcp=self.tcp, rfc2217=self.rfc2217, allow_remote=self.allow_remote
         )
 
     @contextmanager
@@ -73,9 +73,9 @@ class EndpointOptions:
         descriptor = self.ready_fd
         if descriptor is None:
             return
-        wish = "expected 3 or above, of what is open for writing, such as --ready-fd 3 3>ready"
+        wanted = "expected 3 or above, of what is open for writing, such as --ready-fd 3 3>ready"
         if not 3 <= descriptor < 2**31:
-            raise usage(f"--ready-fd {descriptor}: {wish}")
+            raise usage(f"--ready-fd {descriptor}: {wanted}")
         try:
             # What this process has opened itself is not passed on to others.
             given = os.get_inheritable(descriptor)
@@ -83,4 +83,4 @@ class EndpointOptions:
         except OSError:
             given = writable = False
         if not (given and writable):
-            raise usage(f"--ready-fd {descriptor}: is not open{' for writing' if given else ''}; {wish}")
+            raise usage(f"--ready-fd {descriptor}: is not open{' for writing' if given else ''}; {wanted}")

@@ -54,8 +54,8 @@ def fit(
     check_new(force, output)
     data, unused = fit_inputs(tests), fit_inputs(check or [])
     if picture is not None and not (data.objects or data.lamps or data.motors):
-        wish = "expected a sensor test or steps of duty, too"
-        raise FitError(f"{picture}: measured drives give no picture; {wish}")
+        wanted = "expected a sensor test or steps of duty, too"
+        raise FitError(f"{picture}: measured drives give no picture; {wanted}")
     found = fit_robot(data, calibration.read(start)[0])
     for line in found.lines:
         typer.echo(line)

@@ -121,11 +121,11 @@ class SceneOptions:
         from khep_twin.playpen import load
 
         scene = lit(load(self.playpen) if own is None else own, self.lighting)
-        for wish in self.without_lamp or []:
-            place = numbers(wish, 2)
-            if place is None:
-                raise usage(f"--without-lamp {wish}: expected X,Y in mm, such as 50,450")
-            scene = without_nearest_lamp(scene, *place)
+        for wanted in self.without_lamp or []:
+            position = numbers(wanted, 2)
+            if position is None:
+                raise usage(f"--without-lamp {wanted}: expected X,Y in mm, such as 50,450")
+            scene = without_nearest_lamp(scene, *position)
         return scene
 
 

@@ -106,7 +106,7 @@ def run(
     from khep_twin.host.opening import PORT_IDS
     from khep_twin.lab.experiment.controller_source import source_of
     from khep_twin.lab.experiment.controllers import LoopingController
-    from khep_twin.lab.experiment.experiment import find_after, find_controller
+    from khep_twin.lab.experiment.experiment import find_controller, find_on_run_end
     from khep_twin.lab.experiment.series import OneRobot, Plan
     from khep_twin.lab.experiment.series_files import SeriesFolder
     from khep_twin.toolbox.form import as_toolbox_form
@@ -119,7 +119,7 @@ def run(
     with chdir("."):
         found = find_controller(controller, as_toolbox_form)
         gone_to = Path.cwd()
-    user_function = None if series.on_run_end is None else find_after(series.on_run_end, found)
+    user_function = None if series.on_run_end is None else find_on_run_end(series.on_run_end, found)
     seconds, cycles, own = length.seconds, length.cycles, None
     if isinstance(found, LoopingController):
         # Its own loops count cycles; the toolbox's windows begin at 500.
@@ -139,9 +139,9 @@ def run(
             robot_source: RobotSource = OneRobot(stack.enter_context(Khepera(port)))
             settings: dict[str, Any] = {"port": port}
         else:
-            wishes = series.start or []
+            wanted_starts = series.start or []
             place, begin = scene.load(own), _beginning(stack, logs, viewer)
-            robot_source, settings = _twins(stack, place, options, wishes, plan.runs, begin)
+            robot_source, settings = _twins(stack, place, options, wanted_starts, plan.runs, begin)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
         stopped = _run_series(found, robot_source, plan, folder, logs, series.confirm, gone_to, user_function)
@@ -176,7 +176,7 @@ def _run_series(
     user_function: Callable[..., Any] | None,
 ) -> bool:
     """Run the series, and print and keep each run; return whether it was stopped before its end."""
-    from khep_twin.lab.experiment.experiment import call_after
+    from khep_twin.lab.experiment.experiment import call_on_run_end
     from khep_twin.lab.experiment.series import run_series
 
     first, last = 1 if folder is None else robot_source.first(len(folder.rows), controller), 0
@@ -197,7 +197,7 @@ def _run_series(
                     is_new = folder is None or folder.keep(each)
                     typer.echo(each.line(plan.runs) + ("" if is_new else "  as before"))
                     if user_function is not None and is_new:
-                        call_after(user_function, each)
+                        call_on_run_end(user_function, each)
                     if unread():
                         break
                 return asked() and last < plan.runs
@@ -209,7 +209,7 @@ def _twins(
     stack: ExitStack,
     scene: "Playpen",
     options: "TwinOptions",
-    wishes: Sequence[str],
+    wanted_starts: Sequence[str],
     runs: int,
     begin: "Callable[[Twin, int | None], None]",
 ) -> "tuple[RobotSource, dict[str, Any]]":
@@ -225,9 +225,9 @@ def _twins(
     scene, on_the_line = equipped(scene, options)
     check_body(options.rom, (scene.robots[index] for index in on_the_line))
     of_each = {key: value for key, value in asdict(options).items() if key != "log"}
-    settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wishes, **versions()}
-    if wishes:
-        places = starts(wishes, scene, options.robot or 0, runs, options.seed)
+    settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wanted_starts, **versions()}
+    if wanted_starts:
+        places = starts(wanted_starts, scene, options.robot or 0, runs, options.seed)
         return FreshTwins(scene, options, places, begin), settings
     khepera = Khepera(Serial.of(open_twin(scene, options), timeout=1.0))
     return OneRobot(stack.enter_context(khepera), lambda twin: begin(twin, None)), settings

@@ -35,7 +35,7 @@ class RunLogs:
             self._folder / path,
             facts=self._source.facts,
             attachments=self._source.attachments,
-            carry_on=self._options.on_failure,
+            on_failure=self._options.on_failure,
         )
         tell_kept(twin.recorder)
         if twin.recorder is not None:

@@ -174,12 +174,12 @@ def _check_options(port: str | None, drive: DriveOptions, drawn: PictureOptions)
         if option := _first(drive):
             raise SensorTestError(f"{option} is for a robot; expected its PORT, such as khep://default")
         if not drawn.overlay:
-            wish = "expected a PORT such as khep://default, or --overlay FILE --picture FILE"
-            raise SensorTestError(f"there is nothing to do; {wish}")
+            wanted = "expected a PORT such as khep://default, or --overlay FILE --picture FILE"
+            raise SensorTestError(f"there is nothing to do; {wanted}")
     elif (drive.linear is None) == (drive.rotate is None):
         count = "none" if drive.linear is None else "both"
-        wish = "expected one, --linear CM or --rotate DEG"
-        raise SensorTestError(f"--linear and --rotate: {count} is given; {wish}")
+        wanted = "expected one, --linear CM or --rotate DEG"
+        raise SensorTestError(f"--linear and --rotate: {count} is given; {wanted}")
 
 
 def _first(options: DriveOptions | PictureOptions) -> str:

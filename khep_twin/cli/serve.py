@@ -134,7 +134,7 @@ def _serve_twin(
     ):
         check_body(options.rom, (twin.world.playpen.robots[robot.index] for robot in twin.robots))
         if logging.log is not None:
-            twin.record(logging.log, carry_on=logging.on_failure)
+            twin.record(logging.log, on_failure=logging.on_failure)
             tell_kept(twin.recorder)
         if viewer:
             from khep_twin.mujoco_viewer import MujocoViewer
@@ -142,7 +142,7 @@ def _serve_twin(
             window = stack.enter_context(closing(MujocoViewer(real_time=False)))
             window.watch(twin.world)
         with endpoint.announced(ports, f"twin in {playpen}"):
-            pacer = serve_twin(twin, ports, factor, stop=stop, tell=complain)
+            pacer = serve_twin(twin, ports, factor, stop=stop, notify=complain)
         dropped = sum(port.dropped for port in ports)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
@@ -169,11 +169,11 @@ def _serve_robot(port: str, mode: int | None, endpoint: EndpointOptions, logging
         recorder = None
         if logging.log is not None:
             settings = {"relay": port, "baud": baud}
-            recorder = LineRecorder(logging.log, settings, now, carry_on=logging.on_failure)
+            recorder = LineRecorder(logging.log, settings, now, on_failure=logging.on_failure)
             stack.enter_context(closing(recorder))
         tell_kept(recorder)
         stack.enter_context(endpoint.announced(ports, f"robot at {port}"))
-        relay(device, ports[0], recorder, stop=stop, tell=complain)
+        relay(device, ports[0], recorder, stop=stop, notify=complain)
         duration_ns, dropped = now(), ports[0].dropped
     _finish(duration_ns, dropped, logging, recorder)
 

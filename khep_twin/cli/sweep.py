@@ -82,11 +82,11 @@ def sweep(
         with progress() as show:
             lines = _Lines()
 
-            def tell(done: int, total: int) -> None:
+            def show_progress(done: int, total: int) -> None:
                 lines(done, total) if show is None else show(done / total)
 
             table = run_sweep(
-                file, output=output, resume=resume, executor=executor, begin=begin, progress=tell
+                file, output=output, resume=resume, executor=executor, begin=begin, progress=show_progress
             )
     except KeyboardInterrupt:
         tell_again()

@@ -62,11 +62,11 @@ class Labels:
             if not search:
                 continue
             best, least = None, np.inf
-            for place in _places(label, self._height_mm(text.get_window_extent(renderer))):
-                _put(text, place)
+            for position in _places(label, self._height_mm(text.get_window_extent(renderer))):
+                _put(text, position)
                 covered = _covered(np.array(text.get_window_extent(renderer).extents), taken, within)
                 if covered < least:
-                    best, least = place, covered
+                    best, least = position, covered
                 if covered == 0:
                     break
             if best is not None:
@@ -105,10 +105,10 @@ def _places(label: _Label, line_mm: float) -> Iterator[_Place]:
             yield x - reach, y + shift, "right", "center"
 
 
-def _put(text: Text, place: _Place) -> None:
-    text.set_position(place[:2])
-    text.set_horizontalalignment(place[2])
-    text.set_verticalalignment(place[3])
+def _put(text: Text, position: _Place) -> None:
+    text.set_position(position[:2])
+    text.set_horizontalalignment(position[2])
+    text.set_verticalalignment(position[3])
 
 
 def _covered(box: NDArray[np.float64], taken: NDArray[np.float64], within: NDArray[np.float64]) -> float:

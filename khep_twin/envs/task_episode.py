@@ -250,11 +250,11 @@ class TaskEpisode:
 
 def _place_of(playpen: Playpen, name: str) -> tuple[float, float]:
     """Return the position of a playpen's named patch or cylinder [m]."""
-    places = {
+    positions = {
         item.name: (units.metres(item.x_mm), units.metres(item.y_mm))
         for item in (*playpen.patches, *playpen.cylinders)
         if item.name
     }
-    if name not in places:
-        raise KhepTwinError(f"{playpen.name}: has no patch or cylinder {name!r}; {choices(name, places)}")
-    return places[name]
+    if name not in positions:
+        raise KhepTwinError(f"{playpen.name}: has no patch or cylinder {name!r}; {choices(name, positions)}")
+    return positions[name]

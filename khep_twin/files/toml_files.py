@@ -82,8 +82,8 @@ def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, 
         with open_regular(path) as file:
             data = file.read(SIZE_LIMIT + 1)
     except FileNotFoundError:
-        wish = f"the path of a file or a shipped name; {choices(name, names(kind))}"
-        raise error("no such file", file=source, expected=wish) from None
+        wanted = f"the path of a file or a shipped name; {choices(name, names(kind))}"
+        raise error("no such file", file=source, expected=wanted) from None
     except (OSError, ValueError) as trouble:
         reason = trouble.strerror if isinstance(trouble, OSError) else trouble
         raise error(f"cannot be read: {reason}", file=source) from None
@@ -273,7 +273,7 @@ def _reason(
     kind = problem["type"]
     field, keys = _field(model, location)
     if kind == "missing":
-        return f"{key} is missing; expected {(wish := _wish(field))}", wish
+        return f"{key} is missing; expected {(wanted := _expected(field))}", wanted
     if location[-1] == "[key]":
         return f"{show(key)} is no name; expected {NAME_WISH}", NAME_WISH
     given = _given(key, problem["input"])
@@ -282,7 +282,7 @@ def _reason(
     if kind == "literal_error" and field is not None:
         literals = _literals(field.annotation)
         return f"{given}: unknown; {choices(_text(problem['input']), literals)}", tuple(literals)
-    return f"{given}; expected {(wish := _wish(field))}", wish
+    return f"{given}; expected {(wanted := _expected(field))}", wanted
 
 
 def _given(key: str, value: object) -> str:
@@ -319,7 +319,7 @@ def _literals(annotation: object) -> list[object]:
     return [literal for part in get_args(annotation) for literal in _literals(part)]
 
 
-def _wish(field: FieldInfo | None) -> str:
+def _expected(field: FieldInfo | None) -> str:
     """Return what a field accepts, in words."""
     if field is None:
         return "a key of this table"

@@ -96,19 +96,19 @@ class Content:
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the attachments."""
-        for place, content in self._records(Opcode.ATTACHMENT):
+        for offset, content in self._records(Opcode.ATTACHMENT):
             found = parsed(Opcode.ATTACHMENT, content)
             crc = int.from_bytes(content[-4:], "little")
             if not isinstance(found, Attachment) or (crc and zlib.crc32(content[:-4]) != crc):
-                raise Misfit(f"attachment at byte {place}", "one that holds what its checksum says")
+                raise Misfit(f"attachment at byte {offset}", "one that holds what its checksum says")
             yield found
 
     def metadata(self) -> Iterator[Metadata]:
         """Yield the metadata records."""
-        for place, content in self._records(Opcode.METADATA):
+        for offset, content in self._records(Opcode.METADATA):
             found = parsed(Opcode.METADATA, content)
             if not isinstance(found, Metadata):
-                raise Misfit(f"metadata at byte {place}", "texts of the lengths that they say")
+                raise Misfit(f"metadata at byte {offset}", "texts of the lengths that they say")
             yield found
 
     def end_ns(self) -> int:
@@ -135,27 +135,27 @@ class Content:
         if not magic <= start <= self._end:
             raise Misfit(f"index at byte {start}", f"it between {magic} and {self._end}")
         lengths: dict[int, int] = {}
-        for opcode, place, size in self._walk(start, self._end):
+        for opcode, offset, size in self._walk(start, self._end):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._reader.define(opcode, self._content(place, size), place)
+                self._reader.define(opcode, self._content(offset, size), offset)
                 continue
             if opcode == Opcode.STATISTICS:
-                statistics = parsed(opcode, self._content(place, size))
+                statistics = parsed(opcode, self._content(offset, size))
                 if not isinstance(statistics, Statistics):
-                    raise Misfit(f"definition at byte {place}", "texts of the lengths that they say")
+                    raise Misfit(f"definition at byte {offset}", "texts of the lengths that they say")
                 self._end_ns, self._count = statistics.message_end_time, statistics.message_count
                 continue
             if opcode == Opcode.CHUNK_INDEX:
-                content = self._content(place, size)
-                start_ns, _, *named, channels = _numbers(_CHUNK_PLACE, content, place)
+                content = self._content(offset, size)
+                start_ns, _, *named, channels = _numbers(_CHUNK_PLACE, content, offset)
                 self._chunks.append(chunk := (start_ns, named[0], named[1]))
                 if channels % _CHANNEL_PLACE.size or channels > len(content) - _CHUNK_PLACE.size:
-                    raise Misfit(f"{channels} bytes of channels at byte {place}", "those that are there")
+                    raise Misfit(f"{channels} bytes of channels at byte {offset}", "those that are there")
                 ids = _CHANNEL_PLACE.iter_unpack(content[_CHUNK_PLACE.size :][:channels])
                 for (number,) in ids:
                     self._first[number] = min(chunk, self._first.get(number, chunk))
             elif opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
-                named = _numbers(_PLACE, self._content(place, size), place)
+                named = _numbers(_PLACE, self._content(offset, size), offset)
                 kind = Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA
                 self._named[kind].append((named[0], named[1]))
             else:
@@ -164,11 +164,11 @@ class Content:
                 raise Misfit(f"record at byte {named[0]} named twice in the index", "each once")
             lengths[named[0]] = named[1]
         free = magic
-        for place, length in sorted(lengths.items()):
-            if place < free or place + length > start:
-                found = f"record at byte {place} of {length} bytes in the index"
+        for offset, length in sorted(lengths.items()):
+            if offset < free or offset + length > start:
+                found = f"record at byte {offset} of {length} bytes in the index"
                 raise Misfit(found, f"it between {free} and {start}")
-            free = place + length
+            free = offset + length
         self._chunks.sort()
         return bool(self._chunks)
 
@@ -178,82 +178,82 @@ class Content:
         """Yield the messages of each chunk, and the time from which on no earlier chunk has any."""
         if not self._indexed:
             yield 0, self._unindexed()
-        for start_ns, place, length in self._chunks if chunks is None else chunks:
-            yield start_ns, self._reader.entries(self._chunk(place, length), place, start_ns)
+        for start_ns, offset, length in self._chunks if chunks is None else chunks:
+            yield start_ns, self._reader.entries(self._chunk(offset, length), offset, start_ns)
 
     def _unindexed(self) -> Iterator[Entry]:
-        for opcode, place, size in self._walk(len(MCAP0_MAGIC), self._end):
+        for opcode, offset, size in self._walk(len(MCAP0_MAGIC), self._end):
             if opcode == Opcode.DATA_END:
                 return
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._reader.define(opcode, self._content(place, size), place)
+                self._reader.define(opcode, self._content(offset, size), offset)
             elif opcode == Opcode.MESSAGE:
-                yield self._reader.entry(self._content(place, size), 0, size, place)
+                yield self._reader.entry(self._content(offset, size), 0, size, offset)
             elif opcode == Opcode.CHUNK:
-                yield from self._reader.entries(self._chunk(place, HEAD.size + size), place)
+                yield from self._reader.entries(self._chunk(offset, HEAD.size + size), offset)
 
-    def _chunk(self, place: int, length: int) -> bytes:
+    def _chunk(self, offset: int, length: int) -> bytes:
         """Return the records of a chunk."""
-        self._check_head(place, length, Opcode.CHUNK, "a chunk")
-        packed = self._bytes(place, length)
+        self._check_head(offset, length, Opcode.CHUNK, "a chunk")
+        packed = self._bytes(offset, length)
         found = RecordBytes(packed).chunk_head(0)
         if found is None:
-            raise Misfit(f"chunk at byte {place}", "one that is packed with zstd or lz4, or not at all")
+            raise Misfit(f"chunk at byte {offset}", "one that is packed with zstd or lz4, or not at all")
         size, crc, compression, start, end = found
         if size > LARGEST_CHUNK:
-            raise Misfit(f"chunk at byte {place} unpacks to {size} bytes", f"at most {LARGEST_CHUNK}")
+            raise Misfit(f"chunk at byte {offset} unpacks to {size} bytes", f"at most {LARGEST_CHUNK}")
         self._unpacked += size
         if self._unpacked > (limit := SLACK + LARGEST_RATIO * self._size):
             raise Misfit(f"chunks unpack to {self._unpacked} bytes and more", f"at most {limit}")
         records = unpacked(compression, packed[start:end], size)
         if end != len(packed) or len(records) != size or (crc and zlib.crc32(records) != crc):
-            raise Misfit(f"chunk at byte {place}", "one that holds what its size and checksum say")
+            raise Misfit(f"chunk at byte {offset}", "one that holds what its size and checksum say")
         return records
 
     def _records(self, wanted: Opcode) -> Iterator[tuple[int, bytes]]:
         """Yield offsets and records of a kind, heads included."""
         if not self._indexed:
-            for opcode, place, size in self._walk(len(MCAP0_MAGIC), self._end):
+            for opcode, offset, size in self._walk(len(MCAP0_MAGIC), self._end):
                 if opcode == wanted:
-                    yield place, self._content(place, size)
+                    yield offset, self._content(offset, size)
                 elif opcode == Opcode.DATA_END:
                     return
-        for place, length in self._named[wanted]:
-            self._check_head(place, length, wanted, f"record {wanted:d}")
-            yield place, self._content(place, length - HEAD.size)
+        for offset, length in self._named[wanted]:
+            self._check_head(offset, length, wanted, f"record {wanted:d}")
+            yield offset, self._content(offset, length - HEAD.size)
 
-    def _check_head(self, place: int, length: int, wanted: Opcode, name: str) -> None:
+    def _check_head(self, offset: int, length: int, wanted: Opcode, name: str) -> None:
         """Check that the record at a place is the one that the index names."""
-        opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
+        opcode, size = HEAD.unpack(self._bytes(offset, HEAD.size))
         if opcode != wanted or HEAD.size + size != length:
-            found = f"record {opcode} of {HEAD.size + size} bytes at byte {place}"
+            found = f"record {opcode} of {HEAD.size + size} bytes at byte {offset}"
             raise Misfit(found, f"{name} of {length}, as the index says")
 
-    def _walk(self, place: int, end: int) -> Iterator[tuple[int, int, int]]:
+    def _walk(self, offset: int, end: int) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, offset and length of the content of consecutive records."""
-        while place < end:
-            opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
-            if size > end - place - HEAD.size:
-                found = f"record {opcode} of {size} bytes at byte {place}"
-                raise Misfit(found, f"at most the {max(end - place - HEAD.size, 0)} bytes that are there")
-            yield opcode, place, size
-            place += HEAD.size + size
+        while offset < end:
+            opcode, size = HEAD.unpack(self._bytes(offset, HEAD.size))
+            if size > end - offset - HEAD.size:
+                found = f"record {opcode} of {size} bytes at byte {offset}"
+                raise Misfit(found, f"at most the {max(end - offset - HEAD.size, 0)} bytes that are there")
+            yield opcode, offset, size
+            offset += HEAD.size + size
 
-    def _content(self, place: int, size: int) -> bytes:
-        return self._bytes(place + HEAD.size, size)
+    def _content(self, offset: int, size: int) -> bytes:
+        return self._bytes(offset + HEAD.size, size)
 
-    def _bytes(self, place: int, size: int) -> bytes:
+    def _bytes(self, offset: int, size: int) -> bytes:
         """Return `size` bytes of the file."""
         if size > LARGEST_RECORD:
-            raise Misfit(f"record of {size} bytes at byte {place}", f"at most {LARGEST_RECORD}")
-        self._file.seek(place)
+            raise Misfit(f"record of {size} bytes at byte {offset}", f"at most {LARGEST_RECORD}")
+        self._file.seek(offset)
         data = self._file.read(size)
         if len(data) < size:
-            raise Misfit(f"end of the file at byte {place + len(data)}", f"{size} bytes at {place}")
+            raise Misfit(f"end of the file at byte {offset + len(data)}", f"{size} bytes at {offset}")
         return data
 
 
-def _numbers(layout: struct.Struct, content: bytes, place: int) -> tuple[int, ...]:
+def _numbers(layout: struct.Struct, content: bytes, offset: int) -> tuple[int, ...]:
     if len(content) < layout.size:
-        raise Misfit(f"record of {len(content)} bytes at byte {place}", f"at least {layout.size}")
+        raise Misfit(f"record of {len(content)} bytes at byte {offset}", f"at least {layout.size}")
     return layout.unpack_from(content)

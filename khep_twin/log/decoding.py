@@ -160,11 +160,11 @@ def read_each(read: Callable[[bytes], _T], messages: Iterable[bytes]) -> list[_T
 
 
 def read_arrays_of(
-    messages: Sequence[bytes], kind: str, width: int = 0, wish: str = ", as in the channel's first message"
+    messages: Sequence[bytes], kind: str, width: int = 0, wanted: str = ", as in the channel's first message"
 ) -> NDArray[np.int64] | NDArray[np.float64]:
     """Return the values of one or more messages of a channel (n, width), `kind` as for `read_array`.
 
-    The width is that of the first message if it is 0; `wish` gives its reason in messages of errors.
+    The width is that of the first message if it is 0; `wanted` gives its reason in messages of errors.
 
     Raises:
         Misfit: One, at its `row`, is no such message, or has another length.
@@ -174,7 +174,7 @@ def read_arrays_of(
     def of_width(message: bytes) -> tuple[Any, ...]:
         values = read_array(message, kind)
         if len(values) != width:
-            raise Misfit(f"{len(values)} values", f"{width}{wish}")
+            raise Misfit(f"{len(values)} values", f"{width}{wanted}")
         return values
 
     of_width(messages[0])

@@ -32,14 +32,14 @@ class EntryReader:
     """Reader of messages, after the schemas and channels that define them.
 
     Raises:
-        Misfit: In each method: a record is invalid; `place` is its place in the file, for the message.
+        Misfit: In each method: a record is invalid; `offset` is its place in the file, for the message.
     """
 
     def __init__(self) -> None:
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, tuple[str, str, str | bytes | None]] = {}
 
-    def define(self, opcode: int, content: bytes, place: int) -> None:
+    def define(self, opcode: int, content: bytes, offset: int) -> None:
         """Note a schema or a channel."""
         match parsed(opcode, content):
             case Schema() as schema:
@@ -47,41 +47,41 @@ class EntryReader:
             case Channel() as channel:
                 schema = self._schemas.get(channel.schema_id)
                 if channel.schema_id and schema is None:
-                    found = f"channel {channel.id} of schema {channel.schema_id} at byte {place}"
+                    found = f"channel {channel.id} of schema {channel.schema_id} at byte {offset}"
                     raise Misfit(found, "a schema that is defined")
                 name, definition = ("", None) if schema is None else (schema.name, _definition(schema))
                 self._channels.setdefault(channel.id, (channel.topic, name, definition))
             case _:
-                raise Misfit(f"definition at byte {place}", "texts of the lengths that they say")
+                raise Misfit(f"definition at byte {offset}", "texts of the lengths that they say")
 
-    def entry(self, records: bytes, start: int, end: int, place: int) -> Entry:
+    def entry(self, records: bytes, start: int, end: int, offset: int) -> Entry:
         """Return the message between two places of `records`."""
         if end - start < MESSAGE.size:
-            raise Misfit(f"message of {end - start} bytes at byte {place}", f"at least {MESSAGE.size}")
+            raise Misfit(f"message of {end - start} bytes at byte {offset}", f"at least {MESSAGE.size}")
         number, _, time_ns, _ = MESSAGE.unpack_from(records, start)
         known = self._channels.get(number)
         if known is None:
-            raise Misfit(f"message of channel {number} at byte {place}", "a channel that is defined")
+            raise Misfit(f"message of channel {number} at byte {offset}", "a channel that is defined")
         return Entry(*known, time_ns, records[start + MESSAGE.size : end])
 
-    def entries(self, records: bytes, place: int, start_ns: int = 0) -> Iterator[Entry]:
+    def entries(self, records: bytes, offset: int, start_ns: int = 0) -> Iterator[Entry]:
         """Yield the messages of a chunk, none of which is earlier than the index says."""
         last = 0
         for opcode, start, end in records_in(records):
             last = end
             if opcode == Opcode.MESSAGE:
-                entry = self.entry(records, start, end, place)
+                entry = self.entry(records, start, end, offset)
                 if entry.time_ns < start_ns:
-                    found = f"message at {entry.time_ns} ns in the chunk at byte {place}"
+                    found = f"message at {entry.time_ns} ns in the chunk at byte {offset}"
                     raise Misfit(found, f"none before {start_ns} ns, as the index says")
                 yield entry
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.define(opcode, records[start:end], place)
+                self.define(opcode, records[start:end], offset)
             else:
-                found = f"record {opcode} in the chunk at byte {place}"
+                found = f"record {opcode} in the chunk at byte {offset}"
                 raise Misfit(found, "schemas, channels and messages")
         if last != len(records):
-            raise Misfit(f"chunk at byte {place} with half a record", "whole ones")
+            raise Misfit(f"chunk at byte {offset} with half a record", "whole ones")
 
 
 def _definition(schema: Schema) -> str | bytes | None:

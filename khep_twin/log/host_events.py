@@ -60,8 +60,8 @@ def read_events(message: bytes) -> Iterator[tuple[int, HostEvent]]:
             raise Misfit(f"byte = {wrong} after number {place - 1}", "0 to 255")
         sizes = _SIZES.get(HostEventKind(kind))
         if sizes is not None and size not in sizes:
-            wish = " or ".join(map(str, sizes))
-            raise Misfit(f"size = {size} of kind {kind} at number {place - _HEAD}", f"{wish} bytes")
+            wanted = " or ".join(map(str, sizes))
+            raise Misfit(f"size = {size} of kind {kind} at number {place - _HEAD}", f"{wanted} bytes")
         place += size
         host = None if baud < 0 else LineSettings(baud, stop_bits)
         yield time_ns, HostEvent(HostEventKind(kind), at_ns, host, bytes(values))

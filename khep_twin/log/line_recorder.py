@@ -35,7 +35,7 @@ class LineRecorder:
         path: Path of the finished log, by convention NAME.mcap.
         settings: Configuration of the line, kept in the log as configuration.json.
         now: Function that returns the time since the start [ns].
-        carry_on: Function that takes the message if the log can no longer be written, after which the relay
+        on_failure: Function that takes the message if the log can no longer be written, after which the relay
             continues without it; None ends it by a `LogError`.
 
     Attributes:
@@ -51,7 +51,7 @@ class LineRecorder:
         settings: Mapping[str, object],
         now: Callable[[], int],
         *,
-        carry_on: Callable[[str], None] | None = None,
+        on_failure: Callable[[str], None] | None = None,
     ) -> None:
         self._log = LogFile(path, now)
         self.kept = self._log.kept
@@ -68,7 +68,7 @@ class LineRecorder:
         self._log.describe({"configuration.json": attachment}, facts)
         self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
         self._log.flush()
-        self._log.tell = carry_on
+        self._log.on_failure = on_failure
         self._log.complete = self.close
 
     @property

@@ -36,8 +36,8 @@ class LogFile:
         kept: New path of an unfinished log of an earlier run, None if there was none.
         open: True while it can be written.
         failure: First error, None if there was none.
-        tell: Function that takes the message of an error, after which the run continues without a log; None
-            raises it.
+        on_failure: Function that takes the message of an error, after which the run continues without a
+            log; None raises it.
         complete: Function called if the process is ended from outside; by default it removes the file.
 
     Raises:
@@ -54,7 +54,7 @@ class LogFile:
         self._now = now
         self.open = True
         self.failure: LogError | None = None
-        self.tell: Callable[[str], None] | None = None
+        self.on_failure: Callable[[str], None] | None = None
         self.complete = self.discard
         try:
             with undisturbed():
@@ -132,9 +132,9 @@ class LogFile:
                 f"{self.path}: the log cannot be written any more at {self._now() / NS_PER_S:.2f} s: "
                 f"{error.strerror}; what came before is kept in {self.part}"
             )
-            if self.tell is None:
+            if self.on_failure is None:
                 raise self.failure from error
-            self.tell(f"{self.failure}; the run goes on without it")
+            self.on_failure(f"{self.failure}; the run goes on without it")
 
     def _close(self) -> None:
         self.open = False

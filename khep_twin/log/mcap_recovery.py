@@ -84,29 +84,29 @@ class Salvage:
                         yield Message(channel, log_time, data, publish_time, sequence)
 
     def _walk(self) -> None:
-        place = len(MCAP0_MAGIC)
-        if self._data[:place] != MCAP0_MAGIC:
+        offset = len(MCAP0_MAGIC)
+        if self._data[:offset] != MCAP0_MAGIC:
             self.damaged += 1
-        while place < len(self._data):
-            if self._data[place : place + len(MCAP0_MAGIC)] == MCAP0_MAGIC:
+        while offset < len(self._data):
+            if self._data[offset : offset + len(MCAP0_MAGIC)] == MCAP0_MAGIC:
                 return
             if self._progress is not None:
-                self._progress(place / len(self._data))
-            end = self._take(place)
+                self._progress(offset / len(self._data))
+            end = self._take(offset)
             if end is None:
-                if self._is_torn(place):
+                if self._is_torn(offset):
                     return
                 self.damaged += 1
-                end = self._bytes.next_record(place + 1)
+                end = self._bytes.next_record(offset + 1)
                 if end is None:
                     return
-            place = end
+            offset = end
 
-    def _take(self, place: int) -> int | None:
+    def _take(self, offset: int) -> int | None:
         """Keep the content of the record at an offset; return where the next begins, None if it is none."""
-        opcode, end = self._bytes.head(place)
+        opcode, end = self._bytes.head(offset)
         if opcode == Opcode.CHUNK:
-            records = self._bytes.chunk(place)
+            records = self._bytes.chunk(offset)
             if records is None:
                 return None
             self._unpacked += len(records)
@@ -114,20 +114,20 @@ class Salvage:
                 self.damaged += 1  # a decompression bomb, so the rest of it is not used either
                 return len(self._data)
             self._define(records)
-            self._pieces.append(place)
+            self._pieces.append(offset)
             return end
         if end is None:
             return None
         if opcode == Opcode.MESSAGE:
-            self._pieces.append(self._data[place:end])
+            self._pieces.append(self._data[offset:end])
         elif opcode == Opcode.ATTACHMENT:
-            attachment = self._bytes.attachment(place, end)
+            attachment = self._bytes.attachment(offset, end)
             if attachment is None:
                 return None
             self.attachments.append(attachment)
             self.damaged += attachment.name.startswith("damaged/")
         elif opcode in READERS:
-            return self._keep(parsed(opcode, self._data[place + HEAD.size : end]), end)
+            return self._keep(parsed(opcode, self._data[offset + HEAD.size : end]), end)
         elif opcode not in PLACES:
             return None
         return end
@@ -155,25 +155,25 @@ class Salvage:
             if opcode != Opcode.MESSAGE and self._keep(parsed(opcode, records[start:end]), end) is None:
                 break
 
-    def _is_torn(self, place: int) -> bool:
+    def _is_torn(self, offset: int) -> bool:
         """Return whether the file ends within the record at an offset; keep its readable part."""
         data = self._data
-        opcode, end = self._bytes.head(place)
+        opcode, end = self._bytes.head(offset)
         if end is not None:
             return False
-        if opcode in PLACES and len(data) - place < HEAD.size:
+        if opcode in PLACES and len(data) - offset < HEAD.size:
             return True
         if opcode in PLACES:
             # Losing a list of offsets loses nothing, if it is one and not a wrong length.
-            return self._bytes.next_record(place + 1) is None
-        if opcode == Opcode.CHUNK and (found := self._bytes.chunk_head(place)) is not None:
+            return self._bytes.next_record(offset + 1) is None
+        if opcode == Opcode.CHUNK and (found := self._bytes.chunk_head(offset)) is not None:
             size, _, compression, start, inner = found
-            if inner != place + HEAD.size + HEAD.unpack_from(data, place)[1]:
+            if inner != offset + HEAD.size + HEAD.unpack_from(data, offset)[1]:
                 return False
             records = unpacked(compression, data[start : start + LARGEST_CHUNK], size)
             self._define(records)
             self._pieces.append(records)
-        elif self._bytes.next_record(place + 1) is not None:
+        elif self._bytes.next_record(offset + 1) is not None:
             return False
         self.torn = True
         return True

@@ -80,27 +80,27 @@ class RecordBytes:
         self._data = data
         self._spent = 0
 
-    def next_record(self, place: int) -> int | None:
+    def next_record(self, offset: int) -> int | None:
         """Return the offset of the next verified record, None if the search limit is reached."""
         limit = LARGEST_CHUNK + _PATIENCE * len(self._data)
-        for match in _START.finditer(self._data, place):
+        for match in _START.finditer(self._data, offset):
             if self._spent > limit:
                 return None
             if self.is_record(match.start()):
                 return match.start()
         return None
 
-    def head(self, place: int) -> tuple[int, int | None]:
+    def head(self, offset: int) -> tuple[int, int | None]:
         """Return the opcode of a record and its end, None if that is not in the file."""
-        if place < 0 or place + HEAD.size > len(self._data):
-            return self._data[place] if 0 <= place < len(self._data) else 0, None
-        opcode, length = HEAD.unpack_from(self._data, place)
-        end = place + HEAD.size + length
+        if offset < 0 or offset + HEAD.size > len(self._data):
+            return self._data[offset] if 0 <= offset < len(self._data) else 0, None
+        opcode, length = HEAD.unpack_from(self._data, offset)
+        end = offset + HEAD.size + length
         return opcode, end if end <= len(self._data) else None
 
-    def chunk_head(self, place: int) -> tuple[int, int, str, int, int] | None:
+    def chunk_head(self, offset: int) -> tuple[int, int, str, int, int] | None:
         """Return unpacked size, checksum and compression, and begin and end of the packed bytes."""
-        start = place + HEAD.size
+        start = offset + HEAD.size
         try:
             _, _, size, crc = _CHUNK_HEAD.unpack_from(self._data, start)
             (length,) = struct.unpack_from("<I", self._data, start + _CHUNK_HEAD.size)
@@ -114,15 +114,15 @@ class RecordBytes:
         first = name + len(compression) + 8
         return size, crc, compression, first, first + packed
 
-    def chunk(self, place: int) -> bytes | None:
+    def chunk(self, offset: int) -> bytes | None:
         """Return the records in a chunk; None if its lengths differ or its checksum is another."""
-        found = self.chunk_head(place)
+        found = self.chunk_head(offset)
         if found is None:
             return None
         size, crc, compression, start, end = found
         if (
             size > LARGEST_CHUNK
-            or end != self.head(place)[1]
+            or end != self.head(offset)[1]
             or not self._may_be(compression, start, end, size)
         ):
             return None
@@ -144,9 +144,9 @@ class RecordBytes:
             return False
         return says in (size, zstandard.CONTENTSIZE_UNKNOWN)
 
-    def attachment(self, place: int, end: int) -> Attachment | None:
+    def attachment(self, offset: int, end: int) -> Attachment | None:
         """Return an attachment; one that fails its checksum is named damaged/NAME."""
-        content = self._data[place + HEAD.size : end]
+        content = self._data[offset + HEAD.size : end]
         self._spent += len(content)
         try:
             attachment = Attachment.read(ReadDataStream(BytesIO(content)))
@@ -156,18 +156,18 @@ class RecordBytes:
             return attachment
         return replace(attachment, name=f"damaged/{attachment.name}")
 
-    def is_record(self, place: int) -> bool:
+    def is_record(self, offset: int) -> bool:
         """Return whether a record at an offset is verified by more than its opcode."""
-        opcode, end = self.head(place)
+        opcode, end = self.head(offset)
         if end is None:
             return False
         if opcode == Opcode.CHUNK:
-            return self.chunk(place) is not None
+            return self.chunk(offset) is not None
         if opcode == Opcode.ATTACHMENT:
-            found = self.attachment(place, end)
+            found = self.attachment(offset, end)
             return found is not None and not found.name.startswith("damaged/")
-        self._spent += end - place
-        if opcode in READERS and parsed(opcode, self._data[place + HEAD.size : end]) is None:
+        self._spent += end - offset
+        if opcode in READERS and parsed(opcode, self._data[offset + HEAD.size : end]) is None:
             return False
         if opcode not in READERS and opcode not in PLACES and opcode != Opcode.MESSAGE:
             return False
@@ -188,14 +188,14 @@ def parsed(opcode: int, content: bytes) -> McapRecord | None:
 
 def records_in(data: bytes) -> Generator[tuple[int, int, int], None, None]:
     """Yield opcode, begin and end of the content of consecutive whole records."""
-    place = 0
-    while place + HEAD.size <= len(data):
-        opcode, length = HEAD.unpack_from(data, place)
-        start = place + HEAD.size
-        place = start + length
-        if place > len(data):
+    offset = 0
+    while offset + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, offset)
+        start = offset + HEAD.size
+        offset = start + length
+        if offset > len(data):
             return
-        yield opcode, start, place
+        yield opcode, start, offset
 
 
 def unpacked(compression: str, packed: bytes, limit: int) -> bytes:

@@ -68,7 +68,7 @@ class Recorder:
         settings: Configuration of the run, kept in the log as configuration.json.
         facts: More metadata of the run.
         attachments: More texts to keep, by name.
-        carry_on: Function that takes the message if the log can no longer be written, after which the run
+        on_failure: Function that takes the message if the log can no longer be written, after which the run
             continues without it; None ends the run by a `LogError`.
 
     Attributes:
@@ -88,7 +88,7 @@ class Recorder:
         *,
         facts: Mapping[str, str] = _NONE,
         attachments: Mapping[str, str] = _NONE,
-        carry_on: Callable[[str], None] | None = None,
+        on_failure: Callable[[str], None] | None = None,
     ) -> None:
         self._log = LogFile(path, lambda: world.time_ns)
         self.path, self.part, self.kept = path, self._log.part, self._log.kept
@@ -114,7 +114,7 @@ class Recorder:
         self._physics = np.zeros((_BATCH, len(self._qpos) + len(self._qvel)))
         self._begin(settings, facts, attachments)
         # An error at the very start of a log is always raised.
-        self._log.tell = carry_on
+        self._log.on_failure = on_failure
         self._log.complete = self.close
 
     @property

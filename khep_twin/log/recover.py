@@ -101,11 +101,11 @@ def _content(path: Path) -> bytes | mmap:
 
 def _target(path: Path) -> Path:
     """Return the finished log's own name, or the first free one like it."""
-    wish = path.with_name(_PART.sub("", path.name))
-    found, number = wish, 1
+    wanted = path.with_name(_PART.sub("", path.name))
+    found, number = wanted, 1
     while found.exists() or found.is_symlink():
         count = "" if number == 1 else f".{number}"
-        found, number = wish.with_name(f"{wish.stem}.recovered{count}{wish.suffix}"), number + 1
+        found, number = wanted.with_name(f"{wanted.stem}.recovered{count}{wanted.suffix}"), number + 1
     return found
 
 

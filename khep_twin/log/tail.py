@@ -110,40 +110,40 @@ class GrowingLog:
     def _take(self) -> Generator[Entry, None, None]:
         """Read the whole records; a partial one stays for the next time."""
         size = len(MCAP0_MAGIC)
-        place = 0
+        offset = 0
         if not self._begun:
             if not MCAP0_MAGIC.startswith(self._rest[:size]):
                 raise LogError(f"{self.part}: this is no MCAP file; expected the log of a run")
             if len(self._rest) < size:
                 return
-            self._begun, place = True, size
+            self._begun, offset = True, size
         records = RecordBytes(self._rest)
         while not self.finished:
-            opcode, end = records.head(place)
+            opcode, end = records.head(offset)
             if end is None:
                 break
             if opcode == Opcode.CHUNK:
-                yield from self._unpack(records, place)
+                yield from self._unpack(records, offset)
             elif opcode == Opcode.ATTACHMENT:
-                if (found := records.attachment(place, end)) is not None:
+                if (found := records.attachment(offset, end)) is not None:
                     self._attachments[found.name] = found.data.decode("utf-8", "replace")
             elif opcode == Opcode.METADATA:
-                record = parsed(opcode, self._rest[place + HEAD.size : end])
+                record = parsed(opcode, self._rest[offset + HEAD.size : end])
                 if isinstance(record, Metadata):
                     self._facts |= run_facts([record])
             elif opcode == Opcode.DATA_END:
                 self.finished = True
-            place = end
-        self._rest = self._rest[place:]
+            offset = end
+        self._rest = self._rest[offset:]
 
-    def _unpack(self, records: RecordBytes, place: int) -> Generator[Entry, None, None]:
-        content = records.chunk(place)
+    def _unpack(self, records: RecordBytes, offset: int) -> Generator[Entry, None, None]:
+        content = records.chunk(offset)
         if content is None:
             recovery = command("recover", self.part)
             raise LogError(f"{self.part}: a part of it is damaged; to recover it: {recovery}")
         if self.label() is None:
             raise LogError(f"{self.part}: an MCAP file, but no log of khep_twin")
-        yield from self._reader.entries(content, place)
+        yield from self._reader.entries(content, offset)
 
     def _check_alive(self) -> None:
         """Check, now and then, that a process still has the file open to write."""

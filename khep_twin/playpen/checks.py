@@ -151,8 +151,8 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
 def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
     for name in playpen.surfaces:
         if name in BUILT_IN_SURFACES:
-            wish = f"a name other than {', '.join(BUILT_IN_SURFACES)}"
-            yield Problem.of(("surfaces", name), f"surfaces {name}: built in", wish)
+            wanted = f"a name other than {', '.join(BUILT_IN_SURFACES)}"
+            yield Problem.of(("surfaces", name), f"surfaces {name}: built in", wanted)
     known = {**BUILT_IN_SURFACES, **playpen.surfaces}
     users: list[tuple[Location, str, str]] = [(("arena",), "arena", playpen.arena.surface)]
     for kind, items in {**playpen.objects, "wall": playpen.walls, "patch": playpen.patches}.items():
@@ -189,8 +189,8 @@ def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
     lighting = playpen.lighting
     if not lighting.min_angle_deg < lighting.max_angle_deg:
         found = f"lighting: max_angle_deg = {lighting.max_angle_deg:g}"
-        wish = f"above min_angle_deg = {lighting.min_angle_deg:g}"
-        yield Problem.of(("lighting", "max_angle_deg"), found, wish)
+        wanted = f"above min_angle_deg = {lighting.min_angle_deg:g}"
+        yield Problem.of(("lighting", "max_angle_deg"), found, wanted)
     for index, lamp in enumerate(playpen.lamps):
         if 0 < lamp.blink_period_s < SHORTEST_BLINK_S:
             found = f"{label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}"

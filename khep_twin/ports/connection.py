@@ -14,14 +14,14 @@ class Connection:
         twin: Twin whose world the robot is in.
         robot: Robot at this end.
         port: Cable to the host.
-        tell: Callback that takes notices for the user.
+        notify: Callback that takes notices for the user.
     """
 
-    def __init__(self, twin: Twin, robot: Robot, port: HostPort, tell: Callable[[str], None]) -> None:
+    def __init__(self, twin: Twin, robot: Robot, port: HostPort, notify: Callable[[str], None]) -> None:
         self._world = twin.world
         self._robot = robot
         self._cable = port
-        self._tell = tell
+        self._notify = notify
 
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors to wait for."""
@@ -63,4 +63,4 @@ class Connection:
 
     def _note(self, text: str) -> None:
         self._world.log_event(self._robot.index, text)
-        self._tell(f"{self._cable.path}: {text}")
+        self._notify(f"{self._cable.path}: {text}")

@@ -11,7 +11,7 @@ from khep_twin.ports.pty import PtyPort
 
 @contextmanager
 def open_endpoints(
-    bauds: Mapping[int, int], *, link: str | None, tcp: str | None, rfc2217: str | None, expose: bool
+    bauds: Mapping[int, int], *, link: str | None, tcp: str | None, rfc2217: str | None, allow_remote: bool
 ) -> Generator[Sequence[HostPort], None, None]:
     """Open one cable for each robot: pseudo-terminals, or TCP servers at consecutive ports.
 
@@ -20,7 +20,7 @@ def open_endpoints(
         link: Path of the link to the pseudo-terminal, as typed.
         tcp: HOST:PORT to serve plain bytes at instead.
         rfc2217: HOST:PORT to serve RFC 2217 at instead.
-        expose: Allow connections from other machines.
+        allow_remote: Allow connections from other machines.
 
     Links of several robots end in the robot's number: khepera0, khepera1 …
 
@@ -39,7 +39,7 @@ def open_endpoints(
                 served: HostPort = PtyPort(name, baud)
             else:
                 host, port = parse_address(address)
-                if not is_loopback(host) and not expose:
+                if not is_loopback(host) and not allow_remote:
                     raise PortError(
                         f"{address}: other machines could drive the robot from there; expected "
                         f"127.0.0.1:{port}, or --allow-remote if that is wanted"

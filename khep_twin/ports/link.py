@@ -19,7 +19,7 @@ class Link:
     """Link to a terminal, until it is closed.
 
     Args:
-        wish: Path as typed; a bare name is in a private directory of this user, ./NAME in the current one.
+        wanted: Path as typed; a bare name is in a private directory of this user, ./NAME in the current one.
         target: Path of the terminal.
 
     Attributes:
@@ -29,24 +29,24 @@ class Link:
         PortError: There is something else under this name, or the link cannot be made.
     """
 
-    def __init__(self, wish: str | Path, target: str) -> None:
+    def __init__(self, wanted: str | Path, target: str) -> None:
         # A Path drops a leading ./, which asks for a link in the current directory.
-        is_bare = not os.path.dirname(wish)
+        is_bare = not os.path.dirname(wanted)
         folder = private_folder() if is_bare else Path.cwd()
-        self.path = Path(wish) if len(Path(wish).parts) > 1 else folder / wish
+        self.path = Path(wanted) if len(Path(wanted).parts) > 1 else folder / wanted
         self._target = target
         self._lock_path = self.path.with_name(f".{self.path.name}.lock")
         if os.path.lexists(self.path) and not self.path.is_symlink():
-            raise PortError(f"{wish}: there is something that is no link; name another path for --link")
+            raise PortError(f"{wanted}: there is something that is no link; name another path for --link")
         with undisturbed():
             try:
                 self._lock = os.open(
                     self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600
                 )
             except OSError as error:
-                raise PortError(f"{wish}: cannot make this link: {error.strerror}") from error
+                raise PortError(f"{wanted}: cannot make this link: {error.strerror}") from error
             try:
-                self._take(wish)
+                self._take(wanted)
             except BaseException:
                 os.close(self._lock)
                 raise
@@ -60,19 +60,19 @@ class Link:
         self._forget()
         os.close(self._lock)
 
-    def _take(self, wish: str | Path) -> None:
+    def _take(self, wanted: str | Path) -> None:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise PortError(
-                f"{wish}: another khep-twin serves under this name; name another path for --link"
+                f"{wanted}: another khep-twin serves under this name; name another path for --link"
             ) from None
         before = os.pread(self._lock, 4096, 0).decode("utf-8", "replace")
         if self.path.is_symlink() and self.path.exists() and os.readlink(self.path) != before:
             if not before:
                 self._lock_path.unlink(missing_ok=True)
             raise PortError(
-                f"{wish}: this link leads to {os.readlink(self.path)}, which is there and not ours; name "
+                f"{wanted}: this link leads to {os.readlink(self.path)}, which is there and not ours; name "
                 "another path for --link, or remove the link if it is left over"
             )
         beside = self.path.with_name(f".{self.path.name}.{os.getpid()}")
@@ -82,7 +82,7 @@ class Link:
             beside.symlink_to(self._target)
             os.replace(beside, self.path)
         except OSError as error:
-            raise PortError(f"{wish}: cannot make this link: {error.strerror}") from error
+            raise PortError(f"{wanted}: cannot make this link: {error.strerror}") from error
 
 
 def leads_to_ours(path: Path) -> bool:

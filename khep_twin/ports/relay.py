@@ -140,7 +140,7 @@ def relay(
     recorder: LineRecorder | None,
     *,
     stop: Callable[[], bool],
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
 ) -> None:
     """Relay bytes between a host and a robot until `stop` returns True.
 
@@ -149,14 +149,14 @@ def relay(
         port: Cable to the host.
         recorder: Recorder of the bytes of both.
         stop: Callback that is called once per cycle; True ends it.
-        tell: Callback that takes notices for the user.
+        notify: Callback that takes notices for the user.
 
     Raises:
         PortError: The robot's port failed.
     """
 
     def note(text: str) -> None:
-        tell(f"{port.path}: {text}")
+        notify(f"{port.path}: {text}")
         if recorder is not None:
             recorder.on_event(text)
 

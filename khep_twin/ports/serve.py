@@ -30,7 +30,7 @@ def serve(
     speed: float,
     *,
     stop: Callable[[], bool],
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
 ) -> Pacer:
     """Connect hosts to the twin until `stop` returns True.
 
@@ -39,13 +39,13 @@ def serve(
         ports: Cables to the hosts of its robots, one for each.
         speed: Simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
         stop: Callback that is called once per cycle; True ends it.
-        tell: Callback that takes notices for the user, such as a wrong speed of the line.
+        notify: Callback that takes notices for the user, such as a wrong speed of the line.
 
     Returns:
         The pacer, with the number and sum of the times that had to be given up.
     """
     connections = [
-        Connection(twin, robot, port, tell) for robot, port in zip(twin.robots, ports, strict=True)
+        Connection(twin, robot, port, notify) for robot, port in zip(twin.robots, ports, strict=True)
     ]
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
     if speed == WIRE:

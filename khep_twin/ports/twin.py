@@ -124,7 +124,7 @@ class Twin:
         *,
         facts: Mapping[str, str] | None = None,
         attachments: Mapping[str, str] | None = None,
-        carry_on: Callable[[str], None] | None = None,
+        on_failure: Callable[[str], None] | None = None,
     ) -> None:
         """Record the run from here on.
 
@@ -132,7 +132,7 @@ class Twin:
             path: Path of the finished log, by custom NAME.mcap.
             facts: Further facts about the run, such as the name of its controller.
             attachments: Texts by name besides the twin's own.
-            carry_on: Callback that takes the line about a log that cannot be written any more; the run goes
+            on_failure: Callback that takes the line about a log that cannot be written any more; the run goes
                 on without it; None ends the run by a `LogError`.
 
         Raises:
@@ -141,7 +141,12 @@ class Twin:
         # The log's own name is no part of the run: the same run gives the same bytes under any name.
         settings = {key: value for key, value in asdict(self.options).items() if key != "log"}
         self.recorder = Recorder(
-            path, self.world, settings, facts=facts or {}, attachments=attachments or {}, carry_on=carry_on
+            path,
+            self.world,
+            settings,
+            facts=facts or {},
+            attachments=attachments or {},
+            on_failure=on_failure,
         )
         self.world.add_observer(self.recorder)
 

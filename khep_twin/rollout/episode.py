@@ -54,10 +54,10 @@ class SlowerWarning(UserWarning):
     """Warning that episodes run uncompiled, with the same results, as numba is not installed."""
 
 
-def is_compiled(wish: bool | None) -> bool:
+def is_compiled(wanted: bool | None) -> bool:
     """Return whether episodes run compiled; None means if numba is installed, with a warning if not."""
-    if wish is not None:
-        return wish
+    if wanted is not None:
+        return wanted
     if importlib.util.find_spec("numba") is not None:
         return True
     warnings.warn(

@@ -83,7 +83,7 @@ def bulbs(lines: SightLines, lighting: Lighting) -> Bulbs:
         rows += hidden
         first.append(len(rows))
     return Bulbs(
-        places=[part for place in lines.lamps for part in place],
+        positions=[part for position in lines.lamps for part in position],
         by_toolbox=lighting.law == "toolbox",
         min_angle_deg=lighting.min_angle_deg,
         max_angle_deg=lighting.max_angle_deg,

@@ -99,7 +99,7 @@ class Bulbs(NamedTuple):
     """Lamps, and directions in which they may be hidden (`occlusion`).
 
     Attributes:
-        places: Positions of the centres (3 n,) [m].
+        positions: Positions of the centres (3 n,) [m].
         by_toolbox: True if the toolbox's law holds.
         min_angle_deg: Minimum angle of that law [deg].
         max_angle_deg: Maximum angle of that law [deg].
@@ -110,7 +110,7 @@ class Bulbs(NamedTuple):
         nearest: Distances of the hiding objects (n_hidden,) [m].
     """
 
-    places: Sequence[float]
+    positions: Sequence[float]
     by_toolbox: bool
     min_angle_deg: float
     max_angle_deg: float
@@ -185,10 +185,10 @@ def light_counts(
 ) -> float:
     """Return the light of all lamps at one receiver, below its dark level [counts]."""
     total = 0.0
-    if not len(bulbs.places):
+    if not len(bulbs.positions):
         return total
-    place, frame = raycast.position(scene, channel), raycast.body_frame(scene)
-    x, y, z = place[0], place[1], place[2]
+    position, frame = raycast.position(scene, channel), raycast.body_frame(scene)
+    x, y, z = position[0], position[1], position[2]
     ahead, left = ambient.ahead[channel], ambient.left[channel]
     axis_x = ahead * frame[0] + left * frame[1]
     axis_y = ahead * frame[3] + left * frame[4]
@@ -197,8 +197,8 @@ def light_counts(
         power = powers[lamp]
         if power == 0:
             continue
-        dx, dy = bulbs.places[3 * lamp] - x, bulbs.places[3 * lamp + 1] - y
-        dz = 0.0 if bulbs.by_toolbox else bulbs.places[3 * lamp + 2] - z
+        dx, dy = bulbs.positions[3 * lamp] - x, bulbs.positions[3 * lamp + 1] - y
+        dz = 0.0 if bulbs.by_toolbox else bulbs.positions[3 * lamp + 2] - z
         distance = math.sqrt(dx * dx + dy * dy + dz * dz)
         if distance == 0:
             distance = BULB_RADIUS
@@ -249,7 +249,7 @@ def clear(bulbs: Bulbs, lamp: int, x: float, y: float) -> bool:
     """Return whether a lamp is surely in full sight of a position at the height of the sensors [m]."""
     if not bulbs.known:
         return False
-    dx, dy = x - bulbs.places[3 * lamp], y - bulbs.places[3 * lamp + 1]
+    dx, dy = x - bulbs.positions[3 * lamp], y - bulbs.positions[3 * lamp + 1]
     distance = math.sqrt(dx * dx + dy * dy)
     nearest, middles, edges = bulbs.nearest, bulbs.middles, bulbs.edges
     for i in range(bulbs.first[lamp], bulbs.first[lamp + 1]):

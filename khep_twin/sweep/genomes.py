@@ -26,18 +26,18 @@ def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int)
         return rng.normal(0.0, table.drawn_sd, (table.drawn, wanted or 0))
     if table.genomes is None:
         return np.zeros((1, 0))
-    place = (kind, index, "genomes")
+    location = (kind, index, "genomes")
     key = f"{kind} {index + 1}: genomes = {show(table.genomes)}"
     try:
         found = _read(file.folder / table.genomes)
     except (OSError, ValueError, TypeError) as trouble:
         reason = (trouble.strerror if isinstance(trouble, OSError) else None) or str(trouble)
-        raise file.error(place, f"{key}: cannot be read: {reason.splitlines()[0]}") from None
+        raise file.error(location, f"{key}: cannot be read: {reason.splitlines()[0]}") from None
     if found.ndim != 2 or 0 in found.shape or (wanted is not None and found.shape[1] != wanted):
         right = "finite numbers" if wanted is None else f"rows of {wanted} numbers"
-        raise file.error(place, f"{key}: shape {found.shape}; expected {right}")
+        raise file.error(location, f"{key}: shape {found.shape}; expected {right}")
     if not np.isfinite(found).all():
-        raise file.error(place, f"{key}: NaN or infinity; expected finite numbers")
+        raise file.error(location, f"{key}: NaN or infinity; expected finite numbers")
     return found
 
 

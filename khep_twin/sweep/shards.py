@@ -191,12 +191,12 @@ def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0)
 
 def _starts(file: StudyFile, place: Playpen) -> Iterator[str]:
     """Yield a word for each start in a playpen; a grid has one for each of its positions."""
-    for wish in file.study.grid.starts:
-        if wish in ("playpen", "random"):
-            yield wish
+    for wanted in file.study.grid.starts:
+        if wanted in ("playpen", "random"):
+            yield wanted
             continue
         try:
-            yield from (str(start) for start in start_poses.starts([wish], place, 0, 1, 0))
+            yield from (str(start) for start in start_poses.starts([wanted], place, 0, 1, 0))
         except KhepTwinError as error:
             raise checked(file, ("grid", "starts"), f"starts, in {place.name}", error) from None
 

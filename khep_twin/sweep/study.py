@@ -144,8 +144,8 @@ class Study(TomlTable):
         try:
             n_steps(to_ns(self.seconds), self.period_ms * 1_000_000)
         except ValueError:
-            wish = f"whole control periods of {self.period_ms} ms"
-            yield Problem.of(("seconds",), f"seconds = {self.seconds:g}", wish)
+            wanted = f"whole control periods of {self.period_ms} ms"
+            yield Problem.of(("seconds",), f"seconds = {self.seconds:g}", wanted)
         if not (self.controllers or self.networks or self.programs):
             yield Problem.of((), "no controller", "controllers, a [[network]] or a [[program]]")
         if "homing" in self.fitness and self.home is None:

@@ -82,8 +82,8 @@ def _playpen() -> Playpen:
 def _set_up(command: str, playpen: Playpen) -> None:
     """Replace the lamps and the lighting of the playpen that is open."""
     world = opened().twin.world
-    places = [(lamp.x_mm, lamp.y_mm, lamp.z_mm, lamp.power_w) for lamp in playpen.lamps]
-    if wrong := next((place for place in places if not all(map(math.isfinite, place))), None):
+    positions = [(lamp.x_mm, lamp.y_mm, lamp.z_mm, lamp.power_w) for lamp in playpen.lamps]
+    if wrong := next((position for position in positions if not all(map(math.isfinite, position))), None):
         raise PlaypenError(f"{command}: x, y, z, power = {wrong}: expected finite numbers")
     try:
         relight(world, playpen.lamps, playpen.lighting)

@@ -20,7 +20,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment import series_files
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import AnyController, write_template
-from khep_twin.lab.experiment.experiment import call_after, find_after, find_controller
+from khep_twin.lab.experiment.experiment import call_on_run_end, find_controller, find_on_run_end
 from khep_twin.lab.experiment.series import OneRobot, Plan, SeriesRun, run_series
 from khep_twin.lab.experiment.series_statistics import Summary, measured, summary, table, values
 from khep_twin.toolbox.controller import ToolboxController
@@ -71,7 +71,7 @@ def roborun2(
     typed = isinstance(ctrl_name, str)
     controller = find_controller(ctrl_name, as_toolbox_form) if typed else as_toolbox_form(ctrl_name)
     functions = [user] if isinstance(user, str) or callable(user) else user
-    after = [find_after(each, controller) if isinstance(each, str) else each for each in functions]
+    after = [find_on_run_end(each, controller) if isinstance(each, str) else each for each in functions]
     robot = _robot(controller, port_id)
     plan = Plan(runs, cycles_per_run, pause=float(pause))
     folder = None
@@ -85,7 +85,7 @@ def roborun2(
             folder.keep(run)
         print(run.line(runs))
         for each in after:
-            call_after(each, run)
+            call_on_run_end(each, run)
     return list(_runs)
 
 

@@ -24,7 +24,7 @@ class Broadcaster:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._last: dict[str, str] = {}
 
-    def tell(self, message: Mapping[str, object]) -> None:
+    def publish(self, message: Mapping[str, object]) -> None:
         """Send a message to all pages; from any thread."""
         kind = str(message.get("kind"))
         if kind == "picture" and not self._watchers:

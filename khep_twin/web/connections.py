@@ -88,10 +88,10 @@ class Watch:
 
 
 @contextmanager
-def told(tell: Callable[[str], object] | None) -> Generator[None]:
-    """Report each of the server's errors in one line, one of a kind per minute; without `tell`, log them."""
-    loggers = [logging.getLogger(name) for name in ("uvicorn.error", "asyncio")] if tell else []
-    lines = _Lines(tell or str)
+def reported(report: Callable[[str], object] | None) -> Generator[None]:
+    """Report each server error in one line, one of a kind per minute; without `report`, log them."""
+    loggers = [logging.getLogger(name) for name in ("uvicorn.error", "asyncio")] if report else []
+    lines = _Lines(report or str)
     for logger in loggers:
         logger.addHandler(lines)
     try:
@@ -104,9 +104,9 @@ def told(tell: Callable[[str], object] | None) -> Generator[None]:
 class _Lines(logging.Handler):
     """Handler that reports a record in one line."""
 
-    def __init__(self, tell: Callable[[str], object]) -> None:
+    def __init__(self, report: Callable[[str], object]) -> None:
         super().__init__(logging.ERROR)
-        self._tell = tell
+        self._report = report
         self._next: dict[str, float] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -118,7 +118,7 @@ class _Lines(logging.Handler):
         if now >= self._next.get(kind, 0.0):
             self._next[kind] = now + _NEXT_LINE
             text = record.getMessage().splitlines()[0]
-            self._tell(f"the page: {text}" + (f": {type(error).__name__}: {error}" if error else ""))
+            self._report(f"the page: {text}" + (f": {type(error).__name__}: {error}" if error else ""))
 
 
 def _stands_at(connection: "Protocols") -> tuple[str, object]:

@@ -22,7 +22,7 @@ from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.web.documents import Documents
 from khep_twin.web.requests import RunRequest, SenseRequest
 
-Tell = Callable[[Mapping[str, object]], None]
+Publish = Callable[[Mapping[str, object]], None]
 """Function that takes a message for the page."""
 
 Progress = Callable[[float], None]
@@ -32,7 +32,7 @@ Progress = Callable[[float], None]
 class Job(Protocol):
     """Job of the robot."""
 
-    def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
+    def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         """Do the job and report its progress, until it is done or `stop` returns True."""
         ...
 
@@ -53,7 +53,7 @@ class SeriesJob:
     plan: Plan
     folder: Path | None
 
-    def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
+    def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         """Run the series."""
         plan, kept = self.plan, None
         if self.folder is not None:
@@ -63,7 +63,7 @@ class SeriesJob:
         def row(run: DoneRun, stopped: bool = False) -> None:
             metrics = {name: value for name, value in run.metrics.items() if math.isfinite(value)}
             told = {"number": run.number, "stopped": stopped, "cycles": run.cycles, "seconds": run.duration}
-            tell({"kind": "run", **told, "metrics": metrics})
+            publish({"kind": "run", **told, "metrics": metrics})
 
         broken_off = partial(row, stopped=True)
         source = OneRobot(robot)
@@ -89,11 +89,11 @@ class Sensing:
     keep: Callable[[SensorRun], None]
     text: str = ""
 
-    def do(self, robot: Khepera, tell: Tell, progress: Progress, stop: Callable[[], bool]) -> None:
+    def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         """Run the test."""
         run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
         self.keep(run)
-        tell({"kind": "sensed", "rows": len(run.times), "warning": run.warning})
+        publish({"kind": "sensed", "rows": len(run.times), "warning": run.warning})
 
 
 def series(asked: RunRequest, documents: Documents) -> SeriesJob:

@@ -24,17 +24,17 @@ class OutsideHost:
         twin: Twin whose world the robot is in.
         robot: Robot of the line.
         port: Cable to the host.
-        tell: Callback that takes notices for the user.
+        notify: Callback that takes notices for the user.
 
     Attributes:
         commands: Number of lines inserted so far.
     """
 
-    def __init__(self, twin: Twin, robot: Robot, port: HostPort, tell: Callable[[str], None]) -> None:
+    def __init__(self, twin: Twin, robot: Robot, port: HostPort, notify: Callable[[str], None]) -> None:
         self.robot, self.port = robot, port
         self.commands = 0
-        self._alone = Connection(twin, robot, port, tell)
-        self._tell = tell
+        self._alone = Connection(twin, robot, port, notify)
+        self._notify = notify
         self._begun = bytearray()
 
     def descriptors(self) -> Sequence[int]:
@@ -60,7 +60,7 @@ class OutsideHost:
         answered = not any(end in self._begun for end in LINE_ENDS)
         received = self.port.receive(max(_LINE_LIMIT - len(self._begun), 0), answered)
         for notice in received.notices:
-            self._tell(notice)
+            self._notify(notice)
         if received.left:
             # The host's last bytes still reach the robot; the answers are dropped.
             if last := bytes(self._begun) + received.last:

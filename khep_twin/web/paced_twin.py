@@ -64,7 +64,7 @@ class PacedTwin:
         self.ended = False
         self.busy = False
         self._hosts, self._show_picture = hosts, show
-        self._wishes: deque[Callable[[], None]] = deque()
+        self._requests: deque[Callable[[], None]] = deque()
         self._steps_left_ns = 0
         self._stop_at: float | None = None
         self._broken_off = False
@@ -72,9 +72,9 @@ class PacedTwin:
         self._paced_by: float | None = None
         self._shown = self._listened = 0.0
 
-    def wish(self, action: Callable[[], None]) -> None:
+    def request(self, action: Callable[[], None]) -> None:
         """Have the twin's thread execute an action between two slices of time; from any thread."""
-        self._wishes.append(action)  # a deque's own lock suffices
+        self._requests.append(action)  # a deque's own lock suffices
 
     def step(self) -> None:
         """Advance one step while paused."""
@@ -110,8 +110,8 @@ class PacedTwin:
             SessionEndedError: A stopped program did not end in time.
         """
         while True:
-            while self._wishes:
-                self._wishes.popleft()()
+            while self._requests:
+                self._requests.popleft()()
             if self.ended or self._stop_at is not None or not self.paused:
                 break
             if self._steps_left_ns >= TICK_NS:
@@ -144,7 +144,7 @@ class PacedTwin:
         """Wait until a time is due, and advance the world to it."""
         pacer = self._pacer_now()
         if pacer is not None and not self.paused and not self.stopping():
-            while (left := pacer.wait(time_ns)) > 0 and not self._wishes and not self._wait(left):
+            while (left := pacer.wait(time_ns)) > 0 and not self._requests and not self._wait(left):
                 pass
             if not self.busy:
                 # Bytes of a host that arrived meanwhile must not wait until then.

@@ -168,7 +168,7 @@ class Page:
             page=asked.tab,
         )
         self._file = name
-        self._broadcaster.tell({"kind": "saved", "file": name, "version": version, "tab": asked.tab})
+        self._broadcaster.publish({"kind": "saved", "file": name, "version": version, "tab": asked.tab})
         return {"file": name, "version": version, "name": draft.get("name")}
 
     def _keep(self, asked: requests.Kept) -> None:
@@ -203,7 +203,7 @@ class Page:
             raise PortError("there is no robot; expected one in the playpen")
         options = TwinOptions(seed=asked.seed, noise=asked.noise)
         path = self._documents.new_path(asked.log, ".mcap") if asked.log else None
-        actor = TwinActor(playpen, options, path, self._broadcaster.tell)
+        actor = TwinActor(playpen, options, path, self._broadcaster.publish)
         actor.set_pace(_speed(asked), asked.paused)
         self._replace(actor)
         self._runs_in = asked.file
@@ -212,9 +212,9 @@ class Page:
         url = asked.port
         known = {port.url for port in found_ports()}
         if url not in known and not url.startswith(("/dev/", "socket://", "rfc2217://")):
-            wish = "expected a path in /dev, socket://HOST:PORT or rfc2217://HOST:PORT"
-            raise PortError(f"{url[:80]}: {wish}; {choices(url, sorted(known))}")
-        self._replace(RobotActor(url, self._broadcaster.tell))
+            wanted = "expected a path in /dev, socket://HOST:PORT or rfc2217://HOST:PORT"
+            raise PortError(f"{url[:80]}: {wanted}; {choices(url, sorted(known))}")
+        self._replace(RobotActor(url, self._broadcaster.publish))
 
     def _replace(self, actor: WebSession) -> None:
         # Two simultaneous requests would both end the last one only.
@@ -351,6 +351,6 @@ def _speed(asked: requests.Pace) -> float:
     if asked.speed == 0:
         return math.inf
     if asked.speed < 0.001:
-        wish = "expected a number from 0.001 to 1000, or 0 for the most"
-        raise requests.RequestError(f"speed = {asked.speed:g}: {wish}")
+        wanted = "expected a number from 0.001 to 1000, or 0 for the most"
+        raise requests.RequestError(f"speed = {asked.speed:g}: {wanted}")
     return asked.speed

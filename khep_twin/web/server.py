@@ -11,7 +11,7 @@ import uvicorn
 
 from khep_twin.errors import PortError
 from khep_twin.ports.network import is_loopback, parse_address
-from khep_twin.web.connections import ACCEPTED_AT_ONCE, PING, QUEUE, PageConnection, Watch, told
+from khep_twin.web.connections import ACCEPTED_AT_ONCE, PING, QUEUE, PageConnection, Watch, reported
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
@@ -30,7 +30,7 @@ class Server:
         folder: Folder whose files the page may read and write.
         file: File to open at first, relative to the folder.
         listen: HOST:PORT; port 0 is any free port.
-        expose: Allow connections from other machines.
+        allow_remote: Allow connections from other machines.
         complain: Function that takes the server's own errors, a line each; without it, they are logged.
 
     Raises:
@@ -43,11 +43,11 @@ class Server:
         file: str | None,
         listen: str,
         *,
-        expose: bool = False,
+        allow_remote: bool = False,
         complain: Callable[[str], object] | None = None,
     ) -> None:
         host, port = parse_address(listen)
-        if not is_loopback(host) and not expose:
+        if not is_loopback(host) and not allow_remote:
             raise PortError(
                 f"{listen}: other machines could reach your files from there; expected 127.0.0.1:{port}, or "
                 "--allow-remote if that is wanted"
@@ -97,7 +97,7 @@ class Server:
         """Serve until `stop` returns True."""
         self._server.stop = stop
         try:
-            with told(self._complain):
+            with reported(self._complain):
                 self._server.run(sockets=[self.listener])
         finally:
             self._page.close()

@@ -25,7 +25,7 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
 from khep_twin.switching import switch
 from khep_twin.units import BODIES
-from khep_twin.web.jobs import Job, Tell
+from khep_twin.web.jobs import Job, Publish
 from khep_twin.web.outside_host import OutsideHost
 from khep_twin.web.paced_twin import PacedTwin
 from khep_twin.web.printed import taken_by
@@ -44,11 +44,11 @@ _LOOK = 0.08
 class WebSession:
     """Common part of twin and robot sessions: a thread with one job at a time.
 
-    The thread calls `tell` with messages for the page. `job` is the current job, None without.
+    The thread calls `publish` with messages for the page. `job` is the current job, None without.
     """
 
-    def __init__(self, tell: Tell) -> None:
-        self._tell = tell
+    def __init__(self, publish: Publish) -> None:
+        self._publish = publish
         self._left = False
         self.job: Job | None = None
         # The completed part of the job goes with the pictures, as jobs report it at each cycle.
@@ -86,14 +86,14 @@ class WebSession:
         self._ended.set()
         self._thread.join(_PATIENCE)
         if self.alive:
-            self.tell({"kind": "error", "text": "the program does not end; it is left to itself"})
-            self.tell({"kind": "ended"})
+            self.publish({"kind": "error", "text": "the program does not end; it is left to itself"})
+            self.publish({"kind": "ended"})
             self._left = True
 
-    def tell(self, message: Mapping[str, object]) -> None:
+    def publish(self, message: Mapping[str, object]) -> None:
         """Send a message to the page, unless this session was abandoned."""
         if not self._left:
-            self._tell(message)
+            self._publish(message)
 
     def take_printed(self, text: str) -> None:
         """Keep a controller's output for `_tell_printed`; of long output, keep the end."""
@@ -104,19 +104,19 @@ class WebSession:
     def _tell_printed(self) -> None:
         text, self._printed = self._printed, ""
         if text:
-            self.tell({"kind": "printed", "text": text})
+            self.publish({"kind": "printed", "text": text})
 
     def _run(self) -> None:
         try:
             self._live()
         except KhepTwinError as error:
-            self.tell({"kind": "error", "text": error.plain})
+            self.publish({"kind": "error", "text": error.plain})
         except BaseException as error:  # reported in the page, then raised as usual
-            self.tell({"kind": "error", "text": f"{type(error).__name__}: {error}"})
+            self.publish({"kind": "error", "text": f"{type(error).__name__}: {error}"})
             raise
         finally:
             self.job = None
-            self.tell({"kind": "ended"})
+            self.publish({"kind": "ended"})
 
     def _live(self) -> None:
         raise NotImplementedError
@@ -130,14 +130,14 @@ class WebSession:
             return
         try:
             with taken_by(self.take_printed):
-                job.do(robot, self.tell, self._progress, stop)
+                job.do(robot, self.publish, self._progress, stop)
         except KhepTwinError as error:
             if not stop():
-                self.tell({"kind": "error", "text": error.plain})
+                self.publish({"kind": "error", "text": error.plain})
         finally:
             self.job = None
             self._tell_printed()
-            self.tell({"kind": "done"})
+            self.publish({"kind": "done"})
 
 
 class TwinActor(WebSession):
@@ -147,11 +147,11 @@ class TwinActor(WebSession):
         playpen: Playpen to simulate.
         options: Options of the twin.
         log: File of the log; None for none.
-        tell: Function that takes messages for the page.
+        publish: Function that takes messages for the page.
     """
 
-    def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, tell: Tell) -> None:
-        super().__init__(tell)
+    def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, publish: Publish) -> None:
+        super().__init__(publish)
         self.playpen, self._options, self._log = playpen, options, log
         self._paced: PacedTwin | None = None
         self._turrets: list[TurretParts] = []
@@ -170,27 +170,27 @@ class TwinActor(WebSession):
 
     def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float) -> None:
         """Move a robot; report if there is no room."""
-        self._wish(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg))
+        self._request(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg))
 
     def room(self, robot: int, x_mm: float, y_mm: float) -> None:
         """Report why a held robot has no room at a position; with room, the reason is empty."""
 
         def report(twin: PacedTwin) -> None:
             reason = no_room(as_it_stands(twin.world), robot, x_mm, y_mm)
-            self.tell({"kind": "room", "robot": robot, "reason": reason})
+            self.publish({"kind": "room", "robot": robot, "reason": reason})
 
-        self._wish(report)
+        self._request(report)
 
     def switch(self, lamp: int, on: bool) -> None:
         """Switch a lamp."""
-        self._wish(lambda twin: switch(twin.world, lamp, on))
+        self._request(lambda twin: switch(twin.world, lamp, on))
 
     def stop(self) -> None:
         """End the job; without one, stop the motors."""
         if self.job is not None and self._paced is not None:
             self._paced.stop_program()
         else:
-            self._wish(lambda twin: twin.robot.send(b"D,0,0\n"))
+            self._request(lambda twin: twin.robot.send(b"D,0,0\n"))
 
     def end(self) -> None:
         """End the twin and complete its log."""
@@ -198,7 +198,7 @@ class TwinActor(WebSession):
             self._paced.ended = True
         super().end()
 
-    def _wish(self, action: Callable[[PacedTwin], None]) -> None:
+    def _request(self, action: Callable[[PacedTwin], None]) -> None:
         twin = self._paced
         if twin is None:
             raise PortError("the twin is not there yet")
@@ -208,9 +208,9 @@ class TwinActor(WebSession):
                 action(twin)
             except (KhepTwinError, IndexError) as error:
                 text = error.plain if isinstance(error, KhepTwinError) else str(error)
-                self.tell({"kind": "refused", "text": text})
+                self.publish({"kind": "refused", "text": text})
 
-        twin.wish(safely)
+        twin.request(safely)
 
     def _live(self) -> None:
         options = replace(self._options, robot=None)
@@ -228,7 +228,7 @@ class TwinActor(WebSession):
 
             def show() -> None:
                 self._tell_printed()
-                self.tell(self._picture(paced, hosts))
+                self.publish(self._picture(paced, hosts))
 
             exact_timeouts()
             paced = PacedTwin(twin, hosts, show)
@@ -236,7 +236,7 @@ class TwinActor(WebSession):
             paced.speed, paced.paused = self.speed, self.paused
             self._turrets = [TurretParts(twin.world, index) for index in range(len(twin.robots))]
             self._paced = paced
-            self.tell(self._cast(paced, ports))
+            self.publish(self._cast(paced, ports))
             while not (paced.ended or self._ended.is_set()):
                 if self.job is None:
                     paced.idle()
@@ -309,14 +309,14 @@ class TwinActor(WebSession):
         }
 
     def _note(self, text: str) -> None:
-        self.tell({"kind": "note", "text": text})
+        self.publish({"kind": "note", "text": text})
 
 
 class RobotActor(WebSession):
     """Robot, or twin that is served elsewhere, at a port; its readings are polled."""
 
-    def __init__(self, url: str, tell: Tell) -> None:
-        super().__init__(tell)
+    def __init__(self, url: str, publish: Publish) -> None:
+        super().__init__(publish)
         self._url = url
         self._halt = threading.Event()
         self._robot: Khepera | None = None
@@ -330,7 +330,7 @@ class RobotActor(WebSession):
         with Khepera(self._url) as robot:
             self._robot, self._began = robot, robot.time
             told = {"name": robot.name, "port": self._url, **shape("khepera1", "khepera1")}
-            self.tell({"kind": "robot", "robots": [told]})
+            self.publish({"kind": "robot", "robots": [told]})
             while not self._ended.is_set():
                 if self._halt.is_set():
                     robot.set_speed(0, 0)
@@ -354,7 +354,9 @@ class RobotActor(WebSession):
         self._looked = robot.time
         reading = {"proximity": [*proximity], "ambient": [*ambient], "speed": [*speed], "leds": [0, 0]}
         time_s, busy = robot.time - self._began, self.job is not None
-        self.tell({"kind": "picture", "time": time_s, "busy": busy, "part": self._part, "robots": [reading]})
+        self.publish(
+            {"kind": "picture", "time": time_s, "busy": busy, "part": self._part, "robots": [reading]}
+        )
 
 
 def shape(model: str, sensors: str) -> dict[str, object]:

@@ -57,8 +57,8 @@ class TurretParts:
 
     def corners(self) -> list[list[list[float]]]:
         """Return the present corners of the parts [mm]."""
-        place, turned = self._data.xpos[self._base], self._data.xmat[self._base].reshape(3, 3)
-        return _outlines(self._data, self._points, place, turned)
+        position, turned = self._data.xpos[self._base], self._data.xmat[self._base].reshape(3, 3)
+        return _outlines(self._data, self._points, position, turned)
 
 
 def _owned(model: mujoco.MjModel, geom: int, prefix: str) -> bool:
@@ -67,13 +67,13 @@ def _owned(model: mujoco.MjModel, geom: int, prefix: str) -> bool:
 
 
 def _outlines(
-    data: mujoco.MjData, points: Mapping[int, Floats], place: Floats, turned: Floats
+    data: mujoco.MjData, points: Mapping[int, Floats], position: Floats, turned: Floats
 ) -> list[list[list[float]]]:
     """Return the convex outlines of geoms with these points, along z of a frame [mm]."""
     found: list[list[list[float]]] = []
     for geom, local in points.items():
         at = local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        flat = ((at - place) @ turned)[:, :2] * 1e3
+        flat = ((at - position) @ turned)[:, :2] * 1e3
         found.append(_hull(flat.round(2).tolist()))
     return found
 

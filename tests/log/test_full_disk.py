@@ -216,7 +216,7 @@ def test_a_log_that_fails_is_reported_once_and_the_run_is_the_same_without_it(
 ) -> None:
     told: list[str] = []
     twin = open_twin("obstacles", TwinOptions(seed=3))
-    twin.record(tmp_path / "run.mcap", carry_on=told.append)
+    twin.record(tmp_path / "run.mcap", on_failure=told.append)
     fill(twin)
     drive(twin, 6)
     twin.world.log_event(None, "after")
@@ -233,7 +233,7 @@ def test_a_log_that_fails_is_reported_once_and_the_run_is_the_same_without_it(
 
 def test_a_relay_is_reported_once_too_and_no_other_file_gets_its_bytes(tmp_path: Path) -> None:
     told: list[str] = []
-    recorder = LineRecorder(tmp_path / "run.mcap", {"relay": "/dev/robot"}, lambda: 0, carry_on=told.append)
+    recorder = LineRecorder(tmp_path / "run.mcap", {"relay": "/dev/robot"}, lambda: 0, on_failure=told.append)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     size = (tmp_path / "run.mcap.part").stat().st_size
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))

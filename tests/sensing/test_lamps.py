@@ -60,10 +60,10 @@ def test_a_lamp_that_fades_goes_on_and_off_along_a_line() -> None:
     assert shown[1_000_000_000] == pytest.approx(2 * 2.5 / 200)
 
 
-def walk(found: Lamps, *places: tuple[float, float]) -> list[int | None]:
+def walk(found: Lamps, *positions: tuple[float, float]) -> list[int | None]:
     lit = []
-    for number, place in enumerate(places, 1):
-        found.update(number * STEP_NS, [(*place, 0.0275)])
+    for number, position in enumerate(positions, 1):
+        found.update(number * STEP_NS, [(*position, 0.0275)])
         lit.append(found.lit)
     return lit
 

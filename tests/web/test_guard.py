@@ -192,7 +192,7 @@ def test_other_machines_are_let_in_on_demand_only(tmp_path: Path) -> None:
 
 def test_a_server_on_all_addresses_is_reached_by_each_of_them_and_by_no_other_name(tmp_path: Path) -> None:
     ended = threading.Event()
-    server = Server(tmp_path, None, "0.0.0.0:0", expose=True)
+    server = Server(tmp_path, None, "0.0.0.0:0", allow_remote=True)
     thread = threading.Thread(target=server.serve, args=(ended.is_set,))
     thread.start()
     asker = Asker(server, ended.set)

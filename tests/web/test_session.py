@@ -266,11 +266,11 @@ def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
     ear.wait("twin")
     kinds: list[str] = []
 
-    def tell(message: Mapping[str, Any]) -> None:
+    def publish(message: Mapping[str, Any]) -> None:
         kinds.append(message["kind"])
         ear(message)
 
-    actor.tell = tell
+    actor.publish = publish
     actor.start(SeriesJob("braitenberg", braitenberg, Plan(cycles=300), None))
     assert 0 < ear.wait("picture", lambda told: told["part"] > 0)["part"] <= 1
     ear.wait("done")
@@ -279,21 +279,21 @@ def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
 
 
 def test_no_picture_is_reported_without_an_open_page() -> None:
-    audience = Broadcaster()
-    audience.tell({"kind": "picture", "time": math.nan})
+    broadcaster = Broadcaster()
+    broadcaster.publish({"kind": "picture", "time": math.nan})
     with pytest.raises(ValueError, match="not JSON compliant"):
-        audience.tell({"kind": "note", "text": math.nan})
+        broadcaster.publish({"kind": "note", "text": math.nan})
 
 
 def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, ear: Ear) -> None:
     ear.wait("picture")
     times: list[float] = []
 
-    def tell(message: Mapping[str, Any]) -> None:
+    def publish(message: Mapping[str, Any]) -> None:
         times.append(time.monotonic())
         ear(message)
 
-    actor.tell = tell
+    actor.publish = publish
     ear.heard.clear()
     for _ in range(21):
         ear.wait("picture")

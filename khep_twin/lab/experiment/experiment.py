@@ -192,7 +192,7 @@ def find_function(name: str, taking: str, n_parameters: int) -> AnyFunction:
     return found
 
 
-def find_after(name: str, controller: AnyController) -> AnyFunction:
+def find_on_run_end(name: str, controller: AnyController) -> AnyFunction:
     """Find a function that is called with each run, as FILE.py or FILE.py:NAME.
 
     Without NAME, the file's `after` is used, or its only public function. If the same file defines the
@@ -211,7 +211,7 @@ def find_after(name: str, controller: AnyController) -> AnyFunction:
     return _plain(path, wanted, found, "run")
 
 
-def call_after(function: AnyFunction, run: "SeriesRun") -> object:
+def call_on_run_end(function: AnyFunction, run: "SeriesRun") -> object:
     """Call a user's function after a run: with the run, or with those of its variables that it names.
 
     Raises:

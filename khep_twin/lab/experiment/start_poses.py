@@ -52,15 +52,15 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
         text = f"robot = {robot}: not in playpen {playpen.name!r}"
         raise PlaypenError(text, key="robot", value=robot, expected=range(len(playpen.robots)))
     found: list[StartPose] = []
-    for wish in wishes:
-        if wish == "playpen":
+    for wanted in wishes:
+        if wanted == "playpen":
             found += own_starts(playpen, robot)
-        elif wish == "random":
+        elif wanted == "random":
             found += _drawn(playpen, robot, runs, seed)
-        elif wish.startswith("grid:"):
-            found += _grid(wish, playpen, robot)
+        elif wanted.startswith("grid:"):
+            found += _grid(wanted, playpen, robot)
         else:
-            found.append(_single(wish, playpen, robot))
+            found.append(_single(wanted, playpen, robot))
     return found
 
 
@@ -68,8 +68,8 @@ def own_starts(playpen: Playpen, robot: int) -> list[StartPose]:
     """Return the playpen's poses of a robot: its own, or each of its spots."""
     entry = playpen.robots[robot]
     spots = {spot.name: spot for spot in playpen.spots}
-    places = [spots[name] for name in entry.spots] or [entry]
-    return [StartPose(place.x_mm, place.y_mm, place.heading_deg) for place in places]
+    positions = [spots[name] for name in entry.spots] or [entry]
+    return [StartPose(position.x_mm, position.y_mm, position.heading_deg) for position in positions]
 
 
 def lit(playpen: Playpen, lighting: str | None) -> Playpen:
@@ -119,35 +119,35 @@ def numbers(text: str, count: int) -> list[float] | None:
     return values if len(values) == count and all(map(math.isfinite, values)) else None
 
 
-def _single(wish: str, playpen: Playpen, robot: int) -> StartPose:
-    values = numbers(wish, 3)
+def _single(wanted: str, playpen: Playpen, robot: int) -> StartPose:
+    values = numbers(wanted, 3)
     if values is None:
         raise PlaypenError(
-            f"start {wish!r}; expected X,Y,HEADING in mm and degrees, such as 100,200,90, or "
+            f"start {wanted!r}; expected X,Y,HEADING in mm and degrees, such as 100,200,90, or "
             "grid:COLUMNSxROWS, random or playpen"
         )
     start = StartPose(*values)
     if reason := no_room(playpen, robot, start.x_mm, start.y_mm):
-        raise PlaypenError(f"start {wish}: {reason}")
+        raise PlaypenError(f"start {wanted}: {reason}")
     return start
 
 
-def _grid(wish: str, playpen: Playpen, robot: int) -> list[StartPose]:
+def _grid(wanted: str, playpen: Playpen, robot: int) -> list[StartPose]:
     """Return the middles of a grid's cells, row by row from below; those without room are left out."""
-    parts = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", wish)
+    parts = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", wanted)
     columns, rows = (int(parts[1]), int(parts[2])) if parts else (0, 0)
     if parts is None or not 1 <= columns * rows <= _GRID_LIMIT:
         raise PlaypenError(
-            f"start {wish!r}; expected grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as grid:3x2@90, "
-            f"of up to {_GRID_LIMIT} places"
+            f"start {wanted!r}; expected grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as "
+            f"grid:3x2@90, of up to {_GRID_LIMIT} places"
         )
     (left, right), (low, high) = extent(playpen)
     xs = [left + (right - left) * (column + 0.5) / columns for column in range(columns)]
     ys = [low + (high - low) * (row + 0.5) / rows for row in range(rows)]
-    places = [StartPose(x, y, float(parts[3] or 0)) for y in ys for x in xs]
-    free = [start for start in places if not no_room(playpen, robot, start.x_mm, start.y_mm)]
+    positions = [StartPose(x, y, float(parts[3] or 0)) for y in ys for x in xs]
+    free = [start for start in positions if not no_room(playpen, robot, start.x_mm, start.y_mm)]
     if not free:
-        raise PlaypenError(f"start {wish}: none of the {len(places)} places has room for the robot")
+        raise PlaypenError(f"start {wanted}: none of the {len(positions)} places has room for the robot")
     return free
 
 

@@ -83,12 +83,12 @@ class SensorData:
         """Return the readings with the lamp's position in each row."""
         away, bearings = self._object(wheels, BULB_RADIUS)
         height = np.full(len(away), self.height - SENSOR_HEIGHT)
-        places = np.column_stack([away * np.cos(bearings), away * np.sin(bearings), height])
+        positions = np.column_stack([away * np.cos(bearings), away * np.sin(bearings), height])
         pulse = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
         # A straight drive does not turn, and the speed of a turn is known.
         speed = self.run.test.speed if self.run.test.motion == "rotational" else None
         turning = 2 * (speed or 0) * 100 * pulse / wheels.base_mm
-        return LampTable(places, self.counts, self.power or 0.0, turning)
+        return LampTable(positions, self.counts, self.power or 0.0, turning)
 
     @property
     def counts(self) -> Floats:

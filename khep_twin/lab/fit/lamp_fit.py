@@ -25,13 +25,13 @@ class LampTable:
     """Readings of a lamp around a robot.
 
     Attributes:
-        places: Filament positions from the robot's centre: forward, left, and above the sensors (n, 3) [m].
+        positions: Filaments from the robot's centre: forward, left, and above the sensors (n, 3) [m].
         counts: Readings of the receivers (n, 8) [counts].
         power: Power of the lamp [W].
         turning: Fastest turn of the robot [rad/s].
     """
 
-    places: Floats
+    positions: Floats
     counts: Floats
     power: float
     turning: float = 0.0
@@ -143,7 +143,7 @@ def _counts(
 ) -> Floats:
     """Return counts; receiver is heading [deg], gain, exponent; levels are dark, brightest, diffuse part."""
     (heading_deg, gain, exponent), (dark, floor, diffuse) = receiver, levels
-    ways = table.places - np.array([*SENSOR_POSITIONS[channel], 0.0])
+    ways = table.positions - np.array([*SENSOR_POSITIONS[channel], 0.0])
     distances = np.sqrt((ways**2).sum(axis=1))
     heading = np.radians(heading_deg)
     cosines = (ways[:, 0] * np.cos(heading) + ways[:, 1] * np.sin(heading)) / distances

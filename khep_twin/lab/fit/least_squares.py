@@ -64,7 +64,7 @@ class Estimate:
 def least_squares(
     residuals: Callable[[Floats], Floats],
     parameters: Sequence[Parameter],
-    wish: str,
+    wanted: str,
     loss: Literal["linear", "soft_l1"] = "linear",
     f_scale: float = 1.0,
     step: float = 1e-4,
@@ -75,7 +75,7 @@ def least_squares(
     Args:
         residuals: Function of the parameters (n,) that returns the residuals (m,).
         parameters: Parameters to fit.
-        wish: Data that would determine them, for messages.
+        wanted: Data that would determine them, for messages.
         loss: Loss of scipy's least_squares; "soft_l1" reduces the weight of outliers.
         f_scale: Residual from which on a reading counts as an outlier.
         unit_variance: If true, residuals are in units of their own standard deviation, and the noise is
@@ -102,18 +102,18 @@ def least_squares(
     left = scaled(found.x)
     rms = float(np.sqrt(np.mean(left**2)))
     noise = max(rms, 1.0) if unit_variance else rms
-    intervals = CONFIDENCE * noise * scales * np.sqrt(_variances(found.jac, parameters, wish))
+    intervals = CONFIDENCE * noise * scales * np.sqrt(_variances(found.jac, parameters, wanted))
     for parameter, interval in zip(parameters, intervals, strict=True):
         if not interval <= parameter.widest:
             found_to = f"can be determined to +-{interval:.3g}{parameter.unit} only"
-            raise FitError(f"{parameter.name}: {found_to}; expected {wish}")
+            raise FitError(f"{parameter.name}: {found_to}; expected {wanted}")
     return Estimate(tuple((start + found.x * scales).tolist()), tuple(intervals.tolist()), rms)
 
 
-def _variances(slopes: Floats, parameters: Sequence[Parameter], wish: str) -> Floats:
+def _variances(slopes: Floats, parameters: Sequence[Parameter], wanted: str) -> Floats:
     """Return the variances of the parameters, for residuals of variance 1."""
     _, strengths, ways = np.linalg.svd(slopes, full_matrices=False)
     if not strengths[-1] > _UNTOLD * strengths[0]:
         worst = parameters[int(np.abs(ways[-1]).argmax())]
-        raise FitError(f"{worst.name}: cannot be determined; expected {wish}")
+        raise FitError(f"{worst.name}: cannot be determined; expected {wanted}")
     return ((ways / strengths[:, None]) ** 2).sum(axis=0)

@@ -148,8 +148,8 @@ def driven(drive: DutyDrive, robot: Calibration) -> Floats:
     with TemporaryDirectory(prefix="khep-twin-") as folder:
         file = Path(folder) / "robot.toml"
         file.write_text(dump(robot), encoding="utf-8")
-        place = f"[[robot]]\nx_mm = 5000\ny_mm = 5000\nheading_deg = 0\ncalibration = '{file}'\n"
-        world = World(playpen.parse(_FIELD + place, "field"), noise=False, unpaced=True)
+        position = f"[[robot]]\nx_mm = 5000\ny_mm = 5000\nheading_deg = 0\ncalibration = '{file}'\n"
+        world = World(playpen.parse(_FIELD + position, "field"), noise=False, unpaced=True)
     # Proximity is not needed here and takes half of the time.
     world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
     axles = list(world.robots[0].indices.wheel_angles)

@@ -136,7 +136,7 @@ def pulses(log: Path) -> tuple[int, int]:
     between = lines[replies[0] : replies[-1]]
     if any(text.startswith("G") or text == "restart" for text in between):
         raise FitError(f"{log}: the counters were set during the drive; expected G only before the first H")
-    first, last = (lines[replies[place]].split(",") for place in (0, -1))
+    first, last = (lines[replies[position]].split(",") for position in (0, -1))
     return int(last[1]) - int(first[1]), int(last[2]) - int(first[2])
 
 
@@ -151,14 +151,14 @@ def left_over(drive: Drive, radius: float, base: float) -> float:
 def _check_kind(drive: Drive) -> None:
     """Raise a `FitError` for a straight drive that turned, a turn that moved, or a wrong sign."""
     driven, value = drive.left + drive.right, drive.distance
-    other, wish = drive.right - drive.left, "a drive straight on, such as =998mm"
+    other, wanted = drive.right - drive.left, "a drive straight on, such as =998mm"
     if value is None:
         driven, other, value = other, driven, drive.turned or 0.0
-        wish = "a turn on the spot, such as =5turns, counter-clockwise"
+        wanted = "a turn on the spot, such as =5turns, counter-clockwise"
     if abs(driven) < 10 * abs(other) or driven * value <= 0:
         raise FitError(
             f"{drive.name}: the counters went on by {drive.left} left and {drive.right} right; "
-            f"expected {wish}, below 0 for the other direction"
+            f"expected {wanted}, below 0 for the other direction"
         )
 
 

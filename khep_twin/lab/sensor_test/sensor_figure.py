@@ -90,7 +90,7 @@ def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 
         _common(runs)
 
 
-def places(run: SensorRun) -> Floats:
+def positions(run: SensorRun) -> Floats:
     """Return the rows' x values in the figure (n,): distance to the end [cm] or angle turned [degrees]."""
     if run.test.motion == "rotational":
         return run.travelled
@@ -101,7 +101,7 @@ def mean_and_spread(runs: Sequence[SensorRun]) -> tuple[Floats, Floats, Floats]:
     """Return mean and spread of several runs, over the range that all of them cover.
 
     Returns:
-        Abscissas (m,) as of `places`, mean counts (m, 8), and sample standard deviations (m, 8).
+        Abscissas (m,) as of `positions`, mean counts (m, 8), and sample standard deviations (m, 8).
 
     Raises:
         SensorTestError: They do not overlap.
@@ -109,15 +109,15 @@ def mean_and_spread(runs: Sequence[SensorRun]) -> tuple[Floats, Floats, Floats]:
     x = np.linspace(*_common(runs), _GRID_POINTS)
     counts = np.empty((len(runs), len(x), len(SENSORS)))
     for index, run in enumerate(runs):
-        order = np.argsort(places(run), kind="stable")
+        order = np.argsort(positions(run), kind="stable")
         for sensor in range(len(SENSORS)):
-            counts[index, :, sensor] = np.interp(x, places(run)[order], run.dv[order, 2 + sensor])
+            counts[index, :, sensor] = np.interp(x, positions(run)[order], run.dv[order, 2 + sensor])
     return x, counts.mean(axis=0), counts.std(axis=0, ddof=min(len(runs) - 1, 1))
 
 
 def _common(runs: Sequence[SensorRun]) -> tuple[float, float]:
-    low = max(float(places(run).min()) for run in runs)
-    high = min(float(places(run).max()) for run in runs)
+    low = max(float(positions(run).min()) for run in runs)
+    high = min(float(positions(run).max()) for run in runs)
     if not low < high:
         raise SensorTestError("the runs have no part of the path in common; expected runs over the same path")
     return low, high
@@ -158,7 +158,7 @@ def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int,
     look: Look = {"lw": 1.1, "alpha": 1.0, "marker": "o"} if alone else {"lw": 0.7, "alpha": 0.45}
     for number, run in enumerate(runs):
         label = f"{len(runs)} runs" if number == 0 else None
-        axes.plot(places(run), run.dv[:, 2 + sensor], color=_RUN, ms=2.6, label=label, **look)
+        axes.plot(positions(run), run.dv[:, 2 + sensor], color=_RUN, ms=2.6, label=label, **look)
     if not alone:
         x, mean, spread = mean_and_spread(runs)
         low, high = mean[:, sensor] - spread[:, sensor], mean[:, sensor] + spread[:, sensor]

@@ -135,8 +135,8 @@ def _number(name: str, text: str, kind: type[Number]) -> Number:
             raise ValueError
         return kind(text)
     except ValueError:
-        wish = "an integer" if kind is int else "a number"
-        raise SensorTestError(f"{name} = {text[:40]!r}; expected {wish}") from None
+        wanted = "an integer" if kind is int else "a number"
+        raise SensorTestError(f"{name} = {text[:40]!r}; expected {wanted}") from None
 
 
 def _csv(run: SensorRun) -> str:
@@ -179,13 +179,13 @@ def _from_csv(data: bytes) -> SensorRun:
             raise SensorTestError(f"line {number}: {len(fields)} fields; expected {len(columns)}")
         times.append(_number(f"line {number}: time_s", fields[0], float))
         if not math.isfinite(times[-1]) and fields[0] != "nan":
-            wish = "expected a time, or nan in all rows"
-            raise SensorTestError(f"line {number}: time_s = {fields[0][:40]}; {wish}")
+            wanted = "expected a time, or nan in all rows"
+            raise SensorTestError(f"line {number}: time_s = {fields[0][:40]}; {wanted}")
         counts = zip(_COLUMNS, fields[1:], strict=True)
         rows.append([_count(f"line {number}: {name}", field) for name, field in counts])
         if any(not 0 <= count <= COUNTS_LIMIT for count in rows[-1][2:]):
-            wish = f"expected 0 to {COUNTS_LIMIT}, as of N and O"
-            raise SensorTestError(f"line {number}: a count out of range; {wish}")
+            wanted = f"expected 0 to {COUNTS_LIMIT}, as of N and O"
+            raise SensorTestError(f"line {number}: a count out of range; {wanted}")
     if 0 < sum(map(math.isnan, times)) < len(times):
         raise SensorTestError("time_s: nan in some rows; expected a time in each, or nan in all")
     if not rows:

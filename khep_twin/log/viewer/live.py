@@ -56,14 +56,14 @@ _PATIENCE = 10.0
 _CHUNK_ID = b"rerun:id"
 
 
-def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Callable[[str], None]) -> None:
+def view_live(path: Path, web: Web | None, stop: Callable[[], bool], notify: Callable[[str], None]) -> None:
     """Show an unfinished run until the viewer is closed or `stop` returns True.
 
     Args:
         path: Path of the log that the run writes, NAME.mcap or NAME.mcap.part.
         web: Settings of the viewer in a browser; None opens a window.
         stop: Function called now and then that returns whether to end.
-        tell: Function that takes messages for the user, such as that the run has ended.
+        notify: Function that takes messages for the user, such as that the run has ended.
 
     Raises:
         LogError: There is no such log, it is finished or no log, or the viewer fails.
@@ -84,9 +84,9 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], tell: Calla
             try:
                 follow(log, recording, lambda: stop() or viewer.closed(), first)
                 if log.finished:
-                    tell(f"the run has ended; look at the whole of it: {command('view', log.path)}")
+                    notify(f"the run has ended; look at the whole of it: {command('view', log.path)}")
             except LogError as error:
-                tell(str(error))  # the data so far can still be viewed
+                notify(str(error))  # the data so far can still be viewed
             try:
                 viewer.wait(stop)
             finally:

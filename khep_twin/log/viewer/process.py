@@ -34,11 +34,11 @@ class Web:
     """The viewer as a page for a browser.
 
     Attributes:
-        tell: Function that takes the page's address.
+        notify: Function that takes the page's address.
         browser: True to open it in a browser.
     """
 
-    tell: Callable[[str], None]
+    notify: Callable[[str], None]
     browser: bool = True
 
 
@@ -68,7 +68,7 @@ class Viewer:
             lines = self._said.read().decode("utf-8", "replace").strip().splitlines()
             reason = lines[-1] if lines else f"code {code}"
             reason = reason.removeprefix("Error: ")
-            raise LogError(f"{self._subject}: rerun's viewer failed: {reason}; {_wish(self._subject)}")
+            raise LogError(f"{self._subject}: rerun's viewer failed: {reason}; {_expected(self._subject)}")
         return code is None
 
     def wait(self, stop: Callable[[], bool]) -> None:
@@ -106,7 +106,7 @@ def open_viewer(
         LogError: There is no screen, or it does not start.
     """
     if web is None and not _screen():
-        raise LogError(f"{subject}: there is no screen to open a window on; {_wish(subject)}")
+        raise LogError(f"{subject}: there is no screen to open a window on; {_expected(subject)}")
     port, page = free_ports(2)
     command = [sys.executable, "-m", "rerun", *([] if recording is None else [str(recording)])]
     command += ["--bind", HERE, "--port", str(port), "--server-memory-limit", "50%"]
@@ -123,7 +123,7 @@ def open_viewer(
             if web is not None:
                 viewer.wait_for(page, stop)
                 address = f"http://{HERE}:{page}/?url={quote(viewer.address, safe='')}"
-                web.tell(address)
+                web.notify(address)
                 if web.browser and _screen():  # a browser in a terminal cannot show it
                     webbrowser.open(address)
             elif recording is None:
@@ -157,6 +157,6 @@ def _screen() -> bool:
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _wish(subject: str) -> str:
+def _expected(subject: str) -> str:
     stem = Path(subject).stem
     return f"expected --web, for a browser, or --save {stem}.rrd, for a recording to open elsewhere"

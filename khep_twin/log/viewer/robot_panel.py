@@ -48,10 +48,10 @@ def panel(robot: str) -> str:
 
 def panel_chunks(robot: str, track: Samples) -> list[Chunk]:
     """Return the bars of one robot's panel."""
-    place = panel(robot)
+    position = panel(robot)
     times = time_column(track.times_ns)
     return [
-        Chunk.from_columns(f"{place}/{name}", [times], _bars(_filled(name, values), at, colour))
+        Chunk.from_columns(f"{position}/{name}", [times], _bars(_filled(name, values), at, colour))
         for name, values, at, colour in (
             ("proximity", track.proximity, _FEET - _BESIDE, _PROXIMITY),
             ("light", track.ambient, _FEET + _BESIDE, _LIGHT),

@@ -61,33 +61,35 @@ def slide(plane: Plane) -> None:
     robot = plane.robot
     joints, speeds, grips, h = robot.joints, robot.speeds, robot.grips, robot.substep
     x, y, heading = joints[X], joints[Y], joints[HEADING]
-    forward, aside, spin = speeds[0], speeds[1], speeds[2]
+    forward, lateral, spin = speeds[0], speeds[1], speeds[2]
     left, right = robot.wheel * speeds[LEFT_ANGLE], robot.wheel * speeds[RIGHT_ANGLE]
     rates = _rates(robot)
     half = rates[0]
     slips = touches = False
     c, s = robot.last[HEADING_COSINE], robot.last[HEADING_SINE]
     for _ in range(robot.n_substeps):
-        reach = robot.radius + h * (abs(forward) + abs(aside)) + _NEAR
+        reach = robot.radius + h * (abs(forward) + abs(lateral)) + _NEAR
         count = _gather(plane, x, y, c, s, reach)
-        forward, aside, spin, left, right = _solve(plane, count, rates, (forward, aside, spin, left, right))
-        x += h * (forward * c - aside * s)
-        y += h * (forward * s + aside * c)
+        forward, lateral, spin, left, right = _solve(
+            plane, count, rates, (forward, lateral, spin, left, right)
+        )
+        x += h * (forward * c - lateral * s)
+        y += h * (forward * s + lateral * c)
         joints[LEFT_ANGLE] += h * left / robot.wheel
         joints[RIGHT_ANGLE] += h * right / robot.wheel
         turn = h * spin
         heading += turn
-        slip = abs(forward - half * spin - left) + abs(forward + half * spin - right) + abs(aside)
+        slip = abs(forward - half * spin - left) + abs(forward + half * spin - right) + abs(lateral)
         slips = count > 0 or slip > _GRIPS
         # The body's velocity is constant in space while the body turns.
         turn_c, turn_s = flat.turned(turn)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
-        forward, aside = forward * turn_c + aside * turn_s, aside * turn_c - forward * turn_s
+        forward, lateral = forward * turn_c + lateral * turn_s, lateral * turn_c - forward * turn_s
         touches = touches or count > 0
     if touches:
         x, y = _out(plane, x, y)
     joints[X], joints[Y], joints[HEADING] = x, y, heading
-    speeds[0], speeds[1], speeds[2] = forward, aside, spin
+    speeds[0], speeds[1], speeds[2] = forward, lateral, spin
     speeds[LEFT_ANGLE], speeds[RIGHT_ANGLE] = left / robot.wheel, right / robot.wheel
     robot.last[SLIPS] = 1.0 if slips else 0.0
     if not slips:
@@ -107,12 +109,12 @@ def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
     """Return the motion after a substep's impulses, of the tyres and of `count` contacts."""
     robot, things, grips = plane.robot, plane.things, plane.robot.grips
     half, inv_mass, inv_inertia, _, _, rim, lag = rates
-    forward, aside, spin, left, right = motion
+    forward, lateral, spin, left, right = motion
     left += (robot.free_speed * robot.ctrl[0] - left) * (1 - lag)
     right += (robot.free_speed * robot.ctrl[1] - right) * (1 - lag)
     impulses = grips[0], grips[1], grips[2]
     forward += (impulses[0] + impulses[1]) * inv_mass
-    aside += impulses[2] * inv_mass
+    lateral += impulses[2] * inv_mass
     spin += (impulses[1] - impulses[0]) * half * inv_inertia
     left -= impulses[0] * rim
     right -= impulses[1] * rim
@@ -121,9 +123,9 @@ def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
         along, across = things[thing, ALONG], things[thing, ACROSS]
         nx, ny = robot.contacts[i, 0], robot.contacts[i, 1]
         forward += (along * nx - across * ny) * inv_mass
-        aside += (along * ny + across * nx) * inv_mass
+        lateral += (along * ny + across * nx) * inv_mass
         spin -= across * robot.radius * inv_inertia
-    motion = forward, aside, spin, left, right
+    motion = forward, lateral, spin, left, right
     for _ in range(_ROUNDS):
         motion, impulses, changed = _hold(robot, rates, motion, impulses)
         motion, changed = _push(plane, count, rates, motion, changed)
@@ -138,11 +140,11 @@ def _hold(
 ) -> tuple[_Motion, _Impulses, float]:
     """Return motion and impulses after one round of the tyres, and the change of impulses [N s]."""
     half, inv_mass, inv_inertia, tyre, _, rim, _ = rates
-    forward, aside, spin, left, right = motion
+    forward, lateral, spin, left, right = motion
     grip_left, grip_right, grip_aside = impulses
     change_left = -(forward - half * spin - left) * tyre
     change_right = -(forward + half * spin - right) * tyre
-    change_aside = -aside * robot.mass
+    change_aside = -lateral * robot.mass
     # Each tyre's impulse along and across is limited by its grip.
     new_left, new_right = grip_left + change_left, grip_right + change_right
     new_aside = grip_aside + change_aside
@@ -160,38 +162,38 @@ def _hold(
     change_left, change_right = new_left - grip_left, new_right - grip_right
     change_aside = left_aside + right_aside - grip_aside
     forward += (change_left + change_right) * inv_mass
-    aside += change_aside * inv_mass
+    lateral += change_aside * inv_mass
     spin += (change_right - change_left) * half * inv_inertia
     left -= change_left * rim
     right -= change_right * rim
     changed = abs(change_left) + abs(change_right) + abs(change_aside)
-    return (forward, aside, spin, left, right), (new_left, new_right, left_aside + right_aside), changed
+    return (forward, lateral, spin, left, right), (new_left, new_right, left_aside + right_aside), changed
 
 
 def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: float) -> tuple[_Motion, float]:
     """Return the motion after one round of the contacts, and `changed` with the change of theirs [N s]."""
     robot, things, h = plane.robot, plane.things, plane.robot.substep
     _, inv_mass, inv_inertia, _, friction_impulse, _, _ = rates
-    forward, aside, spin, left, right = motion
+    forward, lateral, spin, left, right = motion
     for i in range(count):
         thing = int(robot.contacts[i, 3])
         nx, ny, gap = robot.contacts[i, 0], robot.contacts[i, 1], robot.contacts[i, 2]
         across = things[thing, ACROSS]
         side = robot.friction * things[thing, ALONG]
-        new = across - (aside * nx - forward * ny - robot.radius * spin) * friction_impulse
+        new = across - (lateral * nx - forward * ny - robot.radius * spin) * friction_impulse
         new = min(max(new, -side), side)
         things[thing, ACROSS] = new
         change = new - across
         forward -= change * ny * inv_mass
-        aside += change * nx * inv_mass
+        lateral += change * nx * inv_mass
         spin -= change * robot.radius * inv_inertia
         along = things[thing, ALONG]
-        new = max(along - (forward * nx + aside * ny + gap / h) * robot.mass, 0.0)
+        new = max(along - (forward * nx + lateral * ny + gap / h) * robot.mass, 0.0)
         things[thing, ALONG] = new
         changed += abs(change) + abs(new - along)
         forward += (new - along) * nx * inv_mass
-        aside += (new - along) * ny * inv_mass
-    return (forward, aside, spin, left, right), changed
+        lateral += (new - along) * ny * inv_mass
+    return (forward, lateral, spin, left, right), changed
 
 
 def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) -> int:

@@ -91,7 +91,7 @@ class PlanarScene:
                         "where nothing is pushed"
                     )
         robot = playpen.robots[0]
-        self.place = robot.x_mm, robot.y_mm, robot.heading_deg
+        self.position = robot.x_mm, robot.y_mm, robot.heading_deg
         self.chassis = _chassis(model, at, step_ns)
         shell = model.geom(f"{_PREFIX}shell")
         low, high = _span(model, shell.id)
@@ -186,7 +186,7 @@ class PlanarBackend:
 
     def put(self, start: Start | None) -> None:
         """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
-        x_mm, y_mm, heading_deg = start or self._planar_scene.place
+        x_mm, y_mm, heading_deg = start or self._planar_scene.position
         x, y, heading = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
         for array in self._backend.values():
             array[:] = 0

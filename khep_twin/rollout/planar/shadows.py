@@ -8,9 +8,9 @@ from khep_twin.sensing.buffers import Matrix
 Vector = tuple[float, float, float]
 
 
-def stopped(plane: Plane, place: Vector, ray_direction: Vector, glass: float) -> bool:
+def stopped(plane: Plane, position: Vector, ray_direction: Vector, glass: float) -> bool:
     """Return whether anything stops light on a path from a point [m] before the fraction `glass` of it."""
-    (at_x, at_y, at_z), (x, y, z) = place, ray_direction
+    (at_x, at_y, at_z), (x, y, z) = position, ray_direction
     if z < 0 and -at_z / z < glass:
         return True
     length = math.sqrt(x * x + y * y)
@@ -24,7 +24,7 @@ def stopped(plane: Plane, place: Vector, ray_direction: Vector, glass: float) ->
 
 def blocked(
     plane: Plane,
-    place: Vector,
+    position: Vector,
     first: int,
     last: int,
     left: Vector,
@@ -36,7 +36,7 @@ def blocked(
 
     Args:
         plane: Plane with these points.
-        place: Position of the sensor [m].
+        position: Position of the sensor [m].
         first: Index of the first point.
         last: Index behind the last point.
         left: Vector from the bulb's middle to its left edge, as seen from there [m].
@@ -45,7 +45,7 @@ def blocked(
         glass: Fraction of the path at which the bulb begins.
     """
     points, hidden, things = plane.robot.points, plane.robot.hidden, plane.things
-    at_x, at_y, at_z = place
+    at_x, at_y, at_z = position
     hits = 0
     for point in range(first, last):
         z = points[point, 0] * left[2] + points[point, 1] * up[2] + ray_direction[2]

@@ -63,11 +63,12 @@ def test_the_plane_gives_what_the_scene_gives(
         world = scene_with(table, -bearing_deg, 500)
     else:
         world = scene_with("", -bearing_deg, 1000 - edge_mm - distance_mm)
-    place = MeasuredTable(
+    position = MeasuredTable(
         np.array([distance_mm / 1e3]), np.array([np.radians(bearing_deg)]), np.zeros((1, 8)), radius_mm / 1e3
     )
     expected = [
-        proximity(place.view(sensor, optics(sensor)[0]), TANGENTS, optics(sensor)[1])[0] for sensor in SENSORS
+        proximity(position.view(sensor, optics(sensor)[0]), TANGENTS, optics(sensor)[1])[0]
+        for sensor in SENSORS
     ]
     # Cylinders of a scene are round, walls are flat; what is left is rounding and a step of waiting.
     np.testing.assert_allclose(world.robots[0].registers[PROXIMITY], expected, atol=5)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.lamp_fits import FAR, left_over, places, sampled_lamp
+from benchmarks.lamp_fits import FAR, left_over, positions, sampled_lamp
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.errors import FitError
@@ -30,7 +30,7 @@ DISTANCES = np.arange(0.073, 0.534, 0.02)
 
 def turned(distance: float, power: float = 2.0) -> LampTable:
     """A robot turned in a lamp's light, with nothing read."""
-    return LampTable(places(np.full(180, distance), BEARINGS), np.zeros((180, 8)), power)
+    return LampTable(positions(np.full(180, distance), BEARINGS), np.zeros((180, 8)), power)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -65,13 +65,13 @@ def read_in_scene(forward: float, left: float, height: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "place", [(0.2, 0.0, 0.0016), (0.1, 0.15, 0.05), (-0.07, 0.02, 0.03), (0.0, -0.5, 0.2)]
+    "position", [(0.2, 0.0, 0.0016), (0.1, 0.15, 0.05), (-0.07, 0.02, 0.03), (0.0, -0.5, 0.2)]
 )
-def test_the_law_for_many_positions_gives_what_the_scene_gives(place: tuple[float, float, float]) -> None:
-    table = LampTable(np.array([place]), np.zeros((1, 8)), 2.0)
+def test_the_law_for_many_positions_gives_what_the_scene_gives(position: tuple[float, float, float]) -> None:
+    table = LampTable(np.array([position]), np.zeros((1, 8)), 2.0)
     expected = [ambient_counts(table, sensor, KHEPERA1.ambient)[0] for sensor in SENSORS]
     # Its own wheels may hide a lamp behind it from a sensor that sees it by its diffuse part only.
-    np.testing.assert_allclose(read_in_scene(*place), expected, atol=1.5)
+    np.testing.assert_allclose(read_in_scene(*position), expected, atol=1.5)
 
 
 HIDDEN = KHEPERA1.ambient.model_copy(
@@ -112,7 +112,7 @@ def test_hidden_receivers_are_found_from_two_turns() -> None:
 
 
 def test_readings_in_the_dark_are_refused_by_receiver() -> None:
-    table = LampTable(places(np.full(180, 0.15), BEARINGS), np.full((180, 8), 470.0), 2.0)
+    table = LampTable(positions(np.full(180, 0.15), BEARINGS), np.full((180, 8), 470.0), 2.0)
     with pytest.raises(FitError, match="left 90: the gain for lamps cannot be determined"):
         fit_lamps([table], KHEPERA1)
 
@@ -121,4 +121,4 @@ def test_a_lamp_that_was_only_passed_on_one_side_does_not_tell_the_other_sensors
     (whole,) = recorded(0.15)
     ahead = np.abs(np.angle(np.exp(1j * BEARINGS))) < 0.6
     with pytest.raises(FitError, match=r"^(back right|left 90|right 90|back left)"):
-        fit_lamps([LampTable(whole.places[ahead], whole.counts[ahead], 2.0)], KHEPERA1)
+        fit_lamps([LampTable(whole.positions[ahead], whole.counts[ahead], 2.0)], KHEPERA1)

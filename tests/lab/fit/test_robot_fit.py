@@ -241,7 +241,7 @@ def test_a_robot_that_turns_left_has_the_object_on_its_right() -> None:
         np.testing.assert_allclose(table.distances, 0.02, atol=1e-6)
         np.testing.assert_allclose(table.bearings, [0, -math.pi / 2], atol=2e-3)
     lamp = SensorData("lamp", run, 0.1, power=2.0).lamp_table(KHEPERA1.wheels)
-    np.testing.assert_allclose(lamp.places[1], [0, -0.1375, 0.0016], atol=4e-4)
+    np.testing.assert_allclose(lamp.positions[1], [0, -0.1375, 0.0016], atol=4e-4)
 
 
 def test_a_test_is_given_once_and_no_output_takes_its_place(

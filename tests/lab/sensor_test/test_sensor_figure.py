@@ -9,7 +9,7 @@ from matplotlib.collections import PolyCollection
 
 from khep_twin.drawing.map import save
 from khep_twin.errors import SensorTestError
-from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, check, draw, mean_and_spread, places
+from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, check, draw, mean_and_spread, positions
 from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun, SensorTest
 
 LINEAR = SensorTest(linear_cm=10)
@@ -50,7 +50,7 @@ def test_a_path_counts_down_to_0_at_the_right_and_a_turn_up() -> None:
 
 @pytest.mark.parametrize("linear_cm", [10, -10])
 def test_the_end_of_the_path_is_0_in_either_direction(linear_cm: float) -> None:
-    np.testing.assert_allclose(places(run(SensorTest(linear_cm=linear_cm)))[[0, -1]], [10, 0], atol=1e-9)
+    np.testing.assert_allclose(positions(run(SensorTest(linear_cm=linear_cm)))[[0, -1]], [10, 0], atol=1e-9)
 
 
 def test_proximity_goes_to_1023_and_light_to_about_525() -> None:
