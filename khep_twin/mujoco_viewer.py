@@ -19,10 +19,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError
-from khep_twin.world import World
+from khep_twin.world import Observer, World
 
 FRAME_NS = NS_PER_S // 30
 """Shortest wall time between two pictures [ns]."""
@@ -36,7 +35,7 @@ _PATIENCE = 10.0
 _WITHOUT = "without one, give --log FILE.mcap and look at it with khep-twin view"
 
 
-class MujocoViewer:
+class MujocoViewer(Observer):
     """Window on a world; an `Observer` of it, and of the worlds that follow in a series.
 
     Args:
@@ -89,15 +88,6 @@ class MujocoViewer:
             if early_ns <= 0:
                 break
             time.sleep(min(early_ns / NS_PER_S, _LONGEST_NAP))
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Ignore bytes on a line."""
-
-    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Ignore a host's action."""
-
-    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Ignore an event."""
 
     def _show(self, world: World) -> None:
         assert self._model is not None

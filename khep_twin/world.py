@@ -34,23 +34,19 @@ _FASTEST = 1000.0
 
 
 class Observer(Protocol):
-    """Observer of a world, such as a recorder."""
+    """Observer of a world, such as a recorder; a subclass ignores what it does not define."""
 
     def sample(self, world: "World") -> None:
         """Observe the world; called every SAMPLE_NS and at its start."""
-        ...
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Observe bytes that crossed a robot's line, the last of them at `time_ns`."""
-        ...
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Observe an action of a robot's host on the line."""
-        ...
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Observe a logged event."""
-        ...
 
 
 class World:

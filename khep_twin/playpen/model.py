@@ -37,7 +37,10 @@ class Playpen(TomlTable):
     @property
     def objects(self) -> dict[str, tuple[Block | Cylinder, ...]]:
         """Objects that stand on the floor, by the name of their table."""
-        return {"block": self.blocks, "cylinder": self.cylinders}
+        return {
+            "block": self.blocks,
+            "cylinder": self.cylinders,
+        }
 
     def surface(self, name: str) -> Surface:
         """Return the surface of a name, built-in or this playpen's own."""

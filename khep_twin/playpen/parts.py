@@ -219,11 +219,7 @@ class Lamp(TomlTable):
     y_mm: Place
     z_mm: Height = 15.0
     power_w: Annotated[float, Field(ge=0, le=1000)]
-    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three integers from 0 to 255")] = (
-        255,
-        217,
-        77,
-    )
+    rgb: Colour = (255, 217, 77)
     on_s: Annotated[
         tuple[TimePair, ...], Field(max_length=1000, description="intervals, such as [[0, 10], [30, 40]]")
     ] = ()

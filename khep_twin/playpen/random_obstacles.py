@@ -5,11 +5,12 @@ of them; the middle is left free for it.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from khep_twin.errors import PlaypenError
-from khep_twin.playpen.footprint import Circle, Footprint, Rectangle, overlap
+from khep_twin.playpen.footprint import Circle, Footprint, overlap
 from khep_twin.playpen.model import Playpen
 from khep_twin.playpen.parts import Arena, Block, Cylinder, Robot
 from khep_twin.units import BODY_RADIUS
@@ -100,6 +101,5 @@ def _place(arena: Arena, margin_mm: float, along: float, across: float) -> tuple
 
 def _grown(shape: Footprint, by_mm: float) -> Footprint:
     if isinstance(shape, Circle):
-        return Circle(shape.x_mm, shape.y_mm, shape.radius_mm + by_mm)
-    length_mm, width_mm = shape.length_mm + 2 * by_mm, shape.width_mm + 2 * by_mm
-    return Rectangle(shape.x_mm, shape.y_mm, length_mm, width_mm, shape.angle_deg)
+        return replace(shape, radius_mm=shape.radius_mm + by_mm)
+    return replace(shape, length_mm=shape.length_mm + 2 * by_mm, width_mm=shape.width_mm + 2 * by_mm)

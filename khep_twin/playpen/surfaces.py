@@ -8,7 +8,8 @@ from pydantic import Field
 
 from khep_twin.files.toml_files import TomlTable
 
-Colour = Annotated[int, Field(ge=0, le=255)]
+_Part = Annotated[int, Field(ge=0, le=255)]
+Colour = Annotated[tuple[_Part, _Part, _Part], Field(description="three integers from 0 to 255")]
 
 
 class Surface(TomlTable):
@@ -21,7 +22,7 @@ class Surface(TomlTable):
     """
 
     reflectance: Annotated[float, Field(ge=0, le=2)]
-    rgb: Annotated[tuple[Colour, Colour, Colour], Field(description="three integers from 0 to 255")]
+    rgb: Colour
     resistance_ohm: Annotated[float | None, Field(ge=1, le=1e9)] = None
 
     @property

@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from khep_twin.web import connections
-from khep_twin.web.connections import told
+from khep_twin.web.connections import reported
 from tests.web.conftest import Asker
 
 HANDSHAKE = {
@@ -255,7 +255,7 @@ def test_a_websocket_stays_open_as_long_as_its_page_answers(
 def test_an_error_of_the_server_is_a_line_and_the_same_again_is_none() -> None:
     lines: list[str] = []
     logger = logging.getLogger("uvicorn.error")
-    with told(lines.append):
+    with reported(lines.append):
         for number in range(3):
             try:
                 raise OSError(24, f"no descriptor {number}")
