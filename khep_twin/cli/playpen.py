@@ -99,7 +99,7 @@ def draw(
             raise KhepTwinError("--log draws on a map; expected no --perspective")
         write_whole(target, render(_placed(found, seed), target))
     else:
-        drawing.save(drawing.draw(found, _ways(log) if log is not None else ()), target)
+        drawing.save(drawing.draw(found, _driven_paths(log) if log is not None else ()), target)
     typer.echo(f"picture  {target}")
 
 
@@ -149,16 +149,15 @@ def _write(text: str, output: Path | None, kind: str, more: str = "") -> None:
 
 def _placed(playpen: "Playpen", seed: int) -> "Playpen":
     """Return a playpen with its robots where a run with this seed puts them."""
-    from khep_twin.playpen import place_robots
-    from khep_twin.randomness import stream
+    from khep_twin.playpen.starts import at_spots
 
     try:
-        return place_robots(playpen, stream(seed, "spots"))
+        return at_spots(playpen, seed)
     except ValueError as error:
         raise KhepTwinError(f"--seed {seed}: {error}") from None
 
 
-def _ways(log: Path) -> "list[DrawnPath]":
+def _driven_paths(log: Path) -> "list[DrawnPath]":
     """Return the paths of the robots in a log."""
     from khep_twin.drawing.map import DrawnPath
     from khep_twin.log.reader import read

@@ -45,9 +45,8 @@ def rollout(
     import numpy as np
 
     from khep_twin.lab.experiment.experiment import find_function
-    from khep_twin.playpen import place_robots
+    from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import equipped
-    from khep_twin.randomness import stream
     from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed
     from khep_twin.rollout.episode import SPAN_NS, Episode, EpisodeSetup
 
@@ -59,7 +58,7 @@ def rollout(
     function = None
     if controller != "braitenberg":
         function = find_function(controller, "proximity and ambient light", 2)
-    playpen, on_the_line = equipped(place_robots(playpen, stream(options.seed, "spots")), options)
+    playpen, on_the_line = equipped(at_spots(playpen, options.seed), options)
     check_body(options.rom, (playpen.robots[index] for index in on_the_line))
     try:
         step_ns = None if step is None else round(step * 1e6)
