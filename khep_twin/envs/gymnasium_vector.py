@@ -85,7 +85,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._threads = min(threads or len(os.sched_getaffinity(0)), num_envs)
-        self._pool = ThreadPoolExecutor(self._threads)
+        self._pool = ThreadPoolExecutor(max(self._threads - 1, 1))  # beside the caller's
         self._observations: list[Observation] = [np.zeros(len(self.labels), np.float32)] * num_envs
         self._over = np.zeros(num_envs, np.bool_)
 
@@ -172,8 +172,11 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
             for place in range(first, len(indices), self._threads):
                 results[place] = action(indices[place])
 
-        shares = [self._pool.submit(work, first) for first in range(min(self._threads, len(indices)))]
-        wait(shares)  # so that no thread is still at work when one has raised an error
+        shares = [self._pool.submit(work, first) for first in range(1, min(self._threads, len(indices)))]
+        try:
+            work(0)
+        finally:
+            wait(shares)  # so that no thread is still at work when one has raised an error
         for share in shares:
             share.result()
         return results

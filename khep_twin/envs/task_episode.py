@@ -137,14 +137,13 @@ class TaskSetup:
         """
         limit = self.action_limit
         try:
-            left, right = (
-                np.clip(np.asarray(action, np.float64), -limit, limit) * (TOP_SPEED / limit)
-            ).tolist()
-            return float(left), float(right)
+            left, right = np.asarray(action, np.float64).tolist()
+            left, right = (min(max(speed, -limit), limit) * (TOP_SPEED / limit) for speed in (left, right))
         except (TypeError, ValueError):
             raise ValueError(
                 f"action {action!r}; expected two speeds, left and right, from {-limit:g} to {limit:g}"
             ) from None
+        return left, right
 
     def started(self, seed: int) -> Playpen:
         """Return the playpen at the start of an episode.

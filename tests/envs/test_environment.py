@@ -501,7 +501,10 @@ def test_without_gl_auto_is_a_map_with_a_warning_and_a_scene_is_refused(
         Renderer(episode.setup.playpen, "film")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("package", "module"), [("gymnasium", "gymnasium"), ("pettingzoo", "pettingzoo")])
+@pytest.mark.parametrize(
+    ("package", "module"),
+    [("gymnasium", "gymnasium"), ("gymnasium", "gymnasium_vector"), ("pettingzoo", "pettingzoo")],
+)
 def test_without_its_package_a_form_names_the_extra_in_one_line(
     package: str, module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
