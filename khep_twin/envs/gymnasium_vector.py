@@ -70,6 +70,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **options: Any,
     ) -> None:
+        self.closed = True  # nothing to close if an argument is wrong
         for name, number in (("environments", num_envs), ("threads", 1 if threads is None else threads)):
             if number < 1:
                 raise ValueError(f"{number} {name}; expected 1 or more")
@@ -88,6 +89,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         self._pool = ThreadPoolExecutor(max(self._threads - 1, 1))  # beside the caller's
         self._observations: list[Observation] = [np.zeros(len(self.labels), np.float32)] * num_envs
         self._over = np.zeros(num_envs, np.bool_)
+        self.closed = False
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Info | None = None
