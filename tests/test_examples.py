@@ -13,7 +13,10 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 NEEDS = {"03_learn_to_avoid": "stable_baselines3", "04_evolve": "cmaes"}
 """Packages that an example alone needs."""
 
-SHORTER = {"04_evolve": "--generations 2 --population 4 --seconds 0.4 --check-seconds 1".split()}
+SHORTER = {
+    "03_learn_to_avoid": "ppo.png --seconds 2".split(),
+    "04_evolve": "--generations 2 --population 4 --seconds 0.4 --check-seconds 1".split(),
+}
 """What makes a long one short."""
 
 

@@ -3,13 +3,13 @@
     environment = load("ObstacleAvoidance", seed=1)
     step = environment.reset()
     while not step.last():
-        step = environment.step([10.0, 8.0])
+        step = environment.step([0.5, 0.4])
         print(step.observation["proximity"], step.reward, environment.physics.pose())
 
-Observations are the task's terms by name, each 0 to 1 or -1 to 1 (`tasks.TERMS` has order and units). An
-action is the speeds of left and right wheel, -20 to 20 [pulses/10 ms], 8 mm/s each, rounded to integers. One
-step is one control period, 50 ms by default. An episode ends with discount 1 at its time limit, with 0 when
-the charge has run out.
+Observations are the task's terms by name (`tasks.TERMS`). An action is the speeds of left and right wheel;
+1 is 20 pulses/10 ms, 160 mm/s. Both are normalized to -1 to 1, or in the robot's own units with
+`normalize=False`. One step is one control period, 50 ms by default. An episode ends with discount 1 at its
+time limit, with 0 when the charge has run out.
 """
 
 # dm_control and dm_env are not typed.
@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
-from khep_twin.envs.task_episode import StepResult, TaskEpisode, TaskSetup, clipped
-from khep_twin.envs.tasks import TERMS, TOP_SPEED, Task
+from khep_twin.envs.task_episode import StepResult, TaskEpisode, TaskSetup
+from khep_twin.envs.tasks import TERMS, Task
 from khep_twin.randomness import stream
 from khep_twin.rollout import version_check
 
@@ -55,7 +55,7 @@ class Physics(mujoco.Physics):
         self.episode = episode
         self.outcome: StepResult | None = None
         self.observation = episode.begin(0)[0]
-        self._speeds = (0.0, 0.0)
+        self._action: object = (0.0, 0.0)
         super().__init__(wrapper.MjData(episode.data))
 
     def proximity(self) -> NDArray[np.int64]:
@@ -86,13 +86,13 @@ class Physics(mujoco.Physics):
             self._reload_from_data(wrapper.MjData(self.episode.data))
 
     def set_control(self, control: object) -> None:
-        """Set the speeds of the next period (2,) [pulses/10 ms], not voltages."""
-        self._speeds = clipped(control)
+        """Set the action of the next period (2,): speeds, not voltages."""
+        self._action = control
 
     def step(self, nstep: int = 1) -> None:
         """Advance by control periods."""
         for _ in range(nstep):
-            (self.outcome,) = self.episode.step([self._speeds])
+            (self.outcome,) = self.episode.step([self._action])
             self.observation = self.outcome.observation
 
     def timestep(self) -> float:
@@ -122,12 +122,12 @@ class TrialTask(control.Task):
     """A task of `tasks` as a dm_control task.
 
     Args:
-        task: Task.
+        setup: Prepared task.
         seed: Seed of the sequence of episodes.
     """
 
-    def __init__(self, task: Task, seed: int) -> None:
-        self._task = task
+    def __init__(self, setup: TaskSetup, seed: int) -> None:
+        self._setup, self._terms = setup, {name: TERMS[name] for name in setup.task.observation_terms}
         self._rng = stream(seed, "trials")
         self.seed = 0
 
@@ -137,11 +137,12 @@ class TrialTask(control.Task):
         physics.begin(self.seed)
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
-        """Return the bounds of the speeds of left and right wheel [pulses/10 ms]."""
-        return specs.BoundedArray((2,), np.float64, -TOP_SPEED, TOP_SPEED, name="left\tright")
+        """Return the bounds of the speeds of left and right wheel."""
+        limit = self._setup.action_limit
+        return specs.BoundedArray((2,), np.float64, -limit, limit, name="left\tright")
 
     def before_step(self, action: object, physics: Physics) -> None:
-        """Set the speeds."""
+        """Set the action."""
         physics.set_control(action)
 
     def after_step(self, physics: Physics) -> None:
@@ -149,16 +150,16 @@ class TrialTask(control.Task):
 
     def get_observation(self, physics: Physics) -> "OrderedDict[str, NDArray[np.float32]]":
         """Return each observation term by name."""
-        names = self._task.observation_terms
-        ends = np.cumsum([len(TERMS[name].names) for name in names])
+        ends = np.cumsum([len(term.names) for term in self._terms.values()])
         parts = np.split(physics.observation.copy(), ends[:-1])
-        return OrderedDict(zip(names, parts, strict=True))
+        return OrderedDict(zip(self._terms, parts, strict=True))
 
     def observation_spec(self, physics: Physics) -> "OrderedDict[str, specs.BoundedArray]":
         """Return the bounds of each observation term."""
+        normalize = self._setup.normalize
         return OrderedDict(
-            (name, specs.BoundedArray((len(term.names),), np.float32, term.low, term.high, name=name))
-            for name, term in ((name, TERMS[name]) for name in self._task.observation_terms)
+            (name, specs.BoundedArray((len(term.names),), np.float32, *term.bounds(normalize), name=name))
+            for name, term in self._terms.items()
         )
 
     def get_reward(self, physics: Physics) -> float:
@@ -178,7 +179,7 @@ def load(task: Task | str, *, seed: int = 0, **options: Any) -> dm_env.Environme
     Args:
         task: Task, or its name.
         seed: Seed of its episodes; the same seed and actions give the same steps.
-        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, compiled.
+        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, compiled, normalize.
     """
     setup = TaskSetup(task, **options)
-    return control.Environment(Physics(TaskEpisode(setup)), TrialTask(setup.task, seed))
+    return control.Environment(Physics(TaskEpisode(setup)), TrialTask(setup, seed))

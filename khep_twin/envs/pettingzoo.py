@@ -7,8 +7,8 @@
         observations, rewards, terminated, truncated, infos = environment.step(actions)
 
 Agents are the robots by their names in logs, khepera0 on. Their observations and actions are those of
-`gymnasium`, and they are obstacles to each other; a robot reflects a sixth of what white paper does, so that
-others see it from some 5 mm. One whose charge has run out stops while the others go on.
+`gymnasium`, normalized to -1 to 1. They are obstacles to each other; a robot reflects a sixth of what white
+paper does, so that others see it from some 5 mm. One whose charge has run out stops while the others go on.
 """
 
 # pyright: reportMissingTypeStubs=false
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from khep_twin.envs.gymnasium import RENDER_MODES, Info, ground_truth, spaces
 from khep_twin.envs.renderer import Picture, Renderer, View
-from khep_twin.envs.task_episode import TaskEpisode, TaskSetup, clipped
+from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 
@@ -41,7 +41,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         robots: Number of robots; a playpen with spots has room for as many as it has spots.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto".
-        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds.
+        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, normalize.
     """
 
     def __init__(
@@ -72,14 +72,14 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         self.observation_spaces: dict[str, Space[Any]] = {}
         self.action_spaces: dict[str, Space[Any]] = {}
         for agent in self.possible_agents:
-            self.observation_spaces[agent], self.action_spaces[agent] = spaces(self._setup.task)
+            self.observation_spaces[agent], self.action_spaces[agent] = spaces(self._setup)
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the observation space of a robot."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Space[Any]:
-        """Return the action space of a robot [pulses/10 ms]."""
+        """Return the action space of a robot."""
         return self.action_spaces[agent]
 
     def reset(
@@ -97,7 +97,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
     def step(
         self, actions: Mapping[str, NDArray[np.float32]]
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
-        """Advance by a control period at these speeds [pulses/10 ms] (2,) of each agent.
+        """Advance by a control period with these speeds of left and right wheel (2,) of each agent.
 
         Raises:
             KhepTwinError: There is no action for an agent.
@@ -105,14 +105,14 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
-        speeds = [(0.0, 0.0)] * len(self.possible_agents)
+        given: list[object] = [(0.0, 0.0)] * len(self.possible_agents)
         for agent in self.agents:
             if agent not in actions:
                 raise KhepTwinError(
                     f"no action for {agent}; expected one for each of {', '.join(self.agents)}"
                 )
-            speeds[self.possible_agents.index(agent)] = clipped(actions[agent])
-        became = dict(zip(self.possible_agents, self._episode.step(speeds), strict=True))
+            given[self.possible_agents.index(agent)] = actions[agent]
+        became = dict(zip(self.possible_agents, self._episode.step(given), strict=True))
         outcomes, infos = {agent: became[agent] for agent in self.agents}, self._infos()
         late = self._episode.over
         self.agents = [] if late else [agent for agent, outcome in outcomes.items() if not outcome.ended]

@@ -4,6 +4,8 @@ MuJoCo renders without a screen by EGL or OSMesa if `MUJOCO_GL=egl` or `MUJOCO_G
 is imported.
 """
 
+import os
+import sys
 import warnings
 from collections.abc import Sequence
 from io import BytesIO
@@ -39,8 +41,8 @@ class Renderer:
 
     Args:
         playpen: Playpen.
-        view: "scene" rendered by MuJoCo, "map", or "auto" for a scene if possible, else a map with a
-            warning.
+        view: "scene" rendered by MuJoCo, "map", or "auto" for a map where there is no screen and no
+            `MUJOCO_GL`, else a scene if possible, and if not a map with a warning.
 
     Attributes:
         view: View of the pictures; "auto" before the first.
@@ -53,7 +55,7 @@ class Renderer:
         if view not in VIEWS:
             raise KhepTwinError(f"view {view!r}: unknown; {choices(view, VIEWS)}")
         self._playpen = playpen
-        self.view: View = view
+        self.view: View = "map" if view == "auto" and not _may_render() else view
         self._renderer: mujoco.Renderer | None = None
         self._own: mujoco.MjData | None = None
 
@@ -122,6 +124,12 @@ class Renderer:
         figure = draw(self._playpen.model_copy(update={"robots": robots}))
         with Image.open(BytesIO(picture(figure, "png", _MAP_DPI))) as image:
             return np.array(image.convert("RGB"))
+
+
+def _may_render() -> bool:
+    """Return whether MuJoCo may find OpenGL: on Linux it needs a screen or `MUJOCO_GL`."""
+    names = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
+    return sys.platform != "linux" or any(os.environ.get(name) for name in names)
 
 
 _REMEDY = "expected MUJOCO_GL=egl or MUJOCO_GL=osmesa, with that library installed, or view='map'"

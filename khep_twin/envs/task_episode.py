@@ -3,13 +3,16 @@
     episode = TaskEpisode(TaskSetup("ObstacleAvoidance"))
     episode.begin(seed=1)
     while not episode.over:
-        result, = episode.step([(10, 10)])
+        result, = episode.step([(0.5, 0.5)])
         print(result.observation, result.reward)
 
 The dm_env, Gymnasium and PettingZoo environments are built on these episodes. A step is one control period,
 50 ms by default (the cycle of the Khepera Toolbox's controllers): the speeds are set as by a command D
 without delay, physics, sensors and control loops run at their own rates, and the robots are observed again.
 An episode depends on its seed and its actions alone, not on earlier episodes.
+
+Actions and observations are normalized to -1 to 1, or, with `TaskSetup(..., normalize=False)`, in the units
+of the robot: pulses/10 ms, and counts.
 """
 
 import math
@@ -44,21 +47,6 @@ PERIOD_NS = 50_000_000
 _ENCODERS = (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER)
 
 
-def clipped(action: object) -> tuple[float, float]:
-    """Return an action as the speeds of left and right wheel, clipped to the top speed [pulses/10 ms].
-
-    Raises:
-        ValueError: The action is not two numbers.
-    """
-    try:
-        left, right = np.clip(np.asarray(action, np.float64), -TOP_SPEED, TOP_SPEED).tolist()
-        return float(left), float(right)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"action {action!r}; expected two speeds, left and right, from {-TOP_SPEED:g} to {TOP_SPEED:g}"
-        ) from None
-
-
 @dataclass(frozen=True, slots=True)
 class StepResult:
     """Results of one robot's step.
@@ -86,6 +74,11 @@ class TaskSetup:
         period_ns: Control period [ns], whole ticks of 10 ms.
         seconds: Time limit of an episode [s]; by default the task's.
         compiled: Whether to run compiled; None if numba is installed. Several robots never are.
+        normalize: Whether actions and observations are normalized to -1 to 1; else actions are in pulses/10
+            ms, and observations in the units of `tasks.TERMS`.
+
+    Attributes:
+        action_limit: Upper bound of an action, and the lower one with its sign changed.
 
     Raises:
         KhepTwinError: The task is unknown, or the playpen has no such goal.
@@ -104,6 +97,7 @@ class TaskSetup:
         period_ns: int = PERIOD_NS,
         seconds: float | None = None,
         compiled: bool | None = None,
+        normalize: bool = True,
     ) -> None:
         if robots < 1:
             raise ValueError(f"{robots} robots; expected 1 or more")
@@ -112,7 +106,8 @@ class TaskSetup:
         self.task = find(task)
         given = self.task.playpen if playpen is None else playpen
         self.playpen = with_robots(given if isinstance(given, Playpen) else load(given), robots)
-        self.noise, self.vary, self.period_ns = noise, vary, period_ns
+        self.noise, self.vary, self.period_ns, self.normalize = noise, vary, period_ns, normalize
+        self.action_limit = 1.0 if normalize else TOP_SPEED
         self.seconds = self.task.seconds if seconds is None else seconds
         if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
             raise ValueError(
@@ -133,6 +128,22 @@ class TaskSetup:
         if self._setup is None:
             return WorldBackend(self.period_ns)
         return EpisodeBackend(self._setup, self._compiled)
+
+    def speeds(self, action: object) -> tuple[float, float]:
+        """Return an action as the speeds of left and right wheel, clipped to the top speed [pulses/10 ms].
+
+        Raises:
+            ValueError: The action is not two numbers.
+        """
+        limit = self.action_limit
+        try:
+            left, right = np.asarray(action, np.float64).tolist()
+            left, right = (min(max(speed, -limit), limit) * (TOP_SPEED / limit) for speed in (left, right))
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"action {action!r}; expected two speeds, left and right, from {-limit:g} to {limit:g}"
+            ) from None
+        return left, right
 
     def started(self, seed: int) -> Playpen:
         """Return the playpen at the start of an episode.
@@ -170,24 +181,27 @@ class TaskEpisode:
         self._steps = 0
         self._charges_ns = [to_ns(setup.task.charge_s)] * self._n_robots
         self._pulses = [self._counted(robot) for robot in range(self._n_robots)]
-        return [setup.task.observe(self._state(robot, (0.0, 0.0))) for robot in range(self._n_robots)]
+        states = [self._state(robot, (0.0, 0.0)) for robot in range(self._n_robots)]
+        return [setup.task.observe(state, setup.normalize) for state in states]
 
-    def step(self, speeds: Sequence[Sequence[float]]) -> list[StepResult]:
+    def step(self, actions: Sequence[object]) -> list[StepResult]:
         """Advance by a control period.
 
         Args:
-            speeds: Speeds of each robot, left and right [pulses/10 ms]; rounded to integers, clipped to 127.
+            actions: Speeds of each robot's wheels, left and right, as parts of the top speed, or, if not
+                normalized, in pulses/10 ms; clipped, and rounded to whole pulses.
 
         Raises:
             DivergedError: A speed is no number, or the physics left its bounds.
-            ValueError: The episode is over, or the number of speeds is not that of the robots.
+            ValueError: The episode is over, the number of actions is not that of the robots, or one of them
+                is not two numbers.
         """
         if self.over:
             raise ValueError("the episode is over; expected begin() first")
-        if len(speeds) != self._n_robots:
-            raise ValueError(f"{len(speeds)} pairs of speeds; expected {self._n_robots}, one for each robot")
-        for robot, (left, right) in enumerate(speeds):
-            self._backend.drive(robot, float(left), float(right))
+        if len(actions) != self._n_robots:
+            raise ValueError(f"{len(actions)} actions; expected {self._n_robots}, one for each robot")
+        for robot, speeds in enumerate([self.setup.speeds(action) for action in actions]):
+            self._backend.drive(robot, *speeds)
         self._backend.step()
         self._steps += 1
         return [self._outcome(robot) for robot in range(self._n_robots)]
@@ -225,7 +239,8 @@ class TaskEpisode:
             left_ns = max(self._charges_ns[robot] - self.setup.period_ns, 0)
             self._charges_ns[robot] = to_ns(task.charge_s) if self._at_goal(robot) else left_ns
         state = self._state(robot, (left, right))
-        return StepResult(task.observe(state), task.reward(state), bool(task.charge_s) and state.charge <= 0)
+        observation = task.observe(state, self.setup.normalize)
+        return StepResult(observation, task.reward(state), bool(task.charge_s) and state.charge <= 0)
 
     def _state(self, robot: int, speed: tuple[float, float]) -> State:
         setup = self.setup

@@ -62,14 +62,15 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class ObservationTerm:
-    """A part of an observation, numbers within bounds.
+    """A part of an observation: numbers that are clipped to a range, and normalized to -1 to 1.
 
     Attributes:
         read: Function that returns the numbers of a state (n,).
         names: Names of the numbers (n,).
-        low: Lower bound.
-        high: Upper bound.
-        unit: Meaning of 1.
+        low: Lower bound, normalized to -1 [unit].
+        high: Upper bound, normalized to 1 [unit].
+        unit: Unit of the numbers.
+        ends: Function that returns the numbers normalized to -1 and 1, if they are not `low` and `high`.
     """
 
     read: Callable[[State], Sequence[float]]
@@ -77,40 +78,52 @@ class ObservationTerm:
     low: float
     high: float
     unit: str
+    ends: Callable[[State], tuple[float, float]] | None = None
+
+    def bounds(self, normalize: bool) -> tuple[float, float]:
+        """Return the lower and upper bound of each number."""
+        return (-1.0, 1.0) if normalize else (self.low, self.high)
+
+    def observe(self, state: State, normalize: bool) -> list[float]:
+        """Return the numbers of a state, within the bounds (n,)."""
+        if not normalize:
+            return [min(max(number, self.low), self.high) for number in self.read(state)]
+        start, end = self.ends(state) if self.ends else (self.low, self.high)
+        scale = 2 / (end - start)
+        return [min(max((number - start) * scale - 1, -1.0), 1.0) for number in self.read(state)]
 
 
-def _proximity(state: State) -> Sequence[float]:
-    return [state.registers[index] / COUNTS_LIMIT for index in PROXIMITY]
-
-
-def _light(state: State) -> Sequence[float]:
-    dark, floor = state.dark, state.floor
-    return [min(max((dark - state.registers[index]) / (dark - floor), 0.0), 1.0) for index in AMBIENT]
-
-
-def _speed(state: State) -> Sequence[float]:
-    top = float(fitness.TOP_SPEED_PULSES)
-    return [min(max(pulses / top, -1.0), 1.0) for pulses in (state.left, state.right)]
-
-
-def _charge(state: State) -> Sequence[float]:
-    return [state.charge]
-
+TOP_SPEED = float(fitness.TOP_SPEED_PULSES)
+"""Top speed of a wheel in an action, forwards and backwards [pulses/10 ms]: 160 mm/s."""
 
 _SENSORS = tuple(sensor.name.lower() for sensor in Sensor)
 
 TERMS = {
-    "proximity": ObservationTerm(_proximity, _SENSORS, 0.0, 1.0, "1023 counts of command N"),
-    "light": ObservationTerm(
-        _light, _SENSORS, 0.0, 1.0, "from the dark reading of command O to the brightest one"
+    "proximity": ObservationTerm(
+        lambda state: [state.registers[index] for index in PROXIMITY],
+        _SENSORS,
+        0.0,
+        float(COUNTS_LIMIT),
+        "counts of command N",
     ),
-    "speed": ObservationTerm(_speed, ("left", "right"), -1.0, 1.0, "20 pulses/10 ms, 160 mm/s, counted, cut"),
-    "charge": ObservationTerm(_charge, ("charge",), 0.0, 1.0, "a full charge"),
+    "light": ObservationTerm(
+        lambda state: [state.registers[index] for index in AMBIENT],
+        _SENSORS,
+        0.0,
+        float(COUNTS_LIMIT),
+        "counts of command O, low in the light",
+        lambda state: (state.dark, state.floor),
+    ),
+    "speed": ObservationTerm(
+        lambda state: (state.left, state.right),
+        ("left", "right"),
+        -TOP_SPEED,
+        TOP_SPEED,
+        "pulses/10 ms, counted over the period",
+    ),
+    "charge": ObservationTerm(lambda state: (state.charge,), ("charge",), 0.0, 1.0, "part of a full charge"),
 }
 """All observation terms."""
-
-TOP_SPEED = float(fitness.TOP_SPEED_PULSES)
-"""Top speed of a wheel in an action, forwards and backwards [pulses/10 ms]: 160 mm/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,19 +172,17 @@ class Task:
         """Labels of an observation's numbers (n,), e.g. "proximity left_90"."""
         return tuple(f"{term} {name}" for term in self.observation_terms for name in TERMS[term].names)
 
-    @property
-    def bounds(self) -> tuple[Observation, Observation]:
-        """Lower and upper bounds of an observation (n,), (n,)."""
-        observation_terms = [TERMS[name] for name in self.observation_terms]
-        sizes = [len(term.names) for term in observation_terms]
-        low, high = ([term.low for term in observation_terms], [term.high for term in observation_terms])
-        return np.repeat(np.array(low, np.float32), sizes), np.repeat(np.array(high, np.float32), sizes)
+    def bounds(self, normalize: bool = True) -> tuple[Observation, Observation]:
+        """Return the lower and upper bounds of an observation (n,), (n,)."""
+        bounds = [TERMS[name].bounds(normalize) for name in self.observation_terms for _ in TERMS[name].names]
+        low, high = np.array(bounds, np.float32).T
+        return low, high
 
-    def observe(self, state: State) -> Observation:
+    def observe(self, state: State, normalize: bool = True) -> Observation:
         """Return the observation (n,), in the order of `labels`."""
         numbers: list[float] = []
         for name in self.observation_terms:
-            numbers += TERMS[name].read(state)
+            numbers += TERMS[name].observe(state, normalize)
         return np.array(numbers, np.float32)
 
 

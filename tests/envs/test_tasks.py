@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
+from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
-from khep_twin.envs.tasks import TASKS, State, Task, avoiding, avoiding_either_way
+from khep_twin.envs.tasks import TASKS, TERMS, State, Task, avoiding, avoiding_either_way
 from khep_twin.errors import DivergedError, KhepTwinError, PlaypenError
 from khep_twin.playpen.starts import anywhere
 from khep_twin.rollout import version_check
@@ -19,7 +20,7 @@ SHORT = {"seconds": 0.5, "compiled": False}
 
 
 def driven(
-    episode: TaskEpisode, seed: int, speeds: tuple[float, float] = (12, 7)
+    episode: TaskEpisode, seed: int, speeds: tuple[float, float] = (0.6, 0.35)
 ) -> list[tuple[bytes, float]]:
     """Return an episode's observations and rewards, from start to end."""
     seen = [(episode.begin(seed)[0].tobytes(), 0.0)]
@@ -29,10 +30,13 @@ def driven(
     return seen
 
 
+@pytest.mark.parametrize("normalize", [True, False])
 @pytest.mark.parametrize("name", TASKS)
-def test_what_is_seen_lies_within_its_bounds_and_has_a_label_for_each_number(name: str) -> None:
-    setup = TaskSetup(name, **SHORT)
-    low, high = setup.task.bounds
+def test_what_is_seen_lies_within_its_bounds_and_has_a_label_for_each_number(
+    name: str, normalize: bool
+) -> None:
+    setup = TaskSetup(name, normalize=normalize, **SHORT)
+    low, high = setup.task.bounds(normalize)
     episode = TaskEpisode(setup)
     seen = episode.begin(3)
     for speeds in ((20, 20), (-127, 127), (127, -127)):
@@ -70,6 +74,24 @@ def test_a_compiled_episode_is_the_same_as_a_plain_one() -> None:
     assert driven(TaskEpisode(plain), 8) == driven(TaskEpisode(compiled), 8)
 
 
+def test_speeds_and_observations_are_normalized_by_the_top_speed_and_the_calibration() -> None:
+    setup = TaskSetup("LightSeeking", **SHORT)
+    assert setup.speeds([0.5, -2]) == (10, -20)
+    assert TaskSetup("LightSeeking", normalize=False, **SHORT).speeds([10, -40]) == (10, -20)
+    registers = [0] * 100
+    registers[PROXIMITY[1]] = 1023
+    registers[AMBIENT[0] : AMBIENT[3] + 1] = [500, 50, 275, 600]  # dark, brightest, between, darker than dark
+    state = State(registers, 10, -30, dark=500, floor=50, at_goal=False, charge=0.25)
+    numbers = dict(zip(setup.task.labels, setup.task.observe(state).tolist(), strict=True))
+    sensors = list(TERMS["light"].names)
+    assert [numbers[f"proximity {name}"] for name in sensors[:2]] == [-1, 1]
+    assert [numbers[f"light {name}"] for name in sensors[:4]] == [-1, 1, 0, -1]
+    assert (numbers["speed left"], numbers["speed right"]) == (0.5, -1)
+    assert TERMS["charge"].observe(state, True) == [-0.5]
+    raw = setup.task.observe(state, normalize=False).tolist()
+    assert raw == [0, 1023, *[0] * 6, 500, 50, 275, 600, *[0] * 4, 10, -20]
+
+
 def test_vary_gives_each_episode_another_robot() -> None:
     options = {**SHORT, "noise": False}
     same = TaskEpisode(TaskSetup("LightSeeking", **options))
@@ -100,7 +122,7 @@ def test_where_there_is_no_room_for_all_an_error_says_so() -> None:
 
 def test_a_charge_runs_out_away_from_home_and_is_full_again_there() -> None:
     task = dataclasses.replace(TASKS["Homing"], charge_s=0.2)
-    episode = TaskEpisode(TaskSetup(task, **SHORT))
+    episode = TaskEpisode(TaskSetup(task, normalize=False, **SHORT))
     episode.begin(0)
     charges, ends = [], []
     for _ in range(4):
@@ -111,7 +133,7 @@ def test_a_charge_runs_out_away_from_home_and_is_full_again_there() -> None:
     assert ends == [False, False, False, True]
     home = TaskEpisode(TaskSetup(dataclasses.replace(task, reach_mm=1000.0), **SHORT))
     home.begin(0)
-    (outcome,) = home.step([(20, 20)])
+    (outcome,) = home.step([(1, 1)])
     assert outcome.observation[-1] == 1
     assert outcome.reward == 0
 
