@@ -5,6 +5,7 @@ mj_step alone, called from Python, in the same scene with its rangefinders, driv
 the vehicle had. A second floor has no sensors at all.
 """
 
+import copy
 import sys
 
 import mujoco
@@ -31,16 +32,18 @@ def voltages(setup: EpisodeSetup, seconds: float) -> list[tuple[float, float]]:
     episode.begin(1)
     found: list[tuple[float, float]] = []
     for _ in range(round(seconds * 1e9) // units.TICK_NS):
-        left, right = episode._data.ctrl.tolist()
+        left, right = episode.data.ctrl.tolist()
         found.append((left, right))
-        episode.step(setup.sim_indices.steps_per_tick)
+        episode.step(setup.scene_model.timing.steps_per_tick)
     return found
 
 
 def bare_row(name: str, setup: EpisodeSetup, seconds: float, *, sensors: bool = True) -> Row:
     """Return a row of a loop of mj_step alone."""
     driven = voltages(setup, seconds)
-    model, steps = setup.model if sensors else setup.without_sensors, setup.sim_indices.steps_per_tick
+    model, steps = copy.copy(setup.model), setup.scene_model.timing.steps_per_tick
+    if not sensors:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
     def bare() -> None:
         data = mujoco.MjData(model)

@@ -17,6 +17,7 @@ docs/protocol.md lists all such decisions.
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin.board import bios, kernel
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
@@ -60,6 +61,8 @@ class Firmware:
         rom: Version of the firmware.
         mode: Running mode.
         turrets: Turrets that are plugged on top.
+        registers: Memory for the state of the board (N_REGISTERS,); its own if not given.
+        processor: Memory for the state of the processor (N_PROCESSOR,); its own if not given.
 
     Attributes:
         registers: State of the board (N_REGISTERS,).
@@ -68,19 +71,31 @@ class Firmware:
         baud: Speed of the serial line from the next reply on [baud].
         reply_baud: Speed of the line for the last reply [baud]; differs from `baud` after the tool `serial`.
         running: ROM function that runs; empty for none.
-        powered: True if the supply suffices for the processor.
     """
 
-    def __init__(self, rom: Rom, mode: int = 1, turrets: Mapping[TurretKind, Turret] | None = None) -> None:
-        self.registers = np.zeros(kernel.N_REGISTERS, np.int64)
+    def __init__(
+        self,
+        rom: Rom,
+        mode: int = 1,
+        turrets: Mapping[TurretKind, Turret] | None = None,
+        registers: NDArray[np.int64] | None = None,
+        processor: NDArray[np.int64] | None = None,
+    ) -> None:
+        self.registers = np.zeros(kernel.N_REGISTERS, np.int64) if registers is None else registers
         self.register_view = self.registers.data
+        self._processor = (np.zeros(kernel.N_PROCESSOR, np.int64) if processor is None else processor).data
         self._rom = rom
         self._mode = rom.modes[mode]
         self._lines = LineReader()
         self.turrets = turrets or {}
         self._by_number = {kind.number: turret for kind, turret in self.turrets.items()}
-        self.powered = True
+        self._processor[kernel.POWERED] = 1
         self.reset()
+
+    @property
+    def powered(self) -> bool:
+        """Whether the supply suffices for the processor."""
+        return bool(self._processor[kernel.POWERED])
 
     def receive(self, data: bytes) -> bytes:
         """Read bytes from the line; return the replies to the commands that they complete."""
@@ -95,13 +110,14 @@ class Firmware:
 
     def tick(self, left_pulses: int, right_pulses: int) -> None:
         """Run one control period of 10 ms, with the encoders' counts since power-up [pulses]."""
-        if not self.powered:
-            return
-        kernel.tick(self.register_view, left_pulses, right_pulses)
-        if self.running == DEMO and self.register_view[Board.SCAN] == 0:
-            kernel.wander(self.register_view)
-        for turret in self.turrets.values():
-            turret.tick()
+        kernel.run(self.register_view, self._processor, left_pulses, right_pulses)
+        self.tick_turrets()
+
+    def tick_turrets(self) -> None:
+        """Run one control period of the turrets."""
+        if self.powered:
+            for turret in self.turrets.values():
+                turret.tick()
 
     def remedy(self, baud: int) -> str:
         """Return a hint for setting the robot's line to a host's speed [baud]."""
@@ -114,13 +130,13 @@ class Firmware:
             return f"for {baud} baud, of a Khepera II: {wanted}"
         return f"no running mode has {baud} baud: expected {self.baud} at the host"
 
-    def brown_out(self) -> None:
-        """Reset and halt the processor, as the supply is too low; the motors keep their duty."""
-        duties = [self.register_view[register] for register in kernel.DUTIES]
-        self.reset()
-        for register, duty in zip(kernel.DUTIES, duties, strict=True):
-            self.register_view[register] = duty
-        self.powered = False
+    def forget(self) -> None:
+        """Clear what a reset clears besides registers: the incomplete line, turrets, speed and program."""
+        self._lines.clear()
+        for turret in self.turrets.values():
+            turret.reset()
+        self.baud = self.reply_baud = self._mode.baud
+        self._run("")
 
     def reset(self) -> bytes:
         """Reset the board, as at power-up; return the banner.
@@ -130,11 +146,7 @@ class Firmware:
         if not self.powered:
             return b""
         kernel.reset(self.register_view)
-        self._lines.clear()
-        for turret in self.turrets.values():
-            turret.reset()
-        self.baud = self.reply_baud = self._mode.baud
-        self.running = ""
+        self.forget()
         banner = b"".join(line.encode("ascii") + END for line in self._rom.banner)
         return banner + self._start(self._mode.function)
 
@@ -163,8 +175,12 @@ class Firmware:
             return bios.self_test(
                 sensors_alive=any(self.register_view[register] for register in kernel.AMBIENT)
             )
-        self.running = function or self.running
+        self._run(function or self.running)
         return b""
+
+    def _run(self, function: str) -> None:
+        self.running = function
+        self._processor[kernel.DEMO] = function == DEMO
 
     def _both(self, register: Wheel) -> tuple[int, int]:
         """Return a register of the left and of the right wheel."""

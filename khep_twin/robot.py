@@ -1,31 +1,25 @@
 """One robot of a world: its board, line, turrets, supply, and body in the physics."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import units
+from khep_twin import step, units
 from khep_twin.board import kernel
-from khep_twin.board.battery import Supply
 from khep_twin.board.fault_injection import Fault, Injector
-from khep_twin.board.kernel import DUTIES, LEFT, RIGHT, Board, Wheel
+from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.board.protocol import LINE_ENDS
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import Firmware
-from khep_twin.playpen import Lighting, Playpen
-from khep_twin.randomness import stream
-from khep_twin.sensing import calibration
-from khep_twin.sensing.ambient import Receivers
+from khep_twin.playpen import Playpen
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.sensing.raycast import scene_of
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensors import InfraredScan
 
 REPLY_LIMIT = 256
 """Bytes of replies queued before the firmware takes no more commands (assumed)."""
@@ -57,6 +51,20 @@ class WorldContext(Protocol):
         ...
 
 
+class RobotOptions(NamedTuple):
+    """Options of a world's robots.
+
+    Attributes:
+        unpaced: True for lines without delay.
+        strict_line: True to garble the bytes between a robot and a host whose line has another speed.
+        faults: Faults of the robots.
+    """
+
+    unpaced: bool
+    strict_line: bool
+    faults: tuple[Fault, ...]
+
+
 class Robot:
     """One robot of a world: its board, its line and its body in the physics.
 
@@ -73,19 +81,17 @@ class Robot:
         self,
         context: WorldContext,
         index: int,
-        *,
-        seed: int,
-        noise: bool,
-        unpaced: bool,
-        strict_line: bool,
-        vary: bool,
-        faults: Sequence[Fault],
+        indices: RobotIndices,
+        state: NDArray[np.void],
+        rng: Callable[..., np.random.Generator],
+        options: RobotOptions,
     ) -> None:
         model, data = context.model, context.data
         entry = context.playpen.robots[index]
         self.name = f"khepera{index}"
         turrets = {kind: kind.make() for kind in find(entry.turrets)}
-        self.firmware = Firmware(ROMS[entry.rom], entry.mode, turrets)
+        self._state = state
+        self.firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"])
         self._turret_bodies = [
             kind.fit(model, data, f"{self.name}/{kind.name}/", turret.registers)
             for kind, turret in turrets.items()
@@ -93,42 +99,27 @@ class Robot:
         ]
         self.registers = self.firmware.registers
         self._register_view = self.firmware.register_view
-        self.uart = Uart(0 if unpaced else self.firmware.baud)
-        self._unpaced = unpaced
+        self._has_stopped = False
+        self.uart = Uart(0 if options.unpaced else self.firmware.baud)
+        self._unpaced = options.unpaced
         self._baud = self.firmware.baud
         self._host: LineSettings | None = None
         self._warned: set[tuple[int, int]] = set()
         self._context = context
         self.index = index
         self._radius = entry.body.radius
-        self.indices = RobotIndices.of(model, self.name)
-        self._supply = Supply(entry.battery_used_min)
-        self._voltage = units.SUPPLY_VOLTAGE
-        self._force: NDArray[np.float64] = data.actuator_force
-        self._qpos: NDArray[np.float64] = data.qpos
-        self._qvel: NDArray[np.float64] = data.qvel
-        self._ctrl: NDArray[np.float64] = data.ctrl
+        self.indices = indices
         positions = [model.body_pos[light] for light in self.indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
         self._lights = list(zip(positions, hidden, model.site_pos[list(self.indices.leds)], strict=True))
-        rng = partial(stream, seed, "robot", index)
-        self._line_noise = rng("line") if strict_line else None
-        self._faults = None
-        if faults:
-            self._faults = Injector(faults, partial(rng, "fault"), partial(context.log_event, index))
-        measured = calibration.read(entry.calibration)[0]
-        self._motor_constant = measured.motors.constant
-        if vary:
-            measured = calibration.varied(measured, rng("spread"))
-        lighting = context.playpen.lighting
-        self._receivers = Receivers(model, self.indices, measured.ambient, context.lamps, lighting)
-        scene = scene_of(model, data, self.indices)
-        self._scan = InfraredScan(scene, self.indices, measured, self._receivers, rng if noise else None)
+        self._shown = [0] * len(_LEDS)
+        self._line_noise = rng("line") if options.strict_line else None
+        self._faults = Injector(options.faults, partial(rng, "fault"), partial(context.log_event, index))
 
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad] in the playpen."""
-        return self.indices.pose_in(self._qpos)
+        return self.indices.pose_in(self._context.data.qpos)
 
     @property
     def disc(self) -> tuple[float, float, float]:
@@ -207,7 +198,7 @@ class Robot:
         A command causes a reply, and a brown-out fault the banner.
         """
         command_ns = self.next_command_ns()
-        brown_out_ns = None if self._faults is None else self._faults.next_brown_out_ns()
+        brown_out_ns = self._faults.next_brown_out_ns()
         if brown_out_ns is None or not self.firmware.powered:
             return command_ns
         # Faults happen in control ticks, the first of them one period after the start.
@@ -234,74 +225,59 @@ class Robot:
             self._context.on_bytes(arrival_ns, self.index, True, begun)
             self.firmware.receive(begun)
 
-    def convert(self, channel: int) -> None:
-        """Convert one sensor of the scan."""
-        proximity, ambient = self._scan.convert(channel)
-        if self._faults is not None and self._faults.stuck(channel, self._context.time_ns):
-            proximity, ambient = (
-                self._register_view[_PROXIMITY + channel],
-                self._register_view[_AMBIENT + channel],
-            )
-        kernel.convert(self._register_view, proximity, ambient)
+    def act_after(self, reason: int) -> None:
+        """Do what the stepping core has returned for.
 
-    def tick(self) -> None:
-        """Run one control period: from encoders to motor voltages."""
-        ctrl, register_view = self._ctrl, self._register_view
-        left, right = self._wheel_pulses()
-        for body in self._turret_bodies:
-            body.sense()
-        self.firmware.tick(left, right)
-        for body in self._turret_bodies:
-            body.drive()
-        for motor, duty in zip(self.indices.motors, DUTIES, strict=True):
-            ctrl[motor] = units.duty_voltage(register_view[duty], self._voltage)
-        if self._faults is not None:
-            self._fail(self._faults)
-
-    def update_supply(self) -> None:
-        """Measure the supply; below its minimum voltage the processor is reset and halts."""
-        register_view, time_ns = self._register_view, self._context.time_ns
-        self._voltage = self._supply.voltage(time_ns)
-        current = units.IDLE_CURRENT
-        for motor, duty in zip(self.indices.motors, DUTIES, strict=True):
-            current += units.supply_current(register_view[duty], self._force[motor] / self._motor_constant)
-        kernel.measure(register_view, units.supply_counts(self._voltage), round(current * 1000))
-        if self._voltage < units.PROCESSOR_VOLTAGE and self.firmware.powered:
-            self.firmware.brown_out()
-            self.uart.tx.flush(time_ns)
+        Args:
+            reason: `step.STEPPED` to begin faults of conversions, TICKED to run the turrets and begin other
+                faults, STOPPED to complete the stop of a processor whose supply is too low.
+        """
+        if reason == step.STEPPED:
+            for fault in self._faults.begin("stuck", self._context.time_ns):
+                self._state["stuck"][fault.which] = 1
+        elif reason == step.TICKED:
+            self._run_turrets()
+            self._fail()
+        elif reason == step.STOPPED and not self.firmware.powered and not self._has_stopped:
+            self._has_stopped = True
+            self.firmware.forget()
+            self.uart.tx.flush(self._context.time_ns)
             text = (
-                f"the supply fell to {self._voltage:.2f} V: the processor stands still, "
+                f"the supply fell to {self._state['voltage'][0]:.2f} V: the processor stands still, "
                 "the motors keep their duty"
             )
             self._context.log_event(self.index, text)
 
+    @property
+    def next_faults_ns(self) -> list[int]:
+        """Starts of the faults that begin by themselves and have not begun [ns]."""
+        return self._faults.next_starts_ns
+
+    @property
+    def leds_differ(self) -> bool:
+        """Whether the lights do not show what the LEDs' registers say yet."""
+        return [self._register_view[led] for led in _LEDS] != self._shown
+
     def show_leds(self) -> None:
         """Move the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
-        for led, (position, hidden, shown) in zip(_LEDS, self._lights, strict=True):
-            position[:] = shown if self._register_view[led] else hidden
+        self._shown = [self._register_view[led] for led in _LEDS]
+        for lit, (position, hidden, shown) in zip(self._shown, self._lights, strict=True):
+            position[:] = shown if lit else hidden
 
     def reset_motion(self) -> None:
         """Reset counters, setpoints, controllers and LEDs, and cut the motors' voltage."""
         kernel.reset(self._register_view)
         self.zero_encoders()
-        self._ctrl[list(self.indices.motors)] = 0.0
-
-    def relight(self, lamps: Lamps, lighting: Lighting) -> None:
-        """Replace the lamps and the law of their light."""
-        self._receivers.relight(lamps, lighting)
+        self._context.data.ctrl[list(self.indices.motors)] = 0.0
 
     def zero_encoders(self) -> None:
         """Set the encoders to the wheels' current angles."""
-        self.registers[[LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]] = self._wheel_pulses()
-
-    def _wheel_pulses(self) -> tuple[int, int]:
-        left, right = self.indices.wheel_angles
-        return units.wheel_pulses(self._qpos[left]), units.wheel_pulses(self._qpos[right])
+        angles = self._context.data.qpos[list(self.indices.wheel_angles)].tolist()
+        self.registers[[LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]] = [*map(units.wheel_pulses, angles)]
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
         """Send a reply."""
-        if self._faults is not None:
-            time_ns += self._faults.delay_ns(time_ns)
+        time_ns += self._faults.delay_ns(time_ns)
         answer = self._over_the_line(answer, time_ns)
         self._context.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
 
@@ -317,21 +293,27 @@ class Robot:
         if mismatched and self._line_noise is not None:
             errors = self._line_noise.integers(1, 256, len(data)).tolist()
             data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
-        return data if self._faults is None else self._faults.over_the_line(data, time_ns)
+        return self._faults.over_the_line(data, time_ns)
 
-    def _fail(self, faults: Injector) -> None:
-        """Apply the faults of a control period."""
-        time_ns = self._context.time_ns
-        wheels = zip(self.indices.motors, self.indices.wheel_speeds, strict=True)
-        for side, (motor, speed) in enumerate(wheels):
-            if faults.dead(side, time_ns):
-                # The motor's own voltage as a generator: no current, no torque.
-                self._ctrl[motor] = self._motor_constant * self._qvel[speed]
-        if faults.brown_out(time_ns):
-            if banner := self.firmware.reset():
-                self._take_speed(self.firmware.reply_baud)
-                self._reply(banner, time_ns)
+    def _run_turrets(self) -> None:
+        """Run one control period of the turrets."""
+        for body in self._turret_bodies:
+            body.sense()
+        self.firmware.tick_turrets()
+        for body in self._turret_bodies:
+            body.drive()
+
+    def _fail(self) -> None:
+        """Begin the faults of a control period."""
+        time_ns, data = self._context.time_ns, self._context.data
+        for fault in self._faults.begin("dead", time_ns):
+            self._state["dead"][fault.which] = 1
+            # From the next control period on the stepping core does this.
+            speed = data.qvel[self.indices.wheel_speeds[fault.which]]
+            data.ctrl[self.indices.motors[fault.which]] = self._state["motor_constant"] * speed
+        if self._faults.begin("brown-out", time_ns) and (banner := self.firmware.reset()):
+            self._take_speed(self.firmware.reply_baud)
+            self._reply(banner, time_ns)
 
 
-_PROXIMITY, _AMBIENT = int(Board.PROXIMITY), int(Board.AMBIENT)
 _LEDS = (int(Board.LED_0), int(Board.LED_1))

@@ -18,57 +18,15 @@ where ambient light alone saturates it. Not modelled: light reflected off walls,
 """
 
 import math
-from collections.abc import Callable, Iterator
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.sensing import optics
-from khep_twin.sensing.ambient import Receivers
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.optics import Proximity
-from khep_twin.sensing.raycast import LENGTH_AND_NORMAL, Scene
 from khep_twin.sensing.robot_indices import RobotIndices
-
-
-class InfraredScan:
-    """The eight sensors of one robot in a compiled scene.
-
-    Args:
-        scene: Scene of the robot's sensors.
-        robot: Indices of the robot.
-        calibration: Calibration of this robot's sensors.
-        receivers: Receivers of the lamps' light.
-        noise: Factory of the random streams "proximity", "idle" and "ambient"; None for no noise.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        robot: RobotIndices,
-        calibration: Calibration,
-        receivers: Receivers,
-        noise: Callable[[str], np.random.Generator] | None,
-    ) -> None:
-        self._scene, self._receivers = scene, receivers
-        self._proximity = proximity_optics(scene.model, robot, calibration)
-        self._proximity_noise = _draws(noise("proximity").standard_normal if noise else None)
-        self._idle_noise = _draws(noise("idle").standard_exponential if noise else None)
-        self._ambient_noise = _draws(noise("ambient").standard_normal if noise else None)
-
-    def convert(self, channel: int) -> tuple[int, int]:
-        """Return proximity and ambient counts of one sensor, for the pose at the start of the last step."""
-        receivers = self._receivers
-        return optics.convert(
-            self._scene,
-            self._proximity,
-            receivers.optics,
-            receivers.bulbs,
-            receivers.lamps.powers,
-            channel,
-            (next(self._proximity_noise), next(self._ambient_noise), next(self._idle_noise)),
-        )
+from khep_twin.sensing.scene import LENGTH_AND_NORMAL
 
 
 def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> Proximity:
@@ -119,11 +77,3 @@ def lobe_weights(tangents: NDArray[np.float64], exponent: float) -> list[float]:
     """Return the weights w_i of a cone's rays, from the tangents of their angles off the axis (n_rays,)."""
     weights = np.cos(np.arctan(tangents)) ** exponent
     return (weights / weights.sum()).tolist()
-
-
-def _draws(draw: Callable[[int], NDArray[np.float64]] | None) -> Iterator[float]:
-    """Yield endless draws, in batches because single ones are slow; zeros without a random stream."""
-    while draw is None:
-        yield 0.0
-    while True:
-        yield from draw(256).tolist()

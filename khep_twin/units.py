@@ -13,6 +13,8 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from khep_twin.compilable import compilable
+
 # Time --------------------------------------------------------------------------------------------------
 
 STEP_NS = 2_500_000
@@ -208,21 +210,25 @@ def speed(speed_pulses: float) -> float:
     return speed_pulses * PULSE_LENGTH / (TICK_NS * 1e-9)
 
 
+@compilable
 def wheel_pulses(angle: float) -> int:
     """Return the encoder's count at a wheel angle [rad]; angle 0 is in the middle of a pulse."""
     return math.floor(angle * (PULSES_PER_TURN / (2 * math.pi)) + 0.5)
 
 
+@compilable
 def duty_voltage(duty: int, supply_voltage: float) -> float:
     """Return the mean motor voltage [V] of a duty of -255 to 255."""
     return duty * (supply_voltage / DUTY_LIMIT)
 
 
+@compilable
 def supply_current(duty: int, motor_current: float) -> float:
     """Return the supply current [A] of a motor's current [A] at a duty; braking feeds nothing back."""
     return max(duty * motor_current / DUTY_LIMIT, 0.0)
 
 
+@compilable
 def supply_counts(supply_voltage: float) -> int:
     """Return the converter's reading of a supply voltage [V]: half of it (assumed)."""
     return round(supply_voltage / 2 * CONVERTER_COUNTS_PER_VOLT)

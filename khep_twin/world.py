@@ -4,33 +4,31 @@ Time is an integer in nanoseconds. Physics advances in whole steps of 2.5 ms, th
 fall between them. Only `World.advance_to` advances time.
 """
 
-import math
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import units
+from khep_twin import step, units
 from khep_twin.board.fault_injection import Fault
 from khep_twin.board.uart import HostEvent
-from khep_twin.clock import n_steps
 from khep_twin.errors import DivergedError
-from khep_twin.playpen import Playpen
-from khep_twin.playpen.starts import at_spots
-from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
-from khep_twin.robot import Robot
+from khep_twin.robot import Robot, RobotOptions
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel, compiled_advance
+from khep_twin.simulation.simulation import Advance, Simulation, draws
 
 SAMPLE_NS = units.SCAN_NS
 """Sampling period of the observers [ns]."""
 
-_STEPS_PER_TICK = n_steps(units.TICK_NS, units.STEP_NS)
-_STEPS_PER_SAMPLE = n_steps(SAMPLE_NS, units.STEP_NS)
-_FASTEST = 1000.0
-"""Highest speed of a joint in a playpen [m/s or rad/s]; beyond it the simulation has diverged."""
+_NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
 class Observer(Protocol):
@@ -55,7 +53,8 @@ class World:
     The robots are switched on a scan and a step before time 0, so that every register holds a conversion.
 
     Args:
-        playpen: Scene; robots with spots start at a random one.
+        playpen: Scene; robots with spots start at a random one. A `SceneModel` is compiled already, and may
+            have another step; its world begins with `restart`.
         seed: Seed of every random stream.
         noise: True for noisy sensors.
         unpaced: True for lines without delay.
@@ -65,6 +64,9 @@ class World:
 
     Attributes:
         time_ns: Current time [ns].
+        playpen: Playpen with the robots' starts.
+        timing: Divisions of time.
+        simulation: State that the stepping core works on.
         model: Compiled scene.
         data: State of the scene.
         lamps: Lamps of the world.
@@ -74,7 +76,7 @@ class World:
 
     def __init__(
         self,
-        playpen: Playpen,
+        playpen: Playpen | SceneModel,
         *,
         seed: int = 0,
         noise: bool = True,
@@ -85,34 +87,83 @@ class World:
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(keep_quiet)
-        self.playpen = playpen = at_spots(playpen, seed)
+        if isinstance(playpen, Playpen):
+            self._scene_model = SceneModel.of(at_spots(playpen, seed))
+        else:
+            # LEDs are moved in the model, which others share.
+            self._scene_model = playpen._replace(model=copy.copy(playpen.model))
+        _, self.spec, self.model, self.timing = self._scene_model
+        self.data = mujoco.MjData(self.model)
+        self._forms = MujocoForms(self._scene_model, self.data)
+        self._bodies: NDArray[np.float64] = self.model.body_pos.copy()
+        self._robot_options = RobotOptions(unpaced, strict_line, tuple(faults))
+        self.robots: tuple[Robot, ...] = ()
+        self._has_turrets = any(entry.turrets for entry in self._scene_model.playpen.robots)
+        self.simulation = Simulation(self._forms, self.timing, self._forms.robot_states())
+        if isinstance(playpen, Playpen):
+            self.restart(seed, noise=noise, vary=vary)
+
+    def restart(
+        self,
+        seed: int = 0,
+        *,
+        noise: bool = True,
+        vary: bool = False,
+        starts: Sequence[Start] | None = None,
+        lamps: Sequence[Lamp] | None = None,
+    ) -> None:
+        """Start a new run at time 0 in the same scene, without observers; the result is that of a new world.
+
+        Args:
+            seed: Seed of every random stream.
+            noise: True for noisy sensors.
+            vary: True to draw each robot's sensors at random around its calibration.
+            starts: Start of each robot; by default the playpen's.
+            lamps: Other lamps than the playpen's.
+
+        Raises:
+            DivergedError: The physics leaves its bounds at once.
+        """
+        model, data, forms, simulation = self.model, self.data, self._forms, self.simulation
         self.observers: list[Observer] = []
         self._untold: list[tuple[int | None, str]] = []
+        self._failure: DivergedError | None = None
         self.time_ns = 0
-        self.spec = to_spec(playpen)
-        self.model = self.spec.compile()
-        self.data = mujoco.MjData(self.model)
+        mujoco.mj_resetData(model, data)
+        model.body_pos[:] = self._bodies
+        playpen = at_spots(self._scene_model.playpen, seed) if starts is None else forms.started(starts)
+        forms.put(playpen)
+        if lamps is not None:
+            playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
+        self.playpen = playpen
         self._lamp_chance = stream(seed, "lamps")
         self.lamps = Lamps(playpen, self._lamp_chance)
+        rngs = [partial(stream, seed, "robot", index) for index in range(len(playpen.robots))]
+        if vary:
+            simulation.set_robots(forms.robot_states([rng("spread") for rng in rngs]))
+        elif self._is_varied:
+            simulation.set_robots(forms.robot_states())
+        self._is_varied = vary
+        simulation.reset([draws(rng) for rng in rngs] if noise else ())
         self.robots = tuple(
-            Robot(
-                self,
-                index,
-                seed=seed,
-                noise=noise,
-                vary=vary,
-                unpaced=unpaced,
-                strict_line=strict_line,
-                faults=faults,
-            )
-            for index in range(len(playpen.robots))
+            Robot(self, index, forms.indices[index], state, rng, self._robot_options)
+            for index, (rng, state) in enumerate(zip(rngs, simulation.records, strict=True))
         )
-        self._steps = 0
-        self._failure: DivergedError | None = None
-        self._warnings: NDArray[np.int32] = self.data.warning.number
-        self._places = self.data.xpos.ravel()
-        self._limit = 1.0 + max(units.metres(playpen.arena.width_mm), units.metres(playpen.arena.height_mm))
-        self._switch_on()
+        simulation.on_switch = self._on_switch
+        simulation.set_lamps(self.lamps, forms.light(self.lamps, playpen.lighting))
+        self._run(simulation.switch_on)
+
+    _is_varied = False
+
+    @property
+    def poses(self) -> list[tuple[float, float, float]]:
+        """True x, y [m] and heading [rad] of each robot."""
+        return [robot.pose for robot in self.robots]
+
+    @property
+    def joints(self) -> NDArray[np.float64]:
+        """Copy of the positions of all joints."""
+        return self.data.qpos.copy()
 
     def add_observer(self, observer: Observer) -> None:
         """Add an observer; it receives the current state at once."""
@@ -129,11 +180,9 @@ class World:
 
             1. bytes that arrive before its end are read by the firmware, which answers from the registers
                of the last step
-            2. physics, with the motor voltages of the last control tick
-            3. lamps blink, fade and switch; one sensor of each robot is converted, as of the pose at the
-               step's start
-            4. after every fourth step the control tick: encoders, speed, controllers, duty, voltage
-            5. after every eighth the supply is measured and the observers sample the world
+            2. the step itself, in the order of `khep_twin.step`; after its physics lamps blink, fade and
+               switch, and after its control tick the turrets act
+            3. after every eighth step the observers sample the world
 
         Raises:
             ValueError: `time_ns` is in the past.
@@ -143,10 +192,11 @@ class World:
             raise self._failure
         if time_ns < self.time_ns:
             raise ValueError(f"time cannot go back from {self.time_ns} to {time_ns} ns")
-        while (end_ns := (self._steps + 1) * units.STEP_NS) <= time_ns:
-            self._exchange(end_ns)
-            self.time_ns = end_ns
-            self._step()
+        simulation, step_ns = self.simulation, self.timing.step_ns
+        last = time_ns // step_ns
+        while (steps := simulation.steps) < last:
+            self._exchange((steps + 1) * step_ns)
+            self._step_to(self._end_of_span(steps, last))
         self._exchange(time_ns)
         self.time_ns = time_ns
 
@@ -155,20 +205,37 @@ class World:
         model, data = self.model, self.data
         # The rangefinders take turns; here all measure at the same time, and keep their turns afterwards.
         turns, history = model.sensor_interval.copy(), data.history.copy()
+        disabled = model.opt.disableflags
         model.sensor_interval[:] = 0
+        model.opt.disableflags &= ~_NO_SENSORS
         for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight, mujoco.mj_sensorPos):
             look(model, data)
+        model.opt.disableflags = disabled
         model.sensor_interval[:], data.history[:] = turns, history
-        for turn in range(units.N_SENSORS):
-            for robot in self.robots:
-                robot.convert((self._steps + turn) % units.N_SENSORS)
+        self.simulation.scan(self.simulation.steps)
 
     def relight(self, playpen: Playpen) -> None:
         """Take the lamps and the lighting of another playpen."""
         self.playpen = playpen
         self.lamps = Lamps(playpen, self._lamp_chance, self.time_ns)
-        for robot in self.robots:
-            robot.relight(self.lamps, playpen.lighting)
+        self.simulation.set_lamps(self.lamps, self._forms.light(self.lamps, playpen.lighting))
+
+    def compile(self) -> None:
+        """Step by compiled code from now on, with the same results; the first time may take some seconds.
+
+        Rangefinders are not measured then unless a robot has a turret, as the code casts rays only where
+        something is near.
+
+        Raises:
+            MissingExtraError: numba is not installed.
+        """
+        self.run_by(compiled_advance(), compiled=True)
+
+    def run_by(self, advance: Advance, compiled: bool) -> None:
+        """Step by another function from now on, plain or compiled, such as one with controllers in it."""
+        self.simulation.run_by(advance, compiled)
+        if compiled and not self._has_turrets:
+            self.model.opt.disableflags |= _NO_SENSORS
 
     def log_event(self, robot: int | None, text: str) -> None:
         """Send an event to the observers."""
@@ -188,46 +255,56 @@ class World:
         for observer in self.observers:
             observer.on_host_event(self.time_ns, robot, event)
 
-    def _switch_on(self) -> None:
-        # The rangefinders' first turn comes in the second step.
-        mujoco.mj_step(self.model, self.data)
-        for channel in range(units.N_SENSORS):
-            mujoco.mj_step(self.model, self.data)
-            for robot in self.robots:
-                robot.convert(channel)
-        for robot in self.robots:
-            robot.zero_encoders()
-            robot.update_supply()
-        self._check_state()
-        self._check_warnings()
-
     def _exchange(self, time_ns: int) -> None:
         for robot in self.robots:
             if (next_ns := robot.uart.rx.next_ns) is not None and next_ns <= time_ns:
                 robot.exchange(time_ns)
 
-    def _step(self) -> None:
-        channel = self._steps % units.N_SENSORS
-        mujoco.mj_step(self.model, self.data)
-        self._steps += 1
-        if not self.lamps.steady:
-            self._light()
+    def _end_of_span(self, steps: int, last: int) -> int:
+        """Return the step up to which nothing outside the stepping core can happen."""
         for robot in self.robots:
-            robot.convert(channel)
-        if self._steps % _STEPS_PER_TICK == 0:
-            self._check_state()
-            for robot in self.robots:
-                robot.tick()
-        if self._steps % _STEPS_PER_SAMPLE == 0:
-            self._check_warnings()
-            for robot in self.robots:
-                robot.update_supply()
-                robot.show_leds()
-            self._show()
+            if (byte_ns := robot.uart.rx.next_ns) is not None:
+                last = min(last, (byte_ns - 1) // self.timing.step_ns)
+            for fault_ns in robot.next_faults_ns:
+                last = min(last, (fault_ns - 1) // self.timing.step_ns)
+        if self.observers or any(robot.leds_differ for robot in self.robots):
+            per_sample = self.timing.steps_per_supply
+            last = min(last, (steps // per_sample + 1) * per_sample)
+        return max(last, steps + 1)
 
-    def _light(self) -> None:
-        if self.lamps.update(self.time_ns, [robot.disc for robot in self.robots]):
-            self.log_event(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
+    def _step_to(self, end: int) -> None:
+        """Run the steps of one span."""
+        simulation, step_ns = self.simulation, self.timing.step_ns
+        begun = simulation.steps
+        stops = 2 if self._has_turrets else 0
+        if any(fault_ns <= end * step_ns for robot in self.robots for fault_ns in robot.next_faults_ns):
+            stops = 3
+        while self._run(partial(simulation.advance, end, stops)) != step.DONE:
+            pass
+        per_sample = self.timing.steps_per_supply
+        if end // per_sample > begun // per_sample:
+            for robot in self.robots:
+                robot.show_leds()
+            if end % per_sample == 0:
+                self._show()
+
+    def _run(self, run: Callable[[], int]) -> int:
+        """Run the stepping core and do what it returns for; return the reason."""
+        try:
+            reason = run()
+        except DivergedError as error:
+            self.time_ns = self.simulation.steps * self.timing.step_ns
+            self._failure = error
+            self.log_event(None, str(error))
+            raise
+        self.time_ns = self.simulation.steps * self.timing.step_ns
+        for robot in self.robots if reason != step.DONE else ():
+            robot.act_after(reason)
+        return reason
+
+    def _on_switch(self) -> None:
+        self.time_ns = self.simulation.steps * self.timing.step_ns
+        self.log_event(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
 
     def _show(self) -> None:
         if self.observers:
@@ -235,28 +312,6 @@ class World:
             mujoco.mj_kinematics(self.model, self.data)
             for observer in self.observers:
                 observer.sample(self)
-
-    def _check_warnings(self) -> None:
-        """Raise a `DivergedError` if MuJoCo has warned."""
-        if self._warnings.any():
-            kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
-            raise self._diverged(f"MuJoCo warns of {kind}")
-
-    def _check_state(self) -> None:
-        """Raise a `DivergedError` if the state is out of bounds."""
-        # Sums of squares are the fastest check that also finds NaN.
-        places, speeds, joints = self._places, self.data.qvel, self.data.qpos
-        fits = places.dot(places) <= len(places) * self._limit**2
-        if not (fits and speeds.dot(speeds) <= len(speeds) * _FASTEST**2 and joints.dot(joints) < math.inf):
-            raise self._diverged(
-                f"something is {np.abs(places).max():g} m off, at {np.abs(speeds).max():g} m/s or rad/s"
-            )
-
-    def _diverged(self, reason: str) -> DivergedError:
-        text = f"the simulation failed at {self.time_ns / 1e9:.4f} s, step {self._steps}: {reason}"
-        self.log_event(None, text)
-        self._failure = DivergedError(text)
-        return self._failure
 
 
 def keep_quiet(warning: str) -> None:

@@ -9,6 +9,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "khep_twin"
 
 ORDER = [
+    ["compilable"],
     ["errors", "clock", "units", "randomness"],
     ["signals", "status_line", "invocation"],
     ["files"],
@@ -16,9 +17,11 @@ ORDER = [
     ["playpen"],
     ["sensing"],
     ["firmware", "sensors", "playpen_to_mjcf"],
+    ["step"],
+    ["simulation"],
     ["robot"],
     ["world"],
-    ["move_robot", "switching", "mujoco_viewer", "drawing"],
+    ["interventions", "drawing"],
     ["log"],
     ["ports"],
     ["host"],

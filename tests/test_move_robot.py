@@ -8,10 +8,10 @@ import pytest
 from khep_twin.board.kernel import Wheel
 from khep_twin.errors import PlaypenError
 from khep_twin.host import Khepera
+from khep_twin.interventions.move_robot import as_it_stands, put
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import read_recorded, repeat
 from khep_twin.log.reader import read
-from khep_twin.move_robot import as_it_stands, put
 from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.twin import TwinOptions, open_twin
 

@@ -18,9 +18,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from khep_twin import mujoco_viewer, playpen
+from khep_twin import playpen
 from khep_twin.cli.app import app
-from khep_twin.mujoco_viewer import MujocoViewer
+from khep_twin.drawing import mujoco_viewer
+from khep_twin.drawing.mujoco_viewer import MujocoViewer
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.world import World
 

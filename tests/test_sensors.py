@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from khep_twin import playpen, sensors
+from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, DEMO_SPEED_PULSES, DEMO_WEIGHTS, PROXIMITY
 from khep_twin.files.toml_files import dump
 from khep_twin.sensing import calibration
@@ -215,7 +215,8 @@ def test_with_nothing_in_reach_only_a_few_counts_are_left() -> None:
 
 
 def test_a_draw_without_chance_is_zero() -> None:
-    draws = sensors._draws(None)
+    world = World(playpen.load("default"), noise=False)
+    draws = (row[0] for row in world.simulation.inputs.draws[0])
     assert [next(draws) for _ in range(3)] == [0.0, 0.0, 0.0]
 
 

@@ -122,14 +122,15 @@ def test_the_compilation_of_an_episode_is_announced_and_no_other_one(
     from numba import njit
     from numba.core import event
 
-    from khep_twin.rollout import compiled
-    from khep_twin.rollout.planar import compiled as compiled_planar
+    from khep_twin.rollout.compiled import run
+    from khep_twin.rollout.planar.compiled import run as planar_run
+    from khep_twin.simulation import compiled
 
-    for function in (compiled.advance, compiled_planar.advance):
+    for function in (compiled.advance, run, planar_run):
         with event.trigger_event("numba:compile", data={"dispatcher": function}):
             pass
         assert capsys.readouterr() == ("", f"{compiled.COMPILING}\n")
-    twice = compiled.announce_compilation(njit(lambda x: 2 * x))
+    twice = compiled.compiled(lambda x: 2 * x, ())
     assert (twice(1), twice(2)) == (2, 4)
     assert capsys.readouterr() == ("", f"{compiled.COMPILING}\n")
     assert njit(lambda x: 3 * x)(1) == 3

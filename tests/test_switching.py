@@ -5,8 +5,8 @@ import pytest
 from khep_twin import playpen as playpens
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.errors import PlaypenError
+from khep_twin.interventions.switching import switch
 from khep_twin.playpen import Playpen
-from khep_twin.switching import switch
 from khep_twin.world import World
 
 SECOND = 10**9

@@ -1,7 +1,6 @@
 """The robot's supply: the charger, or four NiCd cells that run down as in the manual's figure 14."""
 
-from bisect import bisect_right
-
+from khep_twin.compilable import compilable
 from khep_twin.units import SUPPLY_VOLTAGE
 
 DISCHARGE = (
@@ -22,31 +21,28 @@ figure 14, rms 0.035 V, the noise of the figure). The load has no influence."""
 _NS_PER_MIN = 60_000_000_000
 
 
-class Supply:
-    """Supply of one robot.
+CHARGER = -1.0
+"""Minutes of use that stand for the charger, whose voltage never changes."""
+
+
+@compilable
+def voltage(used_min: float, time_ns: int) -> float:
+    """Return the supply voltage at a time of the run [V].
 
     Args:
-        battery_used_min: Use of the cells before the run [min]; None for the charger.
-
-    Attributes:
-        steady: True if the voltage never changes.
+        used_min: Use of the cells before the run [min], or CHARGER.
+        time_ns: Time of the run [ns].
     """
-
-    def __init__(self, battery_used_min: float | None) -> None:
-        self._used_min = battery_used_min
-        self.steady = battery_used_min is None
-
-    def voltage(self, time_ns: int) -> float:
-        """Return the supply voltage at a time of the run [V]."""
-        if self._used_min is None:
-            return SUPPLY_VOLTAGE
-        return discharged(self._used_min + time_ns / _NS_PER_MIN)
+    if used_min < 0:
+        return SUPPLY_VOLTAGE
+    return discharged(used_min + time_ns / _NS_PER_MIN)
 
 
+@compilable
 def discharged(used_min: float) -> float:
     """Return the voltage of the cells after so many minutes of use [V]."""
-    index = bisect_right(DISCHARGE, (used_min, float("inf")))
-    if index == len(DISCHARGE):
-        return DISCHARGE[-1][1]
-    (start_min, start), (end_min, end) = DISCHARGE[index - 1], DISCHARGE[index]
-    return start + (end - start) * (used_min - start_min) / (end_min - start_min)
+    for index in range(1, len(DISCHARGE)):
+        (start_min, start), (end_min, end) = DISCHARGE[index - 1], DISCHARGE[index]
+        if used_min < end_min:
+            return start + (end - start) * (used_min - start_min) / (end_min - start_min)
+    return DISCHARGE[-1][1]

@@ -72,6 +72,9 @@ class Injector:
         faults: Faults to inject.
         rng: Factory of each fault's own random stream, by its text.
         log_event: Callback that logs a message.
+
+    Attributes:
+        next_starts_ns: Starts of the deterministic faults that have not begun [ns].
     """
 
     def __init__(
@@ -83,7 +86,9 @@ class Injector:
         self._faults = tuple(faults)
         self._rng = {fault.text: rng(fault.text) for fault in self._faults}
         self._log_event = log_event
-        self._begun: set[str] = set()
+        lasting = (fault for fault in self._faults if fault.kind in ("stuck", "dead", "brown-out"))
+        self._waiting = list(dict.fromkeys(lasting))
+        self.next_starts_ns = [fault.start_ns for fault in self._waiting]
 
     def over_the_line(self, data: bytes, time_ns: int) -> bytes:
         """Return the bytes as a bad cable delivers them."""
@@ -112,36 +117,22 @@ class Injector:
                 delay_ns += fault.delay_ns
         return delay_ns
 
-    def stuck(self, sensor: int, time_ns: int) -> bool:
-        """Return whether a sensor repeats its last reading."""
-        return any(fault.which == sensor for fault in self._lasting("stuck", time_ns))
-
-    def dead(self, motor: int, time_ns: int) -> bool:
-        """Return whether the left (0) or right (1) motor gets no current."""
-        return any(fault.which == motor for fault in self._lasting("dead", time_ns))
-
-    def brown_out(self, time_ns: int) -> bool:
-        """Return whether the supply drops out now; once for each such fault."""
-        begun = len(self._begun)
-        self._lasting("brown-out", time_ns)
-        return len(self._begun) > begun
+    def begin(self, kind: str, time_ns: int) -> list[Fault]:
+        """Return the deterministic faults of a kind that begin now; each begins once and is logged."""
+        begun = [fault for fault in self._active(kind, time_ns) if fault in self._waiting]
+        for fault in begun:
+            self._waiting.remove(fault)
+            self._log_event(f"fault {fault.text} begins")
+        self.next_starts_ns = [fault.start_ns for fault in self._waiting]
+        return begun
 
     def next_brown_out_ns(self) -> int | None:
         """Return the start of the next supply drop-out [ns], None if there is none."""
-        waiting = (fault for fault in self._faults if fault.text not in self._begun)
-        return min((fault.start_ns for fault in waiting if fault.kind == "brown-out"), default=None)
+        starts = (fault.start_ns for fault in self._waiting if fault.kind == "brown-out")
+        return min(starts, default=None)
 
     def _active(self, kind: str, time_ns: int) -> list[Fault]:
         return [fault for fault in self._faults if fault.kind == kind and time_ns >= fault.start_ns]
-
-    def _lasting(self, kind: str, time_ns: int) -> list[Fault]:
-        """Return the active deterministic faults; log the start of each."""
-        active = self._active(kind, time_ns)
-        for fault in active:
-            if fault.text not in self._begun:
-                self._begun.add(fault.text)
-                self._log_event(f"fault {fault.text} begins")
-        return active
 
     def _draw(self, fault: Fault, count: int) -> NDArray[np.bool_]:
         return self._rng[fault.text].random(count) < fault.probability

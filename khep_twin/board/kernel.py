@@ -16,6 +16,7 @@ the reset values of the gains but not their scale, which is assumed so that they
 from enum import IntEnum
 from typing import Protocol
 
+from khep_twin.compilable import compilable
 from khep_twin.units import DUTY_LIMIT, N_SENSORS
 
 
@@ -91,6 +92,10 @@ class Board(IntEnum):
 
 N_REGISTERS = Board.CURRENT + 1
 
+POWERED, DEMO = 0, 1
+"""Indices in the state of the processor: whether it runs, and whether the ROM's demonstration does."""
+N_PROCESSOR = 2
+
 # Registers that are read together, left before right and sensors in the order of N.
 SPEEDS = [LEFT + Wheel.SPEED, RIGHT + Wheel.SPEED]
 SETPOINTS = [LEFT + Wheel.SPEED_SETPOINT, RIGHT + Wheel.SPEED_SETPOINT]
@@ -124,6 +129,7 @@ RESET_VALUES = (
 """Registers that are not 0 after a reset, and their values (manual, appendix A)."""
 
 
+@compilable
 def reset(registers: Registers) -> None:
     """Set every register to its reset value, except encoders and conversions, which are kept."""
     for register in range(_SCAN):
@@ -133,6 +139,23 @@ def reset(registers: Registers) -> None:
         registers[register] = value
 
 
+@compilable
+def run(registers: Registers, processor: Registers, left_pulses: int, right_pulses: int) -> None:
+    """Run one control period, with the ROM's demonstration if it is on; without power do nothing.
+
+    Args:
+        registers: State of the board, changed in place.
+        processor: State of the processor (N_PROCESSOR,).
+        left_pulses: Count of the left encoder since power-up [pulses].
+        right_pulses: Count of the right encoder since power-up [pulses].
+    """
+    if processor[POWERED]:
+        tick(registers, left_pulses, right_pulses)
+        if processor[DEMO] and registers[_SCAN] == 0:
+            wander(registers)
+
+
+@compilable
 def tick(registers: Registers, left_pulses: int, right_pulses: int) -> None:
     """Run one control period of 10 ms: read both encoders and set both duties.
 
@@ -145,6 +168,7 @@ def tick(registers: Registers, left_pulses: int, right_pulses: int) -> None:
     _control(registers, RIGHT, right_pulses)
 
 
+@compilable
 def convert(registers: Registers, proximity: int, ambient: int) -> None:
     """Store one sensor's two conversions [counts] and advance to the next sensor of the scan."""
     channel = registers[_SCAN]
@@ -153,12 +177,14 @@ def convert(registers: Registers, proximity: int, ambient: int) -> None:
     registers[_SCAN] = (channel + 1) % _CHANNELS
 
 
+@compilable
 def measure(registers: Registers, supply: int, current_ma: int) -> None:
     """Store the measurements of the supply: half its voltage [counts] and the current drawn [mA]."""
     registers[_SUPPLY] = supply
     registers[_CURRENT] = current_ma
 
 
+@compilable
 def wander(registers: Registers) -> None:
     """Run one step of the ROM's Braitenberg demonstration: speed = proximity x weights / 400 + 10."""
     for side in range(2):
@@ -168,6 +194,7 @@ def wander(registers: Registers) -> None:
         set_speed(registers, side * RIGHT, divide(drive, DEMO_DIVISOR) + DEMO_SPEED_PULSES)
 
 
+@compilable
 def set_speed(registers: Registers, wheel: int, speed: int) -> None:
     """Drive a wheel at a speed [pulses/10 ms], with no limit on its acceleration."""
     if registers[wheel + _MODE] != _SPEED_MODE:
@@ -178,6 +205,7 @@ def set_speed(registers: Registers, wheel: int, speed: int) -> None:
     registers[wheel + _ON_TARGET] = 0
 
 
+@compilable
 def set_duty(registers: Registers, wheel: int, duty: int) -> None:
     """Drive a motor with a fixed duty of -255 to 255, in open loop."""
     registers[wheel + _MODE] = _PWM_MODE
@@ -186,6 +214,7 @@ def set_duty(registers: Registers, wheel: int, duty: int) -> None:
     registers[wheel + _ON_TARGET] = 0
 
 
+@compilable
 def set_target(registers: Registers, wheel: int, target: int) -> None:
     """Move a wheel to a position [pulses] along the trapezoid, from its current motion."""
     if registers[wheel + _MODE] != _POSITION_MODE:
@@ -199,6 +228,7 @@ def set_target(registers: Registers, wheel: int, target: int) -> None:
     registers[wheel + _ON_TARGET] = 0
 
 
+@compilable
 def set_position(registers: Registers, wheel: int, position: int) -> None:
     """Set a wheel's position counter to `position` [pulses]; a current move ends where it would have."""
     _unwind(registers, wheel)
@@ -208,17 +238,20 @@ def set_position(registers: Registers, wheel: int, position: int) -> None:
     registers[wheel + _PROFILE_POSITION] += shift * FRACTION
 
 
+@compilable
 def divide(numerator: int, denominator: int) -> int:
     """Divide integers, truncating towards zero as C does."""
     quotient = abs(numerator) // abs(denominator)
     return quotient if (numerator < 0) == (denominator < 0) else -quotient
 
 
+@compilable
 def clip(value: int, limit: int) -> int:
     """Clip `value` to -limit to limit."""
     return min(max(value, -limit), limit)
 
 
+@compilable
 def wrap(value: int) -> int:
     """Wrap `value` to a signed 32-bit number."""
     return (value + 2**31) % 2**32 - 2**31
@@ -234,6 +267,7 @@ _SCAN, _PROXIMITY, _AMBIENT, _CHANNELS = int(Board.SCAN), int(Board.PROXIMITY), 
 _SUPPLY, _CURRENT = int(Board.SUPPLY), int(Board.CURRENT)
 
 
+@compilable
 def _control(registers: Registers, wheel: int, pulses: int) -> None:
     """Run one wheel's control period."""
     speed = pulses - registers[wheel + _ENCODER]
@@ -257,6 +291,7 @@ def _control(registers: Registers, wheel: int, pulses: int) -> None:
         registers[wheel + _ON_TARGET] = 1 if ended and near and calm else 0
 
 
+@compilable
 def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: int) -> None:
     """Apply the PID law; the sum grows only as far as it can act on the duty."""
     kp, ki, kd = registers[gains], registers[gains + 1], registers[gains + 2]
@@ -267,6 +302,7 @@ def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: i
     registers[wheel + _DUTY] = clip(divide(drive, scale), DUTY_LIMIT)
 
 
+@compilable
 def _advance_profile(registers: Registers, wheel: int) -> None:
     """Advance the trapezoid by one tick towards the target.
 
@@ -293,6 +329,7 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
         registers[wheel + _ERROR_SUM] = 0
 
 
+@compilable
 def _stopping_speed(distance: int, acceleration: int) -> int:
     """Return the fastest speed that can stop within a distance: v + (v - a) + (v - 2 a) + ... <= distance.
 
@@ -308,6 +345,7 @@ def _stopping_speed(distance: int, acceleration: int) -> int:
     return steps * acceleration + (distance - acceleration * steps * (steps + 1) // 2) // (steps + 1)
 
 
+@compilable
 def _unwind(registers: Registers, wheel: int) -> None:
     """Shift profile and target to the counter's range after it has wrapped."""
     ahead = divide(registers[wheel + _PROFILE_POSITION], FRACTION) - registers[wheel + _POSITION]

@@ -51,8 +51,8 @@ class HostEvent:
         kind: Kind of action.
         at_ns: Time of effect, now or later [ns].
         host: Settings of the host's end of the line; None for the robot's own.
-        data: Bytes as the host sent them; new pose of the robot, encoded by `khep_twin.move_robot`; switched
-            lamp or new lamps, encoded by `khep_twin.switching`.
+        data: Bytes as the host sent them; new pose of the robot, switched lamp or new lamps, encoded by
+            `khep_twin.interventions`.
     """
 
     kind: HostEventKind

@@ -16,6 +16,9 @@ from khep_twin.cli.progress import progress as progress_bar
 if TYPE_CHECKING:
     from khep_twin.rollout.episode import Episode
 
+_SPAN_NS = 2_000_000_000
+"""Simulated time between two updates of the progress bar [ns]."""
+
 
 @grouped
 def rollout(
@@ -48,7 +51,7 @@ def rollout(
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import equipped
     from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed
-    from khep_twin.rollout.episode import SPAN_NS, Episode, EpisodeSetup
+    from khep_twin.rollout.episode import Episode, EpisodeSetup
 
     check_picture(picture)
     check_apart([scene.playpen], picture)
@@ -70,13 +73,13 @@ def rollout(
     episode.begin(options.seed, noise=options.noise, vary=options.vary)
     way = [episode.pose]
     # Where the path is not needed in between, many periods pass at once, with the same results.
-    at_once = 1 if function is not None or picture is not None else max(SPAN_NS // setup.period_ns, 1)
+    at_once = 1 if function is not None or picture is not None else max(_SPAN_NS // setup.period_ns, 1)
     with progress_bar() as show:
         for done in range(0, periods, at_once):
             if function is not None:
                 episode.drive(*_speeds(function, episode))
             now = min(at_once, periods - done)
-            episode.step(now * setup.sim_indices.steps_per_period)
+            episode.step(now * setup.steps_per_period)
             way.append(episode.pose)
             if show is not None:
                 show((done + now) / periods)

@@ -237,7 +237,7 @@ def _beginning(stack: ExitStack, logs: RunLogs, viewer: bool) -> "Callable[[Twin
     """Return the function called with each twin before it runs: start its log and the viewer."""
     if not viewer:
         return logs.record
-    from khep_twin.mujoco_viewer import MujocoViewer
+    from khep_twin.drawing.mujoco_viewer import MujocoViewer
 
     window = stack.enter_context(closing(MujocoViewer(real_time=True)))
 

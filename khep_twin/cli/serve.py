@@ -137,7 +137,7 @@ def _serve_twin(
             twin.record(logging.log, on_failure=logging.on_failure)
             tell_kept(twin.recorder)
         if viewer:
-            from khep_twin.mujoco_viewer import MujocoViewer
+            from khep_twin.drawing.mujoco_viewer import MujocoViewer
 
             window = stack.enter_context(closing(MujocoViewer(real_time=False)))
             window.watch(twin.world)

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.backends import Pose
+
+Pose = tuple[float, float, float]
+"""x, y [m] and heading [rad]."""
 
 Picture = NDArray[np.uint8]
 """Rows from the top (height, width, 3), red, green, blue."""

@@ -27,18 +27,10 @@ from khep_twin import units
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.envs.tasks import TOP_SPEED, Observation, State, Task, find
-from khep_twin.errors import KhepTwinError, choices
+from khep_twin.errors import KhepTwinError, PlaypenError, choices
 from khep_twin.playpen import Playpen, load
 from khep_twin.playpen.starts import anywhere, at_spots
-from khep_twin.rollout.backends import (
-    Backend,
-    EpisodeBackend,
-    Pose,
-    WorldBackend,
-    supports_episodes,
-    with_robots,
-)
-from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.sensing import calibration
 
 PERIOD_NS = 50_000_000
@@ -73,7 +65,7 @@ class TaskSetup:
         vary: Whether each episode has the sensors of another robot of the same make, by its seed.
         period_ns: Control period [ns], whole ticks of 10 ms.
         seconds: Time limit of an episode [s]; by default the task's.
-        compiled: Whether to run compiled; None if numba is installed. Several robots never are.
+        compiled: Whether to run compiled; None if numba is installed.
         normalize: Whether actions and observations are normalized to -1 to 1; else actions are in pulses/10
             ms, and observations in the units of `tasks.TERMS`.
 
@@ -117,17 +109,14 @@ class TaskSetup:
         self.n_steps = n_steps(to_ns(self.seconds), period_ns)
         self.goal = _place_of(self.playpen, self.task.goal) if self.task.goal else (0.0, 0.0)
         self._compiled = compiled
-        self._setup = (
-            EpisodeSetup(self.playpen, period_ns=period_ns) if supports_episodes(self.playpen) else None
-        )
+        self._setup = EpisodeSetup(self.playpen, period_ns=period_ns)
+        self.steps_per_period = self._setup.steps_per_period
         ambient = calibration.read(self.playpen.robots[0].calibration)[0].ambient
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
 
-    def backend(self) -> Backend:
-        """Return a new simulation for an episode."""
-        if self._setup is None:
-            return WorldBackend(self.period_ns)
-        return EpisodeBackend(self._setup, self._compiled)
+    def episode(self) -> Episode:
+        """Return the memory of an episode without a controller."""
+        return Episode(self._setup, compiled=self._compiled)
 
     def speeds(self, action: object) -> tuple[float, float]:
         """Return an action as the speeds of left and right wheel, clipped to the top speed [pulses/10 ms].
@@ -163,7 +152,7 @@ class TaskEpisode:
 
     def __init__(self, setup: TaskSetup) -> None:
         self.setup = setup
-        self._backend = setup.backend()
+        self._episode = setup.episode()
         self._n_robots = len(setup.playpen.robots)
         self._pulses = [[0, 0]] * self._n_robots
         self._charges_ns = [0] * self._n_robots
@@ -177,7 +166,9 @@ class TaskEpisode:
             ValueError: The seed is negative or too large.
         """
         setup = self.setup
-        self._backend.begin(seed, setup.started(seed), setup.noise, setup.vary)
+        robots = setup.started(seed).robots
+        starts = [(robot.x_mm, robot.y_mm, robot.heading_deg) for robot in robots]
+        self._episode.begin(seed, start=starts, noise=setup.noise, vary=setup.vary)
         self._steps = 0
         self._charges_ns = [to_ns(setup.task.charge_s)] * self._n_robots
         self._pulses = [self._counted(robot) for robot in range(self._n_robots)]
@@ -201,8 +192,8 @@ class TaskEpisode:
         if len(actions) != self._n_robots:
             raise ValueError(f"{len(actions)} actions; expected {self._n_robots}, one for each robot")
         for robot, speeds in enumerate([self.setup.speeds(action) for action in actions]):
-            self._backend.drive(robot, *speeds)
-        self._backend.step()
+            self._episode.drive(*speeds, robot)
+        self._episode.step(self.setup.steps_per_period)
         self._steps += 1
         return [self._outcome(robot) for robot in range(self._n_robots)]
 
@@ -217,19 +208,19 @@ class TaskEpisode:
         return self._steps * self.setup.period_ns / 1e9
 
     @property
-    def poses(self) -> Sequence[Pose]:
+    def poses(self) -> Sequence[tuple[float, float, float]]:
         """True x, y [m] and heading [rad] of the robots."""
-        return self._backend.poses
+        return self._episode.poses
 
     @property
     def registers(self) -> Sequence[NDArray[np.int64]]:
         """Registers of each robot's board (N_REGISTERS,), live."""
-        return self._backend.registers
+        return list(self._episode.boards)
 
     @property
     def data(self) -> mujoco.MjData:
         """State of the scene, live."""
-        return self._backend.data
+        return self._episode.data
 
     def _outcome(self, robot: int) -> StepResult:
         task, ticks = self.setup.task, self.setup.period_ns // units.TICK_NS
@@ -246,21 +237,33 @@ class TaskEpisode:
         setup = self.setup
         full_ns = to_ns(setup.task.charge_s)
         charge = self._charges_ns[robot] / full_ns if full_ns else 1.0
-        registers = self._backend.registers[robot].tolist()
+        registers = self._episode.boards[robot].tolist()
         return State(registers, *speed, setup.dark, setup.floor, self._at_goal(robot), charge)
 
     def _at_goal(self, robot: int) -> bool:
         if not self.setup.task.goal:
             return False
-        x, y, _ = self._backend.poses[robot]
+        x, y, _ = self._episode.poses[robot]
         goal_x, goal_y = self.setup.goal
         reach = units.metres(self.setup.task.reach_mm)
         return (x - goal_x) ** 2 + (y - goal_y) ** 2 <= reach * reach
 
     def _counted(self, robot: int) -> list[int]:
         """Return the pulses of both encoders."""
-        registers = self._backend.registers[robot]
+        registers = self._episode.boards[robot]
         return [int(registers[index]) for index in _ENCODERS]
+
+
+def with_robots(playpen: Playpen, count: int) -> Playpen:
+    """Return the playpen with `count` copies of its first robot, not yet placed.
+
+    Raises:
+        PlaypenError: The playpen has no robot.
+    """
+    if not playpen.robots:
+        raise PlaypenError(f"{playpen.name}: no robot; expected one to copy")
+    first = playpen.robots[0].model_copy(update={"name": None} if count > 1 else {})
+    return playpen.model_copy(update={"robots": (first,) * count})
 
 
 def _place_of(playpen: Playpen, name: str) -> tuple[float, float]:

@@ -118,7 +118,6 @@ def rollout(
     setup = _setup(playpen, step_ns, period_ns, planar)
     count = len(seeds)
     weights = _checked_genes(driver, count, genes, starts, lamps, threads)
-    setup.light.during(0, setup.periods(seconds) * setup.sim_indices.steps_per_period)
     batch = _Batch(setup, seeds, seconds, weights, starts, lamps, noise, vary, _in_metres(home))
     results = _Results(count)
     workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
@@ -223,7 +222,7 @@ class _Batch:
             start=None if self.starts is None else tuple(self.starts[index]),  # type: ignore[arg-type]
             noise=self.noise,
             vary=self.vary,
-            light=None if self.lamps is None else self.setup.lit(self.lamps[index]),
+            lamps=None if self.lamps is None else self.lamps[index],
             genes=self.genes[index],
             home=self.home,
         )
@@ -305,7 +304,7 @@ def _run_together(
             done.result()
 
     all_at_once(lambda index, episode: batch.begin(episode, index))
-    steps = batch.setup.sim_indices.steps_per_period
+    steps = batch.setup.steps_per_period
     for _ in range(batch.setup.periods(batch.seconds)):
         living = [(index, episode) for index, episode in group if index not in failures]
         if not living:

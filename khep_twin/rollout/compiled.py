@@ -1,105 +1,37 @@
-"""The episode compiled by numba: one loop without the interpreter and its lock.
+"""Episodes and their controllers compiled by numba.
 
-Imported only where numba is installed. Compiling takes some ten seconds; numba caches the compiled code
-beside this file, or in the user's cache, until a source changes.
+Imported only where numba is installed.
 """
 
 # numba is not typed.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
-import hashlib
 from collections.abc import Callable
-from contextlib import ExitStack
 from functools import cache
-from pathlib import Path
-from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any
 
-import mujoco
 import numba
 import numpy as np
 from numba import carray, cfunc, njit, types  # pyright: ignore
-from numba.core import event
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
-from khep_twin import units
-from khep_twin.board import kernel
-from khep_twin.board.compiled_kernel import compiled_copy, compiled_kernel
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.errors import ControllerError
-from khep_twin.rollout import addresses, compiled_casting, fitness, networks, stepping
-from khep_twin.rollout.stepping import Advance, ControllerState, RobotState, StepInputs
-from khep_twin.sensing import optics, raycast
-from khep_twin.status_line import announced
+from khep_twin.rollout import fitness, networks, stepping
+from khep_twin.rollout.stepping import Controllers
+from khep_twin.simulation.compiled import SOURCES, compiled
+from khep_twin.step import Simulated, StepInputs
 
-Function = TypeVar("Function", bound=Callable[..., object])
-
-SOURCES = (kernel, units, fitness, optics, raycast, networks, stepping, compiled_casting, addresses)
+EPISODE_SOURCES = (*SOURCES, fitness, networks, stepping)
 """Modules that are compiled."""
 
-_EPISODE = compiled_copy(
-    stepping,
-    {
-        "kernel": compiled_kernel(),
-        "units": compiled_copy(units),
-        "fitness": compiled_copy(fitness),
-        "networks": compiled_copy(networks),
-        "raycast": compiled_casting,
-        "optics": compiled_copy(optics, {"raycast": compiled_casting}),
-    },
-)
+
+def _run(simulated: Simulated, controllers: Controllers, inputs: StepInputs, until: int, stops: int) -> int:
+    return stepping.run(simulated, controllers, inputs, until, stops)
 
 
-def stamp_of(sources: tuple[ModuleType, ...]) -> int:
-    """Return a hash of these sources and of the versions of numba and MuJoCo."""
-    digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
-    for module in sources:
-        digest.update(Path(str(module.__file__)).read_bytes())
-    return int.from_bytes(digest.digest()[:7], "big")
-
-
-def stamped(function: Function, sources: tuple[ModuleType, ...]) -> Function:
-    """Return the function, renamed with the stamp of the sources that it calls.
-
-    numba caches compiled code in a file of the function's name, and checks only that function's own source
-    for changes.
-    """
-    function.__qualname__ = f"{function.__name__}_{stamp_of(sources):x}"
-    return function
-
-
-class _Announcer(event.Listener):
-    """Announces each compilation of one function; code from the cache is not compiled."""
-
-    def __init__(self, function: object) -> None:
-        self._function = function
-        self._shown = ExitStack()
-
-    def on_start(self, event: Any) -> None:
-        if event.data["dispatcher"] is self._function:
-            self._shown.enter_context(announced(COMPILING))
-
-    def on_end(self, event: Any) -> None:
-        if event.data["dispatcher"] is self._function:
-            self._shown.close()
-
-
-COMPILING = "khep_twin: compiling with numba, once per version (10 to 30 s)"
-"""Announcement of a compilation."""
-
-
-def announce_compilation(function: Function) -> Function:
-    """Return a function compiled by numba; its compilations are announced on standard error."""
-    event.register("numba:compile", _Announcer(function))
-    return function
-
-
-def _advance(robot: RobotState, controller: ControllerState, inputs: StepInputs, n_steps: int) -> int:
-    return _EPISODE.advance(robot, controller, inputs, n_steps)
-
-
-advance: Advance = announce_compilation(njit(nogil=True, cache=True)(stamped(_advance, SOURCES)))
-"""`stepping.advance`, compiled."""
+run = compiled(_run, EPISODE_SOURCES)
+"""`stepping.run`, compiled."""
 
 
 @cache

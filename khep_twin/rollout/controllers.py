@@ -90,13 +90,18 @@ Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
 _DRIVERS = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
 
 
-def controller_state(driver: Driver, genes: Floats, home: Floats, compiled: bool) -> stepping.ControllerState:
-    """Return an episode's controller as `episode` uses it.
+def controllers_of(
+    driver: Driver, genes: Floats, home: Floats, steps_per_period: int, n_robots: int, compiled: bool
+) -> stepping.Controllers:
+    """Return the controllers of an episode's robots as the stepping core uses them.
 
     Args:
         driver: Controller; for a policy only the sums of fitness are kept.
-        genes: Weights of a network, or parameters of a function (n_genes,).
+        genes: Weights of a network, or parameters of a function (n_genes,), or each robot's own
+            (n_robots, n_genes).
         home: Home x, y, radius [m] and duration of the charge [s] (4,).
+        steps_per_period: Steps per control period.
+        n_robots: Number of robots.
         compiled: Whether a function is given by its address.
 
     Raises:
@@ -104,12 +109,15 @@ def controller_state(driver: Driver, genes: Floats, home: Floats, compiled: bool
             no known kind.
     """
     kind, function, sizes, recurrent, top_speed, n_memory = stepping.CONSTANT_SPEED, 0, (), False, 0.0, 0
+    if genes.ndim == 2 and len(genes) != n_robots:
+        raise ControllerError(f"genes for {len(genes)} robots; expected {n_robots}")
+    weights = np.array(np.broadcast_to(genes, (n_robots, genes.shape[-1])), np.float64)
     match driver:
         case Braitenberg():
             kind = stepping.BRAITENBERG
         case Network():
-            if len(genes) != driver.n_genes:
-                raise ControllerError(f"{len(genes)} genes for {driver}; expected {driver.n_genes}")
+            if weights.shape[1] != driver.n_genes:
+                raise ControllerError(f"{weights.shape[1]} genes for {driver}; expected {driver.n_genes}")
             kind, sizes, recurrent = stepping.NETWORK, driver.sizes, driver.recurrent
             top_speed, n_memory = float(driver.top_speed), sizes[1]
         case Function():
@@ -122,16 +130,28 @@ def controller_state(driver: Driver, genes: Floats, home: Floats, compiled: bool
             pass
         case _:
             raise ControllerError(f"{driver!r} is no controller; {_DRIVERS}")
-    sums = np.zeros(stepping.N_SUMS)
-    sums[stepping.CHARGE] = home[3]
-    speeds, layers, weights = np.zeros(2), np.array(sizes, np.int64), np.ascontiguousarray(genes, np.float64)
-    memory, values = np.zeros(n_memory), np.zeros(sum(sizes))
-    controller = stepping.ControllerState(
-        kind, function, layers, recurrent, top_speed, weights, memory, values, speeds, home, sums
+    sums = np.zeros((n_robots, stepping.N_SUMS))
+    sums[:, stepping.CHARGE] = home[3]
+    controllers = stepping.Controllers(
+        kind,
+        function,
+        steps_per_period,
+        np.array(sizes, np.int64),
+        recurrent,
+        top_speed,
+        weights,
+        np.zeros((n_robots, n_memory)),
+        np.zeros(sum(sizes)),
+        np.zeros(2),
+        home,
+        sums,
     )
     if compiled or kind == stepping.FUNCTION:
-        return controller
+        return controllers
     # Lists are faster in Python.
-    return controller._replace(
-        sizes=layers.tolist(), genes=weights.tolist(), memory=memory.tolist(), values=values.tolist()
+    return controllers._replace(
+        sizes=list(sizes),
+        genes=weights.tolist(),
+        memory=controllers.memory.tolist(),
+        values=[0.0] * sum(sizes),
     )

@@ -1,4 +1,4 @@
-"""One episode of one robot in its playpen, without a serial line.
+"""One episode of a playpen's robots, without a serial line.
 
     setup = EpisodeSetup(playpen.load("obstacles"))
     episode = Episode(setup, Braitenberg())
@@ -6,9 +6,8 @@
     episode.run(60.0)
     print(episode.pose, episode.metrics())
 
-The same seed gives the same counts, registers and positions as a `World` whose robot receives the same speeds
-at the same times over a line without delay, compiled or not, however often the `Episode` was used before.
-Not supported, and refused: other robots, turrets, lamps that take turns. LEDs can be set, but have no effect.
+The same seed gives the same counts, registers and positions as a `World` whose robots receive the same speeds
+at the same times over lines without delay, compiled or not, however often the `Episode` was used before.
 
 With `EpisodeSetup(..., planar=True)` the robot moves in a plane (`planar`), for screening: the same firmware
 and sensors, thirty times faster and more, and similar trajectories.
@@ -23,31 +22,22 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import units
 from khep_twin.board import kernel
-from khep_twin.board.battery import Supply
-from khep_twin.board.rom import DEMO, ROMS
-from khep_twin.errors import DivergedError, pip_install_extra
+from khep_twin.board.fault_injection import Fault
+from khep_twin.errors import DivergedError, MissingExtraError, pip_install_extra
+from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
-from khep_twin.randomness import stream
 from khep_twin.rollout import stepping
-from khep_twin.rollout.controllers import ConstantSpeed, Driver, Floats, Function, controller_state
-from khep_twin.rollout.episode_setup import EpisodeLamps, EpisodeSetup
-from khep_twin.rollout.mujoco_backend import MujocoBackend
-from khep_twin.rollout.planar.planar import Numbers, PlanarBackend, as_record
-from khep_twin.sensing.ambient import ambient_optics
-from khep_twin.sensors import proximity_optics
+from khep_twin.rollout.controllers import ConstantSpeed, Driver, Floats, controllers_of
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.rollout.planar.planar_world import PlanarWorld
+from khep_twin.step import Simulated, StepInputs
+from khep_twin.world import World
 
 METRICS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
 """Metrics of an episode: means over its control periods, distance, and distance forwards less backwards."""
 
 _MEANS = stepping.AVOIDANCE, stepping.SEEKING, stepping.HOMING, stepping.FOLLOWING
-
-SPAN_NS = 2_000_000_000
-"""Simulated time per draw of random numbers [ns]."""
-
-PLANAR_SPAN_NS = 20_000_000_000
-"""Simulated time per draw in a plane [ns]: longer, as steps there are cheap; no effect on results."""
 
 
 class SlowerWarning(UserWarning):
@@ -74,44 +64,47 @@ class Episode:
 
     Args:
         setup: Setup of the episodes.
-        driver: Controller; a policy is left to the caller.
+        driver: Controller of the robots; a policy is left to the caller.
         compiled: Whether to run compiled; None if numba is installed.
+        faults: Faults of the robots.
 
     Attributes:
-        registers: State of the board (N_REGISTERS,).
+        boards: State of each board (n_robots, N_REGISTERS).
+        registers: State of the first board (N_REGISTERS,).
     """
 
     def __init__(
-        self, setup: EpisodeSetup, driver: Driver | None = None, *, compiled: bool | None = None
+        self,
+        setup: EpisodeSetup,
+        driver: Driver | None = None,
+        *,
+        compiled: bool | None = None,
+        faults: Sequence[Fault] = (),
     ) -> None:
         self._setup, self._driver = setup, driver or ConstantSpeed()
         self._compiled = is_compiled(compiled)
-        self.registers: NDArray[np.int64] = np.zeros(kernel.N_REGISTERS, np.int64)
-        self._to_data = _as_arrays if self._compiled else _as_it_is
-        self._optics_data = as_record if self._compiled and setup.planar_scene else self._to_data
-        self._backend: MujocoBackend | PlanarBackend
+        self._world: World | PlanarWorld
         if setup.planar_scene is None:
-            model = setup.without_sensors if self._compiled else setup.model
-            self._backend = MujocoBackend(model, setup.indices, self._compiled)
+            self._world = World(setup.scene_model, unpaced=True, faults=faults)
+        elif faults:
+            raise ValueError(f"{len(faults)} faults in the plane; expected none")
         else:
-            self._backend = PlanarBackend(setup.planar_scene, self._compiled)
-        self._state = np.zeros(stepping.N_STATE, np.int64)
-        self._proximity = self._optics_data(proximity_optics(setup.model, setup.indices, setup.calibration))
-        self._ambient = self._optics_data(ambient_optics(setup.calibration.ambient))
-        self._supply = Supply(setup.entry.battery_used_min)
-        self._rng: list[np.random.Generator] = []
-        self._seed = 0
-        self._light = setup.light
+            self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
+        self._run = _run_function(setup, self._compiled)
+        self._simulation = self._world.simulation
+        self._world.run_by(self._advance, self._compiled)
+        self.boards: NDArray[np.int64] = self._simulation.records["registers"]
+        self.registers: NDArray[np.int64] = self.boards[0]
         self._begun = False
 
     def begin(
         self,
         seed: int = 0,
         *,
-        start: Start | None = None,
+        start: Start | Sequence[Start] | None = None,
         noise: bool = True,
         vary: bool = False,
-        light: EpisodeLamps | None = None,
+        lamps: Sequence[Lamp] | None = None,
         genes: Sequence[float] | Floats = (),
         home: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     ) -> None:
@@ -119,68 +112,56 @@ class Episode:
 
         Args:
             seed: Seed of every random stream.
-            start: Start x, y [mm] and heading [deg]; None for the playpen's.
+            start: Start x, y [mm] and heading [deg], or one for each robot; None for the playpen's.
             noise: Whether sensors are noisy.
-            vary: Whether to draw the sensors of another robot.
-            light: Other lamps than the playpen's (`EpisodeSetup.lit`).
-            genes: Genes of the controller.
+            vary: Whether to draw the sensors of other robots.
+            lamps: Other lamps than the playpen's.
+            genes: Genes of the controller, or of each robot's (n_robots, n_genes).
             home: Home x, y, radius [m] and duration of a charge [s]; radius 0 for none.
 
         Raises:
             ControllerError: The genes do not fit the controller.
             DivergedError: The physics leaves its bounds at once.
         """
-        setup, backend = self._setup, self._backend
-        self._seed, self._light = seed, light or setup.light
-        proximity, ambient = self._proximity, self._ambient
-        if vary:
-            measured = setup.another(seed)
-            proximity = self._optics_data(proximity_optics(setup.model, setup.indices, measured))
-            ambient = self._optics_data(ambient_optics(measured.ambient))
-        self._rng = []
-        if noise:
-            self._rng = [stream(seed, "robot", 0, name) for name in ("proximity", "ambient", "idle")]
-        begins = start or setup.start(seed)
-        own = setup.entry.x_mm, setup.entry.y_mm, setup.entry.heading_deg
-        backend.put(None if begins == own else begins)
-        self.registers[:] = 0
-        kernel.reset(self.registers.data)
-        driver, mode = self._driver, ROMS[setup.entry.rom].modes[setup.entry.mode]
-        self._state[:] = 0, 1, mode.function == DEMO, stepping.FINE
-        self._robot = stepping.RobotState(
-            backend.scene,
-            proximity,
-            ambient,
-            self._to_data(self._light.bulbs),
-            setup.sim_indices,
-            self.registers if self._compiled else self.registers.data,
-            *backend.arrays,
-            self._state if self._compiled else self._state.data,
-            np.zeros(1),
-        )
         weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
-        self._controller = controller_state(driver, weights, place, self._compiled)
-        self._begun = True
-        if isinstance(driver, ConstantSpeed) and (driver.left or driver.right):
-            self.drive(driver.left, driver.right)
-        self._backend.advance(
-            self._robot, self._controller, self._inputs(self._light.at_start(), units.N_SENSORS, 1), -1
+        self._controllers = controllers_of(
+            self._driver,
+            weights,
+            place,
+            self._setup.steps_per_period,
+            len(self.boards),
+            self._compiled,
         )
-        self._complain()
+        starts = None if start is None else _starts(start, len(self.boards))
+        self._simulation.title = f"episode of seed {seed}"
+        self._world.restart(seed, noise=noise, vary=vary, starts=starts, lamps=lamps)
+        self._begun = True
+        if isinstance(self._driver, ConstantSpeed) and (self._driver.left or self._driver.right):
+            for robot in range(len(self.boards)):
+                self.drive(self._driver.left, self._driver.right, robot)
 
     @property
-    def _data(self) -> mujoco.MjData:
-        """State of MuJoCo's scene, if there is one."""
-        if isinstance(self._backend, PlanarBackend):
+    def world(self) -> World:
+        """World of the episode, for observers and for the state of MuJoCo's scene.
+
+        Raises:
+            ValueError: The episode is in a plane.
+        """
+        if isinstance(self._world, PlanarWorld):
             raise ValueError(
                 "an episode in a plane has no MuJoCo scene; expected an EpisodeSetup that is not planar"
             )
-        return self._backend.data
+        return self._world
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """State of MuJoCo's scene."""
+        return self.world.data
 
     @property
     def steps(self) -> int:
         """Number of physics steps done."""
-        return int(self._state[stepping.STEPS])
+        return self._simulation.steps
 
     @property
     def time_ns(self) -> int:
@@ -188,17 +169,22 @@ class Episode:
         return self.steps * self._setup.step_ns
 
     @property
+    def poses(self) -> list[tuple[float, float, float]]:
+        """True x, y [m] and heading [rad] of each robot in the playpen."""
+        return self._world.poses
+
+    @property
     def pose(self) -> tuple[float, float, float]:
-        """True x, y [m] and heading [rad] in the playpen."""
-        return self._backend.pose
+        """True x, y [m] and heading [rad] of the first robot."""
+        return self._world.poses[0]
 
     @property
     def joints(self) -> Floats:
         """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers."""
-        return self._backend.joints
+        return self._world.joints
 
     def readings(self) -> tuple[list[int], list[int]]:
-        """Return proximity and ambient counts of the registers, each (8,)."""
+        """Return proximity and ambient counts of the first robot's registers, each (8,)."""
         return self.registers[kernel.PROXIMITY].tolist(), self.registers[kernel.AMBIENT].tolist()
 
     def run(self, seconds: float) -> None:
@@ -208,93 +194,64 @@ class Episode:
             ValueError: The time is not a whole number of control periods, or no episode has begun.
             DivergedError: The physics left its bounds, or the controller gave a speed that is no number.
         """
-        steps = self._setup.periods(seconds) * self._setup.sim_indices.steps_per_period
-        longest = (SPAN_NS if self._setup.planar_scene is None else PLANAR_SPAN_NS) // self._setup.step_ns
-        while steps > 0:
-            self.step(min(steps, longest))
-            steps -= longest
+        self.step(self._setup.periods(seconds) * self._setup.steps_per_period)
 
     def step(self, steps: int) -> None:
         """Run the episode for some steps; errors are those of `run`."""
         self._insist()
-        sim_indices = self._setup.sim_indices
-        n_supplies = steps // sim_indices.steps_per_supply + 1
-        inputs = self._inputs(
-            self._light.during(self.steps, steps), steps * sim_indices.conversions, n_supplies
-        )
-        if self._backend.advance(self._robot, self._controller, inputs, steps):
-            self._complain()
+        self._world.advance_to((self.steps + steps) * self._setup.step_ns)
 
-    def drive(self, left: float, right: float) -> None:
-        """Set both speeds [pulses/10 ms], as a controller does.
+    def drive(self, left: float, right: float, robot: int = 0) -> None:
+        """Set both speeds of a robot [pulses/10 ms], as a controller does.
 
         Raises:
             DivergedError: A speed is no number.
         """
         self._insist()
-        if self._state[stepping.POWERED] and not stepping.drive(self.registers.data, left, right):
-            self._state[stepping.TERMINATION] = stepping.NO_SPEED
-            self._complain()
+        powered = self._simulation.records["processor"][robot, kernel.POWERED]
+        if powered and not stepping.drive(self.boards[robot].data, left, right):
+            raise DivergedError(
+                f"{self._simulation.title} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: "
+                f"robot {robot} was given the speeds {left}, {right}; expected finite numbers"
+            )
 
-    def metrics(self) -> dict[str, float]:
-        """Return the metrics so far (`METRICS`); "homing" is NaN without a home."""
+    def metrics(self, robot: int = 0) -> dict[str, float]:
+        """Return a robot's metrics so far (`METRICS`); "homing" is NaN without a home."""
         self._insist()
-        sums = self._controller.sums
+        sums = self._controllers.sums[robot]
         periods = max(float(sums[stepping.PERIODS]), 1.0)
         means = [float(sums[each]) / periods for each in _MEANS]
-        if not self._controller.home[2]:
+        if not self._controllers.home[2]:
             means[2] = math.nan
         distances = float(sums[stepping.DISTANCE]), float(sums[stepping.FORWARD])
         return dict(zip(METRICS, [*means, *distances], strict=True))
+
+    def _advance(self, simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
+        return self._run(simulated, self._controllers, inputs, until, stops)
 
     def _insist(self) -> None:
         """Raise a `ValueError` unless an episode has begun."""
         if not self._begun:
             raise ValueError("no episode has begun; expected begin() first")
 
-    def _inputs(self, powers: list[list[float]], conversions: int, n_supplies: int) -> stepping.StepInputs:
-        """Return the random draws and supply of the next steps."""
-        draws: list[Floats] = [np.zeros(0)] * 3
-        if self._rng:
-            proximity, ambient, idle = self._rng
-            draws = [each.standard_normal(conversions) for each in (proximity, ambient)]
-            draws.append(idle.standard_exponential(conversions))
-        sim_indices, step_ns = self._setup.sim_indices, self._setup.step_ns
-        fed = self.steps // sim_indices.steps_per_supply + (n_supplies > 1 or self.steps > 0)
-        feed_ns = sim_indices.steps_per_supply * step_ns
-        if self._supply.steady:
-            volts = np.full(n_supplies, self._supply.voltage(0))
+
+def _starts(start: Start | Sequence[Start], n_robots: int) -> list[Start]:
+    """Return the start of each robot; raise a `ValueError` unless there is one for each."""
+    table = np.atleast_2d(np.asarray(start, np.float64))
+    if table.shape != (n_robots, 3):
+        raise ValueError(f"start = {start}; expected x, y [mm] and heading [deg] of {n_robots} robots")
+    return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in table.tolist()]
+
+
+def _run_function(setup: EpisodeSetup, compiled: bool) -> stepping.Run:
+    """Return `stepping.run` for a setup, plain or compiled."""
+    if not compiled:
+        return stepping.run
+    try:
+        if setup.planar_scene is None:
+            from khep_twin.rollout.compiled import run
         else:
-            volts = np.array([self._supply.voltage((fed + i) * feed_ns) for i in range(n_supplies)])
-        noisy = bool(self._rng)
-        if not self._compiled:
-            return stepping.StepInputs(powers, volts.tolist(), noisy, *(draw.tolist() for draw in draws))
-        return stepping.StepInputs(np.array(powers).reshape(len(powers), -1), volts, noisy, *draws)  # type: ignore
-
-    def _complain(self) -> None:
-        """Raise a `DivergedError` if the episode has failed."""
-        trouble = int(self._state[stepping.TERMINATION])
-        if trouble == stepping.FINE:
-            return
-        reason = "the physics left its bounds"
-        if trouble == stepping.WARNED:
-            reason = f"MuJoCo warns of {self._backend.warning}"
-        elif trouble == stepping.NO_SPEED:
-            reason = "the controller gave a speed that is no number"
-            if isinstance(self._driver, Function):
-                reason += ", or raised an error"
-        raise DivergedError(
-            f"episode of seed {self._seed} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: {reason}"
-        )
-
-
-def _as_arrays(values: Numbers) -> Numbers:
-    """Return a named tuple with its lists as arrays, for compiled code."""
-    return values._make(
-        np.array(value, np.int64 if name == "first" else np.float64) if isinstance(value, list) else value
-        for name, value in zip(values._fields, values, strict=True)
-    )
-
-
-def _as_it_is(values: Numbers) -> Numbers:
-    return values
+            from khep_twin.rollout.planar.compiled import run
+    except ImportError as error:
+        raise MissingExtraError("numba", "batch") from error
+    return run

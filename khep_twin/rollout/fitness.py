@@ -6,6 +6,8 @@ over its control periods.
 
 import math
 
+from khep_twin.compilable import compilable
+
 TOP_SPEED_PULSES = 20
 """Speed that counts as 1 in the fitness [pulses/10 ms]: twice that of the robot's own demo (assumed)."""
 
@@ -13,6 +15,7 @@ WALL_COUNTS_SHARE = 0.5
 """Reading of a side sensor, as a part of its limit, for the best wall following (assumed)."""
 
 
+@compilable
 def obstacle_avoidance(left_pulses: float, right_pulses: float, nearest: float) -> float:
     """Return Floreano and Mondada's fitness (1994): V (1 - sqrt(dV)) (1 - i).
 
@@ -28,11 +31,13 @@ def obstacle_avoidance(left_pulses: float, right_pulses: float, nearest: float) 
     return (abs(left) + abs(right)) / 2 * (1 - math.sqrt(abs(left - right) / 2)) * (1 - nearest)
 
 
+@compilable
 def homing(left_pulses: float, right_pulses: float, nearest: float) -> float:
     """Return Floreano and Mondada's fitness (1996) outside the home, V (1 - i), with the same V and i."""
     return (abs(_part(left_pulses)) + abs(_part(right_pulses))) / 2 * (1 - nearest)
 
 
+@compilable
 def light_seeking(darkest: float, dark: float, floor: float) -> float:
     """Return the light at the brightest receiver, 0 in the dark to 1 (ours).
 
@@ -44,6 +49,7 @@ def light_seeking(darkest: float, dark: float, floor: float) -> float:
     return min(max((dark - darkest) / (dark - floor), 0.0), 1.0)
 
 
+@compilable
 def wall_following(left_pulses: float, right_pulses: float, side: float) -> float:
     """Return the fitness of driving along a wall: V (1 - sqrt(dV)) (1 - |s - s0| / s0), at least 0 (ours).
 
@@ -57,6 +63,7 @@ def wall_following(left_pulses: float, right_pulses: float, side: float) -> floa
     return along * max(1 - abs(side - WALL_COUNTS_SHARE) / WALL_COUNTS_SHARE, 0.0)
 
 
+@compilable
 def _part(pulses: float) -> float:
     """Return a speed as a part of the top speed, -1 to 1."""
     return max(-1.0, min(1.0, pulses / TOP_SPEED_PULSES))

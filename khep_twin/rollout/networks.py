@@ -10,6 +10,7 @@ use plain numbers and are compiled unchanged.
 import math
 from collections.abc import Sequence
 
+from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Vector
 
 
@@ -21,6 +22,7 @@ def n_genes(sizes: Sequence[int], recurrent: bool) -> int:
     return total + (sizes[1] * sizes[1] if recurrent else 0)
 
 
+@compilable
 def forward(
     sizes: Vector[int], recurrent: bool, genes: Vector[float], memory: Vector[float], values: Vector[float]
 ) -> int:

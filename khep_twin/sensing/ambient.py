@@ -18,45 +18,10 @@ import mujoco
 
 from khep_twin.playpen import Lighting
 from khep_twin.sensing.calibration import AmbientCalibration
-from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.occlusion import SightLines
-from khep_twin.sensing.optics import Ambient, Bulbs
+from khep_twin.sensing.optics import Ambient, Bulb, Hidden, Light, LightLaw
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.units import radians
-
-
-class Receivers:
-    """The eight receivers of one robot in a compiled scene.
-
-    Args:
-        model: Model of the scene.
-        robot: Indices of the robot.
-        calibration: Calibration of this robot's receivers.
-        lamps: Lamps of the world.
-        lighting: Law of the lamps' light.
-
-    Attributes:
-        lamps: Lamps of the world.
-        optics: Numbers of the receivers.
-        bulbs: Numbers of the lamps' positions.
-    """
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        robot: RobotIndices,
-        calibration: AmbientCalibration,
-        lamps: Lamps,
-        lighting: Lighting,
-    ) -> None:
-        self._model, self._robot = model, robot
-        self.optics = ambient_optics(calibration)
-        self.relight(lamps, lighting)
-
-    def relight(self, lamps: Lamps, lighting: Lighting) -> None:
-        """Replace the lamps and the law."""
-        self.lamps = lamps
-        self.bulbs = bulbs(SightLines(self._model, self._robot, lamps.positions), lighting)
 
 
 def ambient_optics(calibration: AmbientCalibration) -> Ambient:
@@ -76,20 +41,35 @@ def ambient_optics(calibration: AmbientCalibration) -> Ambient:
     )
 
 
-def bulbs(lines: SightLines, lighting: Lighting) -> Bulbs:
+class LightSource:
+    """Lamps of a scene as numbers, with the known sight lines to them; the last ones are kept.
+
+    Args:
+        model: Model of the scene.
+        robot: Indices of the robot whose receivers they shine on.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: RobotIndices) -> None:
+        self._model, self._robot = model, robot
+        self._last: tuple[list[tuple[float, float, float]], Lighting, Light] | None = None
+
+    def light(self, positions: list[tuple[float, float, float]], lighting: Lighting) -> Light:
+        """Return lamps at these positions [m]."""
+        if self._last is None or self._last[:2] != (positions, lighting):
+            lines = SightLines(self._model, self._robot, positions)
+            self._last = positions, lighting, light_of(lines, lighting)
+        return self._last[2]
+
+
+def light_of(lines: SightLines, lighting: Lighting) -> Light:
     """Return lamps as numbers, with the known sight lines to them."""
-    first, rows = [0], list[tuple[float, float, float]]()
-    for hidden in lines.hidden:
-        rows += hidden
-        first.append(len(rows))
-    return Bulbs(
-        positions=[part for position in lines.lamps for part in position],
-        by_toolbox=lighting.law == "toolbox",
-        min_angle_deg=lighting.min_angle_deg,
-        max_angle_deg=lighting.max_angle_deg,
-        known=lines.known,
-        first=first,
-        middles=[part for row in rows for part in (math.cos(row[0]), math.sin(row[0]))],
-        edges=[math.cos(row[1]) if row[1] < math.pi else -2.0 for row in rows],
-        nearest=[row[2] for row in rows],
-    )
+    bulbs: list[Bulb] = []
+    hidden: list[Hidden] = []
+    rows = lines.hidden or [[] for _ in lines.lamps]
+    for lamp, directions in zip(lines.lamps, rows, strict=True):
+        bulbs.append(Bulb(*lamp, len(hidden), len(hidden) + len(directions)))
+        for middle, half, nearest in directions:
+            edge = math.cos(half) if half < math.pi else -2.0
+            hidden.append(Hidden(math.cos(middle), math.sin(middle), edge, nearest))
+    law = LightLaw(lighting.law == "toolbox", lighting.min_angle_deg, lighting.max_angle_deg, lines.known)
+    return Light(law, bulbs, hidden)

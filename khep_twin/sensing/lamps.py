@@ -14,7 +14,7 @@ import numpy as np
 
 from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
 from khep_twin.playpen.polygon import distance
-from khep_twin.units import metres
+from khep_twin.units import STEP_NS, metres
 
 
 class Lamps:
@@ -78,6 +78,14 @@ class Lamps:
             step = self._full[index] * elapsed_s / lamp.fade_s if lamp.fade_s else math.inf
             self.powers[index] = min(max(wanted, power - step), power + step)
         return switched
+
+    def rows(self, first: int, end: int, step_ns: int = STEP_NS) -> list[list[float]]:
+        """Advance lamps that take no turns by some steps; return the powers after each of them [W]."""
+        found: list[list[float]] = []
+        for step in range(first + 1, end + 1):
+            self.update(step * step_ns, ())
+            found.append(self.powers.copy())
+        return found
 
     def _wanted(self, index: int) -> bool:
         """Return whether a lamp is on."""

@@ -1,15 +1,29 @@
 """The infrared sensors' arithmetic: from rays and lamps to counts, in plain numbers.
 
-`sensors` and `ambient` describe the model. Like `kernel` it uses only what a compiler for numerical Python
-accepts, so that one source serves both: its functions index lists here, arrays there, and query the scene
-only by the functions of `raycast`.
+`sensors` and `ambient` describe the model. The functions are `compilable`: they index lists here, arrays
+there, and query the scene only by the functions of `scene`.
 """
 
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from khep_twin.sensing import raycast
+from khep_twin.compilable import compilable
+from khep_twin.sensing.scene import (
+    FEW,
+    LENGTH_AND_NORMAL,
+    MANY,
+    Scene,
+    Triple,
+    blocked,
+    body_frame,
+    direction,
+    position,
+    rays,
+    sensor_frame,
+    stopped,
+    surfaces,
+)
 from khep_twin.units import BULB_RADIUS
 
 _SLACK = 1e-6
@@ -95,37 +109,83 @@ class Ambient(NamedTuple):
     noise: float
 
 
-class Bulbs(NamedTuple):
-    """Lamps, and directions in which they may be hidden (`occlusion`).
+class RobotSensors(NamedTuple):
+    """Sensors of one robot.
 
     Attributes:
-        positions: Positions of the centres (3 n,) [m].
+        base: Body of the robot, which its own rays ignore.
+        cameras: Cameras of the sensors (8,).
+        proximity: Numbers of proximity.
+        ambient: Numbers of ambient light.
+    """
+
+    base: int
+    cameras: Sequence[int]
+    proximity: Proximity
+    ambient: Ambient
+
+
+class Bulb(NamedTuple):
+    """A lamp: its centre [m], and the range of its directions in `Light.hidden`."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    first: int = 0
+    end: int = 0
+
+
+class Hidden(NamedTuple):
+    """A direction from a lamp in which something may hide it (`occlusion`).
+
+    Attributes:
+        x: Unit vector to the middle of the direction, x.
+        y: The same, y.
+        edge: Cosine of half its angle; below -1 for all around.
+        nearest: Distance of the hiding object [m].
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    edge: float = 0.0
+    nearest: float = 0.0
+
+
+class LightLaw(NamedTuple):
+    """Law of the lamps' light.
+
+    Attributes:
         by_toolbox: True if the toolbox's law holds.
         min_angle_deg: Minimum angle of that law [deg].
         max_angle_deg: Maximum angle of that law [deg].
         known: True if all that stops light stands still.
-        first: Index of each lamp's first hidden direction, and the end of the last lamp's (n + 1,).
-        middles: Unit vectors to the middle of hidden directions, one after the other (2 n_hidden,).
-        edges: Cosines of half their angles, below -1 for all around (n_hidden,).
-        nearest: Distances of the hiding objects (n_hidden,) [m].
     """
 
-    positions: Sequence[float]
     by_toolbox: bool
     min_angle_deg: float
     max_angle_deg: float
     known: bool
-    first: Sequence[int]
-    middles: Sequence[float]
-    edges: Sequence[float]
-    nearest: Sequence[float]
 
 
+class Light(NamedTuple):
+    """Lamps of a scene, and what may hide them.
+
+    Attributes:
+        law: Law of their light.
+        bulbs: Lamps (n,).
+        hidden: Directions from the lamps in which they may be hidden, one lamp after the other.
+    """
+
+    law: LightLaw
+    bulbs: Sequence[Bulb]
+    hidden: Sequence[Hidden]
+
+
+@compilable
 def convert(
-    scene: raycast.Scene,
-    proximity: Proximity,
-    ambient: Ambient,
-    bulbs: Bulbs,
+    scene: Scene,
+    sensors: RobotSensors,
+    light: Light,
     powers: Sequence[float],
     channel: int,
     draws: tuple[float, float, float],
@@ -134,38 +194,40 @@ def convert(
 
     Args:
         scene: Scene around the robot.
-        proximity: Numbers of proximity.
-        ambient: Numbers of ambient light.
-        bulbs: Lamps of the world.
+        sensors: Sensors of the robot.
+        light: Lamps of the world.
         powers: Powers of the lamps (n,) [W].
         channel: Number of the sensor.
         draws: Random draws for proximity and ambient counts, with standard deviation 1, and for idle counts,
             with mean 1.
     """
+    ambient = sensors.ambient
     noise = ambient.noise * draws[1]
     # The floor is the first argument, so that NaN counts as the floor until it is noticed.
-    level = max(ambient.floor, ambient.dark - light_counts(scene, ambient, bulbs, powers, channel))
+    level = max(ambient.floor, ambient.dark - light_counts(scene, sensors, light, powers, channel))
     range_left = (level - ambient.floor) / (ambient.dark - ambient.floor)
     counts = max(min(round(level + noise), ambient.ceiling), 0)
-    return proximity_counts(scene, proximity, channel, draws[0], draws[2], range_left), counts
+    return proximity_counts(scene, sensors, channel, draws[0], draws[2], range_left), counts
 
 
+@compilable
 def proximity_counts(
-    scene: raycast.Scene, proximity: Proximity, channel: int, noise: float, idle: float, range_left: float
+    scene: Scene, sensors: RobotSensors, channel: int, noise: float, idle: float, range_left: float
 ) -> int:
     """Return the counts of reflected light.
 
     Args:
         scene: Scene around the robot.
-        proximity: Numbers of proximity.
+        sensors: Sensors of the robot.
         channel: Number of the sensor.
         noise: Random draw with standard deviation 1.
         idle: Random draw with mean 1.
         range_left: Part of the range that ambient light leaves, 0 to 1.
     """
+    proximity = sensors.proximity
     level = proximity.noise * noise - proximity.threshold[channel]
     found, nearest = proximity.found, -1.0
-    for i in range(0, raycast.rays(scene, proximity, channel, level, found), raycast.LENGTH_AND_NORMAL):
+    for i in range(0, rays(scene, sensors, channel, level), LENGTH_AND_NORMAL):
         length = found[i]
         if length >= 0 and (length < nearest or nearest < 0):
             nearest = length
@@ -173,51 +235,53 @@ def proximity_counts(
         # Mostly nothing is near enough; light that cannot pass the threshold is not summed up.
         gain, reach = proximity.gain[channel], nearest + proximity.offset[channel]
         if gain * proximity.brightest / (reach * reach) > -level:
-            _look(scene, proximity, channel, found)
+            _look(scene, sensors, channel, found)
             level += gain * _reflected(found, proximity, channel)
     limit = int(proximity.limit * range_left)
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
     return max(counts, min(int(proximity.idle * idle), limit), proximity.floor)
 
 
+@compilable
 def light_counts(
-    scene: raycast.Scene, ambient: Ambient, bulbs: Bulbs, powers: Sequence[float], channel: int
+    scene: Scene, sensors: RobotSensors, light: Light, powers: Sequence[float], channel: int
 ) -> float:
     """Return the light of all lamps at one receiver, below its dark level [counts]."""
-    total = 0.0
-    if not len(bulbs.positions):
+    total, law, bulbs, ambient = 0.0, light.law, light.bulbs, sensors.ambient
+    if not len(bulbs):
         return total
-    position, frame = raycast.position(scene, channel), raycast.body_frame(scene)
-    x, y, z = position[0], position[1], position[2]
+    place, frame = position(scene, sensors, channel), body_frame(scene, sensors)
+    x, y, z = place[0], place[1], place[2]
     ahead, left = ambient.ahead[channel], ambient.left[channel]
     axis_x = ahead * frame[0] + left * frame[1]
     axis_y = ahead * frame[3] + left * frame[4]
     axis_z = ahead * frame[6] + left * frame[7]
-    for lamp in range(len(powers)):
-        power = powers[lamp]
+    for lamp in range(len(bulbs)):
+        power, bulb = powers[lamp], bulbs[lamp]
         if power == 0:
             continue
-        dx, dy = bulbs.positions[3 * lamp] - x, bulbs.positions[3 * lamp + 1] - y
-        dz = 0.0 if bulbs.by_toolbox else bulbs.positions[3 * lamp + 2] - z
+        dx, dy = bulb.x - x, bulb.y - y
+        dz = 0.0 if law.by_toolbox else bulb.z - z
         distance = math.sqrt(dx * dx + dy * dy + dz * dz)
         if distance == 0:
             distance = BULB_RADIUS
         cosine = (dx * axis_x + dy * axis_y + dz * axis_z) / distance
-        if bulbs.by_toolbox:
-            total += power * received_by_toolbox(ambient, bulbs, channel, distance, cosine)
+        if law.by_toolbox:
+            total += power * received_by_toolbox(ambient, law, channel, distance, cosine)
             continue
         counts = power * received(ambient, channel, distance, cosine)
         if counts <= _NOTHING:
             continue
-        if clear(bulbs, lamp, x, y):
+        if clear(light, lamp, x, y):
             total += counts
         elif counts >= _FAINT:
-            total += counts * in_sight(scene, channel, dx, dy, dz, distance)
-        elif not raycast.stopped(scene, channel, dx, dy, dz, 1 - BULB_RADIUS / distance):
+            total += counts * in_sight(scene, sensors, channel, (dx, dy, dz), distance)
+        elif not stopped(scene, sensors, channel, (dx, dy, dz), 1 - BULB_RADIUS / distance):
             total += counts
     return total
 
 
+@compilable
 def received(ambient: Ambient, channel: int, distance: float, cosine: float) -> float:
     """Return the light of a lamp of 1 W in full sight, below the dark level [counts/W].
 
@@ -232,45 +296,51 @@ def received(ambient: Ambient, channel: int, distance: float, cosine: float) -> 
     return lobe * _falling_off(ambient, channel, distance)
 
 
+@compilable
 def received_by_toolbox(
-    ambient: Ambient, bulbs: Bulbs, channel: int, distance: float, cosine: float
+    ambient: Ambient, law: LightLaw, channel: int, distance: float, cosine: float
 ) -> float:
     """Return the light by the toolbox's law, with distance and angle as on a map [counts/W]."""
     angle_deg = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
     lobe = 1.0
-    if angle_deg > bulbs.max_angle_deg:
+    if angle_deg > law.max_angle_deg:
         lobe = 0.0
-    elif angle_deg > bulbs.min_angle_deg:
-        lobe = math.cos(math.radians(angle_deg * 90 / bulbs.max_angle_deg))
+    elif angle_deg > law.min_angle_deg:
+        lobe = math.cos(math.radians(angle_deg * 90 / law.max_angle_deg))
     return lobe * _falling_off(ambient, channel, distance)
 
 
-def clear(bulbs: Bulbs, lamp: int, x: float, y: float) -> bool:
+@compilable
+def clear(light: Light, lamp: int, x: float, y: float) -> bool:
     """Return whether a lamp is surely in full sight of a position at the height of the sensors [m]."""
-    if not bulbs.known:
+    if not light.law.known:
         return False
-    dx, dy = x - bulbs.positions[3 * lamp], y - bulbs.positions[3 * lamp + 1]
+    bulb = light.bulbs[lamp]
+    dx, dy = x - bulb.x, y - bulb.y
     distance = math.sqrt(dx * dx + dy * dy)
-    nearest, middles, edges = bulbs.nearest, bulbs.middles, bulbs.edges
-    for i in range(bulbs.first[lamp], bulbs.first[lamp + 1]):
-        if distance > nearest[i] and dx * middles[2 * i] + dy * middles[2 * i + 1] > distance * edges[i]:
+    for i in range(bulb.first, bulb.end):
+        hidden = light.hidden[i]
+        if distance > hidden.nearest and dx * hidden.x + dy * hidden.y > distance * hidden.edge:
             return False
     return True
 
 
-def in_sight(scene: raycast.Scene, channel: int, x: float, y: float, z: float, distance: float) -> float:
-    """Return the part of a bulb that a receiver sees, 0 to 1, along a vector [m] that is `distance` long."""
+@compilable
+def in_sight(scene: Scene, sensors: RobotSensors, channel: int, way: Triple, distance: float) -> float:
+    """Return the part of a bulb that a receiver sees, 0 to 1, along a way [m] that is `distance` long."""
     # Mostly all or nothing is in sight; the edge of a shadow is looked at more closely.
-    seen = part_of_bulb(scene, channel, x, y, z, distance, raycast.FEW)
+    seen = part_of_bulb(scene, sensors, channel, way, distance, FEW)
     if seen == 0.0 or seen == 1.0:
         return seen
-    return part_of_bulb(scene, channel, x, y, z, distance, raycast.MANY)
+    return part_of_bulb(scene, sensors, channel, way, distance, MANY)
 
 
+@compilable
 def part_of_bulb(
-    scene: raycast.Scene, channel: int, x: float, y: float, z: float, distance: float, disc: int
+    scene: Scene, sensors: RobotSensors, channel: int, way: Triple, distance: float, disc: int
 ) -> float:
     """Return the part of a bulb's points that rays from a receiver reach."""
+    x, y, z = way
     flat, scale = math.sqrt(x * x + y * y), BULB_RADIUS / distance
     # To the left and up, as seen from the receiver; directly below a lamp any left is as good.
     left, up = (BULB_RADIUS, 0.0, 0.0), (0.0, BULB_RADIUS, 0.0)
@@ -278,9 +348,10 @@ def part_of_bulb(
         side, tilt = BULB_RADIUS / flat, -z * scale / flat
         left, up = (-y * side, x * side, 0.0), (x * tilt, y * tilt, flat * scale)
     # Hits are in lengths of the rays. One as near as the bulb's glass has reached it.
-    return 1 - raycast.blocked(scene, channel, disc, left, up, (x, y, z), 1.0 + scale, 1.0 - scale)
+    return 1 - blocked(scene, sensors, channel, disc, left, up, way, 1.0 + scale, 1.0 - scale)
 
 
+@compilable
 def reflected(
     lengths: Sequence[float],
     incidences: Sequence[float],
@@ -308,10 +379,11 @@ def reflected(
     return total
 
 
+@compilable
 def _reflected(found: Sequence[float], proximity: Proximity, channel: int) -> float:
     """Return `reflected` for the rays cast."""
     return reflected(
-        found[:: raycast.LENGTH_AND_NORMAL],
+        found[::LENGTH_AND_NORMAL],
         proximity.incidences,
         proximity.reflectances,
         proximity.weights[channel],
@@ -320,24 +392,26 @@ def _reflected(found: Sequence[float], proximity: Proximity, channel: int) -> fl
     )
 
 
-def _look(scene: raycast.Scene, proximity: Proximity, channel: int, found: Sequence[float]) -> None:
+@compilable
+def _look(scene: Scene, sensors: RobotSensors, channel: int, found: Sequence[float]) -> None:
     """Fill in the rays' incidences and reflectances."""
-    frame = raycast.sensor_frame(scene, channel)
+    frame, proximity = sensor_frame(scene, sensors, channel), sensors.proximity
     tangential, directions = proximity.tangential[channel], proximity.directions
     farthest = -1.0
     for i in range(len(tangential)):
-        first = raycast.LENGTH_AND_NORMAL * i
+        first = LENGTH_AND_NORMAL * i
         if found[first] > farthest:
             farthest = found[first]
         if proximity.uniform and found[first] < 0:
             continue  # it is not cast again and adds no light
-        dx, dy, dz = raycast.direction(scene, frame, channel, i, tangential[i])
+        dx, dy, dz = direction(scene, frame, channel, i, tangential[i])
         directions[3 * i], directions[3 * i + 1], directions[3 * i + 2] = dx, dy, dz
         proximity.incidences[i] = -(found[first + 1] * dx + found[first + 2] * dy + found[first + 3] * dz)
     if not proximity.uniform:
-        raycast.surfaces(scene, channel, directions, farthest + _SLACK, proximity.reflectances)
+        surfaces(scene, sensors, channel, farthest + _SLACK)
 
 
+@compilable
 def _falling_off(ambient: Ambient, channel: int, distance: float) -> float:
     reach_mm = max(distance * 1e3 - ambient.offset_mm, _CLOSEST_MM)
     return ambient.gain_mm2[channel] / (reach_mm * reach_mm)

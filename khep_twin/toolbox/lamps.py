@@ -13,10 +13,10 @@ import math
 from typing import SupportsFloat
 
 from khep_twin.errors import PlaypenError
+from khep_twin.interventions.move_robot import scan
+from khep_twin.interventions.switching import relight
 from khep_twin.lab.experiment.start_poses import lit, nearest_lamp, without_nearest_lamp
-from khep_twin.move_robot import scan
 from khep_twin.playpen import Lamp, Playpen
-from khep_twin.switching import relight
 from khep_twin.toolbox.simulator import opened
 
 POWER_W = 7.0

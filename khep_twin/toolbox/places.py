@@ -8,8 +8,8 @@ import math
 from typing import SupportsFloat
 
 from khep_twin.errors import PlaypenError
+from khep_twin.interventions.move_robot import as_it_stands, put, scan
 from khep_twin.lab.sensor_test.sensor_test import PULSES_PER_DEGREE
-from khep_twin.move_robot import as_it_stands, put, scan
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen.overlap import Thing, placement_problems
 from khep_twin.playpen.starts import near

@@ -27,8 +27,8 @@ from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.errors import BitmapError, PlaypenError, PortError
 from khep_twin.host import Khepera
+from khep_twin.interventions.move_robot import scan
 from khep_twin.lab.experiment.start_poses import lit
-from khep_twin.move_robot import scan
 from khep_twin.playpen import Playpen, bitmap, bitmap_files
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin

@@ -14,7 +14,8 @@ from pathlib import Path
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera, commands
-from khep_twin.move_robot import as_it_stands, put
+from khep_twin.interventions.move_robot import as_it_stands, put
+from khep_twin.interventions.switching import switch
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import no_room
 from khep_twin.ports.event_sources import exact_timeouts
@@ -23,7 +24,6 @@ from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.service_registry import registered
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
-from khep_twin.switching import switch
 from khep_twin.units import BODIES
 from khep_twin.web.jobs import Job, Publish
 from khep_twin.web.outside_host import OutsideHost

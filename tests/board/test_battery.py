@@ -5,7 +5,7 @@ from notes import Notes
 
 from khep_twin import playpen as playpens
 from khep_twin import units
-from khep_twin.board.battery import DISCHARGE, Supply, discharged
+from khep_twin.board.battery import CHARGER, DISCHARGE, discharged, voltage
 from khep_twin.board.kernel import DUTIES
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
@@ -26,13 +26,13 @@ def connect(**options: float | bool) -> tuple[Khepera, World]:
 
 
 def test_the_charger_keeps_its_voltage() -> None:
-    assert {Supply(None).voltage(minutes * MINUTE_NS) for minutes in range(100)} == {5.0}
+    assert {voltage(CHARGER, minutes * MINUTE_NS) for minutes in range(100)} == {5.0}
 
 
 @pytest.mark.parametrize(("used_min", "volts"), FIGURE.items())
 def test_the_cells_run_down_as_in_the_manuals_figure(used_min: float, volts: float) -> None:
     assert discharged(used_min) == pytest.approx(volts, abs=0.08)
-    assert Supply(used_min / 2).voltage(round(used_min / 2 * MINUTE_NS)) == discharged(used_min)
+    assert voltage(used_min / 2, round(used_min / 2 * MINUTE_NS)) == discharged(used_min)
 
 
 def test_the_cells_fall_below_4_volts_after_41_minutes_and_never_rise() -> None:

@@ -20,11 +20,11 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin import playpen
 from khep_twin.errors import LogError
+from khep_twin.interventions.switching import switch
 from khep_twin.log.decoding import read_array
 from khep_twin.log.reader import read
 from khep_twin.log.recorder import Recorder
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.switching import switch
 from khep_twin.world import SAMPLE_NS
 
 Start = Callable[[Path], Twin]

@@ -7,7 +7,7 @@ import numpy as np
 
 from khep_twin import playpen
 from khep_twin.playpen_to_mjcf import to_spec
-from khep_twin.rollout import addresses
+from khep_twin.simulation import addresses
 
 
 def test_a_step_by_address_is_a_step() -> None:

@@ -95,29 +95,35 @@ def test_a_khepera_2_never_reads_0_without_a_line_plain_and_compiled(planar: boo
 
 @with_numba
 def test_what_compiled_episodes_cast_is_what_rangefinders_find() -> None:
-    from khep_twin.rollout import compiled_casting
-    from khep_twin.sensing.raycast import scene_of
-    from khep_twin.sensors import proximity_optics
+    import numba
+
+    from khep_twin.sensing import scene as queries
+    from khep_twin.simulation.compiled import register
+
+    register()
+
+    @numba.njit(_nrt=False, error_model="numpy")
+    def rays(scene: Any, robots: Any, channel: int, level: float) -> int:
+        return queries.rays(scene, robots[0].sensors, channel, level)
 
     world = World(
         arena("[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n")
     )
-    model, data, robot = world.model, world.data, world.robots[0].indices
-    plain, fast = scene_of(model, data, robot), compiled_casting.scene_of(model, data, robot)
-    near = proximity_optics(model, robot, EpisodeSetup(arena()).calibration)
-    from khep_twin.rollout.episode import _as_arrays as as_arrays
-
-    arrays = as_arrays(near)
+    plain, records = world.simulation.plain, world.simulation.records
+    sensors, fast = plain.robots[0].sensors, world._forms.compiled()
+    near = sensors.proximity
+    found = records["sensors"]["proximity"]["found"][0]
     world.robots[0].send(b"D,9,4\n")
     near_ones = 0
     for step in range(3000):
         world.advance_to((step + 1) * 2_500_000)
         channel = step % 8
-        expected = plain.rays[channel].tolist()
-        assert compiled_casting.rays(fast, arrays, channel, 1.0, arrays.found) == len(expected)
-        assert arrays.found.tolist() == expected
+        assert queries.rays(plain.scene, sensors, channel, 1.0) == len(near.found)
+        expected = list(near.found)
+        assert rays(fast, records, channel, 1.0) == len(expected)
+        assert found.tolist() == expected
         # With a threshold it may see nothing, but never where something could be near enough.
-        if not compiled_casting.rays(fast, arrays, channel, -near.threshold[channel], arrays.found):
+        if not rays(fast, records, channel, -near.threshold[channel]):
             shortest = min((length for length in expected[::4] if length >= 0), default=np.inf)
             reach = np.sqrt(near.gain[channel] * near.brightest / near.threshold[channel])
             assert shortest + near.offset[channel] >= reach
@@ -224,7 +230,7 @@ def test_physics_out_of_bounds_end_a_episode_by_step_and_leave_the_next_alone(co
     episode = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
     episode.begin(1)
     episode.run(0.2)
-    episode._data.qvel[0] = 1e9
+    episode.data.qvel[0] = 1e9
     with pytest.raises(DivergedError, match=r"seed 1 failed at 0\.2\d+ s, step \d+: "):
         episode.run(0.2)
     episode.begin(1)
@@ -267,14 +273,14 @@ def test_the_distance_forwards_has_a_sign_and_the_distance_has_none(compiled: bo
     ("change", "message"),
     [
         ({"robots": ()}, "0 robots; expected one"),
-        ({"lighting": playpen.Lighting(mode="random")}, "mode = 'random'; expected 'all'"),
+        ({"robots": arena().robots * 2}, "2 robots; expected one in the plane"),
     ],
 )
 def test_what_episodes_cannot_have_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
     with pytest.raises(PlaypenError, match=message):
-        EpisodeSetup(arena().model_copy(update=change))
+        EpisodeSetup(arena().model_copy(update=change), planar=True)
     with pytest.raises(PlaypenError, match=r"turrets = \['gripper'\]; expected none"):
-        EpisodeSetup(playpen.load("gripper"))
+        EpisodeSetup(playpen.load("gripper"), planar=True)
 
 
 def test_without_numba_episodes_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:

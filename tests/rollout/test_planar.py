@@ -14,12 +14,12 @@ from khep_twin.playpen import Playpen
 from khep_twin.rollout.batch import RolloutResult, rollout
 from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Network
 from khep_twin.rollout.episode import Episode, EpisodeSetup
-from khep_twin.rollout.planar.casting import rays
+from khep_twin.rollout.planar.casting import PlaneScene, rays
 from khep_twin.rollout.planar.motion import step
-from khep_twin.rollout.planar.planar import PlanarBackend, PlanarScene, _plain_episode
-from khep_twin.rollout.planar.plane import TOUCHED, Plane, distance_to, nearest
-from khep_twin.sensing.optics import Proximity
-from khep_twin.sensors import proximity_optics
+from khep_twin.rollout.planar.planar import PlanarScene
+from khep_twin.rollout.planar.planar_world import PlanarForms, PlanarWorld
+from khep_twin.rollout.planar.plane import TOUCHED, distance_to, nearest
+from khep_twin.sensing.optics import RobotSensors, proximity_counts
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
@@ -63,24 +63,24 @@ def arena() -> Playpen:
     return playpen.parse(playpen.dump(playpen.load("obstacles")) + THINGS, "arena")
 
 
-def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: float) -> PlanarBackend:
+def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: float) -> PlanarForms:
     """A plane, as Python has it, with its robot put down."""
     setup = EpisodeSetup(scene)
-    backend = PlanarBackend(PlanarScene(scene, setup.model, setup.indices, step_ns), compiled=False)
+    backend = PlanarForms(PlanarScene(scene, setup.model, setup.indices, step_ns))
     backend.put((x_mm, y_mm, heading_deg))
     return backend
 
 
-def drive(backend: PlanarBackend, left: float, right: float, steps: int) -> None:
-    robot = backend.scene.robot
+def drive(backend: PlanarForms, left: float, right: float, steps: int) -> None:
+    robot = backend.plane.robot
     robot.ctrl[0], robot.ctrl[1] = left, right
     for _ in range(steps):
-        step(backend.scene)
+        step(backend.plane)
 
 
 def test_a_robot_straight_on_follows_its_voltage_as_one_lag() -> None:
     backend = put(playpen.parse(OPEN, "open"), units.TICK_NS, 4500, 4500, 30)
-    robot = backend.scene.robot
+    robot = backend.plane.robot
     drive(backend, 0.8, 0.8, 40)
     lag = (robot.mass / 2 * robot.wheel**2 + robot.spin) / robot.damping
     fastest, h = 0.8 * robot.free_speed, robot.substep
@@ -99,7 +99,7 @@ def test_turning_in_place_is_the_speed_of_the_tyres_over_half_the_track() -> Non
     drive(backend, -0.3, 0.3, 100)
     before = backend.joints[2]
     drive(backend, -0.3, 0.3, 100)
-    robot = backend.scene.robot
+    robot = backend.plane.robot
     assert backend.joints[2] - before == pytest.approx(2 * 0.3 * robot.free_speed / robot.track, rel=1e-6)
     assert backend.pose[:2] == pytest.approx((4.5, 4.5), abs=1e-9)
 
@@ -111,7 +111,7 @@ def test_a_circle_closes_with_the_radius_of_its_speeds() -> None:
     for _ in range(800):
         drive(backend, 0.3, 0.5, 1)
         places.append(backend.pose[:2])
-    robot = backend.scene.robot
+    robot = backend.plane.robot
     turn = 0.2 * robot.free_speed / robot.track
     whole = round(2 * math.pi / turn / 0.01)
     (x0, y0), (x1, y1) = places[0], places[whole]
@@ -124,7 +124,7 @@ def test_a_circle_closes_with_the_radius_of_its_speeds() -> None:
 def test_a_tyre_slips_when_it_would_need_more_than_its_grip() -> None:
     backend = put(playpen.parse(OPEN, "open"), units.STEP_NS, 4500, 4500, 0)
     drive(backend, 4.0, 4.0, 12)
-    robot = backend.scene.robot
+    robot = backend.plane.robot
     forward = backend.pose[0] - 4.5
     # As hard as both tyres can push, with what the wheels' own speeding up and the mass put on the support.
     fastest = 2 * robot.grip / (robot.mass + 2 * robot.relief)
@@ -142,9 +142,9 @@ def test_the_disc_is_never_in_anything_however_it_is_driven() -> None:
         drive(backend, *rng.uniform(-2, 5, 2).tolist(), 8)
         x, y, _ = backend.pose
         gaps = [
-            nearest(backend.scene.things, thing, x, y)[2] - units.BODY_RADIUS
-            for thing in range(len(backend.scene.things))
-            if backend.scene.things[thing, TOUCHED]
+            nearest(backend.plane.things, thing, x, y)[2] - units.BODY_RADIUS
+            for thing in range(len(backend.plane.things))
+            if backend.plane.things[thing, TOUCHED]
         ]
         assert min(gaps) > -1e-9
         touched += min(gaps) < 1e-6
@@ -189,8 +189,8 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
     while tried < 60:
         x, y = rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist()
         clear = min(
-            distance_to(backend.scene.things, thing, x / 1e3, y / 1e3)
-            for thing in range(len(backend.scene.things))
+            distance_to(backend.plane.things, thing, x / 1e3, y / 1e3)
+            for thing in range(len(backend.plane.things))
         )
         if not units.BODY_RADIUS + 1e-3 < clear < 0.05:
             continue
@@ -208,26 +208,32 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["arena", "looping-maze"])
-def test_rays_that_end_early_change_no_count(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rays_that_end_early_change_no_count(name: str) -> None:
     scene = arena() if name == "arena" else playpen.load(name)
     setup = EpisodeSetup(scene, planar=True)
-    near = proximity_optics(setup.model, setup.indices, setup.calibration)
+    assert setup.planar_scene is not None
+    sensors = PlanarWorld(setup.scene_model, setup.planar_scene).simulation.plain.robots[0].sensors
+    near = sensors.proximity
     backend = put(scene, units.TICK_NS, 0, 0, 0)
-    plain = _plain_episode().optics
     rng, floor, seen, ended = np.random.default_rng(8), scene.arena, 0, 0
 
-    def whole(scene: Plane, near: Proximity, channel: int, level: float, found: list[float]) -> int:
-        return rays(scene, near, channel, 0.0, found)
+    class Whole(PlaneScene):
+        """A plane whose rays never end early."""
+
+        def __init__(self) -> None:
+            super().__init__(backend.plane)
+            self.rays = self.all_rays
+
+        def all_rays(self, sensors: RobotSensors, channel: int, level: float) -> int:
+            return rays(self.plane, sensors, channel, 0.0)
 
     for _ in range(100):
         backend.put((*rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), rng.uniform(0, 360)))
         drive(backend, 0.5, 0.5, 1)
         for channel, noise in enumerate(rng.normal(size=8).tolist()):
-            early = plain.proximity_counts(backend.scene, near, channel, noise, 1.0, 1.0)
-            looked = rays(backend.scene, near, channel, 40 * noise - near.threshold[channel], near.found)
-            with monkeypatch.context() as patch:
-                patch.setattr(plain.raycast, "rays", whole)
-                assert plain.proximity_counts(backend.scene, near, channel, noise, 1.0, 1.0) == early
+            early = proximity_counts(PlaneScene(backend.plane), sensors, channel, noise, 1.0, 1.0)
+            looked = rays(backend.plane, sensors, channel, 40 * noise - near.threshold[channel])
+            assert proximity_counts(Whole(), sensors, channel, noise, 1.0, 1.0) == early
             seen, ended = seen + (early > 10), ended + (looked == 0)
     assert seen > 50
     assert ended > 50

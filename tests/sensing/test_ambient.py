@@ -9,7 +9,7 @@ import pytest
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.sensing import calibration, optics
-from khep_twin.sensing.ambient import ambient_optics, bulbs
+from khep_twin.sensing.ambient import ambient_optics, light_of
 from khep_twin.sensing.occlusion import SightLines
 from khep_twin.units import BULB_RADIUS, SENSOR_HEIGHT, SENSOR_POSITIONS
 from khep_twin.world import World
@@ -55,8 +55,8 @@ def test_the_toolboxs_law_loses_nothing_up_to_an_angle_and_all_beyond_another(
 ) -> None:
     cosine = math.cos(math.radians(angle_deg))
     world = World(playpen.parse(scene(), "scene"))
-    lamps = bulbs(SightLines(world.model, world.robots[0].indices, []), LIGHTING)
-    found = optics.received_by_toolbox(RECEIVERS, lamps, LEFT_10, 0.2, cosine)
+    light = light_of(SightLines(world.model, world.robots[0].indices, []), LIGHTING)
+    found = optics.received_by_toolbox(RECEIVERS, light.law, LEFT_10, 0.2, cosine)
     assert found == pytest.approx(left * KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
 
 

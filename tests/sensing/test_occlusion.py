@@ -5,9 +5,9 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.sensing import optics
-from khep_twin.sensing.ambient import bulbs
+from khep_twin.sensing.ambient import light_of
 from khep_twin.sensing.occlusion import SightLines
-from khep_twin.sensing.raycast import MANY, scene_of
+from khep_twin.sensing.scene import MANY
 from khep_twin.units import SENSOR_HEIGHT
 from khep_twin.world import World
 
@@ -15,20 +15,25 @@ from khep_twin.world import World
 def share_of_clear(text: str, n: int = 400) -> float:
     """Asserts that rays see all of each lamp where it is said to be clear; the share of such places."""
     world = World(playpen.parse(text, "sight"), noise=False)
-    robot = world.robots[0].indices
-    lines = SightLines(world.model, robot, world.lamps.positions)
-    lamps, scene = bulbs(lines, playpen.Lighting()), scene_of(world.model, world.data, robot)
+    lines = SightLines(world.model, world.robots[0].indices, world.lamps.positions)
+    light, plain = light_of(lines, playpen.Lighting()), world.simulation.plain
+    sensors = plain.robots[0].sensors
+    place = world.data.cam_xpos[sensors.cameras[0]]
     width, depth = world.playpen.arena.width_mm / 1e3, world.playpen.arena.height_mm / 1e3
     clear = 0
     for x, y in np.random.default_rng(7).uniform((0, 0), (width, depth), (n, 2)).tolist():
         for lamp, at in enumerate(world.lamps.positions):
-            if optics.clear(lamps, lamp, x, y):
+            if optics.clear(light, lamp, x, y):
                 clear += 1
-                scene.positions[0][:] = x, y, SENSOR_HEIGHT
+                place[:] = x, y, SENSOR_HEIGHT
                 way = at[0] - x, at[1] - y, at[2] - SENSOR_HEIGHT
                 distance = float(np.linalg.norm(way))
                 if distance > 0.03:
-                    assert optics.part_of_bulb(scene, 0, *way, distance, MANY) == 1, (x, y, lamp)
+                    assert optics.part_of_bulb(plain.scene, sensors, 0, way, distance, MANY) == 1, (
+                        x,
+                        y,
+                        lamp,
+                    )
     return clear / n / len(world.lamps.positions)
 
 

@@ -19,6 +19,8 @@ from khep_twin import __version__
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
+from khep_twin.interventions.move_robot import repeat_move, scan
+from khep_twin.interventions.switching import repeat_relight, repeat_switch
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import LATEST_NS, Misfit, first_line, read_line, shown
@@ -27,10 +29,8 @@ from khep_twin.log.reader import Label, read_raw
 from khep_twin.log.recorder import versions
 from khep_twin.log.state_hashes import Answered, boards, hashes, read_states
 from khep_twin.log.transcript import Transcript
-from khep_twin.move_robot import repeat_move, scan
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.switching import repeat_relight, repeat_switch
 from khep_twin.world import SAMPLE_NS, World
 
 

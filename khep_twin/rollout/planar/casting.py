@@ -1,4 +1,4 @@
-"""`raycast` for screening: the same queries of a plane instead of MuJoCo.
+"""The queries of `sensing.scene` in a plane, for screening.
 
 The robot is a disc on two wheels, among upright boxes and cylinders with heights. `motion` moves it,
 `rays` and `shadows` compute what its sensors see, as MuJoCo does for upright obstacles and no tilt.
@@ -10,8 +10,9 @@ moved since; obstacles are tested in that order, only as long as they can matter
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from functools import partial
 
+from khep_twin.compilable import compilable
 from khep_twin.rollout.planar import motion, shadows
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar import rays as planar_rays
@@ -30,52 +31,97 @@ from khep_twin.rollout.planar.plane import (
     SINE,
     WIDTH,
     Plane,
+    X,
+    Y,
 )
-from khep_twin.sensing import raycast
 from khep_twin.sensing.buffers import Vector
-
-if TYPE_CHECKING:
-    from khep_twin.sensing.optics import Proximity
-
-__all__ = ["FEW", "LENGTH_AND_NORMAL", "MANY", "Scene"]
-
-Scene = Plane
-
-FEW, MANY, LENGTH_AND_NORMAL = raycast.FEW, raycast.MANY, raycast.LENGTH_AND_NORMAL
-
-decide = raycast.decide
+from khep_twin.sensing.optics import RobotSensors
+from khep_twin.sensing.scene import FASTEST, FEW, Triple
 
 _ROUNDING = 1e-9
 """Margin for rounding beyond the farthest hit of a ray [m]."""
 
 
-def step(scene: Scene) -> None:
+@compilable
+def step(scene: Plane) -> None:
     """Advance the motion by one step."""
     motion.step(scene)
 
 
-def heading(qpos: Vector[float], pose: int) -> tuple[float, float]:
-    """Return the same as `raycast.heading`."""
-    angle = qpos[pose + HEADING]
-    return math.cos(angle), math.sin(angle)
+@compilable
+def in_bounds(scene: Plane, limit: float) -> bool:
+    """Return the same as `scene.in_bounds`."""
+    joints, speeds = scene.robot.joints, scene.robot.speeds
+    places = joints[X] * joints[X] + joints[Y] * joints[Y]
+    if not places <= 2 * limit * limit:
+        return False
+    return _square(speeds) <= len(speeds) * FASTEST * FASTEST and _square(joints) < math.inf
 
 
-def body_frame(scene: Scene) -> Sequence[float]:
-    """Return the same as `raycast.body_frame`."""
+@compilable
+def _square(numbers: Vector[float]) -> float:
+    total = 0.0
+    for i in range(len(numbers)):
+        total += numbers[i] * numbers[i]
+    return total
+
+
+@compilable
+def warned(scene: Plane) -> bool:
+    """Return False, as there are no warnings in a plane."""
+    return False
+
+
+@compilable
+def pose(scene: Plane, index: int) -> tuple[float, float, float, float]:
+    """Return the same as `scene.pose`."""
+    joints = scene.robot.joints
+    return joints[X], joints[Y], math.cos(joints[HEADING]), math.sin(joints[HEADING])
+
+
+@compilable
+def joint_position(scene: Plane, index: int) -> float:
+    """Return the same as `scene.joint_position`."""
+    return scene.robot.joints[index]
+
+
+@compilable
+def joint_speed(scene: Plane, index: int) -> float:
+    """Return the same as `scene.joint_speed`."""
+    return scene.robot.speeds[index]
+
+
+@compilable
+def motor_torque(scene: Plane, index: int) -> float:
+    """Return the same as `scene.motor_torque`."""
+    return scene.robot.force[index]
+
+
+@compilable
+def set_motor(scene: Plane, index: int, voltage: float) -> None:
+    """Set the voltage of a motor [V]."""
+    scene.robot.ctrl[index] = voltage
+
+
+@compilable
+def body_frame(scene: Plane, sensors: RobotSensors) -> Sequence[float]:
+    """Return the same as `scene.body_frame`."""
     c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
     return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
 
-def position(scene: Scene, channel: int) -> tuple[float, float, float]:
-    """Return the same as `raycast.position`."""
+@compilable
+def position(scene: Plane, sensors: RobotSensors, channel: int) -> tuple[float, float, float]:
+    """Return the same as `scene.position`."""
     last, mounts = scene.robot.last, scene.robot.mounts
     c, s = last[HEADING_COSINE], last[HEADING_SINE]
     ahead, left = mounts[channel, 0], mounts[channel, 1]
     return last[CENTRE_X] + c * ahead - s * left, last[CENTRE_Y] + s * ahead + c * left, scene.robot.height
 
 
-def sensor_frame(scene: Scene, channel: int) -> Sequence[float]:
-    """Return the same as `raycast.sensor_frame`."""
+@compilable
+def sensor_frame(scene: Plane, sensors: RobotSensors, channel: int) -> Sequence[float]:
+    """Return the same as `scene.sensor_frame`."""
     last, mounts = scene.robot.last, scene.robot.mounts
     c, s = last[HEADING_COSINE], last[HEADING_SINE]
     x = c * mounts[channel, 2] - s * mounts[channel, 3]
@@ -83,18 +129,21 @@ def sensor_frame(scene: Scene, channel: int) -> Sequence[float]:
     return y, 0.0, -x, -x, 0.0, -y, 0.0, 1.0, 0.0
 
 
+@compilable
 def direction(
-    scene: Scene, frame: Sequence[float], channel: int, ray: int, tangential: float
+    scene: Plane, frame: Sequence[float], channel: int, ray: int, tangential: float
 ) -> tuple[float, float, float]:
-    """Return the same as `raycast.direction`."""
+    """Return the same as `scene.direction`."""
     c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
     ray_directions, n_wide = scene.robot.ray_directions, len(scene.robot.hits)
     ahead, left = ray_directions[channel, ray], ray_directions[channel, n_wide + ray]
     return c * ahead - s * left, s * ahead + c * left, 0.0
 
 
-def rays(scene: Scene, proximity: "Proximity", channel: int, level: float, found: Vector[float]) -> int:
-    """Cast the same rays as `raycast.rays`, but none if nothing can be near enough to count."""
+@compilable
+def rays(scene: Plane, sensors: RobotSensors, channel: int, level: float) -> int:
+    """Cast the same rays as `scene.rays`, but none if nothing can be near enough to count."""
+    proximity, found = sensors.proximity, sensors.proximity.found
     robot, things, order = scene.robot, scene.things, scene.order
     away = robot.mounts[channel, 4] + robot.last[MOVED]
     gain, offset = proximity.gain[channel] * proximity.brightest, proximity.offset[channel]
@@ -106,7 +155,7 @@ def rays(scene: Scene, proximity: "Proximity", channel: int, level: float, found
         least = max(things[order[0], DISTANCE] - away, 0.0) + offset
         if gain * 1.000001 <= -level * least * least:
             return 0
-    place = position(scene, channel)
+    place = position(scene, sensors, channel)
     x, y = place[0], place[1]
     c, s = robot.last[HEADING_COSINE], robot.last[HEADING_SINE]
     cones = scene.robot.cones
@@ -158,7 +207,8 @@ def rays(scene: Scene, proximity: "Proximity", channel: int, level: float, found
     return len(found)
 
 
-def _fill(scene: Scene, x: float, y: float, found: Vector[float]) -> None:
+@compilable
+def _fill(scene: Plane, x: float, y: float, found: Vector[float]) -> None:
     """Fill in length and normal of each ray of a sensor, below 0 and 0 for a miss."""
     robot, things, n_wide = scene.robot, scene.things, len(scene.robot.hits)
     for ray in range(len(found) // 4):
@@ -181,8 +231,9 @@ def _fill(scene: Scene, x: float, y: float, found: Vector[float]) -> None:
             found[4 * ray + 1], found[4 * ray + 2] = normal_x, normal_y
 
 
+@compilable
 def _within(
-    scene: Scene, x: float, y: float, cone: tuple[float, float, float, float], reach: float, away: float
+    scene: Plane, x: float, y: float, cone: tuple[float, float, float, float], reach: float, away: float
 ) -> bool:
     """Return whether anything is within reach [m] and in a sensor's cone; False is certain."""
     things = scene.things
@@ -198,31 +249,64 @@ def _within(
     return False
 
 
-def surfaces(
-    scene: Scene, channel: int, directions: Vector[float], cutoff: float, found: Vector[float]
-) -> None:
-    """Fill in the same as `raycast.surfaces`, from what `rays` has hit."""
+@compilable
+def surfaces(scene: Plane, sensors: RobotSensors, channel: int, cutoff: float) -> None:
+    """Fill in the same as `scene.surfaces`, from what `rays` has hit."""
+    found = sensors.proximity.reflectances
     for ray in range(len(found)):
         hit = scene.robot.hits[ray]
         found[ray] = scene.things[hit >> 2, REFLECTANCE] if hit >= 0 else 0.0
 
 
-def stopped(scene: Scene, channel: int, x: float, y: float, z: float, glass: float) -> bool:
-    """Return the same as `raycast.stopped`."""
-    return shadows.stopped(scene, position(scene, channel), (x, y, z), glass)
+@compilable
+def stopped(scene: Plane, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
+    """Return the same as `scene.stopped`."""
+    return shadows.stopped(scene, position(scene, sensors, channel), way, glass)
 
 
+@compilable
 def blocked(
-    scene: Scene,
+    scene: Plane,
+    sensors: RobotSensors,
     channel: int,
     disc: int,
-    left: tuple[float, float, float],
-    up: tuple[float, float, float],
-    ray_direction: tuple[float, float, float],
+    left: Triple,
+    up: Triple,
+    way: Triple,
     cutoff: float,
     glass: float,
 ) -> float:
-    """Return the same as `raycast.blocked`."""
+    """Return the same as `scene.blocked`."""
     n_few, n_points = scene.robot.n_few, len(scene.robot.points)
     first, last = (0, n_few) if disc == FEW else (n_few, n_points)
-    return shadows.blocked(scene, position(scene, channel), first, last, left, up, ray_direction, glass)
+    return shadows.blocked(scene, position(scene, sensors, channel), first, last, left, up, way, glass)
+
+
+QUERIES = (
+    step,
+    in_bounds,
+    warned,
+    pose,
+    joint_position,
+    joint_speed,
+    motor_torque,
+    set_motor,
+    body_frame,
+    position,
+    sensor_frame,
+    direction,
+    rays,
+    surfaces,
+    stopped,
+    blocked,
+)
+"""Functions that answer the queries of the same names in `sensing.scene`."""
+
+
+class PlaneScene:
+    """A plane for plain code: its methods answer the queries of `sensing.scene`."""
+
+    def __init__(self, plane: Plane) -> None:
+        self.plane = plane
+        for query in QUERIES:
+            setattr(self, query.__name__, partial(query, plane))

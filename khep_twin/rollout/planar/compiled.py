@@ -1,4 +1,4 @@
-"""The episode in a plane compiled by numba; `rollout.compiled` is its counterpart in MuJoCo.
+"""Episodes in a plane compiled by numba.
 
 Imported only where numba is installed.
 """
@@ -6,47 +6,23 @@ Imported only where numba is installed.
 # numba is not typed.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
-from types import ModuleType
-
-from numba import njit
-
-from khep_twin import units
-from khep_twin.board import kernel
-from khep_twin.board.compiled_kernel import compiled_copy
-from khep_twin.rollout import compiled_casting, fitness, networks, stepping
-from khep_twin.rollout.compiled import SOURCES, announce_compilation, stamped
+from khep_twin.rollout import stepping
+from khep_twin.rollout.compiled import EPISODE_SOURCES
 from khep_twin.rollout.planar import casting, contact_solver, motion, plane, rays, shadows
-from khep_twin.rollout.stepping import Advance, ControllerState, RobotState, StepInputs
-from khep_twin.sensing import optics
+from khep_twin.rollout.planar.plane import Plane
+from khep_twin.rollout.stepping import Controllers
+from khep_twin.sensing import scene
+from khep_twin.simulation.compiled import compiled
+from khep_twin.simulation.foreign import implements
+from khep_twin.step import Simulated, StepInputs
+
+for query in casting.QUERIES:
+    implements(getattr(scene, query.__name__), Plane)(query)
 
 
-def _copy(module: ModuleType, **others: ModuleType) -> ModuleType:
-    return compiled_copy(module, others, "compiled in a plane", inlined=True)
+def _run(simulated: Simulated, controllers: Controllers, inputs: StepInputs, until: int, stops: int) -> int:
+    return stepping.run(simulated, controllers, inputs, until, stops)
 
 
-_FLAT = _copy(plane)
-_MOTION = _copy(motion, flat=_FLAT, contact_solver=_copy(contact_solver, flat=_FLAT))
-_CASTING = _copy(casting, flat=_FLAT, motion=_MOTION, planar_rays=_copy(rays), shadows=_copy(shadows))
-# Here, too, a controller is called by its address.
-setattr(_CASTING, "decide", compiled_casting.decide)  # noqa: B010
-_EPISODE = _copy(
-    stepping,
-    kernel=_copy(kernel),
-    units=_copy(units),
-    fitness=_copy(fitness),
-    networks=_copy(networks),
-    raycast=_CASTING,
-    optics=_copy(optics, raycast=_CASTING),
-)
-
-
-def _advance(robot: RobotState, controller: ControllerState, inputs: StepInputs, n_steps: int) -> int:
-    return _EPISODE.advance(robot, controller, inputs, n_steps)
-
-
-_SOURCES = (*SOURCES, casting, motion, contact_solver, rays, shadows, plane)
-
-advance: Advance = announce_compilation(
-    njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(stamped(_advance, _SOURCES))
-)
-"""`stepping.advance` in a plane, compiled."""
+run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, rays, shadows))
+"""`stepping.run` in a plane, compiled."""

@@ -9,6 +9,7 @@ Left out: tilt, hopping tyres, soft contacts.
 
 import math
 
+from khep_twin.compilable import compilable
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar.plane import (
     ACROSS,
@@ -56,6 +57,7 @@ _Rates = tuple[float, float, float, float, float, float, float]
 per impulse, and the part of the lag behind the free speed left after a substep."""
 
 
+@compilable
 def slide(plane: Plane) -> None:
     """Advance by one step in which tyres may slip and obstacles may push."""
     robot = plane.robot
@@ -96,6 +98,7 @@ def slide(plane: Plane) -> None:
         grips[0] = grips[1] = grips[2] = 0.0
 
 
+@compilable
 def _rates(robot: PlanarRobot) -> _Rates:
     half, inv_mass, inv_inertia = robot.track / 2, 1 / robot.mass, 1 / robot.inertia
     effective_mass = robot.spin + robot.substep * robot.damping
@@ -105,6 +108,7 @@ def _rates(robot: PlanarRobot) -> _Rates:
     return half, inv_mass, inv_inertia, tyre, friction_impulse, rim, robot.spin / effective_mass
 
 
+@compilable
 def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
     """Return the motion after a substep's impulses, of the tyres and of `count` contacts."""
     robot, things, grips = plane.robot, plane.things, plane.robot.grips
@@ -135,6 +139,7 @@ def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
     return motion
 
 
+@compilable
 def _hold(
     robot: PlanarRobot, rates: _Rates, motion: _Motion, impulses: _Impulses
 ) -> tuple[_Motion, _Impulses, float]:
@@ -170,6 +175,7 @@ def _hold(
     return (forward, lateral, spin, left, right), (new_left, new_right, left_aside + right_aside), changed
 
 
+@compilable
 def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: float) -> tuple[_Motion, float]:
     """Return the motion after one round of the contacts, and `changed` with the change of theirs [N s]."""
     robot, things, h = plane.robot, plane.things, plane.robot.substep
@@ -196,6 +202,7 @@ def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: flo
     return (forward, lateral, spin, left, right), changed
 
 
+@compilable
 def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) -> int:
     """Fill in the contacts within reach of a point [m], normals in the robot's frame; return their number."""
     robot, things, count = plane.robot, plane.things, 0
@@ -218,6 +225,7 @@ def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) 
     return count
 
 
+@compilable
 def _out(plane: Plane, x: float, y: float) -> tuple[float, float]:
     """Return a position pushed out of all obstacles that the disc overlaps."""
     robot, things = plane.robot, plane.things

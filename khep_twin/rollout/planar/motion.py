@@ -12,6 +12,7 @@ has to be solved. `contact_solver` does the rest.
 
 import math
 
+from khep_twin.compilable import compilable
 from khep_twin.rollout.planar import contact_solver
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar.plane import (
@@ -37,6 +38,7 @@ _ANCHORED = 0.02
 """Distance moved after which distances to all obstacles are measured again [m]."""
 
 
+@compilable
 def step(plane: Plane) -> None:
     """Advance by one step, of all its substeps, at the present motor voltages."""
     robot = plane.robot
@@ -90,6 +92,7 @@ def step(plane: Plane) -> None:
     speeds[RIGHT_ANGLE] = (going + turning) / robot.wheel
 
 
+@compilable
 def measure(plane: Plane) -> None:
     """Make the position of the last step's start the anchor; measure and sort the distances from it."""
     last, order, things = plane.robot.last, plane.order, plane.things
@@ -106,6 +109,7 @@ def measure(plane: Plane) -> None:
         order[k] = thing
 
 
+@compilable
 def _clear(plane: Plane, x: float, y: float, reach: float) -> bool:
     """Return whether nothing that can be touched is within reach of a position [m]."""
     things, moved = plane.things, plane.robot.last[MOVED]

@@ -9,66 +9,31 @@ Nothing here is fitted: masses, inertias, friction, motors, positions and height
 # pyright: reportMissingTypeStubs=false
 
 import math
-from functools import cache
-from types import ModuleType
-from typing import Any, NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board.compiled_kernel import another_copy
-from khep_twin.errors import MissingExtraError, PlaypenError
+from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION, TYRE_FRICTION
-from khep_twin.rollout import stepping
-from khep_twin.rollout.mujoco_backend import Live
-from khep_twin.rollout.planar import casting as planar_casting
 from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.plane import PlanarRobot, Plane
-from khep_twin.sensing import optics, raycast
-from khep_twin.sensing.buffers import Vector, view
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensors import ray_tangents
-
-N_CONTACTS = 8
-"""Most obstacles that push the robot at once: more than fit around it."""
 
 WIDE = 8
 """Rays are padded to a multiple of this, for vector instructions; the padding has no direction."""
 
 _PREFIX = "khepera0/"
-_NAME = "in a plane"
-
-LIVE = ("joints", "speeds", "ctrl", "force")
-"""Fields of `PlanarRobot` that the episode works on."""
-
-BUFFERS = (*LIVE, "grips", "last", "contacts")
-"""Fields of `PlanarRobot` that are reset at the start of each episode."""
 
 Floats = NDArray[np.float64]
-Numbers = TypeVar("Numbers", bound=NamedTuple)
-
-
-def as_record(numbers: Numbers) -> Numbers:
-    """Return a named tuple as a record of the same fields: one address to pass in compiled code."""
-    values = [np.asarray(value) for value in numbers]
-    kinds = [
-        (name, np.int64 if value.dtype.kind == "i" else value.dtype, value.shape)
-        for name, value in zip(numbers._fields, values, strict=True)
-    ]
-    record = np.zeros(1, np.dtype(kinds, align=True)).view(np.recarray)[0]
-    for name, value in zip(numbers._fields, values, strict=True):
-        record[name] = value
-    return record
 
 
 class PlanarScene:
     """Constants of a plane, from a scene; threads may share it.
 
-    `JOINT_ADDRESSES` are the first five numbers of `stepping.Wiring`.
+    `JOINTS` are the indices of `step.RobotState` in it.
 
     Args:
         playpen: Playpen with one robot.
@@ -80,7 +45,7 @@ class PlanarScene:
         PlaypenError: The playpen has a feature that a plane does not support.
     """
 
-    JOINT_ADDRESSES = (flat.LEFT_ANGLE, flat.RIGHT_ANGLE, 0, 1, flat.X)
+    JOINTS = flat.LEFT_ANGLE, flat.RIGHT_ANGLE, flat.LEFT_ANGLE, flat.RIGHT_ANGLE, 0, 1, flat.X
 
     def __init__(self, playpen: Playpen, model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> None:
         for name, items in playpen.objects.items():
@@ -114,116 +79,6 @@ class PlanarScene:
         # Towards the inside of a cone: left of its rightmost ray, right of its leftmost.
         left, right = ray_directions[:, 0], ray_directions[:, -1]
         self.cones = np.column_stack([-right[:, 1], right[:, 0], left[:, 1], -left[:, 0]])
-
-
-class PlanarBackend:
-    """State of one episode in a plane, in arrays or, for plain Python, in the faster memoryviews.
-
-    Args:
-        planar_scene: Constants of the plane.
-        compiled: Whether the state is for compiled code.
-
-    Attributes:
-        scene: Scene as the robot's sensors see it.
-        run: Arrays that the episode works on.
-        advance: Function `stepping.advance` for this state.
-    """
-
-    def __init__(self, planar_scene: PlanarScene, compiled: bool) -> None:
-        self._planar_scene = planar_scene
-        self.advance: stepping.Advance
-        if compiled:
-            try:
-                from khep_twin.rollout.planar import compiled as compiled_planar
-            except ImportError as error:
-                raise MissingExtraError("numba", "batch") from error
-            self.advance = compiled_planar.advance
-        else:
-            self.advance = _plain_episode().advance
-
-        n_wide = planar_scene.ray_directions.shape[1] // 2
-        points = [raycast.points_of_a_bulb(number) for number in (raycast.FEW, raycast.MANY)]
-        numbers: dict[str, Any] = {
-            **planar_scene.chassis,
-            "height": planar_scene.height,
-            "mounts": planar_scene.mounts,
-            "ray_directions": planar_scene.ray_directions,
-            "cones": planar_scene.cones,
-            "looks": np.zeros(2 * n_wide),
-            "hits": np.zeros(n_wide, np.int64),
-            "lengths": np.zeros(n_wide),
-            "shares": np.zeros(n_wide),
-            "n_few": len(points[0]),
-            "points": np.concatenate(points),
-            "hidden": np.zeros(sum(map(len, points)), np.int64),
-            "contacts": np.zeros((N_CONTACTS, 4)),
-            "joints": np.zeros(flat.N_JOINTS),
-            "speeds": np.zeros(flat.N_JOINTS),
-            "ctrl": np.zeros(2),
-            "force": np.zeros(2),
-            "grips": np.zeros(3),
-            "last": np.zeros(flat.N_LAST),
-        }
-        self._things, self._order = planar_scene.things.copy(), np.zeros(len(planar_scene.things), np.int64)
-        if compiled:
-            robot: Any = as_record(PlanarRobot(**numbers))
-            self.scene: Any = Plane(self._things, self._order, robot)
-            self._backend = {name: robot[name] for name in BUFFERS}
-            run: list[Any] = [robot[name] for name in LIVE]
-        else:
-            self._backend = {name: numbers[name] for name in BUFFERS}
-            views: dict[str, Any] = {
-                name: value.data if isinstance(value, np.ndarray) else value
-                for name, value in numbers.items()
-            }
-            self.scene = Plane(view(self._things), self._order.data, PlanarRobot(**views))
-            run = [views[name] for name in LIVE]
-
-        # The robot is the only body, and there are no warnings.
-        joints, speeds, ctrl, force = run
-        none: Vector[int] = np.zeros(0) if compiled else np.zeros(0).data
-        self.arrays: Live = joints, speeds, ctrl, force, joints[: flat.HEADING], none
-
-    def put(self, start: Start | None) -> None:
-        """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
-        x_mm, y_mm, heading_deg = start or self._planar_scene.position
-        x, y, heading = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
-        for array in self._backend.values():
-            array[:] = 0
-        self._backend["joints"][:3] = x, y, heading
-        # An infinite distance makes the first step measure all distances.
-        self._backend["last"][flat.ANCHOR_X] = np.inf
-        self._things[:, flat.ALONG] = self._things[:, flat.ACROSS] = 0
-        # Nearly sorted, which speeds up the first measurement.
-        things = self._things
-        away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
-        self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
-
-    @property
-    def pose(self) -> tuple[float, float, float]:
-        """True x, y [m] and heading [rad]."""
-        x, y, heading = self._backend["joints"][:3].tolist()
-        return x, y, math.atan2(math.sin(heading), math.cos(heading))
-
-    @property
-    def joints(self) -> Floats:
-        """Copy of the joint positions."""
-        return self._backend["joints"].copy()
-
-    @property
-    def warning(self) -> str:
-        """Name of a warning; empty, as there is none in a plane."""
-        return ""
-
-
-@cache
-def _plain_episode() -> ModuleType:
-    """Return the episode in a plane, uncompiled."""
-    return another_copy(
-        stepping,
-        {"raycast": planar_casting, "optics": another_copy(optics, {"raycast": planar_casting}, _NAME)},
-        _NAME,
-    )
 
 
 def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str, float | int]:

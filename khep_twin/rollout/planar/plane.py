@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Matrix, Vector
 
 CENTRE_X, CENTRE_Y, COSINE, SINE, LENGTH, WIDTH, BOTTOM, TOP = 0, 1, 2, 3, 4, 5, 6, 7
@@ -119,6 +120,7 @@ class Plane(NamedTuple):
     robot: PlanarRobot
 
 
+@compilable
 def distance_to(things: Matrix, thing: int, x: float, y: float) -> float:
     """Return the distance of an obstacle from a point [m], 0 within."""
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
@@ -133,6 +135,7 @@ def distance_to(things: Matrix, thing: int, x: float, y: float) -> float:
     return math.sqrt(along * along + across * across)
 
 
+@compilable
 def nearest(things: Matrix, thing: int, x: float, y: float) -> tuple[float, float, float]:
     """Return the unit vector from an obstacle to a point, and the distance [m], negative within."""
     dx, dy = x - things[thing, CENTRE_X], y - things[thing, CENTRE_Y]
@@ -156,6 +159,7 @@ def nearest(things: Matrix, thing: int, x: float, y: float) -> tuple[float, floa
     return c * normal_along - s * normal_across, s * normal_along + c * normal_across, away
 
 
+@compilable
 def turned(angle: float) -> tuple[float, float]:
     """Return cosine and sine of a substep's turn [rad], to the last bits of a tenth of a radian."""
     square = angle * angle

@@ -3,10 +3,12 @@
 import math
 from collections.abc import Sequence
 
+from khep_twin.compilable import compilable
 from khep_twin.rollout.planar.plane import CENTRE_X, CENTRE_Y, COSINE, LENGTH, SINE, WIDTH, PlanarRobot, Plane
 from khep_twin.sensing.buffers import Matrix
 
 
+@compilable
 def in_cone(things: Matrix, thing: int, x: float, y: float, cone: tuple[float, float, float, float]) -> bool:
     """Return whether an obstacle reaches into a cone; its edges are given as unit normals to its inside."""
     right_x, right_y, left_x, left_y = cone
@@ -22,6 +24,7 @@ def in_cone(things: Matrix, thing: int, x: float, y: float, cone: tuple[float, f
     return dx * left_x + dy * left_y + most >= 0
 
 
+@compilable
 def meet_box(plane: Plane, thing: int, x: float, y: float) -> None:
     """Update a sensor's rays with their hits on a box, if nearer than their hits so far."""
     things, robot = plane.things, plane.robot
@@ -56,6 +59,7 @@ def meet_box(plane: Plane, thing: int, x: float, y: float) -> None:
         hits[ray] = face if hit < best else hits[ray]
 
 
+@compilable
 def meet_circle(plane: Plane, thing: int, x: float, y: float) -> None:
     """Update a sensor's rays with their hits on a cylinder, if nearer than their hits so far."""
     things, robot = plane.things, plane.robot
@@ -74,6 +78,7 @@ def meet_circle(plane: Plane, thing: int, x: float, y: float) -> None:
         hits[ray] = 4 * thing if hit < best else hits[ray]
 
 
+@compilable
 def most(robot: PlanarRobot, weights: Sequence[float], offset: float, rest: float) -> float:
     """Return an upper bound of the light coming back [1/m^2]: all hits head-on, all else at `rest` [m]."""
     for ray in range(len(robot.shares)):

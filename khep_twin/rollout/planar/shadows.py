@@ -2,12 +2,14 @@
 
 import math
 
+from khep_twin.compilable import compilable
 from khep_twin.rollout.planar.plane import BOTTOM, CENTRE_X, CENTRE_Y, COSINE, LENGTH, SINE, TOP, WIDTH, Plane
 from khep_twin.sensing.buffers import Matrix
 
 Vector = tuple[float, float, float]
 
 
+@compilable
 def stopped(plane: Plane, position: Vector, ray_direction: Vector, glass: float) -> bool:
     """Return whether anything stops light on a path from a point [m] before the fraction `glass` of it."""
     (at_x, at_y, at_z), (x, y, z) = position, ray_direction
@@ -22,6 +24,7 @@ def stopped(plane: Plane, position: Vector, ray_direction: Vector, glass: float)
     return False
 
 
+@compilable
 def blocked(
     plane: Plane,
     position: Vector,
@@ -72,6 +75,7 @@ def blocked(
     return hits / (last - first)
 
 
+@compilable
 def _beside(
     things: Matrix, thing: int, x: float, y: float, way_x: float, way_y: float, length: float, broad: float
 ) -> bool:
@@ -90,6 +94,7 @@ def _beside(
     return abs(dx * way_y - dy * way_x) > side or ahead < -size or ahead - size > length * (length + broad)
 
 
+@compilable
 def _stops(
     things: Matrix,
     thing: int,
@@ -126,6 +131,7 @@ def _stops(
     return first <= last and last >= 0 and (first if first >= 0 else last) < glass
 
 
+@compilable
 def _crossing(at: float, ray_direction: float, low: float, high: float) -> tuple[float, float]:
     """Return the fractions of a path at entry and exit between two planes; exit before entry for never."""
     if ray_direction == 0:

@@ -1,0 +1,1 @@
+"""Robots moved and lamps switched by hand in a running world."""

@@ -1,0 +1,209 @@
+"""One robot in a plane, as episodes use it: the counterpart of `World`."""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.board import kernel
+from khep_twin.board.rom import DEMO, ROMS
+from khep_twin.playpen import Lamp
+from khep_twin.playpen.starts import Start, at_spots
+from khep_twin.randomness import stream
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.rollout.planar.casting import PlaneScene
+from khep_twin.rollout.planar.planar import PlanarScene
+from khep_twin.rollout.planar.plane import PlanarRobot, Plane
+from khep_twin.sensing import calibration
+from khep_twin.sensing.ambient import LightSource
+from khep_twin.sensing.buffers import as_record, view
+from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.mujoco_scene import points_of_a_bulb
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.scene import FEW, MANY
+from khep_twin.simulation.mujoco_forms import SceneModel, robot_state
+from khep_twin.simulation.simulation import Advance, Simulation, draws
+from khep_twin.step import DONE, RobotState
+
+N_CONTACTS = 8
+"""Most obstacles that push the robot at once: more than fit around it."""
+
+N_DRAWS = 2048
+"""Length of the buffers of random draws [conversions]: longer than in MuJoCo, as steps here are cheap."""
+
+LIVE = ("joints", "speeds", "ctrl", "force", "grips", "last", "contacts")
+"""Fields of `PlanarRobot` that are reset at the start of each episode."""
+
+Floats = NDArray[np.float64]
+
+
+class PlanarForms:
+    """State of a plane in its two forms, which share it.
+
+    Args:
+        planar_scene: Constants of the plane.
+    """
+
+    def __init__(self, planar_scene: PlanarScene) -> None:
+        self._planar_scene = planar_scene
+        n_wide = planar_scene.ray_directions.shape[1] // 2
+        points = [points_of_a_bulb(number) for number in (FEW, MANY)]
+        numbers: dict[str, Any] = {
+            **planar_scene.chassis,
+            "height": planar_scene.height,
+            "mounts": planar_scene.mounts,
+            "ray_directions": planar_scene.ray_directions,
+            "cones": planar_scene.cones,
+            "looks": np.zeros(2 * n_wide),
+            "hits": np.zeros(n_wide, np.int64),
+            "lengths": np.zeros(n_wide),
+            "shares": np.zeros(n_wide),
+            "n_few": len(points[0]),
+            "points": np.concatenate(points),
+            "hidden": np.zeros(sum(map(len, points)), np.int64),
+            "contacts": np.zeros((N_CONTACTS, 4)),
+            "joints": np.zeros(flat.N_JOINTS),
+            "speeds": np.zeros(flat.N_JOINTS),
+            "ctrl": np.zeros(2),
+            "force": np.zeros(2),
+            "grips": np.zeros(3),
+            "last": np.zeros(flat.N_LAST),
+        }
+        self._things, self._order = planar_scene.things.copy(), np.zeros(len(planar_scene.things), np.int64)
+        robot = PlanarRobot(**numbers)
+        self._record = as_record(robot)
+        self.state = {name: self._record[name] for name in LIVE}
+        # Memoryviews of the same memory are faster in plain Python.
+        views = {
+            name: self._record[name].data if isinstance(value, np.ndarray) else value
+            for name, value in numbers.items()
+        }
+        self.plane = Plane(view(self._things), self._order.data, PlanarRobot(**views))
+
+    def plain(self) -> PlaneScene:
+        """Return the scene for plain code."""
+        return PlaneScene(self.plane)
+
+    def compiled(self) -> Any:
+        """Return the scene for compiled code."""
+        return Plane(cast(Any, self._things), self._order, cast(Any, self._record))
+
+    def put(self, start: Start | None) -> None:
+        """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
+        x_mm, y_mm, heading_deg = start or self._planar_scene.position
+        x, y, heading = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
+        for array in self.state.values():
+            array[:] = 0
+        self.state["joints"][:3] = x, y, heading
+        # An infinite distance makes the first step measure all distances.
+        self.state["last"][flat.ANCHOR_X] = np.inf
+        self._things[:, flat.ALONG] = self._things[:, flat.ACROSS] = 0
+        # Nearly sorted, which speeds up the first measurement.
+        things = self._things
+        away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
+        self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
+
+    def trouble(self, reason: int) -> str:
+        """Return a sentence on why the motion cannot go on."""
+        return "the motion left its bounds"
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """True x, y [m] and heading [rad]."""
+        x, y, heading = self.state["joints"][:3].tolist()
+        return x, y, math.atan2(math.sin(heading), math.cos(heading))
+
+    @property
+    def joints(self) -> Floats:
+        """Copy of the joint positions."""
+        return self.state["joints"].copy()
+
+
+class PlanarWorld:
+    """One robot in a plane.
+
+    Args:
+        scene_model: Compiled model of a playpen with one robot, at the step of the plane.
+        planar_scene: Constants of the plane.
+
+    Attributes:
+        timing: Divisions of time.
+        simulation: State that the stepping core works on.
+        forms: State of the plane.
+    """
+
+    def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
+        self.playpen, _, self._model, self.timing = scene_model
+        self._indices = RobotIndices.of(self._model, "khepera0")
+        self._lights = LightSource(self._model, self._indices)
+        self.forms = PlanarForms(planar_scene)
+        self.simulation = Simulation(self.forms, self.timing, [self._robot_state(None)], N_DRAWS)
+        self._is_varied = False
+
+    def restart(
+        self,
+        seed: int = 0,
+        *,
+        noise: bool = True,
+        vary: bool = False,
+        starts: Sequence[Start] | None = None,
+        lamps: Sequence[Lamp] | None = None,
+    ) -> None:
+        """Start a new run at time 0, as `World.restart` does."""
+        simulation, rng = self.simulation, partial(stream, seed, "robot", 0)
+        if starts is None:
+            robot = at_spots(self.playpen, seed).robots[0]
+            starts = [(robot.x_mm, robot.y_mm, robot.heading_deg)]
+        self.forms.put(starts[0])
+        if vary or self._is_varied:
+            simulation.set_robots([self._robot_state(rng("spread") if vary else None)])
+        self._is_varied = vary
+        simulation.reset([draws(rng)] if noise else ())
+        self._switch_on_board()
+        playpen = self.playpen
+        if lamps is not None:
+            playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
+        lit = Lamps(playpen, stream(seed, "lamps"))
+        simulation.set_lamps(lit, self._lights.light(lit.positions, playpen.lighting))
+        simulation.switch_on()
+
+    def advance_to(self, time_ns: int) -> None:
+        """Advance to a time [ns], in whole steps.
+
+        Raises:
+            DivergedError: The motion left its bounds, or a controller gave a speed that is no number.
+        """
+        while self.simulation.advance(time_ns // self.timing.step_ns) != DONE:
+            pass
+
+    def run_by(self, advance: Advance, compiled: bool) -> None:
+        """Step by another function from now on, plain or compiled."""
+        self.simulation.run_by(advance, compiled)
+
+    @property
+    def poses(self) -> list[tuple[float, float, float]]:
+        """True x, y [m] and heading [rad] of the robot."""
+        return [self.forms.pose]
+
+    @property
+    def joints(self) -> Floats:
+        """Copy of the joint positions (flat.N_JOINTS,)."""
+        return self.forms.joints
+
+    def _switch_on_board(self) -> None:
+        entry, record = self.playpen.robots[0], self.simulation.records[0]
+        kernel.reset(record["registers"].data)
+        mode = ROMS[entry.rom].modes[entry.mode]
+        record["processor"][:] = 1, mode.function == DEMO
+
+    def _robot_state(self, spread: np.random.Generator | None) -> RobotState:
+        """Return the robot's state before its start, its sensors drawn at random if there is a stream."""
+        entry = self.playpen.robots[0]
+        measured = calibration.read(entry.calibration)[0]
+        if spread is not None:
+            measured = calibration.varied(measured, spread)
+        return robot_state(self._model, self._indices, PlanarScene.JOINTS, measured, entry)

@@ -1,0 +1,1 @@
+"""Arrays of a simulation, and its compiled code."""

@@ -1,0 +1,92 @@
+"""The stepping core compiled by numba: many steps in one call, without the interpreter and its lock.
+
+Imported only where numba is installed. Compiling takes some seconds; numba caches the compiled code beside
+this file, or in the user's cache, until a source changes.
+"""
+
+# numba is not typed.
+# pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
+
+import hashlib
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeVar
+
+import mujoco
+import numba
+from numba.core import event
+from numba.extending import register_jitable
+
+from khep_twin import step, units
+from khep_twin.board import battery, kernel
+from khep_twin.compilable import FUNCTIONS
+from khep_twin.sensing import mujoco_scene, optics, scene
+from khep_twin.simulation import addresses, foreign, mujoco_calls
+from khep_twin.status_line import announced
+from khep_twin.step import Simulated, StepInputs
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+SOURCES = (units, battery, kernel, scene, optics, mujoco_scene, step, addresses, foreign, mujoco_calls)
+"""Modules that are compiled."""
+
+_REGISTERED: list[object] = []
+"""Functions of `FUNCTIONS` that numba knows, in its order."""
+
+COMPILING = "khep_twin: compiling with numba, once per version (about 10 s)"
+"""Announcement of a compilation."""
+
+
+def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
+    """Return a function compiled by numba when it is first called; the compilation is announced.
+
+    numba caches compiled code in a file of the function's name, and checks only that function's own source
+    for changes. So its name here has a stamp of all sources that it calls.
+
+    Args:
+        function: Function of plain arithmetic, which makes no arrays.
+        sources: Modules of the functions that it calls.
+    """
+    register()
+    digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
+    for module in (*sources, foreign):
+        digest.update(Path(str(module.__file__)).read_bytes())
+    function.__qualname__ = f"{function.__name__}_{digest.hexdigest()[:14]}"
+    # Reference counts of arrays would take half of the time, and nothing here makes arrays.
+    made = numba.njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(function)
+    event.register("numba:compile", _Announcer(made))
+    return made
+
+
+def register() -> None:
+    """Register with numba the functions that compiled code may call."""
+    for plain in FUNCTIONS[len(_REGISTERED) :]:
+        _REGISTERED.append(register_jitable(**foreign.INNER)(plain))
+
+
+class _Announcer(event.Listener):
+    """Announces each compilation of one function; code from the cache is not compiled."""
+
+    def __init__(self, function: object) -> None:
+        self._function = function
+        self._shown = ExitStack()
+
+    def on_start(self, event: Any) -> None:
+        if event.data["dispatcher"] is self._function:
+            self._shown.enter_context(announced(COMPILING))
+
+    def on_end(self, event: Any) -> None:
+        if event.data["dispatcher"] is self._function:
+            self._shown.close()
+
+
+def _advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
+    if until < 0:
+        return step.switch_on(simulated, inputs)
+    return step.advance(simulated, inputs, until, stops)
+
+
+advance = compiled(_advance, SOURCES)
+"""`step.advance`, compiled; `step.switch_on` where `until` is below 0."""

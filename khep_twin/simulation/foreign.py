@@ -1,0 +1,132 @@
+"""Building blocks of compiled code: memory at an address, calls of C functions, queries of a kind of scene.
+
+Imported only where numba is installed.
+"""
+
+# numba is not typed, and its functions have no types of their own.
+# pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, overload
+
+INNER: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "forceinline": True}
+"""Options of functions that only compiled code calls: wrappers for Python take a third of the compilation."""
+
+_ADDRESS, _BYTE_POINTER = types.intp, ir.IntType(8).as_pointer()
+_INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
+
+
+def implements(query: Callable[..., Any], kind: type | None = None) -> Callable[[Any], Any]:
+    """Return a decorator for the function that compiled code calls in place of a query.
+
+    Args:
+        query: Function of `sensing.scene`.
+        kind: Kind of scene; None for all.
+    """
+
+    def register(function: Any) -> Any:
+        def choose(scene, *rest):
+            fits = kind is None or getattr(scene, "instance_class", None) is kind
+            return function if fits else None
+
+        overload(query, strict=False, jit_options=INNER)(choose)
+        return function
+
+    return register
+
+
+@intrinsic
+def load(typing_context, address, index):
+    """Return the float64 number at an address and an index."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.load(_element(builder, arguments, _DOUBLE))
+
+    return types.float64(_ADDRESS, types.intp), generate
+
+
+@intrinsic
+def load_int(typing_context, address, index):
+    """Return the int32 number at an address and an index."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.load(_element(builder, arguments, _INT))
+
+    return types.int32(_ADDRESS, types.intp), generate
+
+
+@intrinsic
+def store(typing_context, address, index, value):
+    """Set the float64 number at an address and an index."""
+
+    def generate(context, builder, signature, arguments):
+        builder.store(arguments[2], _element(builder, arguments, _DOUBLE))
+        return context.get_dummy_value()
+
+    return types.void(_ADDRESS, types.intp, types.float64), generate
+
+
+@intrinsic
+def address_of(typing_context, array):
+    """Return the address of an array's first number."""
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        return builder.ptrtoint(data, ir.IntType(64))
+
+    return _ADDRESS(array), generate
+
+
+@intrinsic
+def call_step(typing_context, function, model, data):
+    """Call mj_step."""
+
+    def generate(context, builder, signature, arguments):
+        _foreign(builder, arguments, [_BYTE_POINTER] * 2, ir.VoidType())
+        return context.get_dummy_value()
+
+    return types.void(*[_ADDRESS] * 3), generate
+
+
+@intrinsic
+def call_ray_geom(typing_context, function, place, turn, size, point, way, kind, normal):
+    """Call mju_rayGeom; return the ray's length."""
+
+    def generate(context, builder, signature, arguments):
+        kinds = [*[_BYTE_POINTER] * 5, _INT, _BYTE_POINTER]
+        return _foreign(builder, arguments, kinds, _DOUBLE)
+
+    return types.float64(*[_ADDRESS] * 8), generate
+
+
+@intrinsic
+def call_controller(typing_context, function, registers, memory, n_memory, genes, n_genes, speeds):
+    """Call a compiled controller."""
+
+    def generate(context, builder, signature, arguments):
+        _foreign(builder, arguments, [ir.IntType(64)] * 6, ir.VoidType())
+        return context.get_dummy_value()
+
+    return types.void(*[_ADDRESS] * 7), generate
+
+
+def _element(builder, arguments, kind):
+    """Return the pointer to an element of the array at an address."""
+    return builder.gep(builder.inttoptr(arguments[0], kind.as_pointer()), [arguments[1]])
+
+
+def _foreign(builder, arguments, kinds, result):
+    """Call the function at the address of the first argument; the others' kinds are C types."""
+    given = []
+    for value, kind in zip(arguments[1:], kinds, strict=True):
+        if isinstance(kind, ir.PointerType):
+            value = builder.inttoptr(value, kind)
+        elif isinstance(kind, ir.IntType) and kind.width < value.type.width:
+            value = builder.trunc(value, kind)
+        given.append(value)
+    function = builder.inttoptr(arguments[0], ir.FunctionType(result, kinds).as_pointer())
+    return builder.call(function, given)

@@ -1,0 +1,194 @@
+"""A playpen's scene in MuJoCo as a simulation uses it: its two forms, robots, light and bounds."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Self, cast
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.board.battery import CHARGER
+from khep_twin.board.kernel import N_PROCESSOR, N_REGISTERS
+from khep_twin.clock import n_steps
+from khep_twin.errors import MissingExtraError
+from khep_twin.playpen import Lighting, Playpen, Robot
+from khep_twin.playpen.starts import Start
+from khep_twin.playpen_to_mjcf import set_step, to_spec
+from khep_twin.sensing import calibration
+from khep_twin.sensing.ambient import LightSource, ambient_optics
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.mujoco_scene import MujocoScene
+from khep_twin.sensing.optics import Light, RobotSensors
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensors import proximity_optics
+from khep_twin.simulation.simulation import NO_LIGHT, Advance
+from khep_twin.step import WARNED, RobotState, Timing
+
+Joints = tuple[int, int, int, int, int, int, int]
+"""Indices of both wheels' positions and speeds, of both motors, and of the pose."""
+
+
+class SceneModel(NamedTuple):
+    """Compiled model of a playpen, which worlds may share.
+
+    Attributes:
+        playpen: Playpen.
+        spec: Scene.
+        model: Compiled scene.
+        timing: Divisions of time.
+    """
+
+    playpen: Playpen
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    timing: Timing
+
+    @classmethod
+    def of(cls, playpen: Playpen, step_ns: int = units.STEP_NS) -> Self:
+        """Return the model of a playpen at a step [ns] that divides a control tick."""
+        spec = to_spec(playpen)
+        if step_ns != units.STEP_NS:
+            set_step(spec, step_ns)
+        return cls(playpen, spec, spec.compile(), timing(playpen, step_ns))
+
+
+class MujocoForms:
+    """Scene of a playpen in MuJoCo.
+
+    Args:
+        scene_model: Compiled model.
+        data: State of the scene.
+
+    Attributes:
+        indices: Indices of each robot.
+    """
+
+    def __init__(self, scene_model: SceneModel, data: mujoco.MjData) -> None:
+        self._playpen, self._model, self._data = scene_model.playpen, scene_model.model, data
+        count = len(self._playpen.robots)
+        self.indices = [RobotIndices.of(self._model, f"khepera{index}") for index in range(count)]
+        # Where there are several robots no sight line is known, so one robot's are all's.
+        self._lights = [LightSource(self._model, robot) for robot in self.indices[:1]]
+
+    def plain(self) -> MujocoScene:
+        """Return the scene for plain code."""
+        return MujocoScene(self._model, self._data, self.indices)
+
+    def compiled(self) -> Any:
+        """Return the scene for compiled code."""
+        from khep_twin.simulation.mujoco_calls import calls_of
+
+        return calls_of(self._model, self._data, self.indices)
+
+    def robot_states(self, spreads: Sequence[np.random.Generator] | None = None) -> list[RobotState]:
+        """Return the states of the robots; their sensors are drawn at random if there are streams for it."""
+        states: list[RobotState] = []
+        for number, (entry, at) in enumerate(zip(self._playpen.robots, self.indices, strict=True)):
+            measured = calibration.read(entry.calibration)[0]
+            if spreads is not None:
+                measured = calibration.varied(measured, spreads[number])
+            joints = *at.wheel_angles, *at.wheel_speeds, *at.motors, at.pose
+            states.append(robot_state(self._model, at, joints, measured, entry))
+        return states
+
+    def trouble(self, reason: int) -> str:
+        """Return a sentence on why the physics cannot go on."""
+        if reason == WARNED:
+            kind = mujoco.mjtWarning(int(np.flatnonzero(self._data.warning.number)[0])).name
+            return f"MuJoCo warns of {kind}"
+        places, speeds = np.abs(self._data.xpos).max(), np.abs(self._data.qvel).max()
+        return f"something is {places:g} m off, at {speeds:g} m/s or rad/s"
+
+    def light(self, lamps: Lamps, lighting: Lighting) -> Light:
+        """Return the lamps with the known sight lines to them."""
+        return self._lights[0].light(lamps.positions, lighting) if self._lights else NO_LIGHT
+
+    def started(self, starts: Sequence[Start]) -> Playpen:
+        """Return the playpen with its robots at these starts."""
+        robots = tuple(
+            entry.model_copy(update={"x_mm": x_mm, "y_mm": y_mm, "heading_deg": heading_deg})
+            for entry, (x_mm, y_mm, heading_deg) in zip(self._playpen.robots, starts, strict=True)
+        )
+        return self._playpen.model_copy(update={"robots": robots})
+
+    def put(self, playpen: Playpen) -> None:
+        """Put the robots to their starts in a playpen that differs from the compiled one in nothing else."""
+        for at, entry, own in zip(self.indices, playpen.robots, self._playpen.robots, strict=True):
+            start = entry.x_mm, entry.y_mm, entry.heading_deg
+            if start != (own.x_mm, own.y_mm, own.heading_deg):
+                self._data.qpos[at.pose : at.pose + 7] = _free_joint(start)
+
+
+def _free_joint(start: Start) -> NDArray[np.float64]:
+    """Return the qpos of a robot's free joint at a start (7,), as MuJoCo computes it."""
+    x_mm, y_mm, heading_deg = start
+    heading = units.radians(heading_deg)
+    spec = mujoco.MjSpec()
+    frame = spec.worldbody.add_frame(
+        pos=[units.metres(x_mm), units.metres(y_mm), 0],
+        quat=[math.cos(heading / 2), 0, 0, math.sin(heading / 2)],
+    )
+    child = mujoco.MjSpec()
+    body = child.worldbody.add_body(name="base", mass=1, inertia=[1, 1, 1])
+    body.add_freejoint()
+    spec.attach(child, prefix="robot/", frame=frame)
+    return spec.compile().qpos0
+
+
+def timing(playpen: Playpen, step_ns: int) -> Timing:
+    """Return the divisions of time at a step [ns], and the bounds of a playpen's arena."""
+    width, height = playpen.arena.width_mm, playpen.arena.height_mm
+    return Timing(
+        step_ns=step_ns,
+        conversions=step_ns // units.STEP_NS,
+        steps_per_tick=n_steps(units.TICK_NS, step_ns),
+        steps_per_supply=n_steps(units.SCAN_NS, step_ns),
+        limit=1.0 + max(units.metres(width), units.metres(height)),
+    )
+
+
+def robot_state(
+    model: mujoco.MjModel, indices: RobotIndices, joints: Joints, measured: Calibration, entry: Robot
+) -> RobotState:
+    """Return the state of a robot before its start.
+
+    Args:
+        model: Model of the scene.
+        indices: Indices of the robot.
+        joints: Indices of its joints in the scene.
+        measured: Calibration of its sensors and motors.
+        entry: Robot of the playpen.
+    """
+    return RobotState(
+        *joints,
+        radius=entry.body.radius,
+        motor_constant=measured.motors.constant,
+        used_min=CHARGER if entry.battery_used_min is None else entry.battery_used_min,
+        sensors=RobotSensors(
+            indices.base,
+            list(indices.cameras),
+            proximity_optics(model, indices, measured),
+            ambient_optics(measured.ambient),
+        ),
+        registers=cast(Any, np.zeros(N_REGISTERS, np.int64)),
+        processor=np.zeros(N_PROCESSOR, np.int64),
+        stuck=np.zeros(units.N_SENSORS, np.int64),
+        dead=np.zeros(2, np.int64),
+        voltage=np.zeros(1),
+    )
+
+
+def compiled_advance() -> Advance:
+    """Return the compiled stepping core.
+
+    Raises:
+        MissingExtraError: numba is not installed.
+    """
+    try:
+        from khep_twin.simulation.compiled import advance
+    except ImportError as error:
+        raise MissingExtraError("numba", "batch") from error
+    return advance

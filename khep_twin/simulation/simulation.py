@@ -1,0 +1,271 @@
+"""A simulation's state, lamps and random draws, stepped by plain or by compiled code.
+
+Both kinds of code work on the same memory and give the same bits, so a run may change over at any step.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import step
+from khep_twin.errors import DivergedError
+from khep_twin.sensing.buffers import as_plain, as_record, as_records, fill_record
+from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.optics import Bulb, Hidden, Light, LightLaw
+from khep_twin.step import RobotState, Simulated, StepInputs, Timing
+from khep_twin.units import N_SENSORS
+
+N_DRAWS = 512
+"""Length of the buffers of random draws [conversions]; no effect on results."""
+
+NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True), (), ())
+"""Lamps of a scene without any."""
+
+Draw = Callable[[int], NDArray[np.float64]]
+"""Function that returns a number of random draws (n,)."""
+
+Advance = Callable[[Simulated, StepInputs, int, int], int]
+"""`step.advance`, or `step.switch_on` where `until` is below 0."""
+
+
+class SceneForms(Protocol):
+    """A scene in its two forms."""
+
+    def plain(self) -> Any:
+        """Return the scene for plain code."""
+        ...
+
+    def compiled(self) -> Any:
+        """Return the scene for compiled code."""
+        ...
+
+    def trouble(self, reason: int) -> str:
+        """Return a sentence on why the physics cannot go on."""
+        ...
+
+
+class Simulation:
+    """State of a simulation.
+
+    Args:
+        scene: Scene.
+        timing: Divisions of time, and bounds.
+        robots: Robots of the scene.
+        n_draws: Length of the buffers of random draws [conversions].
+
+    Attributes:
+        title: Subject of error messages.
+        lamps: Lamps of the scene; none at first.
+        on_switch: Function that is called when another lamp is on, where lamps are on one at a time.
+        records: Robots as records of `step.RobotState` (n_robots,): their present state.
+        counters: Counters (step.N_COUNTERS,).
+        plain: State for plain code.
+        inputs: Lamps and random draws for plain code.
+    """
+
+    def __init__(
+        self, scene: SceneForms, timing: Timing, robots: Sequence[RobotState], n_draws: int = N_DRAWS
+    ) -> None:
+        self._scene, self._n_draws = scene, n_draws
+        self.title = "the simulation"
+        self.lamps: Lamps | None = None
+        self.on_switch: Callable[[], None] | None = None
+        self.records: Any = as_records(robots, robots[0]) if robots else np.zeros(0, np.int64)
+        self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
+        self._draws = np.zeros((len(robots), 3, n_draws))
+        self._streams: Sequence[Sequence[Draw]] = ()
+        self._enough = self._powered = 0
+        self._compiled = False
+        self.plain = Simulated(scene.plain(), timing, NO_LIGHT, (), self.counters.data)
+        self.set_robots(robots)
+        self.inputs = StepInputs([[]], self._draws.tolist())
+        self._rows: Sequence[Sequence[float]] = [[]]
+        self._run: Advance = plain_advance
+        self._state, self._given = self.plain, self.inputs
+
+    @property
+    def steps(self) -> int:
+        """Number of steps done."""
+        return int(self.counters[step.STEPS])
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether compiled code steps it."""
+        return self._compiled
+
+    def set_robots(self, robots: Sequence[RobotState]) -> None:
+        """Replace the robots by others in the same memory."""
+        for record, robot in zip(self.records, robots, strict=True):
+            fill_record(record, robot)
+        plain = [as_plain(robot, record) for robot, record in zip(robots, self.records, strict=True)]
+        self.plain = self.plain._replace(robots=plain)
+        if not self._compiled:
+            self._state = self.plain
+
+    def run_by(self, advance: Advance, compiled: bool) -> None:
+        """Step by another function from now on."""
+        self._run, self._compiled = advance, compiled
+        if not compiled:
+            self._list_draws()
+            self._state, self._given = self.plain, self.inputs
+            return
+        self._state = self.plain._replace(
+            scene=self._scene.compiled(),
+            timing=as_record(self.plain.timing),
+            light=_compiled_light(self.plain.light),
+            robots=self.records,
+            counters=self.counters,
+        )
+        self._given = StepInputs(cast(Any, _table(self._rows)), cast(Any, self._draws))
+
+    def reset(self, streams: Sequence[Sequence[Draw]]) -> None:
+        """Return to step 0.
+
+        Args:
+            streams: Random draws of each robot, for proximity, ambient and idle counts; none without noise.
+        """
+        for name in ("registers", "processor", "stuck", "dead", "voltage") if len(self.records) else ():
+            self.records[name] = 0
+        self.counters[:] = 0
+        self.counters[step.DRAWS] = self._n_draws
+        self._streams, self._enough = streams, 0
+        if not streams and self._draws.any():
+            self._draws[:] = 0
+            self._list_draws()
+
+    def set_lamps(self, lamps: Lamps, light: Light) -> None:
+        """Replace the lamps."""
+        self.lamps, self._powered = lamps, self.steps
+        if light is not self.plain.light:
+            self.plain = self.plain._replace(light=light)
+            lit = self._state._replace(light=_compiled_light(light)) if self._compiled else self.plain
+            self._state = lit
+        self._power([lamps.powers])
+
+    def switch_on(self) -> int:
+        """Run the scan before time 0; return DONE or STOPPED.
+
+        Raises:
+            DivergedError: The physics left its bounds.
+        """
+        self._refill(N_SENSORS)
+        reason = self._checked(self._run(self._state, self._given, -1, 0))
+        self._count_draws()
+        return reason
+
+    def advance(self, until: int, stops: int = 0) -> int:
+        """Run steps until so many are done since the start; return a reason of `step`.
+
+        Args:
+            until: Number of steps.
+            stops: Reasons to return earlier, as for `step.advance`.
+
+        Raises:
+            DivergedError: The physics left its bounds, or a controller gave a speed that is no number.
+        """
+        lamps, counters = self.lamps, self.counters
+        by_turns = lamps is not None and lamps.lit is not None
+        if lamps is not None and not (lamps.steady or by_turns) and until > self._powered:
+            self._power(lamps.rows(self.steps, until, self.plain.timing.step_ns))
+            self._powered = until
+        while True:
+            if self._enough <= (steps := int(counters[step.STEPS])) < until:
+                self._refill(self._n_draws)
+                self._count_draws()
+            end = min(until, self._enough)
+            reason = self._checked(self._run(self._state, self._given, end, stops | by_turns))
+            if by_turns and reason == step.STEPPED:
+                self._switch_lamps()
+                if not stops & 1:
+                    continue
+            if reason != step.DONE or self._enough >= until or steps >= until:
+                return reason
+
+    def scan(self, first: int) -> None:
+        """Convert all sensors of all robots now, from one on, in plain code."""
+        self._refill(N_SENSORS)
+        self._list_draws()
+        for turn in range(N_SENSORS):
+            draw = int(self.counters[step.DRAWS])
+            for robot in range(len(self.plain.robots)):
+                step.convert_sensor(self.plain, self.inputs, robot, 0, (first + turn) % N_SENSORS, draw)
+            self.counters[step.DRAWS] += 1
+        self._count_draws()
+
+    def _checked(self, reason: int) -> int:
+        """Return the reason of a return; raise a `DivergedError` where the run has ended."""
+        if reason < step.WARNED:
+            return reason
+        trouble = "a controller gave a speed that is no number, or raised an error"
+        if reason != step.NO_SPEED:
+            trouble = self._scene.trouble(reason)
+        time_s = self.steps * self.plain.timing.step_ns / 1e9
+        raise DivergedError(f"{self.title} failed at {time_s:.4f} s, step {self.steps}: {trouble}")
+
+    def _power(self, rows: Sequence[Sequence[float]]) -> None:
+        """Set the lamps' powers after each step from now on, or for all (n_steps or 1, n_lamps) [W]."""
+        self.counters[step.FIRST] = self.steps
+        self._rows = rows
+        self.inputs = self.inputs._replace(powers=rows)
+        self._given = self._given._replace(powers=cast(Any, _table(rows)) if self._compiled else rows)
+
+    def _switch_lamps(self) -> None:
+        """Update lamps that are on one at a time."""
+        if self.lamps is None:
+            return
+        discs: list[tuple[float, float, float]] = []
+        for robot in self.plain.robots:
+            x, y, _, _ = self.plain.scene.pose(robot.pose)
+            discs.append((x, y, robot.radius))
+        switched = self.lamps.update(self.steps * self.plain.timing.step_ns, discs)
+        self._power([self.lamps.powers])
+        if switched and self.on_switch is not None:
+            self.on_switch()
+
+    def _refill(self, needed: int) -> None:
+        """Draw random numbers, if fewer than `needed` conversions' are left."""
+        used = int(self.counters[step.DRAWS])
+        rest = self._n_draws - used
+        if rest >= needed:
+            return
+        self.counters[step.DRAWS] = 0
+        if not self._streams:
+            return
+        for rows, streams in zip(self._draws, self._streams, strict=True):
+            for row, draw in zip(rows, streams, strict=True):
+                row[:rest] = row[used:]
+                row[rest:] = draw(used)
+        if not self._compiled:
+            self._list_draws()
+
+    def _list_draws(self) -> None:
+        """Set the random draws of plain code, where lists are faster, to those in the buffers."""
+        cast(Any, self.inputs.draws)[:] = self._draws.tolist()
+
+    def _count_draws(self) -> None:
+        """Note up to which step the random draws suffice."""
+        rest = self._n_draws - int(self.counters[step.DRAWS])
+        self._enough = int(self.counters[step.STEPS]) + rest // self.plain.timing.conversions
+
+
+def plain_advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
+    """Run `step.advance`, or `step.switch_on` where `until` is below 0."""
+    return step.switch_on(simulated, inputs) if until < 0 else step.advance(simulated, inputs, until, stops)
+
+
+def draws(rng: Callable[[str], np.random.Generator]) -> tuple[Draw, Draw, Draw]:
+    """Return the random draws of a robot's sensors, from its own random streams."""
+    proximity, ambient, idle = (rng(name) for name in ("proximity", "ambient", "idle"))
+    return proximity.standard_normal, ambient.standard_normal, idle.standard_exponential
+
+
+def _compiled_light(light: Light) -> Light:
+    """Return lamps for compiled code."""
+    bulbs, hidden = as_records(light.bulbs, Bulb()), as_records(light.hidden, Hidden())
+    return Light(cast(Any, as_record(light.law)), cast(Any, bulbs), cast(Any, hidden))
+
+
+def _table(rows: Sequence[Sequence[float]]) -> NDArray[np.float64]:
+    return np.array(rows, np.float64).reshape(len(rows), -1)

@@ -1,0 +1,278 @@
+"""One step of the simulation: the only place where its order is written.
+
+    1. physics, with the motor voltages of the last control tick
+    2. the sensor whose turn it is, of each robot, is converted at the pose of the step's start
+    3. every 10 ms the control tick: encoders, speed, controllers, duty, voltage
+    4. every 20 ms the supply is measured; below its minimum voltage the processor stops
+
+`advance` runs as many steps as nothing outside can happen in. It returns where something outside must act,
+such as lamps that take turns or turrets, and goes on from there when it is called again. It works on numbers,
+arrays and named tuples alone, and runs plain and compiled; `khep_twin.simulation` provides its data.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from khep_twin import units
+from khep_twin.board import battery, kernel
+from khep_twin.compilable import compilable
+from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.optics import Light, RobotSensors, convert
+from khep_twin.sensing.scene import (
+    Scene,
+    in_bounds,
+    joint_position,
+    joint_speed,
+    motor_torque,
+    set_motor,
+    step,
+    warned,
+)
+
+DONE, STEPPED, TICKED, STOPPED = 0, 1, 2, 3
+"""Reasons for a return: all steps are done; the physics of a step, or a tick, is done and `stops` asks for
+it; the processor of a robot has stopped."""
+
+WARNED, OUT_OF_BOUNDS, NO_SPEED = 4, 5, 6
+"""Reasons for a return that end a run: the physics has warned, or has left its bounds, or a controller (of
+`khep_twin.rollout.stepping`) gave a speed that is no number."""
+
+STEPS, PHASE, FIRST, DRAWS = 0, 1, 2, 3
+"""Indices in `Simulated.counters`: steps done, part of the step that is done (DONE, STEPPED or TICKED), step
+of the first row of `StepInputs.powers`, and conversions for which random numbers have been used."""
+N_COUNTERS = 4
+
+_PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
+_LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
+_LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
+
+
+class Timing(NamedTuple):
+    """Divisions of time, and bounds.
+
+    Attributes:
+        step_ns: Step [ns].
+        conversions: Sensor conversions in each step.
+        steps_per_tick: Steps per tick of the control loops.
+        steps_per_supply: Steps per measurement of the supply.
+        limit: Largest coordinate [m].
+    """
+
+    step_ns: int
+    conversions: int
+    steps_per_tick: int
+    steps_per_supply: int
+    limit: float
+
+
+class RobotState(NamedTuple):
+    """One robot.
+
+    Attributes:
+        left_angle: Index of the left wheel's position.
+        right_angle: Index of the right wheel's position.
+        left_speed: Index of the left wheel's speed.
+        right_speed: Index of the right wheel's speed.
+        left_motor: Index of the left motor.
+        right_motor: Index of the right motor.
+        pose: Index of the robot's pose.
+        radius: Radius of the robot [m].
+        motor_constant: Torque per current [N m/A].
+        used_min: Use of the cells before the run [min]; or `battery.CHARGER`.
+        sensors: Sensors of the robot.
+        registers: State of the board (N_REGISTERS,).
+        processor: State of the processor (N_PROCESSOR,).
+        stuck: Whether each sensor repeats its last reading (8,).
+        dead: Whether the left and the right motor get no current (2,).
+        voltage: Supply voltage as measured last (1,) [V].
+    """
+
+    left_angle: int
+    right_angle: int
+    left_speed: int
+    right_speed: int
+    left_motor: int
+    right_motor: int
+    pose: int
+    radius: float
+    motor_constant: float
+    used_min: float
+    sensors: RobotSensors
+    registers: kernel.Registers
+    processor: Vector[int]
+    stuck: Vector[int]
+    dead: Vector[int]
+    voltage: Vector[float]
+
+
+class Simulated(NamedTuple):
+    """Scene, robots and lamps of a simulation.
+
+    Attributes:
+        scene: Scene.
+        timing: Divisions of time.
+        light: Lamps of the scene.
+        robots: Robots of the scene.
+        counters: Counters of the simulation (N_COUNTERS,).
+    """
+
+    scene: Any
+    timing: Timing
+    light: Light
+    robots: Sequence[RobotState]
+    counters: Vector[int]
+
+
+class StepInputs(NamedTuple):
+    """Lamps and random draws of some steps.
+
+    Attributes:
+        powers: Powers of the lamps (n_steps or 1, n_lamps) [W].
+        draws: Random draws of each robot (n_robots, 3, n): for proximity and ambient counts with standard
+            deviation 1, for idle counts with mean 1.
+    """
+
+    powers: Sequence[Sequence[float]]
+    draws: Sequence[Sequence[Sequence[float]]]
+
+
+@compilable
+def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
+    """Run steps until `until` of them are done; return DONE, or the reason for an earlier return.
+
+    Args:
+        simulated: Scene, robots and lamps.
+        inputs: Lamps and random draws, for all of these steps.
+        until: Number of steps since the start of the run.
+        stops: Sum of 1 to return after each step of the physics, and 2 to return after each tick.
+    """
+    scene, timing, robots, counters = simulated.scene, simulated.timing, simulated.robots, simulated.counters
+    while counters[PHASE] != DONE or counters[STEPS] < until:
+        if counters[PHASE] == DONE:
+            step(scene)
+            counters[STEPS] += 1
+            counters[PHASE] = STEPPED
+            if stops & 1:
+                return STEPPED
+        steps = counters[STEPS]
+        if counters[PHASE] == STEPPED:
+            _scan(simulated, inputs, (steps - 1) * timing.conversions)
+            counters[PHASE] = TICKED
+            if steps % timing.steps_per_tick == 0:
+                if not in_bounds(scene, timing.limit):
+                    return OUT_OF_BOUNDS
+                for i in range(len(robots)):
+                    _tick(scene, robots[i])
+                if stops & 2:
+                    return TICKED
+        counters[PHASE] = DONE
+        if steps % timing.steps_per_supply == 0:
+            if warned(scene):
+                return WARNED
+            stopped = False
+            for i in range(len(robots)):
+                stopped = update_supply(scene, robots[i], steps * timing.step_ns) or stopped
+            if stopped:
+                return STOPPED
+    return DONE
+
+
+@compilable
+def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
+    """Run the scan before time 0, so that every register holds a conversion; return a reason as `advance`."""
+    scene, timing, robots = simulated.scene, simulated.timing, simulated.robots
+    # The rangefinders' first turn comes in the second step.
+    step(scene)
+    for first in range(0, units.N_SENSORS, timing.conversions):
+        step(scene)
+        _scan(simulated, inputs, first)
+    stopped = False
+    for i in range(len(robots)):
+        read_encoders(scene, robots[i])
+        stopped = update_supply(scene, robots[i], 0) or stopped
+    if not in_bounds(scene, timing.limit):
+        return OUT_OF_BOUNDS
+    if warned(scene):
+        return WARNED
+    return STOPPED if stopped else DONE
+
+
+@compilable
+def convert_sensor(
+    simulated: Simulated, inputs: StepInputs, robot: int, row: int, channel: int, draw: int
+) -> None:
+    """Convert one sensor of a robot.
+
+    Args:
+        simulated: Scene, robots and lamps.
+        inputs: Lamps and random draws.
+        robot: Index of the robot.
+        row: Row of the lamps' powers.
+        channel: Number of the sensor.
+        draw: Index of the random draws.
+    """
+    state, draws = simulated.robots[robot], inputs.draws[robot]
+    registers = state.registers
+    noise = draws[0][draw], draws[1][draw], draws[2][draw]
+    proximity, ambient = convert(
+        simulated.scene, state.sensors, simulated.light, inputs.powers[row], channel, noise
+    )
+    if state.stuck[channel]:
+        proximity, ambient = registers[_PROXIMITY + channel], registers[_AMBIENT + channel]
+    kernel.convert(registers, proximity, ambient)
+
+
+@compilable
+def read_encoders(scene: Scene, robot: RobotState) -> None:
+    """Set the encoders to the wheels' present angles."""
+    robot.registers[_LEFT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.left_angle))
+    robot.registers[_RIGHT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.right_angle))
+
+
+@compilable
+def update_supply(scene: Scene, robot: RobotState, time_ns: int) -> bool:
+    """Measure the supply; below its minimum voltage reset and stop the processor, and return True then."""
+    registers = robot.registers
+    left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
+    robot.voltage[0] = voltage = battery.voltage(robot.used_min, time_ns)
+    current = units.IDLE_CURRENT
+    current += units.supply_current(left, motor_torque(scene, robot.left_motor) / robot.motor_constant)
+    current += units.supply_current(right, motor_torque(scene, robot.right_motor) / robot.motor_constant)
+    kernel.measure(registers, units.supply_counts(voltage), round(current * 1000))
+    if voltage >= units.PROCESSOR_VOLTAGE or not robot.processor[kernel.POWERED]:
+        return False
+    kernel.reset(registers)
+    # The motors keep their duty.
+    registers[_LEFT_DUTY], registers[_RIGHT_DUTY] = left, right
+    robot.processor[kernel.POWERED] = 0
+    return True
+
+
+@compilable
+def _scan(simulated: Simulated, inputs: StepInputs, first: int) -> None:
+    """Convert the sensors of one step, of each robot, from a conversion on."""
+    counters, conversions = simulated.counters, simulated.timing.conversions
+    row = 0 if len(inputs.powers) == 1 else counters[STEPS] - 1 - counters[FIRST]
+    for turn in range(conversions):
+        for robot in range(len(simulated.robots)):
+            channel = (first + turn) % units.N_SENSORS
+            convert_sensor(simulated, inputs, robot, row, channel, counters[DRAWS])
+        counters[DRAWS] += 1
+
+
+@compilable
+def _tick(scene: Scene, robot: RobotState) -> None:
+    """Run the board's control loops once, from encoders to motor voltages."""
+    registers = robot.registers
+    left = units.wheel_pulses(joint_position(scene, robot.left_angle))
+    right = units.wheel_pulses(joint_position(scene, robot.right_angle))
+    kernel.run(registers, robot.processor, left, right)
+    left_voltage = units.duty_voltage(registers[_LEFT_DUTY], robot.voltage[0])
+    right_voltage = units.duty_voltage(registers[_RIGHT_DUTY], robot.voltage[0])
+    # A motor without current has the voltage that it generates, and no torque.
+    if robot.dead[0]:
+        left_voltage = robot.motor_constant * joint_speed(scene, robot.left_speed)
+    if robot.dead[1]:
+        right_voltage = robot.motor_constant * joint_speed(scene, robot.right_speed)
+    set_motor(scene, robot.left_motor, left_voltage)
+    set_motor(scene, robot.right_motor, right_voltage)
