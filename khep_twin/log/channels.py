@@ -194,30 +194,24 @@ class TransformFrame:
         for index, name in enumerate(names):
             fields[f"stamp {index}"] = ("(2,)<i4", frame.align(4))
             frame.time(0).text("world").text(name)
-            fields[f"position {index}"] = ("(3,)<f8", frame.align(8))
-            frame.put("d", 0, 0, 0)
-            fields[f"rotation {index}"] = ("(4,)<f8", frame.align(8))
-            frame.put("d", 0, 0, 0, 1)
+            fields[f"pose {index}"] = ("(7,)<f8", frame.align(8))
+            frame.put("d", 0, 0, 0, 0, 0, 0, 1)
         self._size = len(names)
         self._frame = frame.message()
         self._type = _layout(len(self._frame), fields)
 
-    def messages(
-        self, times_ns: NDArray[np.int64], positions: NDArray[np.float64], quaternions: NDArray[np.float64]
-    ) -> NDArray[np.void]:
+    def messages(self, times_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> NDArray[np.void]:
         """Return a message per time (n,), as rows of bytes (n,).
 
         Args:
             times_ns: Times of the messages (n,) [ns].
-            positions: Positions of the bodies (n, bodies, 3) [m].
-            quaternions: Rotations of the bodies, w, x, y, z (n, bodies, 4).
+            poses: Position [m] and rotation x, y, z, w of each body (n, bodies, 7).
         """
         filled = _copies(self._frame, len(times_ns), self._type)
         stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
         for index in range(self._size):
             filled[f"stamp {index}"] = stamps
-            filled[f"position {index}"] = positions[:, index]
-            filled[f"rotation {index}"] = quaternions[:, index, [1, 2, 3, 0]]
+            filled[f"pose {index}"] = poses[:, index]
         return filled
 
 
