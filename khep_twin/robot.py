@@ -301,9 +301,10 @@ class Robot:
     def _next_command(self) -> tuple[int, int] | None:
         """Return the length of the next whole command on the line and when it is taken [ns]; None without."""
         rx, tx = self.uart.rx, self.uart.tx
-        if (count := rx.count_to(LINE_END)) is None:
+        if rx.next_ns is None or (count := rx.count_to(LINE_END)) is None:
             return None
-        return count, max(rx.arrival(count) or 0, tx.arrival(len(tx) - REPLY_LIMIT) or 0)
+        room_ns = tx.arrival(len(tx) - REPLY_LIMIT) if len(tx) > REPLY_LIMIT else None
+        return count, max(rx.arrival(count) or 0, room_ns or 0)
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
         """Send a reply."""

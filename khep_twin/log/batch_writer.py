@@ -8,6 +8,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from itertools import chain
 from typing import Protocol
 
@@ -78,7 +79,7 @@ class BatchWriter:
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._schemas: dict[str, Schema] = {}
         self._channels: dict[str, Channel] = {}
-        self._pieces: list[bytes] = []
+        self._pieces: list[bytes | memoryview] = []
         self._size = 0
         # Times of each channel's messages and their places in the chunk (n, 2).
         self._index: dict[int, list[NDArray[np.uint64]]] = {}
@@ -158,10 +159,10 @@ class BatchWriter:
         self._begin_anew()
         if len(messages):
             size = messages.itemsize
-            rows = np.zeros(len(messages), [*_ROW, ("data", f"V{size}")])
+            rows = np.zeros(len(messages), _row_type(size))
             self._fill(rows, channel, times_ns, np.full(len(rows), size))
             rows["data"] = messages.view(f"V{size}")
-            self._append(rows.tobytes())
+            self._append(rows.view(np.uint8).data)
 
     def flush(self) -> None:
         """Write the added messages as one chunk."""
@@ -263,9 +264,15 @@ class BatchWriter:
         index[1:, 1] = self._size + np.cumsum(_HEAD_SIZE + sizes[:-1])
         self._index.setdefault(channel, []).append(index)
 
-    def _append(self, data: bytes) -> None:
+    def _append(self, data: bytes | memoryview) -> None:
         self._pieces.append(data)
         self._size += len(data)
+
+
+@cache
+def _row_type(size: int) -> np.dtype[np.void]:
+    """Return the type of a message of so many bytes with its head."""
+    return np.dtype([*_ROW, ("data", f"V{size}")])
 
 
 def _record(record: McapRecord) -> bytes:

@@ -247,16 +247,18 @@ class LineFrame:
     def __init__(self, name: str, level: int) -> None:
         frame = Encoder().time(0).put("B", level).text(name)
         frame.align(4)
-        self._middle = frame.message()[len(CDR_HEADER) + _STAMP.size :]
+        self._middle = frame.message()[len(CDR_HEADER) + struct.calcsize("iI") :]
+        self._head = struct.Struct(f"<4siI{len(self._middle)}sI")
 
     def message(self, time_ns: int, text: bytes) -> bytes:
         """Return a line as a message, `text` in UTF-8."""
         seconds, rest_ns = divmod(time_ns, NS_PER_S)
         size = len(text) + 1
-        stamp, padding = _STAMP.pack(seconds, rest_ns), bytes(1 + -size % 4)
-        return b"".join((CDR_HEADER, stamp, self._middle, _COUNT.pack(size), text, padding, _LINE_TAIL))
+        return self._head.pack(CDR_HEADER, seconds, rest_ns, self._middle, size) + text + _LINE_TAILS[size % 4]
 
 
-_STAMP = struct.Struct("<iI")
-_COUNT = struct.Struct("<I")
-_LINE_TAIL = Encoder().text("").text("").put("I", 0).message()[len(CDR_HEADER) :]
+_LINE_TAILS = [
+    bytes(1 + -size % 4) + Encoder().text("").text("").put("I", 0).message()[len(CDR_HEADER) :]
+    for size in range(4)
+]
+"""Ends of lines by their size modulo 4: their own 0, padding, and empty fields."""

@@ -40,7 +40,7 @@ class Transcript:
         """Write the lines that the recorded bytes complete."""
         lines: list[tuple[list[int], list[bytes]]] = [([], []) for _ in self._robots]
         for time_ns, robot, to_robot, data in self._heard:
-            text = self._rests.pop((robot, to_robot), b"") + data
+            text = self._rests.pop((robot, to_robot), b"") + data if self._rests else data
             whole = text.splitlines()
             # A line beyond the limit is noise, or from a host that sends no line ends.
             if text[-1:] not in _LINE_ENDS and len(whole[-1]) <= _LINE_LIMIT:
