@@ -164,10 +164,9 @@ class ArrayFrame:
     """
 
     def __init__(self, length: int, kind: str, label: str) -> None:
-        frame = Encoder().put("I", 1).text(label).put("I", length, length, 0, length)
-        values = frame.align(8)
-        self._frame = frame.message() + bytes(8 * length)
-        self._type = _layout(len(self._frame), {"values": (f"({length},)<{kind}", values)})
+        head = _array_head(length, label)
+        self._frame = head + bytes(8 * length)
+        self._type = _layout(len(self._frame), {"values": (f"<{kind}", length, len(head))})
 
     def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
         """Return a message per row of values (n, length), as rows of bytes (n,)."""
@@ -178,7 +177,14 @@ class ArrayFrame:
 
 def array_message(values: NDArray[Any], label: str) -> bytes:
     """Return one std_msgs/Int64MultiArray of any length."""
-    return ArrayFrame(len(values), "i8", label).messages(values.reshape(1, -1))[0].tobytes()
+    return _array_head(len(values), label) + values.astype("<i8").tobytes()
+
+
+def _array_head(length: int, label: str) -> bytes:
+    """Return an array's message up to its values."""
+    frame = Encoder().put("I", 1).text(label).put("I", length, length, 0, length)
+    frame.align(8)
+    return frame.message()
 
 
 class TransformFrame:
@@ -190,11 +196,11 @@ class TransformFrame:
 
     def __init__(self, names: Sequence[str]) -> None:
         frame = Encoder().put("I", len(names))
-        fields: dict[str, tuple[str, int]] = {}
+        fields: dict[str, tuple[str, int, int]] = {}
         for index, name in enumerate(names):
-            fields[f"stamp {index}"] = ("(2,)<i4", frame.align(4))
+            fields[f"stamp {index}"] = ("<i4", 2, frame.align(4))
             frame.time(0).text("world").text(name)
-            fields[f"pose {index}"] = ("(7,)<f8", frame.align(8))
+            fields[f"pose {index}"] = ("<f8", 7, frame.align(8))
             frame.put("d", 0, 0, 0, 0, 0, 0, 1)
         self._size = len(names)
         self._frame = frame.message()
@@ -215,9 +221,10 @@ class TransformFrame:
         return filled
 
 
-def _layout(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
-    """Return the type of a message of `size` bytes with named fields: format and offset of each."""
-    formats, places = zip(*fields.values(), strict=True) if fields else ((), ())
+def _layout(size: int, fields: dict[str, tuple[str, int, int]]) -> np.dtype[np.void]:
+    """Return the type of a message of `size` bytes with named fields: format, length and offset of each."""
+    formats = [(kind, (length,)) for kind, length, _ in fields.values()]
+    places = [place for _, _, place in fields.values()]
     return np.dtype({"names": list(fields), "formats": formats, "offsets": places, "itemsize": size})
 
 

@@ -4,7 +4,7 @@ from typing import Protocol
 
 from khep_twin.log.channels import Level, LineFrame
 
-_LINE_ENDS = (b"\r", b"\n", b"")
+_LINE_ENDS = b"\r\n"
 _LINE_LIMIT = 1024
 _PLAIN = bytes(each for each in range(0x20, 0x7F) if each != ord("\\"))
 _FROM = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to_robot in (True, False)}
