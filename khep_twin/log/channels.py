@@ -261,7 +261,8 @@ class LineFrame:
         """Return a line as a message, `text` in UTF-8."""
         seconds, rest_ns = divmod(time_ns, NS_PER_S)
         size = len(text) + 1
-        return self._head.pack(CDR_HEADER, seconds, rest_ns, self._middle, size) + text + _LINE_TAILS[size % 4]
+        head = self._head.pack(CDR_HEADER, seconds, rest_ns, self._middle, size)
+        return head + text + _LINE_TAILS[size % 4]
 
 
 _LINE_TAILS = [

@@ -61,7 +61,7 @@ SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
 
 
 class Recorder:
-    """Recorder of one run in one file; a `Tap` of its world.
+    """Recorder of one run in one file; an `Observer` of its world.
 
     Args:
         path: Path of the finished log, by convention NAME.mcap.
@@ -99,8 +99,8 @@ class Recorder:
         model, data = world.model, world.data
         moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
         self._transforms = TransformFrame([body_name(model, body) for body in moving])
-        # A sample is the memory of all of these, eight bytes a number. What follows from it is computed batch by
-        # batch. Positions and rotations of the bodies, last, follow from the state themselves.
+        # A sample is the memory of all of these, eight bytes a number; what follows from it is computed batch
+        # by batch. Positions and rotations of the bodies, which come last, follow from the state.
         sources: list[NDArray[np.float64] | NDArray[np.int64]] = [data.qpos, data.qvel]
         self._channels: list[_Channel] = []
         for robot in world.robots:
