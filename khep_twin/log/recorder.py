@@ -197,7 +197,7 @@ class Recorder:
         transforms = self._transforms.messages(times_ns, poses)
         self._log.add_rows("/tf", "tf2_msgs/msg/TFMessage", times_ns, transforms)
         if self._lamps is not None:
-            powers = np.array(self._powers).reshape(-1, len(self._known_lamps.names))
+            powers = np.array(self._powers).reshape(len(times_ns), len(self._known_lamps.names))
             self._log.add_rows(self._lamps_topic, FLOATS, times_ns, self._lamps.messages(powers))
         for channel in self._channels:
             messages = channel.frame.messages(samples[:, channel.columns])
