@@ -255,10 +255,10 @@ class Firmware:
         return reply("L")
 
     def _n_read_proximity(self) -> bytes:
-        return reply("N", *(self.register_view[register] for register in kernel.PROXIMITY))
+        return reply("N", *self.register_view[_PROXIMITY])
 
     def _o_read_ambient(self) -> bytes:
-        return reply("O", *(self.register_view[register] for register in kernel.AMBIENT))
+        return reply("O", *self.register_view[_AMBIENT])
 
     def _p_set_duty(self, left: int, right: int) -> bytes:
         kernel.set_duty(self.register_view, LEFT, kernel.clip(left, DUTY_LIMIT))
@@ -271,6 +271,9 @@ class Firmware:
     def _w_write_bus(self, data: int, address: int) -> bytes:
         return reply("W") if 0 <= data < 256 and 0 <= address < 64 else PROTOCOL_ERROR
 
+
+_PROXIMITY = slice(kernel.PROXIMITY[0], kernel.PROXIMITY[-1] + 1)
+_AMBIENT = slice(kernel.AMBIENT[0], kernel.AMBIENT[-1] + 1)
 
 _HANDLERS: Mapping[str, Callable[..., bytes]] = {
     name[1].upper(): handler

@@ -12,7 +12,7 @@ from khep_twin import step, units
 from khep_twin.board import kernel
 from khep_twin.board.fault_injection import Fault, Injector
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
-from khep_twin.board.protocol import LINE_ENDS
+from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
@@ -137,7 +137,7 @@ class Robot:
             Warning of a different speed; empty if the speeds agree or the warning was given before. The
             robot accepts one stop bit as well as two.
         """
-        if host != self._host:
+        if host is not self._host and host != self._host:
             self._context.on_host_event(self.index, HostEvent(HostEventKind.SET, self._context.time_ns, host))
         self._host, baud = host, self._baud
         if host is None or host.baud == baud or (host.baud, baud) in self._warned:
@@ -185,12 +185,12 @@ class Robot:
 
         It has arrived then, and at most REPLY_LIMIT bytes of replies are still to be sent.
         """
-        rx, tx = self.uart.rx, self.uart.tx
-        count = rx.count_to(*LINE_ENDS)
-        arrival_ns = None if count is None else rx.arrival(count)
-        if arrival_ns is None:
-            return None
-        return max(arrival_ns, tx.arrival(len(tx) - REPLY_LIMIT) or 0)
+        command = self._next_command()
+        return command and command[1]
+
+    def next_exchange_ns(self) -> int | None:
+        """Return the earliest time for which `exchange` has something to do [ns], None for an empty line."""
+        return self.uart.rx.next_ns if (command := self._next_command()) is None else command[1]
 
     def next_answer_ns(self) -> int | None:
         """Return the earliest time of the firmware's next output [ns], None if none is due.
@@ -208,8 +208,9 @@ class Robot:
     def exchange(self, time_ns: int) -> None:
         """Pass the bytes that arrive by `time_ns` to the firmware and send its replies."""
         rx = self.uart.rx
-        while (taken_ns := self.next_command_ns()) is not None and taken_ns <= time_ns:
-            line = rx.read(taken_ns, rx.count_to(*LINE_ENDS))
+        while (command := self._next_command()) is not None and command[1] <= time_ns:
+            count, taken_ns = command
+            line = rx.read(taken_ns, count)
             self._context.on_bytes(taken_ns, self.index, True, line)
             answer = self.firmware.receive(line)
             # A restart sets the speed before its banner, the tool `serial` after its reply.
@@ -218,8 +219,7 @@ class Robot:
                 self._reply(answer, taken_ns)
             self._take_speed(self.firmware.baud)
         # The bytes of an incomplete command are read at once; a whole one that waits stays whole.
-        count = rx.arrived(time_ns)
-        if taken_ns is None and count:
+        if command is None and (count := rx.arrived(time_ns)):
             arrival_ns = rx.arrival(count) or time_ns
             begun = rx.read(time_ns)
             self._context.on_bytes(arrival_ns, self.index, True, begun)
@@ -274,6 +274,14 @@ class Robot:
         """Set the encoders to the wheels' current angles."""
         angles = self._context.data.qpos[list(self.indices.wheel_angles)].tolist()
         self.registers[[LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]] = [*map(units.wheel_pulses, angles)]
+
+    def _next_command(self) -> tuple[int, int] | None:
+        """Return the length of the next whole command on the line and when it is taken [ns]; None without."""
+        rx, tx = self.uart.rx, self.uart.tx
+        if rx.next_ns is None or (count := rx.count_to(LINE_END)) is None:
+            return None
+        room_ns = tx.arrival(len(tx) - REPLY_LIMIT) if len(tx) > REPLY_LIMIT else None
+        return count, max(rx.arrival(count) or 0, room_ns or 0)
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
         """Send a reply."""

@@ -257,14 +257,14 @@ class World:
 
     def _exchange(self, time_ns: int) -> None:
         for robot in self.robots:
-            if (next_ns := robot.uart.rx.next_ns) is not None and next_ns <= time_ns:
+            if (next_ns := robot.next_exchange_ns()) is not None and next_ns <= time_ns:
                 robot.exchange(time_ns)
 
     def _end_of_span(self, steps: int, last: int) -> int:
         """Return the step up to which nothing outside the stepping core can happen."""
         for robot in self.robots:
-            if (byte_ns := robot.uart.rx.next_ns) is not None:
-                last = min(last, (byte_ns - 1) // self.timing.step_ns)
+            if (next_ns := robot.next_exchange_ns()) is not None:
+                last = min(last, (next_ns - 1) // self.timing.step_ns)
             for fault_ns in robot.next_faults_ns:
                 last = min(last, (fault_ns - 1) // self.timing.step_ns)
         if self.observers or any(robot.leds_differ for robot in self.robots):

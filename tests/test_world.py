@@ -227,3 +227,18 @@ def test_a_playpen_without_robots_is_a_world_too() -> None:
     world = World(playpen.parse('version = 1\nname = "x"\n[arena]\nwidth_mm = 500\nheight_mm = 500\n', "x"))
     advance(world, 0.1)
     assert world.robots == ()
+
+
+def test_the_next_exchange_is_that_of_a_whole_command_or_of_the_next_byte_of_an_incomplete_one(
+    field: Playpen,
+) -> None:
+    world = World(field, noise=False)
+    robot, rx = world.robots[0], world.robots[0].uart.rx
+    assert robot.next_exchange_ns() is None
+    robot.send(b"D,5")
+    assert robot.next_exchange_ns() == rx.arrival(1)
+    robot.send(b",5\nN")
+    assert robot.next_exchange_ns() == rx.arrival(6) == robot.next_command_ns()
+    world.advance_to(rx.arrival(6) or 0)
+    assert robot.next_exchange_ns() == rx.arrival(1)
+    assert robot.next_command_ns() is None

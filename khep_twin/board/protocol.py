@@ -8,12 +8,16 @@ values, separated by commas, ended by CR LF (manual, 3.2 and appendix A).
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 LINE_LIMIT = 128
 """Longest command line [bytes] (assumed; the manual gives none). Longer ones are truncated."""
 
 LINE_ENDS = b"\r\n"
 """Bytes that end a command."""
+
+LINE_END = re.compile(rb"[\r\n]")
+"""Pattern of the byte that ends a command."""
 
 END = b"\r\n"
 COMMAND_NOT_FOUND = b"Command not found" + END
@@ -89,24 +93,23 @@ class LineReader:
     """
 
     def __init__(self) -> None:
-        self._line = bytearray()
+        self._begun = b""
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         """Add bytes; yield the lines that they complete, without their ending."""
-        for byte in data:
-            if byte in LINE_ENDS:
-                if self._line:
-                    line = bytes(self._line)
-                    self._line.clear()
-                    yield line
-            elif len(self._line) <= LINE_LIMIT:
-                self._line.append(byte)
+        *lines, begun = LINE_END.split(self._begun + data)
+        # Cleared while a line is handled, the reader goes on with the bytes after it.
+        self._begun = b""
+        for line in filter(None, lines):
+            yield line[: LINE_LIMIT + 1]
+        self._begun = begun[: LINE_LIMIT + 1]
 
     def clear(self) -> None:
         """Discard the incomplete line."""
-        self._line.clear()
+        self._begun = b""
 
 
+@lru_cache(maxsize=1024)
 def parse(line: bytes) -> Request:
     """Parse a line without its ending.
 
@@ -144,7 +147,7 @@ def parse_turret_order(message: bytes, argument_counts: Mapping[str, int]) -> Co
 
 def reply(letter: str, *values: int | str) -> bytes:
     """Return the reply to a command with its ending, e.g. h,12,-5 for H and the values 12, -5."""
-    return ",".join([letter.lower(), *map(str, values)]).encode("ascii") + END
+    return (letter.lower() + ",%s" * len(values) % values).encode("ascii") + END
 
 
 def turret_reply(turret: int, letter: str, *values: int | str) -> bytes:

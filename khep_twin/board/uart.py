@@ -4,9 +4,12 @@ A byte takes eleven bit times. Byte k (counted from 1) of a burst that starts at
 t0 + k * 11 * 10^9 // baud; a burst that finds the line busy starts when the line is free.
 """
 
+import re
 from bisect import bisect_right
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
+from typing import NamedTuple
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.units import BITS_PER_BYTE
@@ -43,8 +46,7 @@ class HostEventKind(IntEnum):
     RELIGHT = 7
 
 
-@dataclass(frozen=True, slots=True)
-class HostEvent:
+class HostEvent(NamedTuple):
     """One action on a robot's line; the same actions repeat a run.
 
     Attributes:
@@ -86,11 +88,9 @@ class SerialLine:
 
     def put(self, data: bytes, time_ns: int) -> int:
         """Send `data` at `time_ns` or once the line is free; return the arrival of its last byte [ns]."""
-        start_ns = max(time_ns, self._free_ns)
-        baud = self.baud
         if data:
-            counts = range(1, len(data) + 1)
-            self._arrivals += [start_ns + (k * _BYTE_BITS_NS // baud if baud else 0) for k in counts]
+            start_ns = max(time_ns, self._free_ns)
+            self._arrivals += [start_ns + end_ns for end_ns in _byte_ends_ns(self.baud, len(data))]
             self._bytes += data
             self._free_ns = self._arrivals[-1]
             self.next_ns = self._arrivals[0]
@@ -104,10 +104,10 @@ class SerialLine:
         """Return the arrival of the `count`-th byte in transit [ns], None if there are fewer."""
         return self._arrivals[count - 1] if 0 < count <= len(self._arrivals) else None
 
-    def count_to(self, *wanted: int) -> int | None:
-        """Return the number of bytes in transit up to and including the first of these; None without one."""
-        places = [place for byte in wanted if (place := self._bytes.find(byte)) >= 0]
-        return min(places) + 1 if places else None
+    def count_to(self, wanted: re.Pattern[bytes]) -> int | None:
+        """Return the number of bytes in transit up to the end of the first match; None without one."""
+        found = wanted.search(self._bytes)
+        return found and found.end()
 
     def count_to_end_of(self, text: bytes) -> int | None:
         """Return the number of bytes in transit up to the end of the first `text`, None if it is absent."""
@@ -129,6 +129,12 @@ class SerialLine:
         del self._bytes[count:], self._arrivals[count:]
         self.next_ns = self._arrivals[0] if self._arrivals else None
         self._free_ns = min(self._free_ns, time_ns)
+
+
+@lru_cache(maxsize=1024)
+def _byte_ends_ns(baud: int, count: int) -> tuple[int, ...]:
+    """Return the ends of consecutive bytes after the start of the first one [ns]."""
+    return tuple(k * _BYTE_BITS_NS // baud if baud else 0 for k in range(1, count + 1))
 
 
 class Uart:

@@ -7,6 +7,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Generic, TypeVar
 
 from khep_twin.board.rom import ROMS
@@ -45,29 +46,34 @@ def mode_codes(bios: str) -> tuple[int, int, int]:
     return ROMS["4.06" if bios.partition(".")[0] < "5" else "5.02"].mode_codes
 
 
+@cache
 def versions() -> HostCommand[Versions]:
     """Return command B: versions of the BIOS and of the protocol."""
     return HostCommand("B", lambda reply: Versions(*_fields("b", 2, reply)), repeatable=True)
 
 
+@cache
 def speed() -> HostCommand[Speeds]:
     """Return command E: measured speeds [pulses/10 ms]."""
-    return _numbers("E", 2, lambda values: Speeds(*values))
+    return _numbers("E", 2, Speeds._make)
 
 
+@cache
 def position() -> HostCommand[Positions]:
     """Return command H: position counters [pulses]."""
-    return _numbers("H", 2, lambda values: Positions(*values))
+    return _numbers("H", 2, Positions._make)
 
 
+@cache
 def proximity() -> HostCommand[SensorCounts]:
     """Return command N: eight proximity counts."""
-    return _numbers("N", N_SENSORS, lambda values: SensorCounts(*values))
+    return _numbers("N", N_SENSORS, SensorCounts._make)
 
 
+@cache
 def ambient() -> HostCommand[SensorCounts]:
     """Return command O: eight ambient counts."""
-    return _numbers("O", N_SENSORS, lambda values: SensorCounts(*values))
+    return _numbers("O", N_SENSORS, SensorCounts._make)
 
 
 def converter(channel: int) -> HostCommand[int]:
@@ -166,7 +172,7 @@ def _numbers(
     def read(reply: str) -> T:
         fields = _fields(letter.lower(), count, reply)
         try:
-            values = [int(field) for field in fields]
+            values = list(map(int, fields))
         except ValueError:
             raise ValueError("expected integers") from None
         return make(values)

@@ -128,12 +128,13 @@ class Line:
         return replies[0]
 
     def _carry_out(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
-        tries = 1 + (self._retries if all(command.repeatable for command in commands) else 0)
+        requests = [command.request for command in commands]
+        tries = 1 + (self._retries if all([command.repeatable for command in commands]) else 0)
         first: PortTimeout | ProtocolError | None = None
         while True:
             replies: list[str] = []
             try:
-                self._ask([command.request for command in commands], replies)
+                self._ask(requests, replies)
                 return self._read(commands, replies)
             except (PortTimeout, ProtocolError) as error:
                 first = first or error
@@ -162,8 +163,8 @@ class Line:
             raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
         if self._unanswered and self._settle() is None:
             raise self._silence(requests[0], b"")
-        self._unanswered.update(request[:1] for request in requests)
-        self._write("".join(f"{request}\n" for request in requests).encode("ascii"), requests[0])
+        self._unanswered.update([request[:1] for request in requests])
+        self._write("\n".join([*requests, ""]).encode("ascii"), requests[0])
         for request in requests:
             line = self._read_line(request)
             if not line.endswith(b"\n"):

@@ -8,6 +8,8 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -35,7 +37,6 @@ from numpy.typing import NDArray
 from khep_twin.log.chunk_index import COMPRESSION, ENTRY_BYTES, ChunkIndex
 from khep_twin.log.record_bytes import LARGEST_CHUNK
 
-_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _ROW = [
     ("opcode", "u1"),
     ("length", "<u8"),
@@ -44,7 +45,10 @@ _ROW = [
     ("log_time", "<u8"),
     ("publish_time", "<u8"),
 ]
-"""Fields of `_MESSAGE_HEAD`, for many messages at once."""
+"""Fields before a message's data."""
+
+_HEAD_SIZE = np.dtype(_ROW).itemsize
+_LENGTH_WITHOUT_DATA = _HEAD_SIZE - 9
 
 _INDEX_HEAD = struct.Struct("<BQHI")
 
@@ -75,7 +79,7 @@ class BatchWriter:
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._schemas: dict[str, Schema] = {}
         self._channels: dict[str, Channel] = {}
-        self._pieces: list[bytes] = []
+        self._pieces: list[bytes | memoryview] = []
         self._size = 0
         # Times of each channel's messages and their places in the chunk (n, 2).
         self._index: dict[int, list[NDArray[np.uint64]]] = {}
@@ -144,35 +148,21 @@ class BatchWriter:
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Add messages of different sizes, at these times in their order."""
         self._begin_anew()
-        places: list[tuple[int, int]] = []
-        size = self._size
-        pieces: list[bytes] = []
-        for time_ns, message in zip(times_ns, messages, strict=True):
-            length = 22 + len(message)
-            pieces += _MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns), message
-            places.append((time_ns, size))
-            size += 9 + length
-        if places:
-            self._index.setdefault(channel, []).append(np.array(places, np.uint64))
-            self._append(b"".join(pieces))
+        if messages:
+            heads = np.zeros(len(messages), _ROW)
+            self._fill(heads, channel, np.array(times_ns), np.array(list(map(len, messages))))
+            pieces = zip(heads.view(f"V{heads.itemsize}").tolist(), messages, strict=True)
+            self._append(b"".join(chain.from_iterable(pieces)))
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Add messages of one size, a row each, at these times (n,), rising."""
         self._begin_anew()
-        size = messages.itemsize
-        if not len(messages):
-            return
-        rows = np.zeros(len(messages), [*_ROW, ("data", f"V{size}")])
-        rows["opcode"] = Opcode.MESSAGE
-        rows["length"] = 22 + size
-        rows["channel"] = channel
-        rows["log_time"] = times_ns
-        rows["publish_time"] = times_ns
-        rows["data"] = messages.view(f"V{size}")
-        places = self._size + rows.itemsize * np.arange(len(rows))
-        index = np.column_stack([times_ns, places]).astype(np.uint64)
-        self._index.setdefault(channel, []).append(index)
-        self._append(rows.tobytes())
+        if len(messages):
+            size = messages.itemsize
+            rows = np.zeros(len(messages), _row_type(size))
+            self._fill(rows, channel, times_ns, np.full(len(rows), size))
+            rows["data"] = messages.view(f"V{size}")
+            self._append(rows.view(np.uint8).data)
 
     def flush(self) -> None:
         """Write the added messages as one chunk."""
@@ -253,9 +243,36 @@ class BatchWriter:
         if self._size > LARGEST_CHUNK // 4:
             self.flush()
 
-    def _append(self, data: bytes) -> None:
+    def _fill(
+        self, rows: NDArray[np.void], channel: int, times_ns: NDArray[np.int64], sizes: NDArray[np.int64]
+    ) -> None:
+        """Fill in the heads of a channel's next messages, and add these to the index.
+
+        Args:
+            rows: Heads (n,), with or without their messages.
+            channel: Number of the channel.
+            times_ns: Times of the messages (n,) [ns].
+            sizes: Sizes of the messages (n,) [bytes].
+        """
+        rows["opcode"] = Opcode.MESSAGE
+        rows["length"] = _LENGTH_WITHOUT_DATA + sizes
+        rows["channel"] = channel
+        rows["log_time"] = rows["publish_time"] = times_ns
+        index = np.empty((len(rows), 2), np.uint64)
+        index[:, 0] = times_ns
+        index[0, 1] = self._size
+        index[1:, 1] = self._size + np.cumsum(_HEAD_SIZE + sizes[:-1])
+        self._index.setdefault(channel, []).append(index)
+
+    def _append(self, data: bytes | memoryview) -> None:
         self._pieces.append(data)
         self._size += len(data)
+
+
+@cache
+def _row_type(size: int) -> np.dtype[np.void]:
+    """Return the type of a message of so many bytes with its head."""
+    return np.dtype([*_ROW, ("data", f"V{size}")])
 
 
 def _record(record: McapRecord) -> bytes:

@@ -164,10 +164,9 @@ class ArrayFrame:
     """
 
     def __init__(self, length: int, kind: str, label: str) -> None:
-        frame = Encoder().put("I", 1).text(label).put("I", length, length, 0, length)
-        values = frame.align(8)
-        self._frame = frame.message() + bytes(8 * length)
-        self._type = _layout(len(self._frame), {"values": (f"({length},)<{kind}", values)})
+        head = _array_head(length, label)
+        self._frame = head + bytes(8 * length)
+        self._type = _layout(len(self._frame), {"values": (f"<{kind}", length, len(head))})
 
     def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
         """Return a message per row of values (n, length), as rows of bytes (n,)."""
@@ -178,7 +177,14 @@ class ArrayFrame:
 
 def array_message(values: NDArray[Any], label: str) -> bytes:
     """Return one std_msgs/Int64MultiArray of any length."""
-    return ArrayFrame(len(values), "i8", label).messages(values.reshape(1, -1))[0].tobytes()
+    return _array_head(len(values), label) + values.astype("<i8").tobytes()
+
+
+def _array_head(length: int, label: str) -> bytes:
+    """Return an array's message up to its values."""
+    frame = Encoder().put("I", 1).text(label).put("I", length, length, 0, length)
+    frame.align(8)
+    return frame.message()
 
 
 class TransformFrame:
@@ -190,40 +196,35 @@ class TransformFrame:
 
     def __init__(self, names: Sequence[str]) -> None:
         frame = Encoder().put("I", len(names))
-        fields: dict[str, tuple[str, int]] = {}
+        fields: dict[str, tuple[str, int, int]] = {}
         for index, name in enumerate(names):
-            fields[f"stamp {index}"] = ("(2,)<i4", frame.align(4))
+            fields[f"stamp {index}"] = ("<i4", 2, frame.align(4))
             frame.time(0).text("world").text(name)
-            fields[f"position {index}"] = ("(3,)<f8", frame.align(8))
-            frame.put("d", 0, 0, 0)
-            fields[f"rotation {index}"] = ("(4,)<f8", frame.align(8))
-            frame.put("d", 0, 0, 0, 1)
+            fields[f"pose {index}"] = ("<f8", 7, frame.align(8))
+            frame.put("d", 0, 0, 0, 0, 0, 0, 1)
         self._size = len(names)
         self._frame = frame.message()
         self._type = _layout(len(self._frame), fields)
 
-    def messages(
-        self, times_ns: NDArray[np.int64], positions: NDArray[np.float64], quaternions: NDArray[np.float64]
-    ) -> NDArray[np.void]:
+    def messages(self, times_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> NDArray[np.void]:
         """Return a message per time (n,), as rows of bytes (n,).
 
         Args:
             times_ns: Times of the messages (n,) [ns].
-            positions: Positions of the bodies (n, bodies, 3) [m].
-            quaternions: Rotations of the bodies, w, x, y, z (n, bodies, 4).
+            poses: Position [m] and rotation x, y, z, w of each body (n, bodies, 7).
         """
         filled = _copies(self._frame, len(times_ns), self._type)
         stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
         for index in range(self._size):
             filled[f"stamp {index}"] = stamps
-            filled[f"position {index}"] = positions[:, index]
-            filled[f"rotation {index}"] = quaternions[:, index, [1, 2, 3, 0]]
+            filled[f"pose {index}"] = poses[:, index]
         return filled
 
 
-def _layout(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
-    """Return the type of a message of `size` bytes with named fields: format and offset of each."""
-    formats, places = zip(*fields.values(), strict=True) if fields else ((), ())
+def _layout(size: int, fields: dict[str, tuple[str, int, int]]) -> np.dtype[np.void]:
+    """Return the type of a message of `size` bytes with named fields: format, length and offset of each."""
+    formats = [(kind, (length,)) for kind, length, _ in fields.values()]
+    places = [place for _, _, place in fields.values()]
     return np.dtype({"names": list(fields), "formats": formats, "offsets": places, "itemsize": size})
 
 
@@ -253,16 +254,19 @@ class LineFrame:
     def __init__(self, name: str, level: int) -> None:
         frame = Encoder().time(0).put("B", level).text(name)
         frame.align(4)
-        self._middle = frame.message()[len(CDR_HEADER) + _STAMP.size :]
+        self._middle = frame.message()[len(CDR_HEADER) + struct.calcsize("iI") :]
+        self._head = struct.Struct(f"<4siI{len(self._middle)}sI")
 
     def message(self, time_ns: int, text: bytes) -> bytes:
         """Return a line as a message, `text` in UTF-8."""
         seconds, rest_ns = divmod(time_ns, NS_PER_S)
         size = len(text) + 1
-        stamp, padding = _STAMP.pack(seconds, rest_ns), bytes(1 + -size % 4)
-        return b"".join((CDR_HEADER, stamp, self._middle, _COUNT.pack(size), text, padding, _LINE_TAIL))
+        head = self._head.pack(CDR_HEADER, seconds, rest_ns, self._middle, size)
+        return head + text + _LINE_TAILS[size % 4]
 
 
-_STAMP = struct.Struct("<iI")
-_COUNT = struct.Struct("<I")
-_LINE_TAIL = Encoder().text("").text("").put("I", 0).message()[len(CDR_HEADER) :]
+_LINE_TAILS = [
+    bytes(1 + -size % 4) + Encoder().text("").text("").put("I", 0).message()[len(CDR_HEADER) :]
+    for size in range(4)
+]
+"""Ends of lines by their size modulo 4: their own 0, padding, and empty fields."""

@@ -9,6 +9,7 @@ host's end (-1 for the robot's), number of bytes, then each byte. The bytes are 
 transcript has those that reached the robot.
 """
 
+from array import array
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -22,12 +23,11 @@ _LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
 def events_message(events: Sequence[tuple[int, HostEvent]]) -> bytes:
     """Return the message of host events with the times when the world learned of them [ns]."""
-    numbers: list[int] = []
-    for time_ns, event in events:
-        baud, stop_bits = (event.host.baud, event.host.stop_bits) if event.host is not None else (-1, -1)
-        numbers += time_ns, event.kind, event.at_ns, baud, stop_bits, len(event.data)
-        numbers += event.data
-    return array_message(np.array(numbers, np.int64), _LABEL)
+    numbers = array("q")
+    for time_ns, (kind, at_ns, host, data) in events:
+        baud, stop_bits = (-1, -1) if host is None else (host.baud, host.stop_bits)
+        numbers.extend((time_ns, kind, at_ns, baud, stop_bits, len(data), *data))
+    return array_message(np.frombuffer(numbers, np.int64), _LABEL)
 
 
 def read_events(message: bytes) -> Iterator[tuple[int, HostEvent]]:

@@ -6,7 +6,8 @@ the file holds no wall clock time, machine name or file name: the same run gives
 
 import json
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from khep_twin import __version__
 from khep_twin import playpen as playpens
-from khep_twin.board.kernel import AMBIENT, DUTIES, N_REGISTERS, PROXIMITY, SETPOINTS, SPEEDS, Board
+from khep_twin.board.kernel import AMBIENT, DUTIES, PROXIMITY, SETPOINTS, SPEEDS, Board
 from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -60,7 +61,7 @@ SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
 
 
 class Recorder:
-    """Recorder of one run in one file; a `Tap` of its world.
+    """Recorder of one run in one file; an `Observer` of its world.
 
     Args:
         path: Path of the finished log, by convention NAME.mcap.
@@ -96,22 +97,29 @@ class Recorder:
         self._transcript = Transcript(self._log, [robot.name for robot in world.robots])
         # Moving bodies are shown at every sample, fixed ones are part of the description.
         model, data = world.model, world.data
-        self._moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
-        self._transforms = TransformFrame([body_name(model, body) for body in self._moving])
-        self._streams = [_RobotStream(robot) for robot in world.robots]
+        moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
+        self._transforms = TransformFrame([body_name(model, body) for body in moving])
+        # A sample is the memory of all of these, eight bytes a number; what follows from it is computed batch
+        # by batch. Positions and rotations of the bodies, which come last, follow from the state.
+        sources: list[NDArray[np.float64] | NDArray[np.int64]] = [data.qpos, data.qvel]
+        self._channels: list[_Channel] = []
+        for robot in world.robots:
+            self._channels += _channels_of(robot, sum(source.size for source in sources))
+            sources += boards(robot)
+        self._state_size = sum(source.size for source in sources)
+        sources += data.xpos, data.xquat
+        self._sample_size = sum(source.size for source in sources)
+        self._memories = [source.data for source in sources]
+        places, turns = self._state_size + 3 * moving, self._state_size + data.xpos.size + 4 * moving
+        self._poses = np.hstack([np.add.outer(places, [0, 1, 2]), np.add.outer(turns, [1, 2, 3, 0])])
+        self._samples: list[bytes] = []
+        self._times_ns: list[int] = []
         self._known_lamps, self._lamps_topic, self._lamps_sets = world.lamps, "/lamps", 1
         self._lamps = None if world.lamps.steady else _lamps_frame(world)
-        self._powers = np.zeros((_BATCH, len(world.lamps.names)))
+        self._powers: list[tuple[float, ...]] = []
         self._answers = Answered(len(world.robots))
+        self._answered: list[int] = []
         self._host_events: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
-        # Values that follow from these are computed batch by batch.
-        self._rows = 0
-        self._times_ns = np.zeros(_BATCH, np.int64)
-        self._answered = np.zeros((_BATCH, len(world.robots)), np.int64)
-        self._xpos, self._xquat, self._qpos, self._qvel = data.xpos, data.xquat, data.qpos, data.qvel
-        self._positions = np.zeros((_BATCH, len(self._moving), 3))
-        self._quaternions = np.zeros((_BATCH, len(self._moving), 4))
-        self._physics = np.zeros((_BATCH, len(self._qpos) + len(self._qvel)))
         self._begin(settings, facts, attachments)
         # An error at the very start of a log is always raised.
         self._log.on_failure = on_failure
@@ -132,24 +140,15 @@ class Recorder:
             self._lamps_sets += 1
             self._lamps_topic = f"/lamps_{self._lamps_sets}"
             self._known_lamps, self._lamps = world.lamps, _lamps_frame(world)
-            self._powers = np.zeros((_BATCH, len(world.lamps.names)))
         elif self._lamps is None and not world.lamps.steady:  # one was switched by hand
             self.flush()
             self._lamps = _lamps_frame(world)
-        row = self._rows
-        self._xpos.take(self._moving, 0, self._positions[row], "clip")
-        self._xquat.take(self._moving, 0, self._quaternions[row], "clip")
-        physics = self._physics[row]
-        physics[: len(self._qpos)] = self._qpos
-        physics[len(self._qpos) :] = self._qvel
-        self._times_ns[row] = world.time_ns
-        self._answered[row] = self._answers.numbers
+        self._times_ns.append(world.time_ns)
+        self._samples.append(b"".join(self._memories))
+        self._answered += self._answers.numbers
         if self._lamps is not None:
-            self._powers[row] = world.lamps.powers
-        for stream in self._streams:
-            stream.note(row)
-        self._rows = row + 1
-        if self._rows == _BATCH:
+            self._powers.append(tuple(world.lamps.powers))
+        if len(self._samples) == _BATCH:
             self.flush()
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
@@ -192,30 +191,29 @@ class Recorder:
 
     def _write(self) -> None:
         """Write the samples and lines recorded so far."""
-        rows, self._rows = self._rows, 0
-        times_ns = self._times_ns[:rows]
-        poses = self._transforms.messages(
-            times_ns, _rounded(self._positions[:rows]), _rounded(self._quaternions[:rows])
-        )
-        self._log.add_rows("/tf", "tf2_msgs/msg/TFMessage", times_ns, poses)
+        times_ns = np.array(self._times_ns, np.int64)
+        samples = np.frombuffer(b"".join(self._samples), np.int64).reshape(-1, self._sample_size)
+        poses = np.rint(samples.view(np.float64)[:, self._poses] * _FINENESS) / _FINENESS
+        transforms = self._transforms.messages(times_ns, poses)
+        self._log.add_rows("/tf", "tf2_msgs/msg/TFMessage", times_ns, transforms)
         if self._lamps is not None:
-            self._log.add_rows(self._lamps_topic, FLOATS, times_ns, self._lamps.messages(self._powers[:rows]))
-        for stream in self._streams:
-            for topic, schema, messages in stream.messages(rows):
-                self._log.add_rows(topic, schema, times_ns, messages)
+            powers = np.array(self._powers).reshape(len(times_ns), len(self._known_lamps.names))
+            self._log.add_rows(self._lamps_topic, FLOATS, times_ns, self._lamps.messages(powers))
+        for channel in self._channels:
+            messages = channel.frame.messages(samples[:, channel.columns])
+            self._log.add_rows(channel.topic, channel.schema, times_ns, messages)
         self._transcript.write()
         for robot, events in zip(self._world.robots, self._host_events, strict=True):
             if events:
                 self._log.add(f"/{robot.name}/host_events", INTEGERS, events[0][0], events_message(events))
                 events.clear()
         # Last, so that the part of it in a torn file can be repeated with what came before.
-        if rows:
-            self._log.add("/state", INTEGERS, int(times_ns[0]), states_message(self._states(rows)))
-
-    def _states(self, rows: int) -> NDArray[np.int64]:
-        """Return hashes of the state, for the first rows of the batch (rows,)."""
-        noted = (stream.noted[:rows] for stream in self._streams)
-        return hashes(self._answered[:rows], self._physics[:rows], *noted)
+        if self._times_ns:
+            answered = np.array(self._answered, np.int64).reshape(len(times_ns), -1)
+            states = hashes(answered, samples[:, : self._state_size])
+            self._log.add("/state", INTEGERS, self._times_ns[0], states_message(states))
+        for batch in (self._times_ns, self._samples, self._answered, self._powers):
+            batch.clear()
 
     def _begin(
         self, settings: Mapping[str, object], more_facts: Mapping[str, str], more: Mapping[str, str]
@@ -264,10 +262,6 @@ def channel_names() -> bytes:
     return channels.text_message("\n".join(lines))
 
 
-def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.rint(values * _FINENESS) / _FINENESS
-
-
 def versions() -> dict[str, str]:
     """Return all that the last bits of a run may depend on: packages and kind of machine."""
     return {
@@ -278,33 +272,30 @@ def versions() -> dict[str, str]:
     }
 
 
-class _RobotStream:
-    """Sampled channels of one robot, all of them parts of the registers of its board and its turrets."""
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """Channel of registers, of the board or of a turret.
 
-    def __init__(self, robot: Robot) -> None:
-        turrets = robot.firmware.turrets
-        self._sources = boards(robot)
-        starts = np.cumsum([0, *(len(source) for source in self._sources)])
-        self.noted = np.zeros((_BATCH, starts[-1]), np.int64)  # registers of a batch (samples, registers)
-        self._channels = [
-            (f"/{robot.name}/{topic}", schema, ArrayFrame(len(columns), kind, label), columns)
-            for topic, schema, kind, label, columns in (
-                *SAMPLED,
-                ("registers", INTEGERS, "i8", "registers", list(range(N_REGISTERS))),
-                *(
-                    (kind.name, INTEGERS, "i8", "registers", list(range(start, end)))
-                    for kind, start, end in zip(turrets, starts[1:], starts[2:], strict=False)
-                ),
-            )
-        ]
+    Attributes:
+        topic: Topic.
+        schema: Message type.
+        frame: Its messages.
+        columns: Places of the registers in a sample.
+    """
 
-    def note(self, row: int) -> None:
-        """Store the board's state as a row of the batch."""
-        self.noted[row] = np.concatenate(self._sources) if len(self._sources) > 1 else self._sources[0]
+    topic: str
+    schema: str
+    frame: ArrayFrame
+    columns: list[int] | slice
 
-    def messages(self, rows: int) -> list[tuple[str, str, NDArray[np.void]]]:
-        """Return topic, message type and messages of each channel, for the first rows of the batch."""
-        return [
-            (topic, schema, frame.messages(self.noted[:rows, columns]))
-            for topic, schema, frame, columns in self._channels
-        ]
+
+def _channels_of(robot: Robot, start: int) -> Iterator[_Channel]:
+    """Yield the channels of a robot, whose registers begin at `start` in a sample."""
+    for name, schema, kind, label, registers in SAMPLED:
+        frame = ArrayFrame(len(registers), kind, label)
+        yield _Channel(f"/{robot.name}/{name}", schema, frame, [start + register for register in registers])
+    names = ["registers", *(kind.name for kind in robot.firmware.turrets)]
+    for name, board in zip(names, boards(robot), strict=True):
+        frame, end = ArrayFrame(len(board), "i8", "registers"), start + len(board)
+        yield _Channel(f"/{robot.name}/{name}", INTEGERS, frame, slice(start, end))
+        start = end

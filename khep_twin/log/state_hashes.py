@@ -4,6 +4,7 @@
 """
 
 import zlib
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,9 +65,10 @@ def hashes(*parts: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.int64]
     words = np.hstack([np.ascontiguousarray(part).view(np.uint64) for part in parts])
     # The highest bit of a word, the sign of a float, would only ever change the sum's highest.
     words ^= words >> np.uint64(32)
-    return (words * _odd_numbers(words.shape[1])).sum(axis=1).view(np.int64)
+    return (words @ _odd_numbers(words.shape[1])).view(np.int64)
 
 
+@cache
 def _odd_numbers(count: int) -> NDArray[np.uint64]:
     """Return odd pseudorandom numbers (count,): the finalizer of splitmix64 over 1, 2, 3, ..."""
     numbers = np.arange(1, count + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)

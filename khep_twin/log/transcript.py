@@ -4,7 +4,7 @@ from typing import Protocol
 
 from khep_twin.log.channels import Level, LineFrame
 
-_LINE_ENDS = (b"\r", b"\n", b"")
+_LINE_ENDS = b"\r\n"
 _LINE_LIMIT = 1024
 _PLAIN = bytes(each for each in range(0x20, 0x7F) if each != ord("\\"))
 _FROM = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to_robot in (True, False)}
@@ -40,7 +40,7 @@ class Transcript:
         """Write the lines that the recorded bytes complete."""
         lines: list[tuple[list[int], list[bytes]]] = [([], []) for _ in self._robots]
         for time_ns, robot, to_robot, data in self._heard:
-            text = self._rests.pop((robot, to_robot), b"") + data
+            text = self._rests.pop((robot, to_robot), b"") + data if self._rests else data
             whole = text.splitlines()
             # A line beyond the limit is noise, or from a host that sends no line ends.
             if text[-1:] not in _LINE_ENDS and len(whole[-1]) <= _LINE_LIMIT:

@@ -78,6 +78,7 @@ class Serial(SerialBase):
         self.twin = twin
         self._uart = twin.robot.uart
         self.is_open = True
+        self._reconfigure_port()
 
     def close(self) -> None:
         """Close the twin and complete its log."""
@@ -139,13 +140,14 @@ class Serial(SerialBase):
         self.twin.time_source.attend()
         self._compare_line()
         rest = bytes(data)
-        deadline_ns = None if self._write_timeout is None else self.time_ns + to_ns(self._write_timeout)
+        limit_ns = self._write_timeout_ns
+        deadline_ns = None if limit_ns is None else self.time_ns + limit_ns
         while rest:
             if room := self._uart.room:
                 self.twin.robot.send(rest[:room])
                 rest = rest[room:]
                 continue
-            next_ns = self.twin.robot.next_command_ns() or self._uart.rx.next_ns or 0
+            next_ns = self.twin.robot.next_exchange_ns() or 0
             if deadline_ns is not None and next_ns > deadline_ns:
                 self.twin.advance_to(deadline_ns)
                 if self._write_timeout == 0:
@@ -176,7 +178,7 @@ class Serial(SerialBase):
         if limit is not None and limit <= 0:
             return b""
         tx = self._uart.tx
-        deadline_ns = None if self._timeout is None else self.time_ns + to_ns(self._timeout)
+        deadline_ns = None if self._timeout_ns is None else self.time_ns + self._timeout_ns
         while (count := wanted()) is None:
             next_ns = self.twin.robot.next_answer_ns()
             if next_ns is None or (deadline_ns is not None and next_ns > deadline_ns):
@@ -209,15 +211,20 @@ class Serial(SerialBase):
     def _compare_line(self) -> None:
         """Apply the host's speed, and warn once where it is not the robot's."""
         robot = self.twin.robot
-        notice = robot.compare_line(LineSettings(self._baudrate, 2 if self._stopbits > 1 else 1))
-        if notice:
+        if notice := robot.compare_line(self._settings):
             self.twin.world.log_event(robot.index, notice)
             warnings.warn(f"{self._port}: {notice}", stacklevel=3)
 
     def _reconfigure_port(self) -> None:
-        """Do nothing: the speed holds from the next byte on, and the line has no other wires."""
+        """Take over the port's settings; the speed holds from the next byte on."""
+        self._settings = LineSettings(self._baudrate, 2 if self._stopbits > 1 else 1)
+        self._timeout_ns = None if self._timeout is None else to_ns(self._timeout)
+        self._write_timeout_ns = None if self._write_timeout is None else to_ns(self._write_timeout)
 
-    _update_rts_state = _update_dtr_state = _update_break_state = _reconfigure_port
+    def _update_rts_state(self) -> None:
+        """Do nothing: the line has no such wire."""
+
+    _update_dtr_state = _update_break_state = _update_rts_state
 
 
 def parse_url(url: str) -> tuple[str, TwinOptions]:

@@ -47,6 +47,17 @@ def test_the_chunks_that_bytes_come_in_do_not_matter(stream: bytes, cuts: list[i
     assert [line for piece in pieces for line in reader.feed(piece)] == list(LineReader().feed(stream))
 
 
+def test_a_reader_that_is_cleared_while_a_line_is_handled_goes_on_with_the_bytes_after_it() -> None:
+    reader = LineReader()
+    assert not list(reader.feed(b"res"))
+    lines: list[bytes] = []
+    for line in reader.feed(b"tart\nN\nD,1"):
+        lines.append(line)
+        reader.clear()
+    assert lines == [b"restart", b"N"]
+    assert list(reader.feed(b",2\n")) == [b"D,1,2"]
+
+
 def test_of_a_line_that_is_too_long_only_the_beginning_is_kept() -> None:
     reader = LineReader()
     (line,) = reader.feed(b"D," + b"1" * 10_000 + b"\n")

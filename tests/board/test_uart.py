@@ -1,5 +1,7 @@
 """The line in simulated time."""
 
+import re
+
 from khep_twin.board.uart import QUEUE_LIMIT, SerialLine, Uart
 
 
@@ -37,9 +39,9 @@ def test_only_what_has_arrived_can_be_read() -> None:
 def test_a_byte_in_transit_is_found() -> None:
     line = SerialLine(9600)
     line.put(b"N\r\n", 0)
-    assert line.count_to(10) == 3
-    assert line.count_to(10, 13) == 2
-    assert line.count_to(7) is None
+    assert line.count_to(re.compile(b"\n")) == 3
+    assert line.count_to(re.compile(b"[\r\n]")) == 2
+    assert line.count_to(re.compile(b"\a")) is None
 
 
 def test_a_line_without_speed_takes_no_time() -> None:

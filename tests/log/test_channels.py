@@ -64,7 +64,8 @@ def test_transforms_decode_by_the_rules_of_cdr() -> None:
     random = np.random.default_rng(0)
     positions, quaternions = random.normal(size=(2, 3, 3)), random.normal(size=(2, 3, 4))
     times_ns = np.array([0, 12_345_678_901])
-    messages = TransformFrame(names).messages(times_ns, positions, quaternions)
+    poses = np.concatenate([positions, quaternions[:, :, [1, 2, 3, 0]]], axis=2)
+    messages = TransformFrame(names).messages(times_ns, poses)
     for row, message in enumerate(rows(messages)):
         cdr = Cdr(message)
         assert cdr.take("I") == 3
@@ -93,9 +94,8 @@ def test_what_is_encoded_can_be_read_back() -> None:
     values = [[1.0, 2.5, -3.0]]
     (message,) = rows(ArrayFrame(3, "f8", "x").messages(np.array(values)))
     assert list(decoding.read_array(message, "d")) == values[0]
-    (message,) = rows(
-        TransformFrame(["a"]).messages(np.zeros(1, np.int64), np.ones((1, 1, 3)), np.eye(4)[None, :1])
-    )
+    pose = np.array([[[1.0, 1, 1, 0, 0, 0, 1]]])
+    (message,) = rows(TransformFrame(["a"]).messages(np.zeros(1, np.int64), pose))
     assert decoding.read_transforms(message) == {"a": (1, 1, 1, 0, 0, 0, 1)}
 
 

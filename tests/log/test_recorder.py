@@ -20,7 +20,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin import playpen
 from khep_twin.errors import LogError
-from khep_twin.interventions.switching import switch
+from khep_twin.interventions.switching import relight, switch
 from khep_twin.log.decoding import read_array
 from khep_twin.log.reader import read
 from khep_twin.log.recorder import Recorder
@@ -384,3 +384,13 @@ def test_several_robots_and_movable_objects_are_all_recorded(tmp_path: Path) -> 
     assert np.ptp(still[:, 0]) < 0.001 < 0.02 < np.ptp(driven[:, 0])
     assert [line.text for line in run.robots["khepera1"].serial] == ["D,5,5", "d"]
     assert run.robots["khepera0"].serial == []
+
+
+def test_a_world_whose_last_lamp_is_taken_away_is_recorded_further(tmp_path: Path) -> None:
+    with open_twin("two-lamps", TwinOptions(seed=1, log=str(tmp_path / "x.mcap"))) as twin:
+        twin.world.advance_to(SECOND // 10)
+        relight(twin.world, (), twin.world.playpen.lighting)
+        twin.world.advance_to(SECOND // 5)
+    with (tmp_path / "x.mcap").open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages(topics=["/tf"])]
+    assert times == list(range(0, SECOND // 5 + 1, SAMPLE_NS))

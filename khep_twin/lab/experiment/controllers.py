@@ -7,6 +7,7 @@ before, during and after a run.
 import math
 from collections.abc import Callable, Mapping
 from importlib.resources import files
+from operator import mul
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -181,10 +182,7 @@ def _numbers(value: object) -> NDArray[np.generic] | None:
 def braitenberg(robot: Khepera) -> None:
     """Drive and avoid obstacles: speeds = proximity x weights / 400 + 10."""
     proximity = robot.proximity()
-    left, right = (
-        sum(weights[side] * count for weights, count in zip(DEMO_WEIGHTS, proximity, strict=True))
-        for side in (0, 1)
-    )
+    left, right = (sum(map(mul, weights, proximity)) for weights in zip(*DEMO_WEIGHTS, strict=True))
     robot.set_speed(
         round(left / DEMO_DIVISOR) + DEMO_SPEED_PULSES, round(right / DEMO_DIVISOR) + DEMO_SPEED_PULSES
     )

@@ -85,10 +85,11 @@ def run(
     def end_cycle() -> bool:
         """Count a cycle and return whether another one follows."""
         nonlocal before, done, part
-        if robot.time == before:
+        now = robot.time
+        if now == before:
             place = f"{_source_file(controller)}: {name_of(controller)}"
             raise ControllerError(f"{place}: a cycle lets no time pass; expected {algorithm.passes_time}")
-        before = robot.time
+        before = now
         done += 1
         if after_cycle is not None:
             after_cycle()
