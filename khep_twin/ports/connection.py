@@ -37,7 +37,7 @@ class Connection:
         byte_ns, command_ns = uart.tx.next_ns, self._command_ns()
         return command_ns if byte_ns is None else min(byte_ns, command_ns)
 
-    def next_exchange_ns(self) -> int:
+    def next_stop_ns(self) -> int:
         """Return the time of the robot's next command, or else of the arrival of its last byte [ns]."""
         tx, command_ns = self._robot.uart.tx, self._command_ns()
         last_ns = tx.arrival(len(tx))

@@ -18,7 +18,7 @@ _FLAGS = os.O_NONBLOCK | os.O_CLOEXEC
 _IN_MODIFY, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE, _IN_OPEN, _IN_Q_OVERFLOW = 0x02, 0x08, 0x10, 0x20, 0x4000
 _IN_CLOSE = _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE
 _HEAD = struct.Struct("iIII")
-_BUFFER = 4096
+_BUFFER = 448
 _FULL = _BUFFER - _HEAD.size - 256
 """Bytes of events above which more may wait: one with a name of 255 bytes may not have fitted."""
 

@@ -137,8 +137,7 @@ class PtyPort:
         data, given = self._read(limit), self._given
         self._given = 0
         change = self._presence.look(bool(data))
-        n_before = change.writes_before - self._early
-        self._early = (self._early or bool(data)) and not change.writes_before
+        early, self._early = self._early, (self._early or bool(data)) and not change.writes_before
         if not change.left:
             # The writes that were just reported are counted with this call, so their bytes come with it, too.
             if change.writes_before and self._readable.poll(0):
@@ -146,6 +145,7 @@ class PtyPort:
             notices = self._crowd()
             return Received(data, notices=notices) if data or notices else NOTHING
         self._crowded_since, self._early = None, False
+        n_before = change.writes_before - early
         read, data = data, self._read_all()
         later = self._presence.look(False)
         if later.left:

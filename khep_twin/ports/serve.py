@@ -111,7 +111,7 @@ def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable
         if wait(LONGEST_WAIT):
             for connection in connections:
                 connection.take()
-            while (next_ns := min([each.next_exchange_ns() for each in connections])) != NEVER_NS:
+            while (next_ns := min([each.next_stop_ns() for each in connections])) != NEVER_NS:
                 advance_to(max(next_ns, world.time_ns))
                 for connection in connections:
                     connection.give()

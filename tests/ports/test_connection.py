@@ -97,7 +97,7 @@ def test_bytes_wait_for_the_world_while_a_command_may_wait_for_room(cable: Cable
 def test_an_idle_line_has_nothing_due(cable: Cable) -> None:
     twin = open_twin("default", TwinOptions())
     connection = Connection(twin, twin.robot, cable, print)
-    assert connection.next_ns() == connection.next_exchange_ns() == NEVER_NS
+    assert connection.next_ns() == connection.next_stop_ns() == NEVER_NS
 
 
 def test_a_reply_comes_in_one_piece_by_the_wire_clock_and_byte_by_byte_at_full_speed(cable: Cable) -> None:
