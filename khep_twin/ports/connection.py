@@ -2,9 +2,12 @@
 
 from collections.abc import Callable, Sequence
 
-from khep_twin.ports.host_port import HostPort
+from khep_twin.ports.host_port import NOTHING, HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
+
+NEVER_NS = 1 << 62
+"""Time of what is not due at all [ns]."""
 
 
 class Connection:
@@ -25,12 +28,20 @@ class Connection:
 
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors to wait for."""
-        return self._cable.descriptors(self._robot.uart.room > 0)
+        uart = self._robot.uart
+        return self._cable.descriptors(uart.rx.next_ns is None or uart.room > 0)
 
-    def events_ns(self) -> list[int]:
-        """Return the times of the robot's next command and of its next byte's arrival at the host [ns]."""
-        times_ns = (self._robot.next_command_ns(), self._robot.uart.tx.next_ns)
-        return [time_ns for time_ns in times_ns if time_ns is not None]
+    def next_ns(self) -> int:
+        """Return the time of the robot's next command, or of its next byte's arrival at the host [ns]."""
+        uart = self._robot.uart
+        byte_ns, command_ns = uart.tx.next_ns, self._command_ns()
+        return command_ns if byte_ns is None else min(byte_ns, command_ns)
+
+    def next_stop_ns(self) -> int:
+        """Return the time of the robot's next command, or else of the arrival of its last byte [ns]."""
+        tx, command_ns = self._robot.uart.tx, self._command_ns()
+        last_ns = tx.arrival(len(tx))
+        return command_ns if last_ns is None or command_ns != NEVER_NS else last_ns
 
     def exchange(self, now: Callable[[], int] | None = None) -> None:
         """Pass the host's bytes to the robot, and the robot's that have arrived to the host.
@@ -38,9 +49,21 @@ class Connection:
         Args:
             now: Simulated time by the wall clock, which the world may lag behind a little [ns].
         """
+        self.take(now)
+        self.give()
+
+    def take(self, now: Callable[[], int] | None = None) -> int:
+        """Pass the host's bytes to the robot; return the time at which they were sent, 0 without any [ns].
+
+        Args:
+            now: Simulated time by the wall clock, which the world may lag behind a little [ns].
+        """
         robot, port, uart = self._robot, self._cable, self._robot.uart
-        answered = not len(uart.rx) and not len(uart.tx)
-        received, time_ns = port.receive(uart.room, answered), 0 if now is None else now()
+        answered = uart.rx.next_ns is None and uart.tx.next_ns is None
+        received = port.receive(uart.room, answered)
+        if received is NOTHING:
+            return 0
+        time_ns = 0 if now is None else now()
         for notice in received.notices:
             self._note(notice)
         if received.last:
@@ -53,13 +76,32 @@ class Connection:
             if notice := robot.compare_line(port.settings()):
                 self._note(notice)
             robot.send(received.data, time_ns)
-        self.give()
+        return time_ns
 
     def give(self) -> None:
         """Pass the bytes that have arrived to the host."""
-        reply = self._robot.uart.tx.read(self._world.time_ns)
-        if reply and self._cable.occupied:
-            self._cable.write(reply)
+        self._give(self._world.time_ns)
+
+    def give_early(self, time_ns: int) -> None:
+        """Pass the bytes that arrive by `time_ns` to the host, before the world has reached that time.
+
+        Commands that wait for room on the line keep its bytes there.
+        """
+        if self._robot.uart.rx.next_ns is None:
+            self._give(time_ns)
+
+    def _give(self, time_ns: int) -> None:
+        tx = self._robot.uart.tx
+        if tx.next_ns is not None and tx.next_ns <= time_ns:
+            reply = tx.read(time_ns)
+            if self._cable.occupied:
+                self._cable.write(reply)
+
+    def _command_ns(self) -> int:
+        """Return the time of the robot's next command [ns]."""
+        robot = self._robot
+        command_ns = None if robot.uart.rx.next_ns is None else robot.next_command_ns()
+        return NEVER_NS if command_ns is None else command_ns
 
     def _note(self, text: str) -> None:
         self._world.log_event(self._robot.index, text)

@@ -8,6 +8,7 @@ import ctypes
 import os
 import struct
 import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from enum import Enum, auto
 from pathlib import Path
@@ -17,7 +18,9 @@ _FLAGS = os.O_NONBLOCK | os.O_CLOEXEC
 _IN_MODIFY, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE, _IN_OPEN, _IN_Q_OVERFLOW = 0x02, 0x08, 0x10, 0x20, 0x4000
 _IN_CLOSE = _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE
 _HEAD = struct.Struct("iIII")
-_BUFFER = 65536
+_BUFFER = 448
+_FULL = _BUFFER - _HEAD.size - 256
+"""Bytes of events above which more may wait: one with a name of 255 bytes may not have fitted."""
 
 
 def exact_timeouts() -> None:
@@ -34,6 +37,10 @@ class Event(Enum):
     CLOSED = auto()
 
 
+ONE_WRITE = (Event.WRITTEN,)
+"""One run of writes, which is what most polls find."""
+
+
 class OpenEvents:
     """Event source for one terminal.
 
@@ -47,17 +54,22 @@ class OpenEvents:
     def __init__(self, descriptor: int, watch: int) -> None:
         self.descriptor = descriptor
         self._watch = watch
+        self._one_write = _HEAD.pack(watch, _IN_MODIFY, 0, 0)
 
-    def drain(self) -> list[Event]:
+    def drain(self) -> Sequence[Event]:
         """Return the events since the last call, the oldest first."""
+        data = self._read()
+        if data == self._one_write:
+            return ONE_WRITE
         found: list[Event] = []
-        while data := self._read():
+        while data:
             place = 0
             while place < len(data):
                 watch, kind, _, name_size = _HEAD.unpack_from(data, place)
                 place += _HEAD.size + name_size
                 if watch == self._watch or kind & _IN_Q_OVERFLOW:
                     found.append(_event(kind))
+            data = self._read() if len(data) > _FULL else b""
         return found
 
     def close(self) -> None:

@@ -1,14 +1,12 @@
 """Connection of one robot of a served twin to its host: a pseudo-terminal, or a network connection."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from khep_twin.board.uart import LineSettings
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(NamedTuple):
     """Bytes from the hosts of a cable since the last call, and news about the hosts.
 
     Attributes:
@@ -22,6 +20,10 @@ class Received:
     left: bool = False
     last: bytes = b""
     notices: Sequence[str] = ()
+
+
+NOTHING = Received()
+"""No bytes and no news."""
 
 
 class HostPort(Protocol):

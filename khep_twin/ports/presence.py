@@ -13,9 +13,10 @@ import os
 import select
 import termios
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from khep_twin.ports.event_sources import Event, OpenEvents
+from khep_twin.ports.event_sources import ONE_WRITE, Event, OpenEvents
 from khep_twin.ports.holders import count_descriptors
 
 _ROUNDS = 4
@@ -41,6 +42,9 @@ class Change:
     left: bool = False
     writes_before: int = 0
     writes: int = 0
+
+
+_NONE, _ONE_WRITE = Change(), Change(writes_before=1)
 
 
 class Presence:
@@ -69,9 +73,9 @@ class Presence:
         self._poll.register(terminal, 0)
 
     @property
-    def descriptor(self) -> int | None:
-        """Descriptor for `select` that becomes readable when hosts come, write or go; None without events."""
-        return None if self._events is None else self._events.descriptor
+    def descriptors(self) -> Sequence[int]:
+        """Descriptor for `select` that becomes readable when hosts come, write or go; none without events."""
+        return [] if self._events is None else [self._events.descriptor]
 
     def look(self, wrote: bool) -> Change:
         """Return the changes since the last poll.
@@ -83,7 +87,12 @@ class Presence:
             left = not (held := self._held()) and (wrote or self.hosts > 0)
             self.hosts = int(held)
             return Change(left)
-        events = self._later + self._drain(self._events)
+        drained = self._drain(self._events)
+        is_steady = self.hosts and not self._later and self._ask_until is None
+        if is_steady and (not drained or drained is ONE_WRITE):
+            self._crowded |= self.hosts > 1
+            return _ONE_WRITE if drained else _NONE
+        events = [*self._later, *drained]
         if wrote and not self.hosts and Event.OPENED not in events:
             # An event was lost; a check corrects this.
             events.append(Event.CLOSED)
@@ -93,7 +102,7 @@ class Presence:
             if Event.CLOSED not in events:
                 events = []
                 break
-            held, events = self._held(), self._drain(self._events)
+            held, events = self._held(), [*self._drain(self._events)]
             if not held:
                 change = _followed(hosts, change, seen)[1]
                 hosts, change, seen, self._crowded = 0, _gone(change), [], False
@@ -140,9 +149,11 @@ class Presence:
         if self._events is not None:
             self._events.close()
 
-    def _drain(self, events: OpenEvents) -> list[Event]:
+    def _drain(self, events: OpenEvents) -> Sequence[Event]:
         """Return what hosts did since the last call, in order, without the events of `_held`."""
-        found = events.drain()
+        if not self._own:
+            return events.drain()
+        found = [*events.drain()]
         # The descriptor kept here was closed, then opened; a host may have opened another just before.
         start = 0
         for own in self._own:

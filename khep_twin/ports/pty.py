@@ -11,6 +11,7 @@ import fcntl
 import math
 import os
 import re
+import select
 import struct
 import termios
 import time
@@ -22,7 +23,7 @@ from typing import Self
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.ports.event_sources import open_events
-from khep_twin.ports.host_port import Received
+from khep_twin.ports.host_port import NOTHING, Received
 from khep_twin.ports.link import Link
 from khep_twin.ports.presence import Presence
 
@@ -86,10 +87,15 @@ class PtyPort:
         self.name = self.path = os.ttyname(host_side)
         self.dropped = 0
         self._presence = Presence(self.descriptor, host_side, open_events(self.name))
+        self._readable = select.poll()
+        self._readable.register(self.descriptor, select.POLLIN)
+        self._descriptors = [self.descriptor, *self._presence.descriptors]
         self._crowded_since: float | None = None
         self._left_s: float | None = None  # when the last host left, until its settings are restored
         self._given = 0  # bytes written since the last poll
         self._early = False  # bytes were read before the event that reports them
+        self._seen: tuple[object, object] | None = None
+        self._settings: LineSettings | None = None
         self._link = None
         if link is not None:
             try:
@@ -112,31 +118,34 @@ class PtyPort:
 
     def descriptors(self, room: bool) -> Sequence[int]:
         """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
-        events = self._presence.descriptor
-        return [*([self.descriptor] if room else []), *([] if events is None else [events])]
+        return self._descriptors[0 if room else 1 :]
 
     def settings(self) -> LineSettings | None:
         """Return the line settings of the host; a pseudo-terminal does not show parity and data bits."""
         flags = termios.tcgetattr(self.descriptor)
-        stop_bits = 2 if flags[_CONTROL] & termios.CSTOPB else 1
-        speed = int(flags[_OUT_SPEED])
-        return LineSettings(_SPEEDS.get(speed, speed), stop_bits)
+        seen = (flags[_OUT_SPEED], flags[_CONTROL])
+        if seen != self._seen:
+            speed, stop_bits = int(flags[_OUT_SPEED]), 2 if flags[_CONTROL] & termios.CSTOPB else 1
+            self._seen, self._settings = seen, LineSettings(_SPEEDS.get(speed, speed), stop_bits)
+        return self._settings
 
     def receive(self, limit: int, answered: bool = False) -> Received:
         """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
         # Bytes before events: the opening by their sender is then known.
-        self._restore()
+        if self._left_s is not None:
+            self._restore(self._left_s)
         data, given = self._read(limit), self._given
         self._given = 0
         change = self._presence.look(bool(data))
-        n_before = change.writes_before - self._early
-        self._early = (self._early or bool(data)) and not change.writes_before
+        early, self._early = self._early, (self._early or bool(data)) and not change.writes_before
         if not change.left:
             # The writes that were just reported are counted with this call, so their bytes come with it, too.
-            if change.writes_before:
+            if change.writes_before and self._readable.poll(0):
                 data += self._read(limit - len(data))
-            return Received(data, notices=self._crowd())
+            notices = self._crowd()
+            return Received(data, notices=notices) if data or notices else NOTHING
         self._crowded_since, self._early = None, False
+        n_before = change.writes_before - early
         read, data = data, self._read_all()
         later = self._presence.look(False)
         if later.left:
@@ -200,9 +209,9 @@ class PtyPort:
         self._drop_replies()
         self._left_s = time.monotonic()
 
-    def _restore(self) -> None:
+    def _restore(self, left_s: float) -> None:
         """Restore the settings after a while without a host; one that connects at once sets its own."""
-        if self._left_s is not None and (self.occupied or time.monotonic() - self._left_s >= _RESTORE_S):
+        if self.occupied or time.monotonic() - left_s >= _RESTORE_S:
             if not self.occupied and self._presence.is_quiet():
                 termios.tcsetattr(self._presence.host_side, termios.TCSANOW, self._raw)
             self._left_s = None

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recorder import Recorder
-from khep_twin.ports.connection import Connection
+from khep_twin.ports.connection import NEVER_NS, Connection
 from khep_twin.ports.event_sources import exact_timeouts
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
@@ -16,6 +16,9 @@ from khep_twin.units import TICK_NS
 
 LONGEST_WAIT = 0.02
 """Longest wall time between two turns of the loop, as some hosts cannot wake it [s]."""
+
+LOOK_NS = NS_PER_S // 200
+"""Wall time after which hosts that have not woken the loop are looked after, too [ns]."""
 
 FLUSH_NS = NS_PER_S // 2
 """Wall time after which the log is on disk at the latest [ns]."""
@@ -50,52 +53,98 @@ def serve(
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
     if speed == WIRE:
         _serve_by_wire(twin, connections, stop)
+    elif math.isinf(speed):
+        _serve_at_once(twin, connections, stop)
     else:
         exact_timeouts()
-        _serve_by_clock(twin, connections, pacer if math.isfinite(speed) else None, stop)
+        _serve_by_clock(twin, connections, pacer, stop)
     return pacer
 
 
 def _serve_by_clock(
-    twin: Twin, connections: Sequence[Connection], pacer: Pacer | None, stop: Callable[[], bool]
+    twin: Twin, connections: Sequence[Connection], pacer: Pacer, stop: Callable[[], bool]
 ) -> None:
-    """Advance with the wall clock, or as fast as possible without a pacer."""
-    world = twin.world
-    flush = Flush(twin.recorder)
+    """Advance with the wall clock."""
+    world, advance_to, now = twin.world, twin.time_source.advance_to, pacer.due_ns
+    flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():
         # On to the next command, the robots' next byte or the next control tick, whatever is first.
-        next_ns = min(
-            [world.time_ns + TICK_NS, *(time_ns for each in connections for time_ns in each.events_ns())]
-        )
-        next_ns = max(next_ns, world.time_ns)
-        _wait(connections, 0.0 if pacer is None else pacer.wait(next_ns))
-        due_ns = next_ns if pacer is None else pacer.due_ns()
-        twin.advance_to(max(min(due_ns, next_ns), world.time_ns))
+        tick_ns, event_ns = world.time_ns + TICK_NS, _next_ns(connections)
+        is_called, due_ns = wait(pacer.wait(min(tick_ns, event_ns))), 0
+        if not is_called or event_ns != NEVER_NS:
+            due_ns = now()
+            # The simulation of what is due takes time, for which bytes that are due do not wait.
+            for connection in connections:
+                connection.give_early(due_ns)
+        if is_called:
+            for connection in connections:
+                # Without time on the line, a command that has just come is due already.
+                due_ns = max(connection.take(now), due_ns)
+        due_ns = due_ns or now()
+        advance_to(max(min(due_ns, tick_ns), world.time_ns))
         for connection in connections:
-            connection.exchange(None if pacer is None else pacer.due_ns)
-        if pacer is not None and (late_ns := pacer.slip(world.time_ns)):
+            connection.give()
+        if due_ns > tick_ns and (late_ns := pacer.slip(world.time_ns)):
             world.log_event(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
+        flush()
+
+
+def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
+    """Advance as fast as possible."""
+    world, advance_to = twin.world, twin.time_source.advance_to
+    flush, wait = Flush(twin.recorder), _Waiting(connections)
+    while not stop():
+        if wait(0.0):
+            for connection in connections:
+                connection.take()
+        advance_to(max(min(world.time_ns + TICK_NS, _next_ns(connections)), world.time_ns))
+        for connection in connections:
+            connection.give()
         flush()
 
 
 def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Advance only for bytes: those of a command, and those of its reply, which comes at once."""
-    flush = Flush(twin.recorder)
+    world, advance_to = twin.world, twin.time_source.advance_to
+    flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():
-        _wait(connections, LONGEST_WAIT)
-        for connection in connections:
-            connection.exchange()
-        while events := [time_ns for each in connections for time_ns in each.events_ns()]:
-            twin.advance_to(max(min(events), twin.world.time_ns))
+        if wait(LONGEST_WAIT):
             for connection in connections:
-                connection.give()
+                connection.take()
+            while (next_ns := min([each.next_stop_ns() for each in connections])) != NEVER_NS:
+                advance_to(max(next_ns, world.time_ns))
+                for connection in connections:
+                    connection.give()
         flush()
 
 
-def _wait(connections: Sequence[Connection], duration: float) -> None:
-    """Wait for bytes, for hosts that come or go, or until a duration is over [s]."""
-    descriptors = [descriptor for each in connections for descriptor in each.descriptors()]
-    select.select(descriptors, [], [], min(max(duration, 0.0), LONGEST_WAIT))
+def _next_ns(connections: Sequence[Connection]) -> int:
+    """Return the time of the next command or byte on a robot's line [ns]."""
+    return min([connection.next_ns() for connection in connections])
+
+
+class _Waiting:
+    """Wait for bytes, for hosts that come or go, or until a duration is over."""
+
+    def __init__(self, connections: Sequence[Connection]) -> None:
+        self._connections = connections
+        self._looked_ns = 0
+
+    def __call__(self, duration: float) -> bool:
+        """Wait at most `duration` [s]; return whether the hosts are to be looked after.
+
+        Some cannot wake the loop, and are looked after regularly.
+        """
+        descriptors: list[int] = []
+        for connection in self._connections:
+            descriptors += connection.descriptors()
+        if select.select(descriptors, [], [], min(max(duration, 0.0), LONGEST_WAIT))[0]:
+            return True
+        time_ns = time.monotonic_ns()
+        if time_ns - self._looked_ns < LOOK_NS:
+            return False
+        self._looked_ns = time_ns
+        return True
 
 
 class Flush:

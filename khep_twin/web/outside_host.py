@@ -8,7 +8,7 @@ one cable.
 from collections.abc import Callable, Sequence
 
 from khep_twin.board.protocol import LINE_ENDS
-from khep_twin.ports.connection import Connection
+from khep_twin.ports.connection import NEVER_NS, Connection
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
@@ -41,9 +41,9 @@ class OutsideHost:
         """Return the descriptors to wait for."""
         return self._alone.descriptors()
 
-    def events_ns(self) -> list[int]:
-        """Return the times of the next events on the line [ns]."""
-        return self._alone.events_ns()
+    def next_ns(self) -> int:
+        """Return the time of the next event on the line [ns]."""
+        return self._alone.next_ns()
 
     def exchange(self, now: Callable[[], int] | None) -> None:
         """Pass bytes in both directions, with no other program on the line."""
@@ -77,6 +77,6 @@ class OutsideHost:
         del self._begun[: end + 1]
         self.commands += 1
         self.robot.send(line)
-        while events := self._alone.events_ns():
-            pass_time(min(events))
+        while (next_ns := self._alone.next_ns()) != NEVER_NS:
+            pass_time(next_ns)
             self._alone.give()

@@ -100,8 +100,8 @@ class PacedTwin:
         """Advance to the next event, with only outside hosts on the lines."""
         self.attend()
         world = self.world
-        events = [time_ns for host in self._hosts for time_ns in host.events_ns()]
-        self._slice(max(min([world.time_ns + TICK_NS, *events]), world.time_ns))
+        next_ns = min([world.time_ns + TICK_NS, *(host.next_ns() for host in self._hosts)])
+        self._slice(max(next_ns, world.time_ns))
 
     def attend(self) -> None:
         """Execute requests, wait while time is paused, and exchange bytes with outside hosts.

@@ -1,11 +1,13 @@
 """What wakes the serving loop."""
 
+import os
 import threading
 from pathlib import Path
 
 import pytest
 
-from khep_twin.ports.event_sources import exact_timeouts
+from khep_twin.ports.event_sources import Event, exact_timeouts, open_events
+from khep_twin.ports.pty import PtyPort
 
 
 def test_only_the_thread_that_wants_them_has_exact_timeouts() -> None:
@@ -23,3 +25,15 @@ def test_only_the_thread_that_wants_them_has_exact_timeouts() -> None:
     thread.join()
     assert inside == ["1\n"]
     assert own.read_text() == before
+
+
+def test_more_events_than_fit_a_read_are_returned_at_once() -> None:
+    with PtyPort() as port:
+        events = open_events(port.name)
+        if events is None:
+            pytest.skip("this system has no inotify")
+        for _ in range(200):
+            os.close(os.open(port.name, os.O_RDWR | os.O_NOCTTY))
+        assert events.drain() == [Event.OPENED, Event.CLOSED] * 200
+        assert not events.drain()
+        events.close()

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import serial
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.ports import pty as pty_module
 from khep_twin.ports.pty import PtyPort
@@ -42,6 +43,15 @@ def test_bytes_pass_unchanged_both_ways() -> None:
         assert port.receive(1000).data == every
         port.write(every)
         assert host.read(256) == every
+
+
+def test_settings_are_those_that_the_host_has_now() -> None:
+    with PtyPort() as port, serial.Serial(port.path, 9600, stopbits=2) as host:
+        assert port.settings() == LineSettings(9600, 2)
+        host.baudrate = 57600
+        assert port.settings() == LineSettings(57600, 2)
+        host.stopbits = 1
+        assert port.settings() == LineSettings(57600, 1)
 
 
 def test_a_host_may_come_and_go() -> None:

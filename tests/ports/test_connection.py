@@ -1,0 +1,127 @@
+"""A connection of a robot's line to a host, and the loop that serves it, by turns instead of by time."""
+
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import pytest
+
+from khep_twin.board.uart import LineSettings
+from khep_twin.ports.connection import NEVER_NS, Connection
+from khep_twin.ports.host_port import NOTHING, Received
+from khep_twin.ports.serve import WIRE, serve
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+
+REPLY = b"b,5.02,5.01\r\n"
+
+
+@dataclass
+class Cable:
+    """A host that wakes the loop all the time, and sends what it is told to."""
+
+    descriptor: int
+    news: list[Received] = field(default_factory=list[Received])
+    written: list[bytes] = field(default_factory=list[bytes])
+    path: str = "cable"
+    dropped: int = 0
+    occupied: bool = True
+
+    def descriptors(self, room: bool) -> Sequence[int]:
+        return [self.descriptor]
+
+    def settings(self) -> LineSettings | None:
+        return None
+
+    def receive(self, limit: int, answered: bool = False) -> Received:
+        return self.news.pop(0) if self.news else NOTHING
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def cable() -> Iterator[Cable]:
+    reader, writer = os.pipe()
+    os.write(writer, b"x")
+    yield Cable(reader, [Received(b"B\n")])
+    os.close(reader)
+    os.close(writer)
+
+
+def turns(count: int) -> Callable[[], bool]:
+    """Let the loop take so many turns."""
+    left = iter(range(count))
+    return lambda: next(left, None) is None
+
+
+def line_ns(n_bytes: int) -> int:
+    return n_bytes * 11 * 10**9 // 9600
+
+
+def asked(cable: Cable) -> tuple[Twin, Connection]:
+    """A twin that has just read a command and sends its reply."""
+    twin = open_twin("default", TwinOptions())
+    connection = Connection(twin, twin.robot, cable, print)
+    connection.take()
+    twin.advance_to(connection.next_ns())
+    return twin, connection
+
+
+def test_bytes_that_are_due_do_not_wait_for_the_world(cable: Cable) -> None:
+    twin, connection = asked(cable)
+    due_ns = connection.next_ns()
+    connection.give()
+    connection.give_early(due_ns - 1)
+    assert cable.written == []
+    connection.give_early(due_ns)
+    assert cable.written == [b"b"]
+    assert twin.world.time_ns < due_ns
+
+
+def test_bytes_wait_for_the_world_while_a_command_may_wait_for_room(cable: Cable) -> None:
+    twin, connection = asked(cable)
+    due_ns = connection.next_ns()
+    cable.news.append(Received(b"B"))
+    connection.take()
+    connection.give_early(due_ns)
+    assert cable.written == []
+    twin.advance_to(due_ns)
+    connection.give()
+    assert cable.written == [b"b"]
+
+
+def test_an_idle_line_has_nothing_due(cable: Cable) -> None:
+    twin = open_twin("default", TwinOptions())
+    connection = Connection(twin, twin.robot, cable, print)
+    assert connection.next_ns() == connection.next_stop_ns() == NEVER_NS
+
+
+def test_a_reply_comes_in_one_piece_by_the_wire_clock_and_byte_by_byte_at_full_speed(cable: Cable) -> None:
+    twin = open_twin("default", TwinOptions())
+    serve(twin, [cable], WIRE, stop=turns(1), notify=print)
+    assert cable.written == [REPLY]
+    assert twin.world.time_ns == line_ns(2) + line_ns(len(REPLY))
+    cable.written.clear()
+    cable.news.append(Received(b"B\n"))
+    serve(twin, [cable], math.inf, stop=turns(50), notify=print)
+    assert cable.written == [bytes((byte,)) for byte in REPLY]
+
+
+@pytest.mark.parametrize("speed", [0.001, WIRE, math.inf])
+def test_without_time_on_the_line_the_turn_that_reads_a_command_answers_it(
+    cable: Cable, speed: float
+) -> None:
+    twin = open_twin("default", TwinOptions(unpaced=True))
+    serve(twin, [cable], speed, stop=turns(1), notify=print)
+    assert cable.written == [REPLY]
+
+
+def test_time_goes_on_while_hosts_wake_the_loop_and_send_nothing(cable: Cable) -> None:
+    twin = open_twin("default", TwinOptions())
+    end, count = 50_000_000, turns(100_000)
+    serve(twin, [cable], 1000.0, stop=lambda: twin.world.time_ns >= end or count(), notify=print)
+    assert twin.world.time_ns >= end
