@@ -116,7 +116,7 @@ bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run;
 
 lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv
-	@$(BIN)/uv pip compile pyproject.toml --extra batch --extra rl --group build --group dm-control --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
+	@$(BIN)/uv pip compile pyproject.toml --extra rl --group build --group dm-control --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
 	@$(BIN)/uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
 	@$(BIN)/uv pip compile --group browser --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements-dev.lock -o requirements-browser.lock
 
@@ -153,9 +153,7 @@ $(VENV)/run.stamp: $(VENV)/made.stamp requirements.lock pyproject.toml
 
 # Compiled code is kept between processes, so that the first run without a serial line does not wait for it.
 $(VENV)/compiled.stamp: $(VENV)/run.stamp
-	@echo "khep_twin: preparing runs without a serial line (about a minute, once)"
-	@$(TWIN) rollout braitenberg --seconds 1 >$(VENV)/compiled.log
-	@$(TWIN) rollout braitenberg --planar --seconds 1 >$(VENV)/compiled.log
+	@$(TWIN) compile
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp requirements-dev.lock

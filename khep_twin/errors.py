@@ -203,6 +203,13 @@ class MissingExtraError(KhepTwinError):
         super().__init__(f"{package} is not installed; to install it: {pip_install_extra(extra)}")
 
 
+class MissingNumbaError(KhepTwinError):
+    """Compiled code was asked for where numba, a dependency of khep_twin, is not installed."""
+
+    def __init__(self) -> None:
+        super().__init__(f"numba is not installed; to install it: {pip_install_required('numba')}")
+
+
 class DivergedError(KhepTwinError):
     """A simulation that left the bounds of physics."""
 
@@ -217,6 +224,12 @@ def pip_install_extra(extra: str) -> str:
     lines = metadata.requires("khep-twin") or []
     needed = [line.partition(";")[0].strip() for line in lines if f"extra == '{extra}'" in line]
     return pip_install(*needed)
+
+
+def pip_install_required(package: str) -> str:
+    """Return the command that installs a package that khep_twin requires."""
+    lines = (line.partition(";")[0].strip() for line in metadata.requires("khep-twin") or [])
+    return pip_install(*(line for line in lines if line.startswith(package)))
 
 
 def in_a_line(error: BaseException) -> str:

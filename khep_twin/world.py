@@ -16,17 +16,21 @@ from numpy.typing import NDArray
 from khep_twin import step, units
 from khep_twin.board.fault_injection import Fault
 from khep_twin.board.uart import HostEvent
-from khep_twin.errors import DivergedError
+from khep_twin.errors import DivergedError, MissingNumbaError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot, RobotOptions
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel, compiled_advance
+from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
+from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.simulation.simulation import Advance, Simulation, draws
 
 SAMPLE_NS = units.SCAN_NS
 """Sampling period of the observers [ns]."""
+
+_WORTH = 30_000
+"""Steps of one robot from which on compiled code saves more time than its loading takes."""
 
 _NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
@@ -61,12 +65,16 @@ class World:
         vary: True to draw each robot's sensors at random around its calibration.
         strict_line: True to garble the bytes between a robot and a host whose line has another speed.
         faults: Faults of its robots.
+        compiled: Whether to step by compiled code, with the same results; None to change over to it in a long
+            run, once it is compiled.
 
     Attributes:
         time_ns: Current time [ns].
         playpen: Playpen with the robots' starts.
         timing: Divisions of time.
         simulation: State that the stepping core works on.
+        change_over_at: Number of steps from which on to look for compiled code; None for never. Loading it
+            takes half a second, so a run in real time does without.
         model: Compiled scene.
         data: State of the scene.
         lamps: Lamps of the world.
@@ -84,6 +92,7 @@ class World:
         unpaced: bool = False,
         strict_line: bool = False,
         faults: Sequence[Fault] = (),
+        compiled: bool | None = None,
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(keep_quiet)
@@ -100,6 +109,11 @@ class World:
         self.robots: tuple[Robot, ...] = ()
         self._has_turrets = any(entry.turrets for entry in self._scene_model.playpen.robots)
         self.simulation = Simulation(self._forms, self.timing, self._forms.robot_states())
+        self.change_over_at = _WORTH // max(len(self._scene_model.playpen.robots), 1)
+        if compiled is not None:
+            self.change_over_at = None
+        if compiled:
+            self.compile()
         if isinstance(playpen, Playpen):
             self.restart(seed, noise=noise, vary=vary)
 
@@ -199,6 +213,8 @@ class World:
             self._step_to(self._end_of_span(steps, last))
         self._exchange(time_ns)
         self.time_ns = time_ns
+        if self.change_over_at is not None and simulation.steps >= self.change_over_at:
+            self.change_over()
 
     def scan(self) -> None:
         """Convert all sensors of all robots now, without advancing time."""
@@ -227,9 +243,21 @@ class World:
         something is near.
 
         Raises:
-            MissingExtraError: numba is not installed.
+            MissingNumbaError: numba is not installed.
         """
-        self.run_by(compiled_advance(), compiled=True)
+        try:
+            self.run_by(function_of("world"), compiled=True)
+        except ImportError as error:
+            raise MissingNumbaError() from error
+        self.change_over_at = None
+
+    def change_over(self) -> None:
+        """Step by compiled code from now on if it is ready; if not, have it compiled, and look later."""
+        if (advance := when_ready("world")) is not None:
+            self.run_by(advance, compiled=True)
+            self.change_over_at = None
+        else:
+            self.change_over_at = self.simulation.steps + _WORTH // 10
 
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on, plain or compiled, such as one with controllers in it."""

@@ -55,17 +55,15 @@ def pytest_configure() -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile episodes once, on two cores, before workers that need them all do so at the same time."""
+    """Compile the stepping core once, on two cores, before all workers do so at the same time."""
     config = session.config
     if (
         config.getoption("numprocesses", None)  # not in a worker, nor without any
         and any(Path(each).is_dir() for each in config.args)
         and importlib.util.find_spec("numba") is not None
     ):
-        run = [sys.executable, "-m", "khep_twin", "rollout", "--seconds", "0.02"]
-        compilers = [
-            subprocess.Popen([*run, *more], stdout=subprocess.DEVNULL) for more in ((), ("--planar",))
-        ]
+        run = [sys.executable, "-m", "khep_twin", "compile"]
+        compilers = [subprocess.Popen([*run, *parts]) for parts in (("plane",), ("world", "episodes"))]
         for each in compilers:
             each.wait()
 

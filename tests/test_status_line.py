@@ -118,7 +118,7 @@ def test_where_nobody_looks_long_work_is_one_line_and_a_bar_is_none(
 def test_the_compilation_of_an_episode_is_announced_and_no_other_one(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    pytest.importorskip("numba", reason="numba, the extra [batch], is not installed")
+    pytest.importorskip("numba", reason="numba is not installed")
     from numba import njit
     from numba.core import event
 

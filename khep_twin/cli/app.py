@@ -13,6 +13,7 @@ import typer
 from typer.exceptions import TyperException
 
 from khep_twin import __version__
+from khep_twin.cli.compile import compile_all
 from khep_twin.cli.completion import complete_in_bash, missing
 from khep_twin.cli.completion import ports as known_ports
 from khep_twin.cli.design import design
@@ -54,6 +55,7 @@ _LOGS = (view, report, export, recover, repeat)
 _MEASUREMENTS = (sense, fit)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)
+app.command("compile")(compile_all)
 
 
 def main() -> None:

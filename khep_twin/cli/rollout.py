@@ -69,7 +69,11 @@ def rollout(
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
     except ValueError as error:
         raise usage(str(error)) from None
-    episode = Episode(setup, Braitenberg() if function is None else ConstantSpeed(), compiled=is_compiled())
+    episode = Episode(
+        setup,
+        Braitenberg() if function is None else ConstantSpeed(),
+        compiled=None if is_compiled() else False,
+    )
     episode.begin(options.seed, noise=options.noise, vary=options.vary)
     way = [episode.pose]
     # Where the path is not needed in between, many periods pass at once, with the same results.

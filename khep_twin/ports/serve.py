@@ -65,6 +65,8 @@ def _serve_by_clock(
     twin: Twin, connections: Sequence[Connection], pacer: Pacer, stop: Callable[[], bool]
 ) -> None:
     """Advance with the wall clock."""
+    # Loading compiled code would make a run late, and plain code is fast enough for this.
+    twin.world.change_over_at = None
     world, advance_to, now = twin.world, twin.time_source.advance_to, pacer.due_ns
     flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():
@@ -91,6 +93,7 @@ def _serve_by_clock(
 
 def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Advance as fast as possible."""
+    twin.world.change_over()
     world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():
@@ -105,6 +108,7 @@ def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable
 
 def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Advance only for bytes: those of a command, and those of its reply, which comes at once."""
+    twin.world.change_over()
     world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():

@@ -107,7 +107,8 @@ def rollout(
         period_ns: Control period [ns].
         planar: Whether robots move in a plane instead of MuJoCo, for screening.
         threads: Number of threads; by default one per core. Uncompiled episodes use one.
-        compiled: Whether to run compiled; None if numba is installed.
+        compiled: Whether to run compiled; None if numba is installed. The first time this waits for
+            numba, for some ten seconds.
 
     Raises:
         ValueError: The number of genes, starts or lamps is not that of the seeds, or a value is out of range.

@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 
 from khep_twin.board import kernel
 from khep_twin.board.fault_injection import Fault
-from khep_twin.errors import DivergedError, MissingExtraError, pip_install_extra
+from khep_twin.errors import DivergedError, MissingNumbaError, pip_install_required
 from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
 from khep_twin.rollout import stepping
 from khep_twin.rollout.controllers import ConstantSpeed, Driver, Floats, controllers_of
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar.planar_world import PlanarWorld
+from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.step import Simulated, StepInputs
 from khep_twin.world import World
 
@@ -38,6 +39,10 @@ METRICS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "d
 """Metrics of an episode: means over its control periods, distance, and distance forwards less backwards."""
 
 _MEANS = stepping.AVOIDANCE, stepping.SEEKING, stepping.HOMING, stepping.FOLLOWING
+
+
+_LOOK = 2000
+"""Steps between two looks for compiled code."""
 
 
 class SlowerWarning(UserWarning):
@@ -52,7 +57,7 @@ def is_compiled(wanted: bool | None) -> bool:
         return True
     warnings.warn(
         "numba is not installed: episodes run uncompiled, many times slower, with the same results; "
-        f"to install it: {pip_install_extra('batch')}",
+        f"to install it: {pip_install_required('numba')}",
         SlowerWarning,
         stacklevel=3,
     )
@@ -65,7 +70,7 @@ class Episode:
     Args:
         setup: Setup of the episodes.
         driver: Controller of the robots; a policy is left to the caller.
-        compiled: Whether to run compiled; None if numba is installed.
+        compiled: Whether to run compiled; None if numba is installed, and plain until the code is compiled.
         faults: Faults of the robots.
 
     Attributes:
@@ -82,16 +87,23 @@ class Episode:
         faults: Sequence[Fault] = (),
     ) -> None:
         self._setup, self._driver = setup, driver or ConstantSpeed()
-        self._compiled = is_compiled(compiled)
+        self._compiled = compiled is True
+        self._next_look = 0 if compiled is None and is_compiled(None) else None
         self._world: World | PlanarWorld
         if setup.planar_scene is None:
-            self._world = World(setup.scene_model, unpaced=True, faults=faults)
+            self._world = World(setup.scene_model, unpaced=True, faults=faults, compiled=False)
         elif faults:
             raise ValueError(f"{len(faults)} faults in the plane; expected none")
         else:
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
-        self._run = _run_function(setup, self._compiled)
         self._simulation = self._world.simulation
+        self._part = "episodes" if setup.planar_scene is None else "plane"
+        self._run: stepping.Run = stepping.run
+        if compiled:
+            try:
+                self._run = function_of(self._part)
+            except ImportError as error:
+                raise MissingNumbaError() from error
         self._world.run_by(self._advance, self._compiled)
         self.boards: NDArray[np.int64] = self._simulation.records["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
@@ -123,15 +135,10 @@ class Episode:
             ControllerError: The genes do not fit the controller.
             DivergedError: The physics leaves its bounds at once.
         """
-        weights, place = np.asarray(genes, np.float64), np.array(home, np.float64)
-        self._controllers = controllers_of(
-            self._driver,
-            weights,
-            place,
-            self._setup.steps_per_period,
-            len(self.boards),
-            self._compiled,
-        )
+        self._genes, self._home = np.asarray(genes, np.float64), np.array(home, np.float64)
+        if self._next_look is not None:
+            self._look()
+        self._controllers = self._new_controllers()
         starts = None if start is None else _starts(start, len(self.boards))
         self._simulation.title = f"episode of seed {seed}"
         self._world.restart(seed, noise=noise, vary=vary, starts=starts, lamps=lamps)
@@ -199,6 +206,10 @@ class Episode:
     def step(self, steps: int) -> None:
         """Run the episode for some steps; errors are those of `run`."""
         self._insist()
+        if self._next_look is not None and self.steps >= self._next_look and self._look():
+            before, self._controllers = self._controllers, self._new_controllers()
+            self._controllers.memory[:] = before.memory
+            self._controllers.sums[:] = before.sums
         self._world.advance_to((self.steps + steps) * self._setup.step_ns)
 
     def drive(self, left: float, right: float, robot: int = 0) -> None:
@@ -229,6 +240,20 @@ class Episode:
     def _advance(self, simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
         return self._run(simulated, self._controllers, inputs, until, stops)
 
+    def _look(self) -> bool:
+        """Step by compiled code from now on if it is ready; return whether it is."""
+        if (run := when_ready(self._part)) is None:
+            self._next_look = self.steps + _LOOK
+            return False
+        self._run, self._compiled, self._next_look = run, True, None
+        self._world.run_by(self._advance, compiled=True)
+        return True
+
+    def _new_controllers(self) -> stepping.Controllers:
+        """Return the controllers at the start of an episode."""
+        period, count = self._setup.steps_per_period, len(self.boards)
+        return controllers_of(self._driver, self._genes, self._home, period, count, self._compiled)
+
     def _insist(self) -> None:
         """Raise a `ValueError` unless an episode has begun."""
         if not self._begun:
@@ -241,17 +266,3 @@ def _starts(start: Start | Sequence[Start], n_robots: int) -> list[Start]:
     if table.shape != (n_robots, 3):
         raise ValueError(f"start = {start}; expected x, y [mm] and heading [deg] of {n_robots} robots")
     return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in table.tolist()]
-
-
-def _run_function(setup: EpisodeSetup, compiled: bool) -> stepping.Run:
-    """Return `stepping.run` for a setup, plain or compiled."""
-    if not compiled:
-        return stepping.run
-    try:
-        if setup.planar_scene is None:
-            from khep_twin.rollout.compiled import run
-        else:
-            from khep_twin.rollout.planar.compiled import run
-    except ImportError as error:
-        raise MissingExtraError("numba", "batch") from error
-    return run

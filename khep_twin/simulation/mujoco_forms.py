@@ -12,7 +12,6 @@ from khep_twin import units
 from khep_twin.board.battery import CHARGER
 from khep_twin.board.kernel import N_PROCESSOR, N_REGISTERS
 from khep_twin.clock import n_steps
-from khep_twin.errors import MissingExtraError
 from khep_twin.playpen import Lighting, Playpen, Robot
 from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import set_step, to_spec
@@ -24,7 +23,7 @@ from khep_twin.sensing.mujoco_scene import MujocoScene
 from khep_twin.sensing.optics import Light, RobotSensors
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensors import proximity_optics
-from khep_twin.simulation.simulation import NO_LIGHT, Advance
+from khep_twin.simulation.simulation import NO_LIGHT
 from khep_twin.step import WARNED, RobotState, Timing
 
 Joints = tuple[int, int, int, int, int, int, int]
@@ -179,16 +178,3 @@ def robot_state(
         dead=np.zeros(2, np.int64),
         voltage=np.zeros(1),
     )
-
-
-def compiled_advance() -> Advance:
-    """Return the compiled stepping core.
-
-    Raises:
-        MissingExtraError: numba is not installed.
-    """
-    try:
-        from khep_twin.simulation.compiled import advance
-    except ImportError as error:
-        raise MissingExtraError("numba", "batch") from error
-    return advance

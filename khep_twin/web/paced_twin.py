@@ -59,6 +59,8 @@ class PacedTwin:
         self.world, self.robots, self.robot = twin.world, twin.robots, twin.robot
         self.view = Twin(twin.world, twin.robots, twin.options, self)
         self._twin = twin
+        # Loading compiled code would stop the picture for a moment.
+        twin.world.change_over_at = None
         self.speed = 1.0
         self.paused = False
         self.ended = False

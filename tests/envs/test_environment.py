@@ -243,7 +243,7 @@ def test_each_of_many_is_the_same_as_a_single_one_with_its_seed() -> None:
     many.close()
 
 
-@pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
+@pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
 def test_many_compiled_are_the_same_as_in_plain_python() -> None:
     compiled, plain = gyms(3, threads=2, compiled=True), gyms(3, threads=2)
     assert same(compiled.reset(seed=5), plain.reset(seed=5))

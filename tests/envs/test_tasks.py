@@ -77,7 +77,7 @@ def test_an_episode_without_a_line_is_the_same_as_in_a_world() -> None:
     assert episode.data.qpos.tolist() == pytest.approx(world.data.qpos.tolist(), abs=1e-9)
 
 
-@pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
+@pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
 def test_a_compiled_episode_is_the_same_as_a_plain_one() -> None:
     plain = TaskSetup("LightSeeking", seconds=0.5, compiled=False, vary=True)
     compiled = TaskSetup("LightSeeking", seconds=0.5, compiled=True, vary=True)

@@ -17,7 +17,7 @@ from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, 
 from khep_twin.rollout.episode import METRICS, Episode, EpisodeSetup
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
-with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
+with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
 KINDS = [pytest.param(False, id="plain"), pytest.param(True, id="compiled", marks=with_numba)]
 
 SCENE = playpen.load("obstacles")

@@ -10,7 +10,7 @@ import pytest
 from khep_twin import playpen, rollout
 from khep_twin.board import kernel
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, Wheel
-from khep_twin.errors import DivergedError, MissingExtraError, PlaypenError
+from khep_twin.errors import DivergedError, MissingNumbaError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.rollout import episode as episodes
 from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, Network
@@ -19,7 +19,7 @@ from khep_twin.units import COUNTS_LIMIT
 from khep_twin.world import World
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
-with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
+with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
 KINDS = [pytest.param(False, id="plain"), pytest.param(True, id="compiled", marks=with_numba)]
 
 SHADOWS = """
@@ -299,7 +299,7 @@ def test_compiled_without_numba_is_one_line_that_says_how_to_install_it(
 ) -> None:
     monkeypatch.delattr(rollout, "compiled", raising=False)
     monkeypatch.setitem(sys.modules, "khep_twin.rollout.compiled", None)
-    with pytest.raises(MissingExtraError, match=r"^numba is not installed; .* pip install 'numba<1,>=0.61'$"):
+    with pytest.raises(MissingNumbaError, match=r"^numba is not installed; .* pip install 'numba<1,>=0.61'$"):
         Episode(EpisodeSetup(arena()), compiled=True)
 
 

@@ -22,7 +22,7 @@ from khep_twin.rollout.planar.plane import TOUCHED, distance_to, nearest
 from khep_twin.sensing.optics import RobotSensors, proximity_counts
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
-with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba, the extra [batch], is not installed")
+with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
 
 OPEN = """
 version = 1

@@ -1,0 +1,31 @@
+"""`khep-twin compile`: compilation in advance."""
+
+from typing import Annotated
+
+import typer
+
+from khep_twin.cli.options import usage
+
+
+def compile_all(
+    parts: Annotated[
+        list[str] | None, typer.Argument(help="world, episodes or plane; all of them if not given.")
+    ] = None,
+) -> None:
+    """Compile the stepping core with numba, so that later commands find it in numba's cache."""
+    from khep_twin.errors import choices
+    from khep_twin.playpen import load
+    from khep_twin.rollout.controllers import Braitenberg
+    from khep_twin.rollout.episode import Episode, EpisodeSetup
+    from khep_twin.simulation.ready import CODE
+    from khep_twin.world import World
+
+    for part in parts or CODE:
+        if part not in CODE:
+            raise usage(f"part {part!r}: unknown; {choices(part, CODE)}")
+        if part == "world":
+            world = World(load("default"), compiled=True)
+            world.advance_to(world.timing.step_ns)
+        else:
+            setup = EpisodeSetup(load("default"), planar=part == "plane")
+            Episode(setup, Braitenberg(), compiled=True).begin()

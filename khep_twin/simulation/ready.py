@@ -1,0 +1,79 @@
+"""Compiled code, when it is ready: numba compiles in a process beside the run, which goes on meanwhile."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+CODE = {
+    "world": "khep_twin.simulation.compiled:advance",
+    "episodes": "khep_twin.rollout.compiled:run",
+    "plane": "khep_twin.rollout.planar.compiled:run",
+}
+"""Parts that are compiled, and their functions."""
+
+BESIDE = (
+    "khep_twin: numba compiles in the background, once per version; this run goes on uncompiled meanwhile, "
+    "with the same results"
+)
+"""Announcement of a compilation beside a run."""
+
+_PROCESSES: dict[str, "subprocess.Popen[bytes]"] = {}
+
+
+def when_ready(part: str) -> Callable[..., Any] | None:
+    """Return the compiled function of a part; None while it is not compiled yet, or without numba.
+
+    The first call for code that is not in numba's cache starts a process of low priority that compiles it,
+    and announces it on standard error. It may outlive this one.
+
+    Args:
+        part: Key of `CODE`.
+    """
+    try:
+        function = function_of(part)
+    except ImportError:
+        return None
+    if is_cached(function):
+        return function
+    if part not in _PROCESSES:
+        print(BESIDE, file=sys.stderr, flush=True)
+        _PROCESSES[part] = subprocess.Popen(
+            [sys.executable, "-m", "khep_twin", "compile", part],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        os.setpriority(os.PRIO_PROCESS, _PROCESSES[part].pid, 19)
+    elif _PROCESSES[part].poll():
+        print(
+            "khep_twin: the compilation failed, and the run stays uncompiled; to see why: "
+            f"{sys.executable} -m khep_twin compile {part}",
+            file=sys.stderr,
+            flush=True,
+        )
+        _PROCESSES[part].returncode = 0  # reported once
+    return None
+
+
+def function_of(part: str) -> Callable[..., Any]:
+    """Return the function of a part, which is compiled when it is first called.
+
+    Raises:
+        ImportError: numba is not installed.
+    """
+    module, _, name = CODE[part].partition(":")
+    return getattr(import_module(module), name)
+
+
+def is_cached(function: Any) -> bool:
+    """Return whether a function is compiled, in this process or in numba's cache."""
+    if function.signatures:
+        return True
+    # numba names the files of a function's code by its name, which has a stamp of the sources.
+    files = Path(function.stats.cache_path).glob(f"*{function.py_func.__qualname__}*.nbc")
+    return next(files, None) is not None

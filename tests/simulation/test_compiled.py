@@ -1,0 +1,122 @@
+"""The stepping core: plain and compiled, in one call or in many, the same bits."""
+
+import importlib.util
+
+import pytest
+
+from khep_twin import playpen
+from khep_twin.board.fault_injection import parse
+from khep_twin.board.uart import HostEvent
+from khep_twin.playpen import Playpen
+from khep_twin.world import World
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
+
+LAMPS = """
+[[lamp]]
+x_mm = 620
+y_mm = 80
+power_w = 9
+blink_period_s = 0.7
+fade_s = 0.2
+"""
+
+ROBOTS = """
+[[robot]]
+x_mm = 330
+y_mm = 300
+heading_deg = 90
+[[robot]]
+x_mm = 250
+y_mm = 320
+heading_deg = -20
+model = "khepera2"
+"""
+
+
+def arena(more: str = "") -> Playpen:
+    """The shipped obstacles, with more."""
+    return playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena")
+
+
+class Events:
+    """An observer that notes everything with its time."""
+
+    def __init__(self) -> None:
+        self.seen: list[object] = []
+
+    def sample(self, world: World) -> None:
+        self.seen.append((world.time_ns, world.data.xpos.tobytes()))
+
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        self.seen.append((time_ns, robot, to_robot, data))
+
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
+        self.seen.append((time_ns, robot, event))
+
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
+        self.seen.append((time_ns, robot, text))
+
+
+WORDS = [f"{word}\n".encode() for word in "D,9,4 N O D,-3,8 L,0,2 H D,10,10 K C,900,500 B".split()]
+
+
+def driven(
+    scene: Playpen, compiled: bool | None, *, observed: bool = True, **options: object
+) -> list[object]:
+    """What can be seen of a world whose robots are told something every 130 ms."""
+    world = World(scene, seed=3, compiled=compiled, **options)  # type: ignore[arg-type]
+    if compiled is None:
+        world.change_over_at = 300
+    events = Events()
+    if observed:
+        world.add_observer(events)
+    for turn in range(24):
+        for robot in world.robots:
+            robot.send(WORDS[(turn + robot.index) % len(WORDS)])
+        if any(robot.firmware.turrets for robot in world.robots):
+            world.robots[0].send(b"T,1,E,%d\nT,1,H,1\n" % (152 + 4 * turn))
+        world.advance_to((turn + 1) * 130_000_000)
+        if turn == 12:
+            world.scan()
+    assert world.simulation.is_compiled == (compiled is not False)
+    replies = [robot.uart.tx.read(world.time_ns) for robot in world.robots]
+    boards = [robot.registers.tolist() for robot in world.robots]
+    return [replies, boards, world.data.qpos.tobytes(), world.data.ctrl.tobytes(), events.seen]
+
+
+CASES = {
+    "one robot": (arena(), {}),
+    "another robot of the same make": (arena(), {"vary": True}),
+    "no noise, no line": (arena(), {"noise": False, "unpaced": True}),
+    "a lamp that blinks and fades": (arena(LAMPS), {}),
+    "lamps by turns": (playpen.load("two-lamps"), {}),
+    "three robots": (arena(ROBOTS), {}),
+    "a gripper": (playpen.load("gripper"), {}),
+    "faults": (
+        arena(ROBOTS),
+        {"faults": [*map(parse, ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7", "garble:0.01"))]},
+    ),
+    "cells that run out": (
+        arena().model_copy(
+            update={"robots": (arena().robots[0].model_copy(update={"battery_used_min": 41.06}),)}
+        ),
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_compiled_code_gives_the_bits_of_plain_code(case: str) -> None:
+    scene, options = CASES[case]
+    plain = driven(scene, False, **options)
+    assert driven(scene, True, **options) == plain
+    # Without observers a span is as long as nothing on the line happens.
+    unseen = driven(scene, True, observed=False, **options)
+    assert unseen[:4] == plain[:4]
+
+
+@pytest.mark.parametrize("case", ["lamps by turns", "three robots", "faults"])
+def test_a_run_that_changes_over_to_compiled_code_stays_what_it_is(case: str) -> None:
+    scene, options = CASES[case]
+    assert driven(scene, None, **options) == driven(scene, False, **options)
