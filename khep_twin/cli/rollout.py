@@ -3,18 +3,37 @@
 import math
 import warnings
 from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from khep_twin.cli.completion import controllers
-from khep_twin.cli.option_groups import LengthOptions, RobotOptions, SceneOptions, grouped
-from khep_twin.cli.options import check_apart, check_body, check_picture, complain, usage
+from khep_twin.cli.option_groups import LengthOptions, LogOptions, RobotOptions, SceneOptions, grouped
+from khep_twin.cli.options import (
+    Faults,
+    check_apart,
+    check_body,
+    check_new,
+    check_picture,
+    complain,
+    tell_kept,
+    usage,
+)
 from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.invocation import command
 
 if TYPE_CHECKING:
+    from khep_twin.playpen import Playpen
     from khep_twin.rollout.episode import Episode
+
+NO_LINE = {"line": "none"}
+"""Metadata in the log of an episode, which `khep-twin repeat` cannot repeat."""
+
+Pose = tuple[float, float, float]
+"""x, y [m] and heading [rad]."""
 
 _SPAN_NS = 2_000_000_000
 """Simulated time between two updates of the progress bar [ns]."""
@@ -42,58 +61,73 @@ def rollout(
         ),
     ] = None,
     planar: Annotated[bool, typer.Option("--planar", help="Simulate in a plane, not in MuJoCo.")] = False,
+    fault: Faults = None,
     picture: Annotated[Path | None, typer.Option(help="Draw playpen and path as PNG, SVG or PDF.")] = None,
+    logging: LogOptions,
 ) -> None:
-    """Run one episode without a serial line and print its metrics; compiled if numba is installed."""
-    import numpy as np
-
+    """Run one episode without a serial line and print its metrics, with several robots those of each."""
+    from khep_twin.board.fault_injection import parse
     from khep_twin.lab.experiment.experiment import find_function
     from khep_twin.playpen.starts import at_spots
-    from khep_twin.ports.twin import equipped
+    from khep_twin.ports.twin import Twin, equipped
     from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed
     from khep_twin.rollout.episode import Episode, EpisodeSetup
 
     check_picture(picture)
-    check_apart([scene.playpen], picture)
-    options = twin.options()
+    check_apart([scene.playpen], picture, logging.log)
+    check_new(logging.force, logging.log)
+    if planar and logging.log is not None:
+        raise usage("--log and --planar: a plane has no scene to replay; expected one of them")
+    options = replace(twin.options(None), faults=tuple(fault or ()))
     playpen = scene.load()
-    target = None if picture is None else picture.absolute()  # a controller may go to another folder
+    # A controller may go to another folder.
+    target, log = (None if path is None else path.absolute() for path in (picture, logging.log))
     function = None
     if controller != "braitenberg":
         function = find_function(controller, "proximity and ambient light", 2)
-    playpen, on_the_line = equipped(at_spots(playpen, options.seed), options)
-    check_body(options.rom, (playpen.robots[index] for index in on_the_line))
+    playpen, _ = equipped(at_spots(playpen, options.seed), options)
+    check_body(options.rom, playpen.robots)
     try:
         step_ns = None if step is None else round(step * 1e6)
         setup = EpisodeSetup(playpen, step_ns=step_ns, period_ns=round(period * 1e6), planar=planar)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
+        episode = Episode(
+            setup,
+            Braitenberg() if function is None else ConstantSpeed(),
+            compiled=None if is_compiled() else False,
+            faults=[parse(text) for text in options.faults],
+        )
     except ValueError as error:
         raise usage(str(error)) from None
-    episode = Episode(
-        setup,
-        Braitenberg() if function is None else ConstantSpeed(),
-        compiled=None if is_compiled() else False,
-    )
     episode.begin(options.seed, noise=options.noise, vary=options.vary)
-    way = [episode.pose]
-    # Where the path is not needed in between, many periods pass at once, with the same results.
-    at_once = 1 if function is not None or picture is not None else max(_SPAN_NS // setup.period_ns, 1)
-    with progress_bar() as show:
+    ways = [[pose] for pose in episode.poses]
+    recorder = None
+    with ExitStack() as stack:
+        if log is not None:
+            recorded = stack.enter_context(Twin(episode.world, episode.world.robots, options))
+            recorded.record(log, facts={"controller": controller, **NO_LINE}, on_failure=logging.on_failure)
+            recorder = recorded.recorder
+            tell_kept(recorder)
+        # Where the path is not needed in between, many periods pass at once, with the same results.
+        at_once = 1 if function is not None or picture is not None else max(_SPAN_NS // setup.period_ns, 1)
+        show = stack.enter_context(progress_bar())
         for done in range(0, periods, at_once):
             if function is not None:
-                episode.drive(*_speeds(function, episode))
+                for robot in range(len(ways)):
+                    episode.drive(*_speeds(function, episode, robot), robot)
             now = min(at_once, periods - done)
             episode.step(now * setup.steps_per_period)
-            way.append(episode.pose)
+            for way, pose in zip(ways, episode.poses, strict=True):
+                way.append(pose)
             if show is not None:
                 show((done + now) / periods)
     _print_metrics(episode, periods)
     if target is not None:
-        from khep_twin.drawing.map import DrawnPath, draw, save
-
-        times = np.arange(len(way)) * setup.period_ns / 1e9
-        save(draw(playpen, [DrawnPath("khepera0", times, 1000 * np.array(way)[:, :2])]), target)
+        _draw(playpen, ways, setup.period_ns, target)
         typer.echo(f"picture  {picture}")
+    logging.check(recorder)
+    if logging.log is not None:
+        typer.echo(f"log      {logging.log}      look at it: {command('view', logging.log)}")
 
 
 def is_compiled() -> bool:
@@ -110,17 +144,38 @@ def is_compiled() -> bool:
 
 def _print_metrics(episode: "Episode", periods: int) -> None:
     typer.echo(f"{periods} cycles in {episode.time_ns / 1e9:.1f} s")
-    for name, value in episode.metrics().items():
-        if not math.isnan(value):  # homing is undefined without a home
-            typer.echo(f"{name.replace('_', ' '):20}{value:.4g}")
+    n_robots = len(episode.boards)
+    each = [episode.metrics(robot) for robot in range(n_robots)]
+    if n_robots > 1:
+        typer.echo(f"{'':20}" + "".join(f"{f'khepera{robot}':<12}" for robot in range(n_robots)).rstrip())
+    for name in each[0]:
+        values = [metrics[name] for metrics in each]
+        if not math.isnan(values[0]):  # homing is undefined without a home
+            row = "".join(f"{value:<12.4g}" for value in values)
+            typer.echo(f"{name.replace('_', ' '):20}{row}".rstrip())
 
 
-def _speeds(function: Callable[..., Any], episode: "Episode") -> tuple[float, float]:
+def _draw(
+    playpen: "Playpen", ways: "list[list[tuple[float, float, float]]]", period_ns: int, path: Path
+) -> None:
+    """Draw the robots' paths."""
+    import numpy as np
+
+    from khep_twin.drawing.map import DrawnPath, draw, save
+
+    times = np.arange(len(ways[0])) * period_ns / 1e9
+    paths = [
+        DrawnPath(f"khepera{robot}", times, 1000 * np.array(way)[:, :2]) for robot, way in enumerate(ways)
+    ]
+    save(draw(playpen, paths), path)
+
+
+def _speeds(function: Callable[..., Any], episode: "Episode", robot: int) -> tuple[float, float]:
     """Return the left and right speed that a user's function makes of the readings [pulses/10 ms]."""
     from khep_twin.errors import ControllerError
     from khep_twin.lab.experiment.experiment import call, name_of
 
-    speeds = call(function, *episode.readings())
+    speeds = call(function, *episode.readings(robot))
     try:
         left, right = speeds
         return float(left), float(right)

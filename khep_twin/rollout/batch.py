@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
+from khep_twin.board.fault_injection import Fault
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, Playpen
@@ -58,6 +59,8 @@ class Failure:
 class RolloutResult:
     """Results of a batch of n episodes.
 
+    Where an episode has several robots, all arrays have an axis of robots behind that of episodes.
+
     Attributes:
         metrics: Metrics of the episodes by name (`episode.METRICS`), NaN for those that failed, each (n,).
         registers: Registers of each board at the end (n, N_REGISTERS).
@@ -83,6 +86,7 @@ def rollout(
     noise: bool = True,
     vary: bool = False,
     home: tuple[float, float, float, float] | None = None,
+    faults: Sequence[Fault] = (),
     step_ns: int | None = None,
     period_ns: int = units.SCAN_NS,
     planar: bool = False,
@@ -92,16 +96,18 @@ def rollout(
     """Run a batch of episodes.
 
     Args:
-        playpen: Playpen with one robot, or an `EpisodeSetup`, which has its own step, period and plane.
+        playpen: Playpen, or an `EpisodeSetup`, which has its own step, period and plane.
         driver: Controller of all episodes.
         seeds: Seeds of the episodes (n,).
         seconds: Duration of each episode [s], whole control periods.
-        genes: Genes of each episode's controller (n, n_genes).
-        starts: Start poses x, y [mm] and heading [deg]; by default the playpen's.
+        genes: Genes of each episode's controllers (n, n_genes), or of each robot's (n, n_robots, n_genes).
+        starts: Start poses x, y [mm] and heading [deg] of each episode (n, 3), or of each robot
+            (n, n_robots, 3); by default the playpen's.
         lamps: Lamps of each episode; by default the playpen's.
         noise: Whether sensors are noisy.
         vary: Whether each episode has the sensors of another robot, by its seed.
         home: Home x, y, radius [mm] and duration of a charge [s], for the metric "homing".
+        faults: Faults of the robots.
         step_ns: Physics step [ns]: 2.5 ms as on the robot, or 5 or 10 ms; by default 2.5 ms, and 10 ms in a
             plane.
         period_ns: Control period [ns].
@@ -118,11 +124,12 @@ def rollout(
     fast = is_compiled(compiled)
     setup = _setup(playpen, step_ns, period_ns, planar)
     count = len(seeds)
-    weights = _checked_genes(driver, count, genes, starts, lamps, threads)
+    n_robots = len(setup.playpen.robots)
+    weights = _checked_genes(driver, count, n_robots, genes, starts, lamps, threads)
     batch = _Batch(setup, seeds, seconds, weights, starts, lamps, noise, vary, _in_metres(home))
-    results = _Results(count)
+    results = _Results(count, n_robots)
     workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
-    made = (Episode(setup, driver, compiled=fast) for _ in itertools.count())
+    made = (Episode(setup, driver, compiled=fast, faults=faults) for _ in itertools.count())
     with ThreadPoolExecutor(workers) as pool:
         if isinstance(driver, Policy):
             lanes = list(itertools.islice(made, min(BATCH_SIZE, count)))
@@ -158,6 +165,7 @@ def _setup(
 def _checked_genes(
     driver: Driver,
     count: int,
+    n_robots: int,
     genes: Floats | None,
     starts: Sequence[Start] | None,
     lamps: Sequence[Sequence[Lamp]] | None,
@@ -170,12 +178,13 @@ def _checked_genes(
     if isinstance(driver, Network) and genes is None:
         raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
     weights = np.zeros((count, 0)) if genes is None else np.asarray(genes, np.float64)
-    if weights.ndim != 2 or not np.isfinite(weights).all():
+    if weights.ndim not in (2, 3) or not np.isfinite(weights).all():
         raise ValueError(f"genes of shape {weights.shape}; expected finite numbers (n, n_genes)")
     if threads is not None and threads < 1:
         raise ValueError(f"{threads} threads; expected 1 or more")
     for index, start in enumerate(() if starts is None else starts):
-        _check(f"starts[{index}]", start, "x, y [mm] and heading [deg]", 3)
+        shape = (3,) if n_robots == 1 else (n_robots, 3)
+        _check(f"starts[{index}]", start, "x, y [mm] and heading [deg]", shape)
     for index, each in enumerate(() if lamps is None else lamps):
         if isinstance(each, Lamp):
             raise ValueError(f"lamps[{index}] is one lamp; expected a list of lamps for each episode")
@@ -186,20 +195,22 @@ def _in_metres(home: tuple[float, float, float, float] | None) -> tuple[float, f
     """Return a home with its lengths in metres, all 0 for none; raise a `ValueError` if it is none."""
     if home is None:
         return 0.0, 0.0, 0.0, 0.0
-    _check("home", home, "x, y, radius [mm] and duration of a charge [s]", 4)
+    _check("home", home, "x, y, radius [mm] and duration of a charge [s]", (4,))
     if home[2] <= 0 or home[3] <= 0:
         raise ValueError(f"home = {home}; expected a radius and a charge above 0")
     return units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3]
 
 
-def _check(name: str, metrics: Sequence[float], what: str, count: int) -> None:
-    """Raise a `ValueError` unless these are `count` finite numbers."""
+def _check(name: str, given: object, what: str, shape: tuple[int, ...]) -> None:
+    """Raise a `ValueError` unless these are finite numbers of a shape."""
     try:
-        fits = np.shape(metrics) == (count,) and bool(np.isfinite(np.asarray(metrics, np.float64)).all())
+        numbers = np.asarray(given, np.float64)
+        fits = numbers.shape == shape and bool(np.isfinite(numbers).all())
     except (TypeError, ValueError):
         fits = False
     if not fits:
-        raise ValueError(f"{name} = {metrics!r}; expected {what}, {count} finite numbers")
+        count = " x ".join(map(str, shape))
+        raise ValueError(f"{name} = {given!r}; expected {what}, {count} finite numbers")
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +231,7 @@ class _Batch:
         """Begin an episode of the batch."""
         episode.begin(
             int(self.seeds[index]),
-            start=None if self.starts is None else tuple(self.starts[index]),  # type: ignore[arg-type]
+            start=None if self.starts is None else self.starts[index],
             noise=self.noise,
             vary=self.vary,
             lamps=None if self.lamps is None else self.lamps[index],
@@ -232,25 +243,29 @@ class _Batch:
 class _Results:
     """Results collected from each episode."""
 
-    def __init__(self, count: int) -> None:
-        self.metrics = {name: np.full(count, np.nan) for name in METRICS}
-        self.registers = np.zeros((count, N_REGISTERS), np.int64)
-        self.poses = np.zeros((count, 3))
+    def __init__(self, count: int, n_robots: int) -> None:
+        self.metrics = {name: np.full((count, n_robots), np.nan) for name in METRICS}
+        self.registers = np.zeros((count, n_robots, N_REGISTERS), np.int64)
+        self.poses = np.zeros((count, n_robots, 3))
         self.failures: list[Failure] = []
 
     def keep(self, index: int, seed: int, episode: Episode, failure: DivergedError | None) -> None:
         """Store the results of an episode that has ended."""
-        self.registers[index], self.poses[index] = episode.registers, episode.pose
+        self.registers[index], self.poses[index] = episode.boards, episode.poses
         if failure is not None:
             self.failures.append(Failure(index, seed, episode.steps, str(failure)))
             return
-        for name, value in episode.metrics().items():
-            self.metrics[name][index] = value
+        for robot in range(len(episode.boards)):
+            for name, value in episode.metrics(robot).items():
+                self.metrics[name][index, robot] = value
 
     def result(self) -> RolloutResult:
         """Return all results."""
         failures = tuple(sorted(self.failures, key=lambda failure: failure.index))
-        return RolloutResult(self.metrics, self.registers, self.poses, failures)
+        if self.poses.shape[1] > 1:
+            return RolloutResult(self.metrics, self.registers, self.poses, failures)
+        metrics = {name: values[:, 0] for name, values in self.metrics.items()}
+        return RolloutResult(metrics, self.registers[:, 0], self.poses[:, 0], failures)
 
 
 def _share_out(
@@ -310,21 +325,24 @@ def _run_together(
         living = [(index, episode) for index, episode in group if index not in failures]
         if not living:
             break
-        board = np.stack([episode.registers for _, episode in living])
-        which = np.array([index for index, _ in living])
+        board = np.concatenate([episode.boards for _, episode in living])
+        robots = [
+            (index, episode, robot) for index, episode in living for robot in range(len(episode.boards))
+        ]
+        which = np.array([index for index, _, _ in robots])
         decided = policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which)
         try:
             speeds = np.asarray(decided, np.float64)
         except (TypeError, ValueError) as error:
             raise ValueError(
-                f"the policy returned no speeds: {error}; expected an array ({len(living)}, 2)"
+                f"the policy returned no speeds: {error}; expected an array ({len(robots)}, 2)"
             ) from error
-        if speeds.shape != (len(living), 2):
+        if speeds.shape != (len(robots), 2):
             raise ValueError(
-                f"the policy returned speeds of shape {speeds.shape}; expected ({len(living)}, 2)"
+                f"the policy returned speeds of shape {speeds.shape}; expected ({len(robots)}, 2)"
             )
-        for (index, episode), (left, right) in zip(living, speeds.tolist(), strict=True):
-            attempt(index, episode.drive, left, right)
+        for (index, episode, robot), (left, right) in zip(robots, speeds.tolist(), strict=True):
+            attempt(index, episode.drive, left, right, robot)
         all_at_once(lambda _, episode: episode.step(steps))
     for index, episode in group:
         results.keep(index, int(batch.seeds[index]), episode, failures.get(index))

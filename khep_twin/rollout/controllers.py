@@ -78,8 +78,8 @@ class Policy:
     """A function of many robots at once, in plain Python, called once per control period.
 
     Attributes:
-        decide: Function of proximity (n, 8), ambient (n, 8) and indices of the episodes (n,) that returns
-            speeds (n, 2) [pulses/10 ms]; an episode's row may depend on no other row.
+        decide: Function of proximity (n, 8), ambient (n, 8) and indices of the episodes (n,), a row for each
+            robot, that returns speeds (n, 2) [pulses/10 ms]; a row may depend on none of another episode.
     """
 
     decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], ArrayLike]

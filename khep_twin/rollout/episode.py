@@ -190,9 +190,10 @@ class Episode:
         """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers."""
         return self._world.joints
 
-    def readings(self) -> tuple[list[int], list[int]]:
-        """Return proximity and ambient counts of the first robot's registers, each (8,)."""
-        return self.registers[kernel.PROXIMITY].tolist(), self.registers[kernel.AMBIENT].tolist()
+    def readings(self, robot: int = 0) -> tuple[list[int], list[int]]:
+        """Return proximity and ambient counts of a robot's registers, each (8,)."""
+        board = self.boards[robot]
+        return board[kernel.PROXIMITY].tolist(), board[kernel.AMBIENT].tolist()
 
     def run(self, seconds: float) -> None:
         """Run the episode for a time [s], in whole control periods.

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from khep_twin import __version__, playpen
-from khep_twin.errors import ControllerError, KhepTwinError
+from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
 from khep_twin.files.atomic import read_regular
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
@@ -158,6 +158,8 @@ def _playpen(file: StudyFile, name: str) -> Playpen:
     """Return one of a study's playpens, by the name of a shipped one or by path."""
     try:
         found = playpen.load(name if name in playpen.names() else file.folder / name)
+        if len(found.robots) > 1:
+            raise PlaypenError(f"{found.name}: {len(found.robots)} robots; expected one in a study")
         EpisodeSetup(found, planar=file.study.planar)  # raises early for unsupported features
     except KhepTwinError as error:
         raise checked(file, ("playpens",), f'playpens: "{name}"', error) from None

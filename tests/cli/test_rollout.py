@@ -1,10 +1,14 @@
 """The command `khep-twin rollout`."""
 
+import re
 import subprocess
 from pathlib import Path
 
 import pytest
 from command_line import khep_twin
+
+from khep_twin import playpen
+from khep_twin.log.reader import read
 
 OWN = """
 def controller(proximity, ambient):
@@ -51,7 +55,7 @@ def test_the_path_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--log", "x.mcap"), "No such option: --log"),
+        (("--planar", "--log", "x.mcap"), "a plane has no scene to replay; expected one of them"),
         (("--picture", "way.bmp"), "expected a name that ends in .png, .svg or .pdf"),
         (("--seconds", "0.03"), "0.03 s; expected a whole number of control periods of 20 ms"),
         (("--seconds", "0"), "--seconds and --cycles are above 0 and finite"),
@@ -66,3 +70,36 @@ def test_a_mistake_gets_one_line(arguments: tuple[str, ...], message: str, tmp_p
     assert message in result.stderr
     assert result.stderr.count("\n") == 1
     assert not list(tmp_path.glob("*.mcap*"))
+
+
+TWO = """
+[[robot]]
+x_mm = 330
+y_mm = 300
+heading_deg = 90
+"""
+
+
+def test_an_episode_with_robots_and_faults_is_logged_and_its_log_is_read(tmp_path: Path) -> None:
+    (tmp_path / "two.toml").write_text(playpen.dump(playpen.load("obstacles")) + TWO)
+    options = ("--playpen", "two.toml", "--seconds", "1", "--fault", "dead:left@0.5", "--log", "run.mcap")
+    ended = rollout(*options, "--picture", "run.png", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert re.search(r"^ +khepera0 +khepera1\n(.*\n)*distance m +0\.\d+ +0\.\d+$", ended.stdout, re.MULTILINE)
+    found = read(tmp_path / "run.mcap")
+    assert [len(robot.registers) for robot in found.robots.values()] == [51, 51]
+    assert [event.text for event in found.events] == ["fault dead:left@0.5 begins"] * 2
+    assert (tmp_path / "run.png").stat().st_size > 10_000
+    again = rollout(*options, cwd=tmp_path)
+    assert again.returncode == 2
+    assert "run.mcap" in again.stderr
+    refused = khep_twin("repeat", "run.mcap", folder=tmp_path)
+    assert refused.returncode == 1
+    assert "run.mcap: cannot be repeated: its controller ran without a line" in refused.stderr
+
+
+def test_a_plane_has_no_log(tmp_path: Path) -> None:
+    ended = rollout("--planar", "--seconds", "1", "--log", "run.mcap", cwd=tmp_path)
+    assert ended.returncode == 2
+    assert "a plane has no scene to replay" in ended.stderr
+    assert not list(tmp_path.iterdir())

@@ -228,3 +228,36 @@ def test_a_setup_takes_no_other_step_period_or_plane() -> None:
 def test_constant_speeds_that_are_no_numbers_fail() -> None:
     results = rollout(SCENE, ConstantSpeed(math.nan, 1), [1], 0.02, compiled=False)  # type: ignore[arg-type]
     assert results.failures[0].reason.endswith("was given the speeds nan, 1; expected finite numbers")
+
+
+PAIR = """
+[[robot]]
+x_mm = 330
+y_mm = 300
+heading_deg = 90
+"""
+
+
+def test_results_of_several_robots_have_an_axis_of_robots_and_are_those_of_episodes() -> None:
+    setup = EpisodeSetup(playpen.parse(playpen.dump(playpen.load("obstacles")) + PAIR, "pair"))
+    genes = np.random.default_rng(2).normal(size=(3, 2, NETWORK.n_genes))
+    results = rollout(setup, NETWORK, range(3), 0.4, genes=genes, compiled=False)
+    assert results.poses.shape == (3, 2, 3)
+    for index in range(3):
+        episode = Episode(setup, NETWORK, compiled=False)
+        episode.begin(index, genes=genes[index])
+        episode.run(0.4)
+        assert results.registers[index].tolist() == episode.boards.tolist()
+        for robot in range(2):
+            forward = results.metrics["forward_m"][index, robot]
+            assert forward == episode.metrics(robot)["forward_m"]
+    rows: list[tuple[int, ...]] = []
+
+    def decide(proximity: Any, ambient: Any, episodes: Any) -> Any:
+        rows.append(tuple(episodes.tolist()))
+        return [(9, 9), (-4, 4)] * 3
+
+    driven = rollout(setup, Policy(decide), range(3), 0.4, compiled=False)
+    assert set(rows) == {(0, 0, 1, 1, 2, 2)}
+    assert (driven.metrics["forward_m"][:, 0] > 0.02).all()
+    assert (abs(driven.metrics["forward_m"][:, 1]) < 0.002).all()

@@ -9,6 +9,7 @@ import pytest
 
 from khep_twin import playpen, rollout
 from khep_twin.board import kernel
+from khep_twin.board.fault_injection import parse
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, Wheel
 from khep_twin.errors import DivergedError, MissingNumbaError, PlaypenError
 from khep_twin.playpen import Playpen
@@ -315,3 +316,76 @@ def test_a_episode_that_has_not_begun_says_so() -> None:
     for action in (lambda: episode.run(0.02), episode.metrics, lambda: episode.drive(1, 1)):
         with pytest.raises(ValueError, match=r"no episode has begun; expected begin\(\) first"):
             action()
+
+
+OTHERS = """
+[[robot]]
+x_mm = 330
+y_mm = 300
+heading_deg = 90
+[[robot]]
+x_mm = 250
+y_mm = 320
+heading_deg = -20
+"""
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+@pytest.mark.parametrize(
+    ("scene", "faults"),
+    [
+        pytest.param(playpen.parse(playpen.dump(arena()) + OTHERS, "three"), (), id="three robots"),
+        pytest.param(playpen.load("two-lamps"), (), id="lamps by turns"),
+        pytest.param(playpen.load("gripper"), (), id="a turret"),
+        pytest.param(arena(), ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7"), id="faults"),
+    ],
+)
+def test_robots_turrets_lamps_and_faults_are_the_worlds(
+    scene: Playpen, faults: tuple[str, ...], compiled: bool
+) -> None:
+    found = tuple(map(parse, faults))
+    world = World(scene, seed=6, unpaced=True, faults=found)
+    episode = Episode(EpisodeSetup(scene), Braitenberg(), compiled=compiled, faults=found)
+    episode.begin(6)
+    for period in range(120):
+        for robot in world.robots:
+            if robot.firmware.powered:
+                kernel.wander(robot.registers.data)
+        world.advance_to((period + 1) * 20_000_000)
+    episode.run(2.4)
+    assert episode.boards.tolist() == [robot.registers.tolist() for robot in world.robots]
+    assert episode.joints.tobytes() == world.data.qpos.tobytes()
+    assert episode.poses == world.poses
+    assert len({tuple(episode.metrics(robot).items()) for robot in range(len(world.robots))}) == len(
+        world.robots
+    )
+
+
+@with_numba
+def test_an_episode_that_changes_over_to_compiled_code_stays_what_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    network = Network(hidden=(3,), recurrent=True)
+    genes = np.random.default_rng(4).normal(size=network.n_genes)
+    plain = episode_of(arena(), 2.0, False, network, genes=genes, seed=3)
+    monkeypatch.setattr(episodes, "_LOOK", 200)
+    looks = iter([None, None])
+    ready = episodes.when_ready
+    monkeypatch.setattr(episodes, "when_ready", lambda part: next(looks, ready(part)))
+    episode = Episode(EpisodeSetup(arena()), network)
+    episode.begin(3, genes=genes)
+    kinds: list[bool] = []
+    for _ in range(20):
+        episode.run(0.1)
+        kinds.append(episode.world.simulation.is_compiled)
+    assert kinds[0] is False
+    assert kinds[-1] is True
+    assert episode.registers.tolist() == plain.registers.tolist()
+    assert episode.joints.tobytes() == plain.joints.tobytes()
+    assert episode.metrics() == pytest.approx(plain.metrics(), nan_ok=True)
+
+
+def test_a_start_is_needed_for_each_robot() -> None:
+    setup = EpisodeSetup(playpen.parse(playpen.dump(arena()) + OTHERS, "three"))
+    with pytest.raises(ValueError, match=r"expected x, y .* of 3 robots"):
+        Episode(setup, compiled=False).begin(start=(300.0, 300.0, 0.0))

@@ -36,7 +36,7 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
         ("step_ms = 10", "step_ms = 3", r"study.toml:7: step_ms = 3; expected 2.5, 5 or 10"),
         ('["default"]', '["default", "default"]', r"study.toml:3: playpens has \"default\" twice"),
         ('["default"]', '["defualt"]', r"study.toml:3: playpens: \"defualt\": .*no such file"),
-        ('["default"]', '["gripper"]', r"study.toml:3: playpens: \"gripper\": .*turrets"),
+        ('["default"]', '["gripper"]\nplanar = true', r"study.toml:3: playpens: \"gripper\": .*turrets"),
         ('["braitenberg"]', '["mine"]', r"study.toml:4: controllers.*\"mine\": unknown; .*braitenberg"),
         ('controllers = ["braitenberg"]', "", r"no controller; expected controllers, a \[\[network\]\]"),
         (

@@ -78,6 +78,11 @@ def read_recorded(path: Path) -> Recorded:
     """
     channels = ("/host_events", "/serial", "/state")
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
+    if label.metadata.get("line") == "none":
+        raise LogError(
+            f"{path}: cannot be repeated: its controller ran without a line, of which the log has nothing; "
+            "expected a log of khep-twin run or serve"
+        )
     states: list[int] = []
     for time_ns, hashed in _decoded(path, found, "/state", read_states):
         if time_ns != len(states) * SAMPLE_NS:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -141,8 +141,8 @@ def deaf_to_cr(twin: Twin) -> None:
 
 def crossed_wheels(twin: Twin) -> None:
     """Drives the left motor for the right one."""
-    left, right = twin.robot.indices.motors
-    twin.robot.indices = replace(twin.robot.indices, motors=(right, left))
+    robots: Any = twin.world.simulation.plain.robots
+    robots[0] = robots[0]._replace(left_motor=robots[0].right_motor, right_motor=robots[0].left_motor)
 
 
 def backwards(twin: Twin) -> None:
