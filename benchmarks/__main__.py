@@ -38,6 +38,10 @@ def main_job(part: float, rounds: int) -> Table:
             world_row("World, told by no line", playpen.load(PLAYPEN), seconds),
             line_row("main job over khep://, no log", PLAYPEN, seconds),
             line_row("main job over khep://, logged", PLAYPEN, seconds, Path(folder) / "run.mcap"),
+            world_row("World, plain", playpen.load(PLAYPEN), seconds, compiled=False),
+            line_row(
+                "main job, logged, plain", PLAYPEN, seconds, Path(folder) / "plain.mcap", compiled=False
+            ),
             episode_row("life, plain", setup, seconds, compiled=False),
             episode_row("life, compiled", setup, seconds),
             batch_row("batch, 1 thread", setup, n_episodes, 4 * part, 1),

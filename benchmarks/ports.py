@@ -26,12 +26,18 @@ REPLY = b"b,5.02,5.01\r\n"
 EXAMPLE = Path(__file__).parents[1] / "examples" / "01_braitenberg.py"
 
 
-def line_row(name: str, playpen: str, seconds: float, log: Path | None = None) -> Row:
+def line_row(
+    name: str, playpen: str, seconds: float, log: Path | None = None, *, compiled: bool = True
+) -> Row:
     """Run the main job through the serial line in this process, with its opening and closing."""
     url = f"khep://{playpen}?seed=1" + (f"&log={log}" if log else "")
 
     def drive() -> None:
         with Khepera(url) as robot:
+            world = robot.port.twin.world
+            world.change_over_at = None
+            if compiled:
+                world.compile()
             run(braitenberg, robot, seconds=seconds)
 
     return Row(name, seconds, timed(drive))

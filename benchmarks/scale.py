@@ -66,11 +66,11 @@ def episode_row(name: str, setup: EpisodeSetup, seconds: float, *, compiled: boo
     return Row(name, seconds, timed(run))
 
 
-def world_row(name: str, scene: Playpen, seconds: float) -> Row:
+def world_row(name: str, scene: Playpen, seconds: float, *, compiled: bool = True) -> Row:
     """Return a row of a world whose robots have no line, with its opening."""
 
     def run() -> None:
-        world = World(scene, seed=1)
+        world = World(scene, seed=1, compiled=compiled)
         register_view = [robot.registers.data for robot in world.robots]
         for scan in range(round(seconds * 1e9) // units.SCAN_NS):
             for own in register_view:
@@ -134,7 +134,11 @@ def main() -> None:
                 batch_row("Python policy, 2 threads", setup, 32, 4.0, 2, POLICY),
             ]
             if step_ns == units.STEP_NS:
-                rows.append(world_row("World, told by no line", playpen.load(name), 20.0))
+                for kind in (True, False):
+                    word = "compiled" if kind else "plain"
+                    rows.append(
+                        world_row(f"World, told by no line, {word}", playpen.load(name), 20.0, compiled=kind)
+                    )
             table = measure(f"{name}, steps of {step_ns / 1e6:g} ms", rows, ROUNDS)
             print(text([table]), end="\n\n", flush=True)
     print(LEGEND)

@@ -245,15 +245,19 @@ class World:
         Raises:
             MissingNumbaError: numba is not installed.
         """
+        self.change_over_at = None
+        if not self._scene_model.playpen.robots:
+            return
         try:
             self.run_by(function_of("world"), compiled=True)
         except ImportError as error:
             raise MissingNumbaError() from error
-        self.change_over_at = None
 
     def change_over(self) -> None:
         """Step by compiled code from now on if it is ready; if not, have it compiled, and look later."""
-        if (advance := when_ready("world")) is not None:
+        if not self._scene_model.playpen.robots:
+            self.change_over_at = None
+        elif (advance := when_ready("world")) is not None:
             self.run_by(advance, compiled=True)
             self.change_over_at = None
         else:

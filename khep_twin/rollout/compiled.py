@@ -3,7 +3,7 @@
 Imported only where numba is installed.
 """
 
-# numba is not typed.
+# numba is not typed, and its functions have no types of their own.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 from collections.abc import Callable
@@ -18,16 +18,19 @@ from numba.core.errors import NumbaError, UnsupportedBytecodeError
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.errors import ControllerError
 from khep_twin.rollout import fitness, networks, stepping
-from khep_twin.rollout.stepping import Controllers
+from khep_twin.sensing.optics import Light
 from khep_twin.simulation.compiled import SOURCES, compiled
+from khep_twin.simulation.mujoco_calls import MujocoCalls
 from khep_twin.step import Simulated, StepInputs
 
 EPISODE_SOURCES = (*SOURCES, fitness, networks, stepping)
 """Modules that are compiled."""
 
 
-def _run(simulated: Simulated, controllers: Controllers, inputs: StepInputs, until: int, stops: int) -> int:
-    return stepping.run(simulated, controllers, inputs, until, stops)
+def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, draws, until, stops):
+    calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
+    simulated = Simulated(calls, timing[0], light, robots, counters)
+    return stepping.run(controllers, simulated, StepInputs(powers, draws), until, stops)
 
 
 run = compiled(_run, EPISODE_SOURCES)

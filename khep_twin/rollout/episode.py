@@ -17,6 +17,7 @@ import importlib.util
 import math
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,7 +33,6 @@ from khep_twin.rollout.controllers import ConstantSpeed, Driver, Floats, control
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar.planar_world import PlanarWorld
 from khep_twin.simulation.ready import function_of, when_ready
-from khep_twin.step import Simulated, StepInputs
 from khep_twin.world import World
 
 METRICS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
@@ -238,8 +238,8 @@ class Episode:
         distances = float(sums[stepping.DISTANCE]), float(sums[stepping.FORWARD])
         return dict(zip(METRICS, [*means, *distances], strict=True))
 
-    def _advance(self, simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
-        return self._run(simulated, self._controllers, inputs, until, stops)
+    def _advance(self, *arguments: Any) -> int:
+        return self._run(self._controllers, *arguments)
 
     def _look(self) -> bool:
         """Step by compiled code from now on if it is ready; return whether it is."""

@@ -68,17 +68,17 @@ class Controllers(NamedTuple):
     sums: Any
 
 
-Run = Callable[[Simulated, Controllers, StepInputs, int, int], int]
-"""`run`, plain or compiled."""
+Run = Callable[..., int]
+"""`run`; compiled code gets the controllers, and all else as separate arrays."""
 
 
 @compilable
-def run(simulated: Simulated, controllers: Controllers, inputs: StepInputs, until: int, stops: int) -> int:
+def run(controllers: Controllers, simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
     """Run steps with controllers, as `step.advance` does without them.
 
     Args:
-        simulated: Scene, robots and lamps.
         controllers: Controllers of the robots.
+        simulated: Scene, robots and lamps.
         inputs: Lamps and random draws.
         until: Number of steps since the start of the run; below 0 to switch the robots on.
         stops: Reasons to return earlier, as for `step.advance`.

@@ -48,11 +48,6 @@ def as_records(values: Sequence[NamedTuple], like: NamedTuple) -> NDArray[np.voi
     return records
 
 
-def as_record(values: NamedTuple) -> np.void:
-    """Return a named tuple as one record."""
-    return as_records([values], values)[0]
-
-
 def as_plain(values: Numbers, record: Any) -> Numbers:
     """Return the named tuple of a record for plain code.
 

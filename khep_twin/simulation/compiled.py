@@ -4,7 +4,7 @@ Imported only where numba is installed. Compiling takes some seconds; numba cach
 this file, or in the user's cache, until a source changes.
 """
 
-# numba is not typed.
+# numba is not typed, and its functions have no types of their own.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import hashlib
@@ -23,7 +23,9 @@ from khep_twin import step, units
 from khep_twin.board import battery, kernel
 from khep_twin.compilable import FUNCTIONS
 from khep_twin.sensing import mujoco_scene, optics, scene
+from khep_twin.sensing.optics import Light
 from khep_twin.simulation import addresses, foreign, mujoco_calls
+from khep_twin.simulation.mujoco_calls import MujocoCalls
 from khep_twin.status_line import announced
 from khep_twin.step import Simulated, StepInputs
 
@@ -82,7 +84,10 @@ class _Announcer(event.Listener):
             self._shown.close()
 
 
-def _advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
+def _advance(scene, timing, law, bulbs, hidden, robots, counters, powers, draws, until, stops):
+    calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
+    simulated = Simulated(calls, timing[0], light, robots, counters)
+    inputs = StepInputs(powers, draws)
     if until < 0:
         return step.switch_on(simulated, inputs)
     return step.advance(simulated, inputs, until, stops)

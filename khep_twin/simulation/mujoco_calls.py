@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from khep_twin.compilable import compilable
 from khep_twin.sensing import scene as queries
-from khep_twin.sensing.buffers import as_record, as_records
+from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.mujoco_scene import points_of_a_bulb, through
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.scene import FASTEST, FEW, LENGTH_AND_NORMAL, MANY
@@ -139,8 +139,10 @@ class MujocoCalls(NamedTuple):
     solids: NDArray[np.void]
 
 
-def calls_of(model: mujoco.MjModel, data: mujoco.MjData, robots: Sequence[RobotIndices]) -> MujocoCalls:
-    """Return a scene for compiled code; model and state must outlive it."""
+def calls_of(
+    model: mujoco.MjModel, data: mujoco.MjData, robots: Sequence[RobotIndices]
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Return a scene for compiled code, as the arrays of `MujocoCalls`; model and state must outlive it."""
     n_rays = max((part.stop - part.start for robot in robots for part in robot.rays), default=0)
     names = ("qpos", "qvel", "ctrl", "xpos", "xmat", "cam_xpos", "cam_xmat", "geom_xpos", "geom_xmat")
     at = Addresses(
@@ -163,7 +165,7 @@ def calls_of(model: mujoco.MjModel, data: mujoco.MjData, robots: Sequence[RobotI
         many=points_of_a_bulb(MANY),
     )
     visible = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist()
-    return MujocoCalls(as_record(at), as_records([_solid(model, geom) for geom in visible], Solid()))
+    return as_records([at], at), as_records([_solid(model, geom) for geom in visible], Solid())
 
 
 def _solid(model: mujoco.MjModel, geom: int) -> Solid:

@@ -76,8 +76,8 @@ class MujocoForms:
         """Return the scene for plain code."""
         return MujocoScene(self._model, self._data, self.indices)
 
-    def compiled(self) -> Any:
-        """Return the scene for compiled code."""
+    def compiled(self) -> tuple[Any, ...]:
+        """Return the scene for compiled code, as arrays."""
         from khep_twin.simulation.mujoco_calls import calls_of
 
         return calls_of(self._model, self._data, self.indices)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from khep_twin import step
 from khep_twin.errors import DivergedError
-from khep_twin.sensing.buffers import as_plain, as_record, as_records, fill_record
+from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.optics import Bulb, Hidden, Light, LightLaw
 from khep_twin.step import RobotState, Simulated, StepInputs, Timing
@@ -26,8 +26,8 @@ NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True), (), ())
 Draw = Callable[[int], NDArray[np.float64]]
 """Function that returns a number of random draws (n,)."""
 
-Advance = Callable[[Simulated, StepInputs, int, int], int]
-"""`step.advance`, or `step.switch_on` where `until` is below 0."""
+Advance = Callable[..., int]
+"""`step.advance`, or `step.switch_on` where `until` is below 0; compiled code gets all as separate arrays."""
 
 
 class SceneForms(Protocol):
@@ -37,8 +37,8 @@ class SceneForms(Protocol):
         """Return the scene for plain code."""
         ...
 
-    def compiled(self) -> Any:
-        """Return the scene for compiled code."""
+    def compiled(self) -> tuple[Any, ...]:
+        """Return the scene for compiled code, as arrays."""
         ...
 
     def trouble(self, reason: int) -> str:
@@ -79,11 +79,11 @@ class Simulation:
         self._enough = self._powered = 0
         self._compiled = False
         self.plain = Simulated(scene.plain(), timing, NO_LIGHT, (), self.counters.data)
-        self.set_robots(robots)
         self.inputs = StepInputs([[]], self._draws.tolist())
-        self._rows: Sequence[Sequence[float]] = [[]]
+        self.set_robots(robots)
         self._run: Advance = plain_advance
-        self._state, self._given = self.plain, self.inputs
+        self._arrays: tuple[Any, ...] = ()
+        self._bind()
 
     @property
     def steps(self) -> int:
@@ -101,24 +101,17 @@ class Simulation:
             fill_record(record, robot)
         plain = [as_plain(robot, record) for robot, record in zip(robots, self.records, strict=True)]
         self.plain = self.plain._replace(robots=plain)
-        if not self._compiled:
-            self._state = self.plain
+        self._bind()
 
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on."""
         self._run, self._compiled = advance, compiled
-        if not compiled:
+        if compiled:
+            timing = self.plain.timing
+            self._arrays = (self._scene.compiled(), as_records([timing], timing), *_arrays(self.plain.light))
+        else:
             self._list_draws()
-            self._state, self._given = self.plain, self.inputs
-            return
-        self._state = self.plain._replace(
-            scene=self._scene.compiled(),
-            timing=as_record(self.plain.timing),
-            light=_compiled_light(self.plain.light),
-            robots=self.records,
-            counters=self.counters,
-        )
-        self._given = StepInputs(cast(Any, _table(self._rows)), cast(Any, self._draws))
+        self._bind()
 
     def reset(self, streams: Sequence[Sequence[Draw]]) -> None:
         """Return to step 0.
@@ -140,8 +133,8 @@ class Simulation:
         self.lamps, self._powered = lamps, self.steps
         if light is not self.plain.light:
             self.plain = self.plain._replace(light=light)
-            lit = self._state._replace(light=_compiled_light(light)) if self._compiled else self.plain
-            self._state = lit
+            if self._compiled:
+                self._arrays = (*self._arrays[:2], *_arrays(light))
         self._power([lamps.powers])
 
     def switch_on(self) -> int:
@@ -151,7 +144,7 @@ class Simulation:
             DivergedError: The physics left its bounds.
         """
         self._refill(N_SENSORS)
-        reason = self._checked(self._run(self._state, self._given, -1, 0))
+        reason = self._checked(self._run(*self._arguments, -1, 0))
         self._count_draws()
         return reason
 
@@ -175,7 +168,7 @@ class Simulation:
                 self._refill(self._n_draws)
                 self._count_draws()
             end = min(until, self._enough)
-            reason = self._checked(self._run(self._state, self._given, end, stops | by_turns))
+            reason = self._checked(self._run(*self._arguments, end, stops | by_turns))
             if by_turns and reason == step.STEPPED:
                 self._switch_lamps()
                 if not stops & 1:
@@ -207,9 +200,8 @@ class Simulation:
     def _power(self, rows: Sequence[Sequence[float]]) -> None:
         """Set the lamps' powers after each step from now on, or for all (n_steps or 1, n_lamps) [W]."""
         self.counters[step.FIRST] = self.steps
-        self._rows = rows
         self.inputs = self.inputs._replace(powers=rows)
-        self._given = self._given._replace(powers=cast(Any, _table(rows)) if self._compiled else rows)
+        self._bind()
 
     def _switch_lamps(self) -> None:
         """Update lamps that are on one at a time."""
@@ -223,6 +215,14 @@ class Simulation:
         self._power([self.lamps.powers])
         if switched and self.on_switch is not None:
             self.on_switch()
+
+    def _bind(self) -> None:
+        """Set the arguments of the stepping core: named tuples, or arrays, as numba passes these fastest."""
+        if not self._compiled:
+            self._arguments: tuple[Any, ...] = self.plain, self.inputs
+            return
+        powers = np.array(self.inputs.powers, np.float64).reshape(len(self.inputs.powers), -1)
+        self._arguments = (*self._arrays, self.records, self.counters, powers, self._draws)
 
     def _refill(self, needed: int) -> None:
         """Draw random numbers, if fewer than `needed` conversions' are left."""
@@ -261,11 +261,10 @@ def draws(rng: Callable[[str], np.random.Generator]) -> tuple[Draw, Draw, Draw]:
     return proximity.standard_normal, ambient.standard_normal, idle.standard_exponential
 
 
-def _compiled_light(light: Light) -> Light:
+def _arrays(light: Light) -> tuple[NDArray[np.void], ...]:
     """Return lamps for compiled code."""
-    bulbs, hidden = as_records(light.bulbs, Bulb()), as_records(light.hidden, Hidden())
-    return Light(cast(Any, as_record(light.law)), cast(Any, bulbs), cast(Any, hidden))
-
-
-def _table(rows: Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    return np.array(rows, np.float64).reshape(len(rows), -1)
+    return (
+        as_records([light.law], light.law),
+        as_records(light.bulbs, Bulb()),
+        as_records(light.hidden, Hidden()),
+    )

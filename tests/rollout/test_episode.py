@@ -100,12 +100,13 @@ def test_what_compiled_episodes_cast_is_what_rangefinders_find() -> None:
 
     from khep_twin.sensing import scene as queries
     from khep_twin.simulation.compiled import register
+    from khep_twin.simulation.mujoco_calls import MujocoCalls
 
     register()
 
     @numba.njit(_nrt=False, error_model="numpy")
     def rays(scene: Any, robots: Any, channel: int, level: float) -> int:
-        return queries.rays(scene, robots[0].sensors, channel, level)
+        return queries.rays(MujocoCalls(scene[0][0], scene[1]), robots[0].sensors, channel, level)
 
     world = World(
         arena("[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n")

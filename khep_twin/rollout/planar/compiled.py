@@ -3,15 +3,15 @@
 Imported only where numba is installed.
 """
 
-# numba is not typed.
+# numba is not typed, and its functions have no types of their own.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 from khep_twin.rollout import stepping
 from khep_twin.rollout.compiled import EPISODE_SOURCES
 from khep_twin.rollout.planar import casting, contact_solver, motion, plane, rays, shadows
 from khep_twin.rollout.planar.plane import Plane
-from khep_twin.rollout.stepping import Controllers
 from khep_twin.sensing import scene
+from khep_twin.sensing.optics import Light
 from khep_twin.simulation.compiled import compiled
 from khep_twin.simulation.foreign import implements
 from khep_twin.step import Simulated, StepInputs
@@ -20,8 +20,10 @@ for query in casting.QUERIES:
     implements(getattr(scene, query.__name__), Plane)(query)
 
 
-def _run(simulated: Simulated, controllers: Controllers, inputs: StepInputs, until: int, stops: int) -> int:
-    return stepping.run(simulated, controllers, inputs, until, stops)
+def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, draws, until, stops):
+    flat, light = Plane(scene[0], scene[1], scene[2][0]), Light(law[0], bulbs, hidden)
+    simulated = Simulated(flat, timing[0], light, robots, counters)
+    return stepping.run(controllers, simulated, StepInputs(powers, draws), until, stops)
 
 
 run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, rays, shadows))

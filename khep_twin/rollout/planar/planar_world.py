@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from khep_twin.rollout.planar.planar import PlanarScene
 from khep_twin.rollout.planar.plane import PlanarRobot, Plane
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
-from khep_twin.sensing.buffers import as_record, view
+from khep_twin.sensing.buffers import as_records, view
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.mujoco_scene import points_of_a_bulb
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -75,11 +75,12 @@ class PlanarForms:
         }
         self._things, self._order = planar_scene.things.copy(), np.zeros(len(planar_scene.things), np.int64)
         robot = PlanarRobot(**numbers)
-        self._record = as_record(robot)
-        self.state = {name: self._record[name] for name in LIVE}
+        self._records = as_records([robot], robot)
+        record: Any = self._records[0]
+        self.state = {name: record[name] for name in LIVE}
         # Memoryviews of the same memory are faster in plain Python.
         views = {
-            name: self._record[name].data if isinstance(value, np.ndarray) else value
+            name: record[name].data if isinstance(value, np.ndarray) else value
             for name, value in numbers.items()
         }
         self.plane = Plane(view(self._things), self._order.data, PlanarRobot(**views))
@@ -88,9 +89,9 @@ class PlanarForms:
         """Return the scene for plain code."""
         return PlaneScene(self.plane)
 
-    def compiled(self) -> Any:
-        """Return the scene for compiled code."""
-        return Plane(cast(Any, self._things), self._order, cast(Any, self._record))
+    def compiled(self) -> tuple[Any, ...]:
+        """Return the scene for compiled code, as arrays."""
+        return self._things, self._order, self._records
 
     def put(self, start: Start | None) -> None:
         """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
