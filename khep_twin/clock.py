@@ -5,6 +5,9 @@ from typing import Protocol
 
 NS_PER_S = 1_000_000_000
 
+NEVER_NS = 1 << 62
+"""Time of what never happens [ns]."""
+
 
 def n_steps(duration_ns: int, step_ns: int) -> int:
     """Return the number of whole steps in a duration.

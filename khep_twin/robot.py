@@ -51,8 +51,8 @@ class WorldContext(Protocol):
         ...
 
 
-class RobotOptions(NamedTuple):
-    """Options of a world's robots.
+class RobotSettings(NamedTuple):
+    """Settings of a world's robots.
 
     Attributes:
         unpaced: True for lines without delay.
@@ -84,7 +84,7 @@ class Robot:
         indices: RobotIndices,
         state: NDArray[np.void],
         rng: Callable[..., np.random.Generator],
-        options: RobotOptions,
+        settings: RobotSettings,
     ) -> None:
         model, data = context.model, context.data
         entry = context.playpen.robots[index]
@@ -100,8 +100,8 @@ class Robot:
         self.registers = self.firmware.registers
         self._register_view = self.firmware.register_view
         self._has_stopped = False
-        self.uart = Uart(0 if options.unpaced else self.firmware.baud)
-        self._unpaced = options.unpaced
+        self.uart = Uart(0 if settings.unpaced else self.firmware.baud)
+        self._unpaced = settings.unpaced
         self._baud = self.firmware.baud
         self._host: LineSettings | None = None
         self._warned: set[tuple[int, int]] = set()
@@ -113,8 +113,9 @@ class Robot:
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
         self._lights = list(zip(positions, hidden, model.site_pos[list(self.indices.leds)], strict=True))
         self._shown = [0] * len(_LEDS)
-        self._line_noise = rng("line") if options.strict_line else None
-        self._faults = Injector(options.faults, partial(rng, "fault"), partial(context.log_event, index))
+        self._line_noise = rng("line") if settings.strict_line else None
+        self._has_faults = bool(settings.faults)
+        self._faults = Injector(settings.faults, partial(rng, "fault"), partial(context.log_event, index))
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -198,7 +199,7 @@ class Robot:
         A command causes a reply, and a brown-out fault the banner.
         """
         command_ns = self.next_command_ns()
-        brown_out_ns = self._faults.next_brown_out_ns()
+        brown_out_ns = self._faults.next_brown_out_ns() if self._has_faults else None
         if brown_out_ns is None or not self.firmware.powered:
             return command_ns
         # Faults happen in control ticks, the first of them one period after the start.
@@ -285,7 +286,8 @@ class Robot:
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
         """Send a reply."""
-        time_ns += self._faults.delay_ns(time_ns)
+        if self._has_faults:
+            time_ns += self._faults.delay_ns(time_ns)
         answer = self._over_the_line(answer, time_ns)
         self._context.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
 
@@ -301,7 +303,7 @@ class Robot:
         if mismatched and self._line_noise is not None:
             errors = self._line_noise.integers(1, 256, len(data)).tolist()
             data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
-        return self._faults.over_the_line(data, time_ns)
+        return self._faults.over_the_line(data, time_ns) if self._has_faults else data
 
     def _run_turrets(self) -> None:
         """Run one control period of the turrets."""

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from khep_twin import step, units
 from khep_twin.board.fault_injection import Fault
 from khep_twin.board.uart import HostEvent
+from khep_twin.clock import NEVER_NS
 from khep_twin.errors import DivergedError, MissingNumbaError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
-from khep_twin.robot import Robot, RobotOptions
+from khep_twin.robot import Robot, RobotSettings
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
 from khep_twin.simulation.ready import function_of, when_ready
@@ -105,7 +106,7 @@ class World:
         self.data = mujoco.MjData(self.model)
         self._forms = MujocoForms(self._scene_model, self.data)
         self._bodies: NDArray[np.float64] = self.model.body_pos.copy()
-        self._robot_options = RobotOptions(unpaced, strict_line, tuple(faults))
+        self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
         self.robots: tuple[Robot, ...] = ()
         self._has_turrets = any(entry.turrets for entry in self._scene_model.playpen.robots)
         self.simulation = Simulation(self._forms, self.timing, self._forms.robot_states())
@@ -160,9 +161,10 @@ class World:
         self._is_varied = vary
         simulation.reset([draws(rng) for rng in rngs] if noise else ())
         self.robots = tuple(
-            Robot(self, index, forms.indices[index], state, rng, self._robot_options)
+            Robot(self, index, forms.indices[index], state, rng, self._robot_settings)
             for index, (rng, state) in enumerate(zip(rngs, simulation.records, strict=True))
         )
+        self._find_faults()
         simulation.on_switch = self._on_switch
         simulation.set_lamps(self.lamps, forms.light(self.lamps, playpen.lighting))
         self._run(simulation.switch_on)
@@ -207,10 +209,9 @@ class World:
         if time_ns < self.time_ns:
             raise ValueError(f"time cannot go back from {self.time_ns} to {time_ns} ns")
         simulation, step_ns = self.simulation, self.timing.step_ns
-        last = time_ns // step_ns
-        while (steps := simulation.steps) < last:
-            self._exchange((steps + 1) * step_ns)
-            self._step_to(self._end_of_span(steps, last))
+        steps, last = simulation.steps, time_ns // step_ns
+        while steps < last:
+            steps = self._step_to(steps, last, self._exchange((steps + 1) * step_ns))
         self._exchange(time_ns)
         self.time_ns = time_ns
         if self.change_over_at is not None and simulation.steps >= self.change_over_at:
@@ -287,51 +288,64 @@ class World:
         for observer in self.observers:
             observer.on_host_event(self.time_ns, robot, event)
 
-    def _exchange(self, time_ns: int) -> None:
+    def _exchange(self, time_ns: int) -> int:
+        """Exchange what is due by a time [ns] on all lines; return when something is due next [ns]."""
+        earliest_ns = NEVER_NS
         for robot in self.robots:
-            if (next_ns := robot.next_exchange_ns()) is not None and next_ns <= time_ns:
+            next_ns = robot.next_exchange_ns()
+            if next_ns is not None and next_ns <= time_ns:
                 robot.exchange(time_ns)
+                next_ns = robot.next_exchange_ns()
+            if next_ns is not None and next_ns < earliest_ns:
+                earliest_ns = next_ns
+        return earliest_ns
 
-    def _end_of_span(self, steps: int, last: int) -> int:
-        """Return the step up to which nothing outside the stepping core can happen."""
-        for robot in self.robots:
-            if (next_ns := robot.next_exchange_ns()) is not None:
-                last = min(last, (next_ns - 1) // self.timing.step_ns)
-            for fault_ns in robot.next_faults_ns:
-                last = min(last, (fault_ns - 1) // self.timing.step_ns)
-        if self.observers or any(robot.leds_differ for robot in self.robots):
-            per_sample = self.timing.steps_per_supply
-            last = min(last, (steps // per_sample + 1) * per_sample)
-        return max(last, steps + 1)
+    def _step_to(self, steps: int, last: int, event_ns: int) -> int:
+        """Run one span, in which nothing outside the stepping core can happen; return the steps done.
 
-    def _step_to(self, end: int) -> None:
-        """Run the steps of one span."""
-        simulation, step_ns = self.simulation, self.timing.step_ns
-        begun = simulation.steps
+        Args:
+            steps: Steps done so far.
+            last: Steps after which the span must end.
+            event_ns: Time when something is due on a line [ns].
+        """
+        simulation, per_sample, step_ns = self.simulation, self.timing.steps_per_supply, self.timing.step_ns
+        end = min(last, (min(event_ns, self._fault_ns) - 1) // step_ns)
+        boundary = (steps // per_sample + 1) * per_sample
+        if end > boundary and (self.observers or any(robot.leds_differ for robot in self.robots)):
+            end = boundary
+        end = max(end, steps + 1)
         stops = 2 if self._has_turrets else 0
-        if any(fault_ns <= end * step_ns for robot in self.robots for fault_ns in robot.next_faults_ns):
+        if self._fault_ns <= end * step_ns:
             stops = 3
-        while self._run(partial(simulation.advance, end, stops)) != step.DONE:
+        while self._run(simulation.advance, end, stops) != step.DONE:
             pass
-        per_sample = self.timing.steps_per_supply
-        if end // per_sample > begun // per_sample:
+        if end >= boundary:
             for robot in self.robots:
-                robot.show_leds()
+                if robot.leds_differ:
+                    robot.show_leds()
             if end % per_sample == 0:
                 self._show()
+        return end
 
-    def _run(self, run: Callable[[], int]) -> int:
+    def _find_faults(self) -> None:
+        """Note when the next fault begins by itself."""
+        starts_ns = [fault_ns for robot in self.robots for fault_ns in robot.next_faults_ns]
+        self._fault_ns = min(starts_ns, default=NEVER_NS)
+
+    def _run(self, run: Callable[..., int], *arguments: int) -> int:
         """Run the stepping core and do what it returns for; return the reason."""
         try:
-            reason = run()
+            reason = run(*arguments)
         except DivergedError as error:
             self.time_ns = self.simulation.steps * self.timing.step_ns
             self._failure = error
             self.log_event(None, str(error))
             raise
         self.time_ns = self.simulation.steps * self.timing.step_ns
-        for robot in self.robots if reason != step.DONE else ():
-            robot.act_after(reason)
+        if reason != step.DONE:
+            for robot in self.robots:
+                robot.act_after(reason)
+            self._find_faults()
         return reason
 
     def _on_switch(self) -> None:

@@ -242,3 +242,15 @@ def test_the_next_exchange_is_that_of_a_whole_command_or_of_the_next_byte_of_an_
     world.advance_to(rx.arrival(6) or 0)
     assert robot.next_exchange_ns() == rx.arrival(1)
     assert robot.next_command_ns() is None
+
+
+def test_a_scan_sees_lamps_as_they_are_now() -> None:
+    lamp = "[[lamp]]\nx_mm = 360\ny_mm = 250\npower_w = 5\nblink_period_s = 0.1\n"
+    world = World(playpen.parse(playpen.dump(playpen.load("default")) + lamp, "blinking"), noise=False)
+    found: list[list[int]] = []
+    for time_ns in (140_000_000, 160_000_000):  # on, and off since 150 ms
+        world.advance_to(time_ns)
+        world.scan()
+        found.append(world.robots[0].registers[AMBIENT].tolist())
+    assert min(found[0]) < 200
+    assert min(found[1]) > 450

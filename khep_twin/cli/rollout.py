@@ -100,7 +100,6 @@ def rollout(
     except ValueError as error:
         raise usage(str(error)) from None
     episode.begin(options.seed, noise=options.noise, vary=options.vary)
-    ways = [[pose] for pose in episode.poses]
     recorder = None
     with ExitStack() as stack:
         if log is not None:
@@ -110,17 +109,7 @@ def rollout(
             tell_kept(recorder)
         # Where the path is not needed in between, many periods pass at once, with the same results.
         at_once = 1 if function is not None or picture is not None else max(_SPAN_NS // setup.period_ns, 1)
-        show = stack.enter_context(progress_bar())
-        for done in range(0, periods, at_once):
-            if function is not None:
-                for robot in range(len(ways)):
-                    episode.drive(*_speeds(function, episode, robot), robot)
-            now = min(at_once, periods - done)
-            episode.step(now * setup.steps_per_period)
-            for way, pose in zip(ways, episode.poses, strict=True):
-                way.append(pose)
-            if show is not None:
-                show((done + now) / periods)
+        ways = _run(episode, function, periods, at_once, setup.steps_per_period)
     _print_metrics(episode, periods)
     if target is not None:
         _draw(playpen, ways, setup.period_ns, target)
@@ -128,6 +117,29 @@ def rollout(
     logging.check(recorder)
     if logging.log is not None:
         typer.echo(f"log      {logging.log}      look at it: {command('view', logging.log)}")
+
+
+def _run(
+    episode: "Episode",
+    function: Callable[..., Any] | None,
+    periods: int,
+    at_once: int,
+    steps_per_period: int,
+) -> list[list[Pose]]:
+    """Run an episode; return the path of each robot, with a pose after every `at_once` periods."""
+    ways = [[pose] for pose in episode.poses]
+    with progress_bar() as show:
+        for done in range(0, periods, at_once):
+            if function is not None:
+                for robot in range(len(ways)):
+                    episode.drive(*_speeds(function, episode, robot), robot)
+            now = min(at_once, periods - done)
+            episode.step(now * steps_per_period)
+            for way, pose in zip(ways, episode.poses, strict=True):
+                way.append(pose)
+            if show is not None:
+                show((done + now) / periods)
+    return ways
 
 
 def is_compiled() -> bool:

@@ -123,6 +123,7 @@ def _serve_twin(
     viewer: bool,
 ) -> None:
     """Serve a twin at so many simulated seconds per real second."""
+    from khep_twin.ports.serve import WIRE
     from khep_twin.ports.serve import serve as serve_twin
     from khep_twin.ports.twin import open_twin
 
@@ -141,6 +142,9 @@ def _serve_twin(
 
             window = stack.enter_context(closing(MujocoViewer(real_time=False)))
             window.watch(twin.world)
+        if factor > 1 or factor == WIRE:
+            # Before the first host, as loading compiled code takes half a second.
+            twin.world.change_over()
         with endpoint.announced(ports, f"twin in {playpen}"):
             pacer = serve_twin(twin, ports, factor, stop=stop, notify=complain)
         dropped = sum(port.dropped for port in ports)

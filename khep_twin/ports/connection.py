@@ -2,12 +2,10 @@
 
 from collections.abc import Callable, Sequence
 
+from khep_twin.clock import NEVER_NS
 from khep_twin.ports.host_port import NOTHING, HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
-
-NEVER_NS = 1 << 62
-"""Time of what is not due at all [ns]."""
 
 
 class Connection:

@@ -5,10 +5,10 @@ import select
 import time
 from collections.abc import Callable, Sequence
 
-from khep_twin.clock import NS_PER_S, Pacer
+from khep_twin.clock import NEVER_NS, NS_PER_S, Pacer
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recorder import Recorder
-from khep_twin.ports.connection import NEVER_NS, Connection
+from khep_twin.ports.connection import Connection
 from khep_twin.ports.event_sources import exact_timeouts
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
@@ -50,6 +50,8 @@ def serve(
     connections = [
         Connection(twin, robot, port, notify) for robot, port in zip(twin.robots, ports, strict=True)
     ]
+    # Loading compiled code takes half a second, for which no host should have to wait.
+    twin.world.change_over_at = None
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
     if speed == WIRE:
         _serve_by_wire(twin, connections, stop)
@@ -65,8 +67,6 @@ def _serve_by_clock(
     twin: Twin, connections: Sequence[Connection], pacer: Pacer, stop: Callable[[], bool]
 ) -> None:
     """Advance with the wall clock."""
-    # Loading compiled code would make a run late, and plain code is fast enough for this.
-    twin.world.change_over_at = None
     world, advance_to, now = twin.world, twin.time_source.advance_to, pacer.due_ns
     flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():
@@ -93,7 +93,6 @@ def _serve_by_clock(
 
 def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Advance as fast as possible."""
-    twin.world.change_over()
     world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():
@@ -108,7 +107,6 @@ def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable
 
 def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Advance only for bytes: those of a command, and those of its reply, which comes at once."""
-    twin.world.change_over()
     world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():

@@ -29,7 +29,7 @@ FASTEST = 1000.0
 Triple = tuple[float, float, float]
 
 
-class Motion(Protocol):
+class SceneMotion(Protocol):
     """Motion of a scene."""
 
     def step(self) -> None:
@@ -49,7 +49,7 @@ class Motion(Protocol):
         ...
 
 
-class Joints(Protocol):
+class SceneJoints(Protocol):
     """Joints and motors of a scene, by their indices."""
 
     def joint_position(self, index: int) -> float:
@@ -69,7 +69,7 @@ class Joints(Protocol):
         ...
 
 
-class Sight(Protocol):
+class SceneSight(Protocol):
     """Poses and rays of the sensors in a scene."""
 
     def body_frame(self, sensors: "RobotSensors") -> Sequence[float]:
@@ -89,7 +89,7 @@ class Sight(Protocol):
         ...
 
 
-class Rays(Protocol):
+class SceneRays(Protocol):
     """Rays of the sensors in a scene."""
 
     def rays(self, sensors: "RobotSensors", channel: int, level: float) -> int:
@@ -119,7 +119,7 @@ class Rays(Protocol):
         ...
 
 
-class Scene(Motion, Joints, Sight, Rays, Protocol):
+class Scene(SceneMotion, SceneJoints, SceneSight, SceneRays, Protocol):
     """A scene with its robots."""
 
 

@@ -180,10 +180,13 @@ class Simulation:
         """Convert all sensors of all robots now, from one on, in plain code."""
         self._refill(N_SENSORS)
         self._list_draws()
+        inputs = self.inputs
+        if self.lamps is not None:
+            inputs = inputs._replace(powers=[self.lamps.powers])
         for turn in range(N_SENSORS):
             draw = int(self.counters[step.DRAWS])
             for robot in range(len(self.plain.robots)):
-                step.convert_sensor(self.plain, self.inputs, robot, 0, (first + turn) % N_SENSORS, draw)
+                step.convert_sensor(self.plain, inputs, robot, 0, (first + turn) % N_SENSORS, draw)
             self.counters[step.DRAWS] += 1
         self._count_draws()
 

@@ -8,7 +8,8 @@ one cable.
 from collections.abc import Callable, Sequence
 
 from khep_twin.board.protocol import LINE_ENDS
-from khep_twin.ports.connection import NEVER_NS, Connection
+from khep_twin.clock import NEVER_NS
+from khep_twin.ports.connection import Connection
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot

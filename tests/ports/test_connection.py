@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from khep_twin.board.uart import LineSettings
-from khep_twin.ports.connection import NEVER_NS, Connection
+from khep_twin.clock import NEVER_NS
+from khep_twin.ports.connection import Connection
 from khep_twin.ports.host_port import NOTHING, Received
 from khep_twin.ports.serve import WIRE, serve
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin

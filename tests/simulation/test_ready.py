@@ -1,0 +1,90 @@
+"""Compiled code is used when it is ready, and compiled beside a run when it is not."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from khep_twin import playpen
+from khep_twin.simulation import ready
+from khep_twin.world import World
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
+
+
+def function(folder: Path) -> SimpleNamespace:
+    """A function whose code numba keeps in a folder."""
+    named = SimpleNamespace(__qualname__="_advance_0123")
+    return SimpleNamespace(signatures=[], stats=SimpleNamespace(cache_path=str(folder)), py_func=named)
+
+
+def test_code_is_cached_where_numba_has_its_file(tmp_path: Path) -> None:
+    found = function(tmp_path)
+    assert not ready.is_cached(found)
+    (tmp_path / "compiled._advance_0123-85.py311.nbi").touch()  # the index alone is not the code
+    assert not ready.is_cached(found)
+    (tmp_path / "compiled._advance_0123-85.py311.1.nbc").touch()
+    assert ready.is_cached(found)
+
+
+def test_a_compilation_beside_the_run_is_announced_once_and_so_is_its_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    found = function(tmp_path)
+    monkeypatch.setattr(ready, "function_of", lambda part: found)
+    monkeypatch.setattr(ready, "_PROCESSES", {})
+    started: list[list[str]] = []
+
+    def start(words: list[str], **options: object) -> "subprocess.Popen[bytes]":
+        started.append(words)
+        return subprocess.Popen([sys.executable, "-c", "raise SystemExit(3)"])
+
+    monkeypatch.setattr(ready, "subprocess", SimpleNamespace(Popen=start, DEVNULL=subprocess.DEVNULL))
+    assert ready.when_ready("world") is None
+    assert capfd.readouterr().err == f"{ready.BESIDE}\n"
+    assert started == [[sys.executable, "-m", "khep_twin", "compile", "world"]]
+    ready._PROCESSES["world"].wait()
+    for _ in range(3):
+        assert ready.when_ready("world") is None
+    told = capfd.readouterr().err
+    assert told.count("the compilation failed") == 1
+    assert told.endswith("-m khep_twin compile world\n")
+    assert len(started) == 1
+    (tmp_path / "compiled._advance_0123-85.py311.1.nbc").touch()
+    assert ready.when_ready("world") is found
+
+
+def test_a_world_looks_for_compiled_code_only_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[str] = []
+    monkeypatch.setattr("khep_twin.world.when_ready", looks.append)
+    world = World(playpen.load("default"))
+    assert world.change_over_at == 30_000
+    world.change_over_at = 100
+    world.advance_to(99 * world.timing.step_ns)
+    assert not looks
+    world.advance_to(200 * world.timing.step_ns)
+    assert looks == ["world"]
+    assert world.change_over_at == 3200
+    world.change_over_at = None
+    world.advance_to(300 * world.timing.step_ns)
+    assert looks == ["world"]
+
+
+def test_a_playpen_without_robots_has_nothing_to_compile() -> None:
+    empty = playpen.load("default").model_copy(update={"robots": ()})
+    world = World(empty, compiled=True)
+    world.advance_to(10**8)
+    assert not world.simulation.is_compiled
+
+
+def test_what_cannot_be_compiled_is_refused_in_one_line() -> None:
+    told = subprocess.run(
+        [sys.executable, "-m", "khep_twin", "compile", "wrold"], capture_output=True, text=True, check=False
+    )
+    assert (told.returncode, told.stdout) == (2, "")
+    assert told.stderr == (
+        "khep-twin: part 'wrold': unknown; did you mean 'world'? (choices: world, episodes, plane)\n"
+    )
