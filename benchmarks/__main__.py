@@ -29,7 +29,7 @@ PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
 
 def main_job(part: float, rounds: int) -> Table:
     """Measure the bare loop, the whole twin with its line and log, and episodes without a line."""
-    seconds, n_episodes = max(round(30 * part), 1), 32 if part >= 1 else 8
+    seconds, n_episodes = max(round(60 * part), 1), 32 if part >= 1 else 8
     setup = EpisodeSetup(playpen.load(PLAYPEN))
     with TemporaryDirectory() as folder:
         rows = [
