@@ -9,7 +9,7 @@ this file, or in the user's cache, until a source changes.
 
 import hashlib
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -57,7 +57,10 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
         digest.update(Path(str(module.__file__)).read_bytes())
     function.__qualname__ = f"{function.__name__}_{digest.hexdigest()[:14]}"
     # Reference counts of arrays would take half of the time, and nothing here makes arrays.
-    made = numba.njit(nogil=True, cache=True, _nrt=False, error_model="numpy")(function)
+    make = numba.njit(nogil=True, _nrt=False, error_model="numpy")
+    made = make(function)
+    with suppress(RuntimeError):  # where no folder can be written, nothing is cached
+        made.enable_caching()
     event.register("numba:compile", _Announcer(made))
     return made
 

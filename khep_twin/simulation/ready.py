@@ -34,11 +34,13 @@ def when_ready(part: str) -> Callable[..., Any] | None:
         part: Key of `CODE`.
     """
     try:
-        function = function_of(part)
+        function: Any = function_of(part)
     except ImportError:
         return None
     if is_cached(function):
         return function
+    if function.stats.cache_path is None:
+        return None  # nothing can be kept for this process or the next
     if part not in _PROCESSES:
         print(BESIDE, file=sys.stderr, flush=True)
         _PROCESSES[part] = subprocess.Popen(
@@ -74,6 +76,8 @@ def is_cached(function: Any) -> bool:
     """Return whether a function is compiled, in this process or in numba's cache."""
     if function.signatures:
         return True
+    if function.stats.cache_path is None:
+        return False
     # numba names the files of a function's code by its name, which has a stamp of the sources.
     files = Path(function.stats.cache_path).glob(f"*{function.py_func.__qualname__}*.nbc")
     return next(files, None) is not None

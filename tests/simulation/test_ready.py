@@ -57,6 +57,23 @@ def test_a_compilation_beside_the_run_is_announced_once_and_so_is_its_failure(
     assert ready.when_ready("world") is found
 
 
+def test_where_no_code_can_be_kept_nothing_is_compiled_beside_a_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from numba.core import caching
+
+    from khep_twin.simulation.compiled import compiled
+
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    made = compiled(lambda x: 2 * x, ())
+    monkeypatch.setattr(ready, "function_of", lambda part: made)
+    monkeypatch.setattr(ready, "_PROCESSES", {})
+    assert ready.when_ready("world") is None
+    assert not ready._PROCESSES
+    assert made(3) == 6
+    assert ready.when_ready("world") is made
+
+
 def test_a_world_looks_for_compiled_code_only_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[str] = []
     monkeypatch.setattr("khep_twin.world.when_ready", looks.append)
