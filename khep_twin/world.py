@@ -23,7 +23,7 @@ from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot, RobotSettings
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
+from khep_twin.simulation.mujoco_forms import NO_SENSORS, MujocoForms, SceneModel
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.simulation.simulation import Advance, Simulation, draws
 
@@ -32,8 +32,6 @@ SAMPLE_NS = units.SCAN_NS
 
 _WORTH = 30_000
 """Steps of one robot from which on compiled code saves more time than its loading takes."""
-
-_NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
 class Observer(Protocol):
@@ -68,6 +66,8 @@ class World:
         faults: Faults of its robots.
         compiled: Whether to step by compiled code, with the same results; None to change over to it in a long
             run, once it is compiled.
+        shared: True to share the model of a `SceneModel` with other worlds; LEDs are not shown then, and
+            there are no observers.
 
     Attributes:
         time_ns: Current time [ns].
@@ -94,23 +94,23 @@ class World:
         strict_line: bool = False,
         faults: Sequence[Fault] = (),
         compiled: bool | None = None,
+        shared: bool = False,
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(keep_quiet)
-        if isinstance(playpen, Playpen):
-            self._scene_model = SceneModel.of(at_spots(playpen, seed))
-        else:
-            # LEDs are moved in the model, which others share.
-            self._scene_model = playpen._replace(model=copy.copy(playpen.model))
-        _, self.spec, self.model, self.timing = self._scene_model
+        made = playpen if isinstance(playpen, SceneModel) else SceneModel.of(at_spots(playpen, seed))
+        self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
+        self._has_turrets = any(entry.turrets for entry in self._base.robots)
+        # LEDs are moved in the model, and a turret may need its sensors.
+        self._shares_model = shared
+        self.model = copy.copy(made.model) if isinstance(playpen, SceneModel) and not shared else made.model
         self.data = mujoco.MjData(self.model)
-        self._forms = MujocoForms(self._scene_model, self.data)
+        self._forms = MujocoForms(self._base, self.model, self.data)
         self._bodies: NDArray[np.float64] = self.model.body_pos.copy()
         self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
         self.robots: tuple[Robot, ...] = ()
-        self._has_turrets = any(entry.turrets for entry in self._scene_model.playpen.robots)
         self.simulation = Simulation(self._forms, self.timing, self._forms.robot_states())
-        self.change_over_at = _WORTH // max(len(self._scene_model.playpen.robots), 1)
+        self.change_over_at = _WORTH // max(len(self._base.robots), 1)
         if compiled is not None:
             self.change_over_at = None
         if compiled:
@@ -145,8 +145,9 @@ class World:
         self._failure: DivergedError | None = None
         self.time_ns = 0
         mujoco.mj_resetData(model, data)
-        model.body_pos[:] = self._bodies
-        playpen = at_spots(self._scene_model.playpen, seed) if starts is None else forms.started(starts)
+        if not self._shares_model:
+            model.body_pos[:] = self._bodies
+        playpen = at_spots(self._base, seed) if starts is None else forms.started(starts)
         forms.put(playpen)
         if lamps is not None:
             playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
@@ -182,7 +183,13 @@ class World:
         return self.data.qpos.copy()
 
     def add_observer(self, observer: Observer) -> None:
-        """Add an observer; it receives the current state at once."""
+        """Add an observer; it receives the current state at once.
+
+        Raises:
+            ValueError: The world shares its model.
+        """
+        if self._shares_model:
+            raise ValueError("the world shares its model; expected one of its own, as of an observed Episode")
         self.observers.append(observer)
         for robot, text in self._untold:
             observer.on_event(self.time_ns, robot, text)
@@ -224,7 +231,7 @@ class World:
         turns, history = model.sensor_interval.copy(), data.history.copy()
         disabled = model.opt.disableflags
         model.sensor_interval[:] = 0
-        model.opt.disableflags &= ~_NO_SENSORS
+        model.opt.disableflags &= ~NO_SENSORS
         for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight, mujoco.mj_sensorPos):
             look(model, data)
         model.opt.disableflags = disabled
@@ -247,7 +254,7 @@ class World:
             MissingNumbaError: numba is not installed.
         """
         self.change_over_at = None
-        if not self._scene_model.playpen.robots:
+        if not self._base.robots:
             return
         try:
             self.run_by(function_of("world"), compiled=True)
@@ -256,7 +263,7 @@ class World:
 
     def change_over(self) -> None:
         """Step by compiled code from now on if it is ready; if not, have it compiled, and look later."""
-        if not self._scene_model.playpen.robots:
+        if not self._base.robots:
             self.change_over_at = None
         elif (advance := when_ready("world")) is not None:
             self.run_by(advance, compiled=True)
@@ -267,8 +274,8 @@ class World:
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on, plain or compiled, such as one with controllers in it."""
         self.simulation.run_by(advance, compiled)
-        if compiled and not self._has_turrets:
-            self.model.opt.disableflags |= _NO_SENSORS
+        if compiled and not self._has_turrets and not self._shares_model:
+            self.model.opt.disableflags |= NO_SENSORS
 
     def log_event(self, robot: int | None, text: str) -> None:
         """Send an event to the observers."""
@@ -311,8 +318,9 @@ class World:
         simulation, per_sample, step_ns = self.simulation, self.timing.steps_per_supply, self.timing.step_ns
         end = min(last, (min(event_ns, self._fault_ns) - 1) // step_ns)
         boundary = (steps // per_sample + 1) * per_sample
-        if end > boundary and (self.observers or any(robot.leds_differ for robot in self.robots)):
-            end = boundary
+        if end > boundary and not self._shares_model:
+            if self.observers or any(robot.leds_differ for robot in self.robots):
+                end = boundary
         end = max(end, steps + 1)
         stops = 2 if self._has_turrets else 0
         if self._fault_ns <= end * step_ns:
@@ -321,7 +329,7 @@ class World:
             pass
         if end >= boundary:
             for robot in self.robots:
-                if robot.leds_differ:
+                if robot.leds_differ and not self._shares_model:
                     robot.show_leds()
             if end % per_sample == 0:
                 self._show()

@@ -96,6 +96,7 @@ def rollout(
             Braitenberg() if function is None else ConstantSpeed(),
             compiled=None if is_compiled() else False,
             faults=[parse(text) for text in options.faults],
+            observed=log is not None,
         )
     except ValueError as error:
         raise usage(str(error)) from None

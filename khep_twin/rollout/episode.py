@@ -72,6 +72,7 @@ class Episode:
         driver: Controller of the robots; a policy is left to the caller.
         compiled: Whether to run compiled; None if numba is installed, and plain until the code is compiled.
         faults: Faults of the robots.
+        observed: Whether the episode's world may have observers; it has a model of its own then.
 
     Attributes:
         boards: State of each board (n_robots, N_REGISTERS).
@@ -85,21 +86,30 @@ class Episode:
         *,
         compiled: bool | None = None,
         faults: Sequence[Fault] = (),
+        observed: bool = False,
     ) -> None:
         self._setup, self._driver = setup, driver or ConstantSpeed()
-        self._compiled = compiled is True
-        self._next_look = 0 if compiled is None and is_compiled(None) else None
+        self._part = "episodes" if setup.planar_scene is None else "plane"
+        self._next_look = None
+        if compiled is None and is_compiled(None):
+            compiled = when_ready(self._part) is not None
+            self._next_look = None if compiled else 0
+        self._compiled = bool(compiled)
+        # One that may change over needs rangefinders at first.
+        shared = not observed and self._next_look is None
         self._world: World | PlanarWorld
         if setup.planar_scene is None:
-            self._world = World(setup.scene_model, unpaced=True, faults=faults, compiled=False)
+            model = setup.scene_model
+            if shared and self._compiled and not any(robot.turrets for robot in setup.playpen.robots):
+                model = model._replace(model=model.blind)
+            self._world = World(model, unpaced=True, faults=faults, compiled=False, shared=shared)
         elif faults:
             raise ValueError(f"{len(faults)} faults in the plane; expected none")
         else:
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
         self._simulation = self._world.simulation
-        self._part = "episodes" if setup.planar_scene is None else "plane"
         self._run: stepping.Run = stepping.run
-        if compiled:
+        if self._compiled:
             try:
                 self._run = function_of(self._part)
             except ImportError as error:

@@ -1,5 +1,6 @@
 """A playpen's scene in MuJoCo as a simulation uses it: its two forms, robots, light and bounds."""
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Self, cast
@@ -30,6 +31,10 @@ Joints = tuple[int, int, int, int, int, int, int]
 """Indices of both wheels' positions and speeds, of both motors, and of the pose."""
 
 
+NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+"""Flag of a model whose sensors are not measured."""
+
+
 class SceneModel(NamedTuple):
     """Compiled model of a playpen, which worlds may share.
 
@@ -37,12 +42,14 @@ class SceneModel(NamedTuple):
         playpen: Playpen.
         spec: Scene.
         model: Compiled scene.
+        blind: The same without rangefinders, for compiled code, which casts rays itself.
         timing: Divisions of time.
     """
 
     playpen: Playpen
     spec: mujoco.MjSpec
     model: mujoco.MjModel
+    blind: mujoco.MjModel
     timing: Timing
 
     @classmethod
@@ -51,22 +58,26 @@ class SceneModel(NamedTuple):
         spec = to_spec(playpen)
         if step_ns != units.STEP_NS:
             set_step(spec, step_ns)
-        return cls(playpen, spec, spec.compile(), timing(playpen, step_ns))
+        model = spec.compile()
+        blind = copy.copy(model)
+        blind.opt.disableflags |= NO_SENSORS
+        return cls(playpen, spec, model, blind, timing(playpen, step_ns))
 
 
 class MujocoForms:
     """Scene of a playpen in MuJoCo.
 
     Args:
-        scene_model: Compiled model.
+        playpen: Playpen.
+        model: Compiled scene.
         data: State of the scene.
 
     Attributes:
         indices: Indices of each robot.
     """
 
-    def __init__(self, scene_model: SceneModel, data: mujoco.MjData) -> None:
-        self._playpen, self._model, self._data = scene_model.playpen, scene_model.model, data
+    def __init__(self, playpen: Playpen, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._playpen, self._model, self._data = playpen, model, data
         count = len(self._playpen.robots)
         self.indices = [RobotIndices.of(self._model, f"khepera{index}") for index in range(count)]
         # Where there are several robots no sight line is known, so one robot's are all's.

@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -390,3 +391,19 @@ def test_a_start_is_needed_for_each_robot() -> None:
     setup = EpisodeSetup(playpen.parse(playpen.dump(arena()) + OTHERS, "three"))
     with pytest.raises(ValueError, match=r"expected x, y .* of 3 robots"):
         Episode(setup, compiled=False).begin(start=(300.0, 300.0, 0.0))
+
+
+def test_only_an_observed_episode_has_observers_and_shows_its_leds() -> None:
+    setup = EpisodeSetup(arena())
+    sample = SimpleNamespace(sample=lambda world: None)
+    alone, observed = (Episode(setup, observed=each, compiled=False) for each in (False, True))
+    for episode in (alone, observed):
+        episode.begin(1)
+        episode.registers[Board.LED_0] = 1
+        episode.run(0.1)
+    assert alone.world.model is setup.model
+    assert observed.world.model.body_pos.tolist() != setup.model.body_pos.tolist()
+    assert alone.joints.tobytes() == observed.joints.tobytes()
+    observed.world.add_observer(sample)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="the world shares its model; expected one of its own"):
+        alone.world.add_observer(sample)  # type: ignore[arg-type]

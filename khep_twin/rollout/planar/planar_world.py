@@ -138,7 +138,7 @@ class PlanarWorld:
     """
 
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
-        self.playpen, _, self._model, self.timing = scene_model
+        self.playpen, self._model, self.timing = scene_model.playpen, scene_model.model, scene_model.timing
         self._indices = RobotIndices.of(self._model, "khepera0")
         self._lights = LightSource(self._model, self._indices)
         self.forms = PlanarForms(planar_scene)
