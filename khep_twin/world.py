@@ -6,7 +6,7 @@ fall between them. Only `World.advance_to` advances time.
 
 import copy
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Protocol
 
 import mujoco
@@ -152,7 +152,7 @@ class World:
         if lamps is not None:
             playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
         self.playpen = playpen
-        self._lamp_chance = stream(seed, "lamps")
+        self._lamp_chance = cache(partial(stream, seed, "lamps"))
         self.lamps = Lamps(playpen, self._lamp_chance)
         rngs = [partial(stream, seed, "robot", index) for index in range(len(playpen.robots))]
         if vary:

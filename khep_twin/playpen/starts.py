@@ -29,6 +29,8 @@ def at_spots(playpen: Playpen, seed: int) -> Playpen:
     Raises:
         PlaypenError: The spots do not suffice.
     """
+    if not any(robot.spots for robot in playpen.robots):
+        return playpen
     return place_robots(playpen, stream(seed, "spots"))
 
 

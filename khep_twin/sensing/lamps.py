@@ -8,7 +8,7 @@ switch a lamp off and on again, whatever else switches it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -22,7 +22,7 @@ class Lamps:
 
     Args:
         playpen: Playpen with the lamps and the lighting.
-        rng: Random stream for the next lamp in mode "random".
+        rng: Factory of the random stream for the next lamp, called in mode "random" only.
         time_ns: Current time [ns].
 
     Attributes:
@@ -33,7 +33,7 @@ class Lamps:
         lit: Index of the lamp that is on, if they are on one at a time; else None.
     """
 
-    def __init__(self, playpen: Playpen, rng: np.random.Generator, time_ns: int = 0) -> None:
+    def __init__(self, playpen: Playpen, rng: Callable[[], np.random.Generator], time_ns: int = 0) -> None:
         self._lamps, self._lighting = playpen.lamps, playpen.lighting
         self._corners = [(metres(x_mm), metres(y_mm)) for x_mm, y_mm in playpen.arena.corners]
         self._rng = rng
@@ -46,7 +46,9 @@ class Lamps:
         self._off: set[int] = set()
         self.lit: int | None = None
         if one_by_one:
-            self.lit = int(rng.integers(len(self._lamps))) if self._lighting.mode == "random" else 0
+            self.lit = 0
+            if self._lighting.mode == "random":
+                self.lit = int(rng().integers(len(self._lamps)))
         self._time_ns = time_ns
         self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
 
@@ -104,7 +106,7 @@ class Lamps:
             return False
         step = 1
         if self._lighting.mode == "random":
-            step = 1 + int(self._rng.integers(len(self._lamps) - 1))
+            step = 1 + int(self._rng().integers(len(self._lamps) - 1))
         self.lit = (lit + step) % len(self._lamps)
         self._near_lamp = self._near(self.lit, reach, robots)
         return True

@@ -17,7 +17,7 @@ from khep_twin.sensing.optics import Bulb, Hidden, Light, LightLaw
 from khep_twin.step import RobotState, Simulated, StepInputs, Timing
 from khep_twin.units import N_SENSORS
 
-N_DRAWS = 512
+N_DRAWS = 2048
 """Length of the buffers of random draws [conversions]; no effect on results."""
 
 NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True), (), ())
@@ -88,7 +88,7 @@ class Simulation:
     @property
     def steps(self) -> int:
         """Number of steps done."""
-        return int(self.counters[step.STEPS])
+        return self.plain.counters[step.STEPS]
 
     @property
     def is_compiled(self) -> bool:
@@ -159,6 +159,8 @@ class Simulation:
             DivergedError: The physics left its bounds, or a controller gave a speed that is no number.
         """
         lamps, counters = self.lamps, self.counters
+        if until <= self._enough and (lamps is None or lamps.steady):
+            return self._checked(self._run(*self._arguments, until, stops))
         by_turns = lamps is not None and lamps.lit is not None
         if lamps is not None and not (lamps.steady or by_turns) and until > self._powered:
             self._power(lamps.rows(self.steps, until, self.plain.timing.step_ns))

@@ -1,5 +1,6 @@
 """Which lamps shine when: they blink, fade, and take turns as the Khepera Toolbox for Matlab had it."""
 
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +18,7 @@ STEP_NS = 2_500_000
 
 def lamps(text: str, seed: int = 0) -> Lamps:
     head = 'version = 1\nname = "lamps"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
-    return Lamps(playpen.parse(head + text, "lamps"), stream(seed, "lamps"))
+    return Lamps(playpen.parse(head + text, "lamps"), cache(partial(stream, seed, "lamps")))
 
 
 def lamp(x_mm: float, y_mm: float, more: str = "") -> str:

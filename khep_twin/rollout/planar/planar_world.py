@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from khep_twin.step import DONE, RobotState
 N_CONTACTS = 8
 """Most obstacles that push the robot at once: more than fit around it."""
 
-N_DRAWS = 2048
+N_DRAWS = 8192
 """Length of the buffers of random draws [conversions]: longer than in MuJoCo, as steps here are cheap."""
 
 LIVE = ("joints", "speeds", "ctrl", "force", "grips", "last", "contacts")
@@ -168,7 +168,7 @@ class PlanarWorld:
         playpen = self.playpen
         if lamps is not None:
             playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
-        lit = Lamps(playpen, stream(seed, "lamps"))
+        lit = Lamps(playpen, cache(partial(stream, seed, "lamps")))
         simulation.set_lamps(lit, self._lights.light(lit.positions, playpen.lighting))
         simulation.switch_on()
 
