@@ -268,6 +268,8 @@ class World:
         elif (advance := when_ready("world")) is not None:
             self.run_by(advance, compiled=True)
             self.change_over_at = None
+            # The code is loaded by its first call: now, and not when a host waits for a reply.
+            self.simulation.advance(self.simulation.steps)
         else:
             self.change_over_at = self.simulation.steps + _WORTH // 10
 

@@ -101,7 +101,7 @@ def test_results_survive_their_file_and_tell_nothing_of_where_they_were_made(tmp
 
 
 def test_the_results_that_are_kept_can_be_read() -> None:
-    paths = sorted(record.FOLDER.glob("*.toml"))
+    paths = sorted(record.FOLDER.rglob("*.toml"))
     assert paths
     for path in paths:
         found = record.read(path)

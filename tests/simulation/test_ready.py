@@ -10,6 +10,7 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.simulation import ready
+from khep_twin.step import DONE
 from khep_twin.world import World
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
@@ -88,6 +89,24 @@ def test_a_world_looks_for_compiled_code_only_in_a_long_run(monkeypatch: pytest.
     world.change_over_at = None
     world.advance_to(300 * world.timing.step_ns)
     assert looks == ["world"]
+
+
+def test_compiled_code_is_loaded_when_a_world_changes_over_not_at_its_next_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[int] = []
+
+    def advance(*arguments: object) -> int:
+        *_, until, _ = arguments
+        calls.append(int(str(until)))
+        return DONE
+
+    monkeypatch.setattr("khep_twin.world.when_ready", lambda part: advance)
+    world = World(playpen.load("default"))
+    world.advance_to(3 * world.timing.step_ns)
+    world.change_over()
+    assert calls == [3]
+    assert world.time_ns == 3 * world.timing.step_ns
 
 
 def test_a_playpen_without_robots_has_nothing_to_compile() -> None:
