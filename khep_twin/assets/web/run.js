@@ -38,6 +38,7 @@ export class Running {
   robots = [];
   #held = null;
   #trails = [];
+  #starts = 0;
 
   constructor(drawing, model, banner, attempt) {
     Object.assign(this, { drawing, model, banner, attempt });
@@ -73,6 +74,7 @@ export class Running {
   }
 
   async start() {
+    this.#starts++;
     this.paused = this.failed = false;
     await post("start", { file: this.model.file, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
   }
@@ -124,8 +126,9 @@ export class Running {
 
   // Waits until the twin has started, which takes long in a large playpen, or has failed with a shown reason.
   async #there() {
-    for (let tries = 0; tries < 300 && !this.active && !this.failed; tries++) await new Promise((done) => setTimeout(done, 100));
-    return this.active;
+    const starts = this.#starts; // a later start is waited for by its own button
+    for (let tries = 0; tries < 300 && starts === this.#starts && !this.active && !this.failed; tries++) await new Promise((done) => setTimeout(done, 100));
+    return this.active && starts === this.#starts;
   }
 
   hear(message) {
