@@ -40,7 +40,7 @@ def voltages(setup: EpisodeSetup, seconds: float) -> list[tuple[float, float]]:
 def bare_row(name: str, setup: EpisodeSetup, seconds: float, *, sensors: bool = True) -> Row:
     """Return a row of a loop of mj_step alone."""
     driven = voltages(setup, seconds)
-    model = setup.model if sensors else setup.scene_model.blind
+    model = setup.model if sensors else setup.for_compiled.model
     steps = setup.scene_model.timing.steps_per_tick
 
     def bare() -> None:

@@ -18,7 +18,6 @@ from khep_twin.board.turrets import find
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import Firmware
 from khep_twin.playpen import Playpen
-from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.robot_indices import RobotIndices
 
 REPLY_LIMIT = 256
@@ -35,7 +34,6 @@ class WorldContext(Protocol):
     playpen: Playpen
     model: mujoco.MjModel
     data: mujoco.MjData
-    lamps: Lamps
     time_ns: int
 
     def log_event(self, robot: int | None, text: str) -> None:
@@ -107,14 +105,12 @@ class Robot:
         self._warned: set[tuple[int, int]] = set()
         self._context = context
         self.index = index
-        self._radius = entry.body.radius
         self.indices = indices
         positions = [model.body_pos[light] for light in self.indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
         self._lights = list(zip(positions, hidden, model.site_pos[list(self.indices.leds)], strict=True))
         self._shown = [0] * len(_LEDS)
         self._line_noise = rng("line") if settings.strict_line else None
-        self._has_faults = bool(settings.faults)
         self._faults = Injector(settings.faults, partial(rng, "fault"), partial(context.log_event, index))
 
     @property
@@ -126,7 +122,7 @@ class Robot:
     def disc(self) -> tuple[float, float, float]:
         """Disc of the floor that it covers: x, y and radius [m]."""
         x, y, _ = self.pose
-        return x, y, self._radius
+        return x, y, float(self._state["radius"])
 
     def compare_line(self, host: LineSettings | None) -> str:
         """Set the host's end of the line; None for the robot's own settings.
@@ -199,7 +195,7 @@ class Robot:
         A command causes a reply, and a brown-out fault the banner.
         """
         command_ns = self.next_command_ns()
-        brown_out_ns = self._faults.next_brown_out_ns() if self._has_faults else None
+        brown_out_ns = self._faults.next_brown_out_ns()
         if brown_out_ns is None or not self.firmware.powered:
             return command_ns
         # Faults happen in control ticks, the first of them one period after the start.
@@ -286,8 +282,7 @@ class Robot:
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
         """Send a reply."""
-        if self._has_faults:
-            time_ns += self._faults.delay_ns(time_ns)
+        time_ns += self._faults.delay_ns(time_ns)
         answer = self._over_the_line(answer, time_ns)
         self._context.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
 
@@ -303,7 +298,7 @@ class Robot:
         if mismatched and self._line_noise is not None:
             errors = self._line_noise.integers(1, 256, len(data)).tolist()
             data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
-        return self._faults.over_the_line(data, time_ns) if self._has_faults else data
+        return self._faults.over_the_line(data, time_ns)
 
     def _run_turrets(self) -> None:
         """Run one control period of the turrets."""

@@ -144,7 +144,7 @@ def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) ->
         simulated: Scene, robots and lamps.
         inputs: Lamps and random draws, for all of these steps.
         until: Number of steps since the start of the run.
-        stops: Sum of 1 to return after each step of the physics, and 2 to return after each tick.
+        stops: Sum of STEPPED to return after each step of the physics, and TICKED after each tick.
     """
     scene, timing, robots, counters = simulated.scene, simulated.timing, simulated.robots, simulated.counters
     while counters[PHASE] != DONE or counters[STEPS] < until:
@@ -152,7 +152,7 @@ def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) ->
             step(scene)
             counters[STEPS] += 1
             counters[PHASE] = STEPPED
-            if stops & 1:
+            if stops & STEPPED:
                 return STEPPED
         steps = counters[STEPS]
         if counters[PHASE] == STEPPED:
@@ -163,7 +163,7 @@ def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) ->
                     return OUT_OF_BOUNDS
                 for i in range(len(robots)):
                     _tick(scene, robots[i])
-                if stops & 2:
+                if stops & TICKED:
                     return TICKED
         counters[PHASE] = DONE
         if steps % timing.steps_per_supply == 0:

@@ -25,7 +25,7 @@ from khep_twin.robot import Robot, RobotSettings
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.mujoco_forms import NO_SENSORS, MujocoForms, SceneModel
 from khep_twin.simulation.ready import function_of, when_ready
-from khep_twin.simulation.simulation import Advance, Simulation, draws
+from khep_twin.simulation.simulation import Advance, Simulation
 
 SAMPLE_NS = units.SCAN_NS
 """Sampling period of the observers [ns]."""
@@ -109,11 +109,11 @@ class World:
         self._bodies: NDArray[np.float64] = self.model.body_pos.copy()
         self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
         self.robots: tuple[Robot, ...] = ()
-        self.simulation = Simulation(self._forms, self.timing, self._forms.robot_states())
-        self.change_over_at = _WORTH // max(len(self._base.robots), 1)
-        if compiled is not None:
-            self.change_over_at = None
-        if compiled:
+        self.simulation = Simulation(self._forms, self.timing)
+        self.change_over_at = None
+        if compiled is None and self._base.robots:
+            self.change_over_at = _WORTH // len(self._base.robots)
+        elif compiled:
             self.compile()
         if isinstance(playpen, Playpen):
             self.restart(seed, noise=noise, vary=vary)
@@ -154,23 +154,15 @@ class World:
         self.playpen = playpen
         self._lamp_chance = cache(partial(stream, seed, "lamps"))
         self.lamps = Lamps(playpen, self._lamp_chance)
-        rngs = [partial(stream, seed, "robot", index) for index in range(len(playpen.robots))]
-        if vary:
-            simulation.set_robots(forms.robot_states([rng("spread") for rng in rngs]))
-        elif self._is_varied:
-            simulation.set_robots(forms.robot_states())
-        self._is_varied = vary
-        simulation.reset([draws(rng) for rng in rngs] if noise else ())
+        simulation.reset(seed, noise=noise, vary=vary)
         self.robots = tuple(
-            Robot(self, index, forms.indices[index], state, rng, self._robot_settings)
-            for index, (rng, state) in enumerate(zip(rngs, simulation.records, strict=True))
+            Robot(self, index, at, state, partial(stream, seed, "robot", index), self._robot_settings)
+            for index, (at, state) in enumerate(zip(forms.indices, simulation.records, strict=True))
         )
         self._find_faults()
         simulation.on_switch = self._on_switch
-        simulation.set_lamps(self.lamps, forms.light(self.lamps, playpen.lighting))
+        simulation.set_lamps(self.lamps, playpen.lighting)
         self._run(simulation.switch_on)
-
-    _is_varied = False
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:
@@ -242,7 +234,7 @@ class World:
         """Take the lamps and the lighting of another playpen."""
         self.playpen = playpen
         self.lamps = Lamps(playpen, self._lamp_chance, self.time_ns)
-        self.simulation.set_lamps(self.lamps, self._forms.light(self.lamps, playpen.lighting))
+        self.simulation.set_lamps(self.lamps, playpen.lighting)
 
     def compile(self) -> None:
         """Step by compiled code from now on, with the same results; the first time may take some seconds.
@@ -253,31 +245,30 @@ class World:
         Raises:
             MissingNumbaError: numba is not installed.
         """
-        self.change_over_at = None
-        if not self._base.robots:
-            return
         try:
-            self.run_by(function_of("world"), compiled=True)
+            self._use_compiled(function_of("world"))
         except ImportError as error:
             raise MissingNumbaError() from error
 
     def change_over(self) -> None:
         """Step by compiled code from now on if it is ready; if not, have it compiled, and look later."""
-        if not self._base.robots:
-            self.change_over_at = None
-        elif (advance := when_ready("world")) is not None:
-            self.run_by(advance, compiled=True)
-            self.change_over_at = None
-            # The code is loaded by its first call: now, and not when a host waits for a reply.
-            self.simulation.advance(self.simulation.steps)
-        else:
+        if (advance := when_ready("world")) is None:
             self.change_over_at = self.simulation.steps + _WORTH // 10
+        else:
+            self._use_compiled(advance)
 
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on, plain or compiled, such as one with controllers in it."""
         self.simulation.run_by(advance, compiled)
         if compiled and not self._has_turrets and not self._shares_model:
             self.model.opt.disableflags |= NO_SENSORS
+
+    def _use_compiled(self, advance: Advance) -> None:
+        self.change_over_at = None
+        if self._base.robots:  # without any there is nothing to compile
+            self.run_by(advance, compiled=True)
+            # The code is loaded by its first call: now, and not when a host waits for a reply.
+            self.simulation.advance(self.simulation.steps)
 
     def log_event(self, robot: int | None, text: str) -> None:
         """Send an event to the observers."""
@@ -324,9 +315,9 @@ class World:
             if self.observers or any(robot.leds_differ for robot in self.robots):
                 end = boundary
         end = max(end, steps + 1)
-        stops = 2 if self._has_turrets else 0
+        stops = step.TICKED if self._has_turrets else 0
         if self._fault_ns <= end * step_ns:
-            stops = 3
+            stops = step.STEPPED | step.TICKED
         while self._run(simulation.advance, end, stops) != step.DONE:
             pass
         if end >= boundary:

@@ -91,29 +91,27 @@ class Episode:
         self._setup, self._driver = setup, driver or ConstantSpeed()
         self._part = "episodes" if setup.planar_scene is None else "plane"
         self._next_look = None
-        if compiled is None and is_compiled(None):
-            compiled = when_ready(self._part) is not None
-            self._next_look = None if compiled else 0
-        self._compiled = bool(compiled)
+        run: stepping.Run | None = None
+        if compiled:
+            try:
+                run = function_of(self._part)
+            except ImportError as error:
+                raise MissingNumbaError() from error
+        elif compiled is None and is_compiled(None):
+            run = when_ready(self._part)
+            self._next_look = 0 if run is None else None
+        self._run, self._compiled = run or stepping.run, run is not None
         # One that may change over needs rangefinders at first.
         shared = not observed and self._next_look is None
         self._world: World | PlanarWorld
         if setup.planar_scene is None:
-            model = setup.scene_model
-            if shared and self._compiled and not any(robot.turrets for robot in setup.playpen.robots):
-                model = model._replace(model=model.blind)
+            model = setup.for_compiled if shared and self._compiled else setup.scene_model
             self._world = World(model, unpaced=True, faults=faults, compiled=False, shared=shared)
         elif faults:
             raise ValueError(f"{len(faults)} faults in the plane; expected none")
         else:
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
         self._simulation = self._world.simulation
-        self._run: stepping.Run = stepping.run
-        if self._compiled:
-            try:
-                self._run = function_of(self._part)
-            except ImportError as error:
-                raise MissingNumbaError() from error
         self._world.run_by(self._advance, self._compiled)
         self.boards: NDArray[np.int64] = self._simulation.records["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]

@@ -42,14 +42,12 @@ class SceneModel(NamedTuple):
         playpen: Playpen.
         spec: Scene.
         model: Compiled scene.
-        blind: The same without rangefinders, for compiled code, which casts rays itself.
         timing: Divisions of time.
     """
 
     playpen: Playpen
     spec: mujoco.MjSpec
     model: mujoco.MjModel
-    blind: mujoco.MjModel
     timing: Timing
 
     @classmethod
@@ -58,10 +56,13 @@ class SceneModel(NamedTuple):
         spec = to_spec(playpen)
         if step_ns != units.STEP_NS:
             set_step(spec, step_ns)
-        model = spec.compile()
-        blind = copy.copy(model)
-        blind.opt.disableflags |= NO_SENSORS
-        return cls(playpen, spec, model, blind, timing(playpen, step_ns))
+        return cls(playpen, spec, spec.compile(), timing(playpen, step_ns))
+
+    def blind(self) -> Self:
+        """Return the same without rangefinders, for compiled code, which casts rays itself."""
+        model = copy.copy(self.model)
+        model.opt.disableflags |= NO_SENSORS
+        return self._replace(model=model)
 
 
 class MujocoForms:

@@ -21,7 +21,8 @@ BESIDE = (
 )
 """Announcement of a compilation beside a run."""
 
-_PROCESSES: dict[str, "subprocess.Popen[bytes]"] = {}
+_PROCESSES: dict[str, "subprocess.Popen[bytes] | None"] = {}
+"""Processes that compile a part; None once one has failed."""
 
 
 def when_ready(part: str) -> Callable[..., Any] | None:
@@ -43,22 +44,22 @@ def when_ready(part: str) -> Callable[..., Any] | None:
         return None  # nothing can be kept for this process or the next
     if part not in _PROCESSES:
         print(BESIDE, file=sys.stderr, flush=True)
-        _PROCESSES[part] = subprocess.Popen(
+        process = _PROCESSES[part] = subprocess.Popen(
             [sys.executable, "-m", "khep_twin", "compile", part],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-        os.setpriority(os.PRIO_PROCESS, _PROCESSES[part].pid, 19)
-    elif _PROCESSES[part].poll():
+        os.setpriority(os.PRIO_PROCESS, process.pid, 19)
+    elif (process := _PROCESSES[part]) is not None and process.poll():
+        _PROCESSES[part] = None
         print(
             "khep_twin: the compilation failed, and the run stays uncompiled; to see why: "
             f"{sys.executable} -m khep_twin compile {part}",
             file=sys.stderr,
             flush=True,
         )
-        _PROCESSES[part].returncode = 0  # reported once
     return None
 
 

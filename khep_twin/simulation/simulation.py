@@ -4,6 +4,7 @@ Both kinds of code work on the same memory and give the same bits, so a run may 
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from khep_twin import step
 from khep_twin.errors import DivergedError
+from khep_twin.playpen import Lighting
+from khep_twin.randomness import stream
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.optics import Bulb, Hidden, Light, LightLaw
@@ -41,6 +44,14 @@ class SceneForms(Protocol):
         """Return the scene for compiled code, as arrays."""
         ...
 
+    def robot_states(self, spreads: Sequence[np.random.Generator] | None = None) -> list[RobotState]:
+        """Return the states of the robots; their sensors are drawn at random if there are streams for it."""
+        ...
+
+    def light(self, lamps: Lamps, lighting: Lighting) -> Light:
+        """Return the lamps with the known sight lines to them."""
+        ...
+
     def trouble(self, reason: int) -> str:
         """Return a sentence on why the physics cannot go on."""
         ...
@@ -52,7 +63,6 @@ class Simulation:
     Args:
         scene: Scene.
         timing: Divisions of time, and bounds.
-        robots: Robots of the scene.
         n_draws: Length of the buffers of random draws [conversions].
 
     Attributes:
@@ -65,10 +75,9 @@ class Simulation:
         inputs: Lamps and random draws for plain code.
     """
 
-    def __init__(
-        self, scene: SceneForms, timing: Timing, robots: Sequence[RobotState], n_draws: int = N_DRAWS
-    ) -> None:
+    def __init__(self, scene: SceneForms, timing: Timing, n_draws: int = N_DRAWS) -> None:
         self._scene, self._n_draws = scene, n_draws
+        robots = scene.robot_states()
         self.title = "the simulation"
         self.lamps: Lamps | None = None
         self.on_switch: Callable[[], None] | None = None
@@ -77,13 +86,12 @@ class Simulation:
         self._draws = np.zeros((len(robots), 3, n_draws))
         self._streams: Sequence[Sequence[Draw]] = ()
         self._enough = self._powered = 0
-        self._compiled = False
+        self._compiled = self._is_varied = False
         self.plain = Simulated(scene.plain(), timing, NO_LIGHT, (), self.counters.data)
         self.inputs = StepInputs([[]], self._draws.tolist())
-        self.set_robots(robots)
         self._run: Advance = plain_advance
         self._arrays: tuple[Any, ...] = ()
-        self._bind()
+        self._show_plain(robots)
 
     @property
     def steps(self) -> int:
@@ -95,14 +103,6 @@ class Simulation:
         """Whether compiled code steps it."""
         return self._compiled
 
-    def set_robots(self, robots: Sequence[RobotState]) -> None:
-        """Replace the robots by others in the same memory."""
-        for record, robot in zip(self.records, robots, strict=True):
-            fill_record(record, robot)
-        plain = [as_plain(robot, record) for robot, record in zip(robots, self.records, strict=True)]
-        self.plain = self.plain._replace(robots=plain)
-        self._bind()
-
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on."""
         self._run, self._compiled = advance, compiled
@@ -113,24 +113,34 @@ class Simulation:
             self._list_draws()
         self._bind()
 
-    def reset(self, streams: Sequence[Sequence[Draw]]) -> None:
+    def reset(self, seed: int, *, noise: bool, vary: bool) -> None:
         """Return to step 0.
 
         Args:
-            streams: Random draws of each robot, for proximity, ambient and idle counts; none without noise.
+            seed: Seed of the robots' random streams.
+            noise: Whether sensors are noisy.
+            vary: Whether to draw each robot's sensors at random around its calibration.
         """
+        rngs = [partial(stream, seed, "robot", index) for index in range(len(self.records))]
+        if vary or self._is_varied:
+            robots = self._scene.robot_states([rng("spread") for rng in rngs] if vary else None)
+            for record, robot in zip(self.records, robots, strict=True):
+                fill_record(record, robot)
+            self._show_plain(robots)
+        self._is_varied = vary
         for name in ("registers", "processor", "stuck", "dead", "voltage") if len(self.records) else ():
             self.records[name] = 0
         self.counters[:] = 0
         self.counters[step.DRAWS] = self._n_draws
-        self._streams, self._enough = streams, 0
-        if not streams and self._draws.any():
+        self._streams, self._enough = [_draws(rng) for rng in rngs] if noise else (), 0
+        if not noise and self._draws.any():
             self._draws[:] = 0
             self._list_draws()
 
-    def set_lamps(self, lamps: Lamps, light: Light) -> None:
-        """Replace the lamps."""
+    def set_lamps(self, lamps: Lamps, lighting: Lighting) -> None:
+        """Replace the lamps and the law of their light."""
         self.lamps, self._powered = lamps, self.steps
+        light = self._scene.light(lamps, lighting)
         if light is not self.plain.light:
             self.plain = self.plain._replace(light=light)
             if self._compiled:
@@ -165,15 +175,16 @@ class Simulation:
         if lamps is not None and not (lamps.steady or by_turns) and until > self._powered:
             self._power(lamps.rows(self.steps, until, self.plain.timing.step_ns))
             self._powered = until
+        wanted = stops | step.STEPPED if by_turns else stops
         while True:
             if self._enough <= (steps := int(counters[step.STEPS])) < until:
                 self._refill(self._n_draws)
                 self._count_draws()
             end = min(until, self._enough)
-            reason = self._checked(self._run(*self._arguments, end, stops | by_turns))
+            reason = self._checked(self._run(*self._arguments, end, wanted))
             if by_turns and reason == step.STEPPED:
                 self._switch_lamps()
-                if not stops & 1:
+                if not stops & step.STEPPED:
                     continue
             if reason != step.DONE or self._enough >= until or steps >= until:
                 return reason
@@ -221,6 +232,12 @@ class Simulation:
         if switched and self.on_switch is not None:
             self.on_switch()
 
+    def _show_plain(self, robots: Sequence[RobotState]) -> None:
+        """Show the records to plain code, as robots with these constants."""
+        plain = [as_plain(robot, record) for robot, record in zip(robots, self.records, strict=True)]
+        self.plain = self.plain._replace(robots=plain)
+        self._bind()
+
     def _bind(self) -> None:
         """Set the arguments of the stepping core: named tuples, or arrays, as numba passes these fastest."""
         if not self._compiled:
@@ -260,7 +277,7 @@ def plain_advance(simulated: Simulated, inputs: StepInputs, until: int, stops: i
     return step.switch_on(simulated, inputs) if until < 0 else step.advance(simulated, inputs, until, stops)
 
 
-def draws(rng: Callable[[str], np.random.Generator]) -> tuple[Draw, Draw, Draw]:
+def _draws(rng: Callable[[str], np.random.Generator]) -> tuple[Draw, Draw, Draw]:
     """Return the random draws of a robot's sensors, from its own random streams."""
     proximity, ambient, idle = (rng(name) for name in ("proximity", "ambient", "idle"))
     return proximity.standard_normal, ambient.standard_normal, idle.standard_exponential

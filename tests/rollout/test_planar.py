@@ -66,7 +66,7 @@ def arena() -> Playpen:
 def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: float) -> PlanarForms:
     """A plane, as Python has it, with its robot put down."""
     setup = EpisodeSetup(scene)
-    backend = PlanarForms(PlanarScene(scene, setup.model, setup.indices, step_ns))
+    backend = PlanarForms(setup.scene_model, PlanarScene(scene, setup.model, setup.indices, step_ns))
     backend.put((x_mm, y_mm, heading_deg))
     return backend
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.board.rom import DEMO, ROMS
-from khep_twin.playpen import Lamp
+from khep_twin.playpen import Lamp, Lighting
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
 from khep_twin.rollout.planar import plane as flat
@@ -23,10 +23,11 @@ from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.buffers import as_records, view
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.mujoco_scene import points_of_a_bulb
+from khep_twin.sensing.optics import Light
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.scene import FEW, MANY
 from khep_twin.simulation.mujoco_forms import SceneModel, robot_state
-from khep_twin.simulation.simulation import Advance, Simulation, draws
+from khep_twin.simulation.simulation import Advance, Simulation
 from khep_twin.step import DONE, RobotState
 
 N_CONTACTS = 8
@@ -45,11 +46,15 @@ class PlanarForms:
     """State of a plane in its two forms, which share it.
 
     Args:
+        scene_model: Compiled model of a playpen with one robot, at the step of the plane.
         planar_scene: Constants of the plane.
     """
 
-    def __init__(self, planar_scene: PlanarScene) -> None:
+    def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
         self._planar_scene = planar_scene
+        self._entry, self._model = scene_model.playpen.robots[0], scene_model.model
+        self._indices = RobotIndices.of(self._model, "khepera0")
+        self._lights = LightSource(self._model, self._indices)
         n_wide = planar_scene.ray_directions.shape[1] // 2
         points = [points_of_a_bulb(number) for number in (FEW, MANY)]
         numbers: dict[str, Any] = {
@@ -108,6 +113,17 @@ class PlanarForms:
         away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
         self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
 
+    def robot_states(self, spreads: Sequence[np.random.Generator] | None = None) -> list[RobotState]:
+        """Return the state of the robot; its sensors are drawn at random if there is a stream for it."""
+        measured = calibration.read(self._entry.calibration)[0]
+        if spreads is not None:
+            measured = calibration.varied(measured, spreads[0])
+        return [robot_state(self._model, self._indices, PlanarScene.JOINTS, measured, self._entry)]
+
+    def light(self, lamps: Lamps, lighting: Lighting) -> Light:
+        """Return the lamps with the known sight lines to them."""
+        return self._lights.light(lamps.positions, lighting)
+
     def trouble(self, reason: int) -> str:
         """Return a sentence on why the motion cannot go on."""
         return "the motion left its bounds"
@@ -138,12 +154,9 @@ class PlanarWorld:
     """
 
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
-        self.playpen, self._model, self.timing = scene_model.playpen, scene_model.model, scene_model.timing
-        self._indices = RobotIndices.of(self._model, "khepera0")
-        self._lights = LightSource(self._model, self._indices)
-        self.forms = PlanarForms(planar_scene)
-        self.simulation = Simulation(self.forms, self.timing, [self._robot_state(None)], N_DRAWS)
-        self._is_varied = False
+        self.playpen, self.timing = scene_model.playpen, scene_model.timing
+        self.forms = PlanarForms(scene_model, planar_scene)
+        self.simulation = Simulation(self.forms, self.timing, N_DRAWS)
 
     def restart(
         self,
@@ -155,21 +168,18 @@ class PlanarWorld:
         lamps: Sequence[Lamp] | None = None,
     ) -> None:
         """Start a new run at time 0, as `World.restart` does."""
-        simulation, rng = self.simulation, partial(stream, seed, "robot", 0)
+        simulation = self.simulation
         if starts is None:
             robot = at_spots(self.playpen, seed).robots[0]
             starts = [(robot.x_mm, robot.y_mm, robot.heading_deg)]
         self.forms.put(starts[0])
-        if vary or self._is_varied:
-            simulation.set_robots([self._robot_state(rng("spread") if vary else None)])
-        self._is_varied = vary
-        simulation.reset([draws(rng)] if noise else ())
+        simulation.reset(seed, noise=noise, vary=vary)
         self._switch_on_board()
         playpen = self.playpen
         if lamps is not None:
             playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
         lit = Lamps(playpen, cache(partial(stream, seed, "lamps")))
-        simulation.set_lamps(lit, self._lights.light(lit.positions, playpen.lighting))
+        simulation.set_lamps(lit, playpen.lighting)
         simulation.switch_on()
 
     def advance_to(self, time_ns: int) -> None:
@@ -200,11 +210,3 @@ class PlanarWorld:
         kernel.reset(record["registers"].data)
         mode = ROMS[entry.rom].modes[entry.mode]
         record["processor"][:] = 1, mode.function == DEMO
-
-    def _robot_state(self, spread: np.random.Generator | None) -> RobotState:
-        """Return the robot's state before its start, its sensors drawn at random if there is a stream."""
-        entry = self.playpen.robots[0]
-        measured = calibration.read(entry.calibration)[0]
-        if spread is not None:
-            measured = calibration.varied(measured, spread)
-        return robot_state(self._model, self._indices, PlanarScene.JOINTS, measured, entry)
