@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin.lab.fit.infrared import TANGENTS, Bench, MeasuredTable, Optics, proximity
-from khep_twin.units import N_SENSORS, SENSOR_HEADINGS
+from khep_twin.lab.fit.infrared import Bench, MeasuredTable, Optics, View, level, proximity
+from khep_twin.units import BODIES, COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS
 
 Floats = NDArray[np.float64]
 
@@ -23,8 +23,11 @@ CYLINDER_RADIUS = 0.027
 SET_UP_BEARING = np.radians(2.2)
 """Corrections of the sampled set-up's bearings of wall and cylinder [rad]: they make left and right equal."""
 
-MANUAL = Optics(1_205_400, 333.8, 0.01, 3.72, 1.14)
-"""The sensor of the manual's figure 11, whose gain is for white plastic."""
+MANUAL_SENSOR = 1
+"""Sensor of the manual's figures 11 and 12, which do not name theirs: that of figure 13 which meets them best."""
+
+ROD_RADIUS, ROD_DISTANCE = 0.0035, 0.015
+"""Obstacle of the manual's figure 12 [m], taken as a cylinder; its distance is from the sensor's face."""
 
 MANUAL_SURFACES = {
     "white plastic": "white",
@@ -42,8 +45,10 @@ PEAK_DEG = 6
 
 _ON_AXIS_WEIGHT = 8.0
 _PRIOR = 200.0
-_SHARED = np.array([5.58, 1.04, 0.18])
-"""Offset, lobe and incidence exponent of one fit to all sensors, which those of each are drawn to."""
+_SHARED, _SPREAD = np.array([4.0, 3.0]), np.array([4.0, 1.5])
+"""Offset [mm] and lobe exponent of a usual sensor (assumed), which those of each are drawn to."""
+
+_OFFSET_PRIOR = 3.0
 
 
 def reference() -> Path:
@@ -65,21 +70,18 @@ def sampled(folder: Path) -> list[MeasuredTable]:
 
 
 def fit_sampled(tables: Sequence[MeasuredTable], sensor: int, heading: float) -> tuple[float, Optics]:
-    """Fit one sensor of the sampled robot: heading [rad] and optics, by all bearings, then those on axis."""
+    """Fit one sensor of the sampled robot: heading [rad] and optics, by all bearings and the means on axis."""
     axes = [on_axis(table, sensor) for table in tables]
 
     def left(x: Floats) -> Floats:
         optics = Optics(x[1] * 1e5, x[2] * 100, *x[3:])
-        errors = [
-            proximity(table.view(sensor, x[0]), TANGENTS, optics) - table.counts[:, sensor]
-            for table in tables
-        ]
+        errors = [proximity(table.view(sensor, x[0]), optics) - table.counts[:, sensor] for table in tables]
         means = [_ON_AXIS_WEIGHT * (axis @ error) for axis, error in zip(axes, errors, strict=True)]
-        return np.concatenate([*errors, *means, _PRIOR * (x[3:] - _SHARED) / [2, 1, 0.2]])
+        return np.concatenate([*errors, *means, _PRIOR * (x[3:] - _SHARED) / _SPREAD])
 
-    start = [heading, 13, 6, *_SHARED]
-    low, high = [-np.inf, 1, 0, 0, 0, 0], [np.inf, 80, 11, 15, 8, 3]
-    x = least_squares(left, start, bounds=(low, high), x_scale=[0.05, 3, 1, 1, 1, 0.2], max_nfev=60).x
+    start = [heading, 9, 6, *_SHARED]
+    low, high = [-np.inf, 1, 0, 0, 0], [np.inf, 80, 20, 15, 8]
+    x = least_squares(left, start, bounds=(low, high), x_scale=[0.05, 3, 1, 1, 1], max_nfev=60).x
     return float(x[0]), Optics(x[1] * 1e5, x[2] * 100, *x[3:])
 
 
@@ -116,7 +118,7 @@ def on_axis(table: MeasuredTable, sensor: int) -> Floats:
 def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -> Residuals:
     """Return the residuals of a model."""
     fit_inputs = table.counts[:, sensor]
-    modelled = proximity(table.view(sensor, heading), TANGENTS, optics)
+    modelled = proximity(table.view(sensor, heading), optics)
     axis, distances = on_axis(table, sensor), np.unique(table.distances)
 
     def half(counts: Floats) -> float:
@@ -135,64 +137,192 @@ def rms(errors: Sequence[Floats]) -> float:
     return float(np.sqrt(np.mean(np.concatenate([error.ravel() for error in errors]) ** 2)))
 
 
-def facing(distances: Floats, optics: Optics, reflectance: float = 1.0, limit: int = 1023) -> Floats:
+def facing(distances: Floats, optics: Optics, reflectance: float = 1.0, limit: int = COUNTS_LIMIT) -> Floats:
     """Return the counts of a sensor face to face with a wall at these distances (n,) [m]."""
-    bench = Bench((0.0, 0.0), 0.0, TANGENTS, 0.0)
-    view = bench.wall(distances, np.zeros(len(distances)))
-    return proximity(view, TANGENTS, optics, reflectance, limit)
+    return proximity(View(np.zeros(len(distances)), distances), optics, reflectance, limit)
+
+
+def rod(bearings: Floats, optics: Optics, reflectance: float) -> Floats:
+    """Return the counts of a sensor before the obstacle of figure 12 at bearings off its axis (n,) [rad]."""
+    distances = np.full(len(bearings), ROD_DISTANCE + ROD_RADIUS)
+    return proximity(View(bearings, distances, ROD_RADIUS), optics, reflectance)
 
 
 def materials(folder: Path) -> dict[str, tuple[Floats, Floats]]:
     """Return the manual's figure 11: distances [m] and counts by material."""
-    rows = np.genfromtxt(
-        folder / "manual_data" / "k1_fig11_proximity_vs_distance_materials.csv",
-        delimiter=",",
-        names=True,
-        dtype=None,
-        encoding="utf-8",
-    )
-    # The plateau is drawn a little low.
-    counts = np.where(rows["proximity_raw"] >= 1018, 1023, rows["proximity_raw"]).astype(np.float64)
+    return _curves(folder / "manual_data" / "k1_fig11_proximity_vs_distance_materials.csv", "material")
+
+
+def wooden_wall(folder: Path) -> list[tuple[Floats, Floats]]:
+    """Return the manual's figure 13: distances [m] and counts of six sensors, from left to right."""
+    path = folder / "manual_data" / "k1_fig13_proximity_vs_distance_wood_6sensors.csv"
+    return list(_curves(path, "sensor").values())
+
+
+def obstacle(folder: Path) -> tuple[Floats, Floats]:
+    """Return the manual's figure 12: bearings [rad] and counts."""
+    path = folder / "manual_data" / "k1_fig12_proximity_vs_angle_7mm_obstacle_15mm.csv"
+    rows = np.genfromtxt(path, delimiter=",", skip_header=1)
+    return np.radians(rows[:, 0]), rows[:, 1]
+
+
+def _curves(path: Path, column: str) -> dict[str, tuple[Floats, Floats]]:
+    rows = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    # The plateau is drawn a little off.
+    counts = np.where(rows["proximity_raw"] >= 1018, COUNTS_LIMIT, rows["proximity_raw"]).astype(np.float64)
     return {
-        str(name): (rows["distance_mm"][rows["material"] == name] / 1e3, counts[rows["material"] == name])
-        for name in dict.fromkeys(rows["material"].tolist())
+        str(name): (rows["distance_mm"][rows[column] == name] / 1e3, counts[rows[column] == name])
+        for name in dict.fromkeys(rows[column].tolist())
     }
 
 
-def khepera2_paper(folder: Path, side: str, sensor: int) -> tuple[Floats, Floats]:
-    """Return a Khepera II sensor's distances [m] and counts before white paper, at its basic gain."""
-    rows = np.genfromtxt(
-        folder / "manual_data" / "iran_proximity_curves.csv",
-        delimiter=",",
-        names=True,
-        dtype=None,
-        encoding="utf-8",
-    )
-    wanted = (
-        (rows["test"] == f"A0_12_paper_{side}")
-        & (rows["sensor_fig7_number"] == sensor)
-        & (rows["kind"] == "marker")
-    )
-    return rows["distance_mm"][wanted] / 1e3, rows["mean_raw"][wanted].astype(np.float64)
+def manual_residuals(
+    folder: Path, sensors: Sequence[Optics], reflectances: dict[str, float]
+) -> tuple[list[Floats], Floats, list[Floats]]:
+    """Return model less robot for the manual's figures 11, 12 and 13, with reflectances by material."""
+    own, (bearings, counts) = sensors[MANUAL_SENSOR], obstacle(folder)
+    eleven = [
+        facing(*measured[:1], own, reflectances[name]) - measured[1]
+        for name, measured in materials(folder).items()
+    ]
+    walls = zip(wooden_wall(folder), sensors, strict=False)
+    thirteen = [facing(away, each, reflectances["wood 2"]) - found for (away, found), each in walls]
+    return eleven, rod(bearings, own, reflectances["obstacle"]) - counts, thirteen
+
+
+def fit_manual(folder: Path) -> tuple[list[Optics], dict[str, float]]:
+    """Fit six sensors of the manual's robot with one lobe, and reflectances beside white plastic."""
+    names = [*(name for name in materials(folder) if name != "white plastic"), "obstacle"]
+
+    def split(x: Floats) -> tuple[list[Optics], dict[str, float]]:
+        sensors = [Optics(x[i] * 1e5, x[6 + i] * 100, x[12 + i], x[18]) for i in range(6)]
+        return sensors, {"white plastic": 1.0, **dict(zip(names, x[19:].tolist(), strict=True))}
+
+    def left(x: Floats) -> Floats:
+        eleven, twelve, thirteen = manual_residuals(folder, *split(x))
+        # Figure 12 has ten points, the others ten times as many.
+        prior = _OFFSET_PRIOR * (x[12:18] - _SHARED[0])
+        return np.concatenate([*eleven, twelve, *(1.5 * each for each in thirteen), prior])
+
+    start = [*[10.0] * 6, *[4.0] * 6, *[_SHARED[0]] * 6, 1.5, *[0.8] * len(names)]
+    low = [*[1.0] * 6, *[0.0] * 6, *[0.0] * 6, 0.0, *[0.01] * len(names)]
+    high = [*[80.0] * 6, *[20.0] * 6, *[15.0] * 6, 8.0, *[2.0] * len(names)]
+    return split(least_squares(left, start, bounds=(low, high), max_nfev=60).x)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Curve of K-Team's report on the Khepera II at its basic gain.
+
+    Attributes:
+        sensor: Number of the sensor.
+        is_aside: Whether the target stands at the right side, not ahead.
+        is_robot: Whether it is another robot, not white paper.
+        distances: Distances from the face of the sensor that looks straight at it (n,) [m].
+        counts: Readings (n,) [counts].
+    """
+
+    sensor: int
+    is_aside: bool
+    is_robot: bool
+    distances: Floats
+    counts: Floats
+
+    def view(self, heading: float) -> View:
+        """Return the view of the sensor with a heading [rad]."""
+        body = BODIES["khepera2"]
+        faces = body.sensor_positions
+        bench = Bench(faces[self.sensor], heading, -faces[5][1] if self.is_aside else faces[2][0])
+        bearings = np.full(len(self.distances), np.radians(-90 if self.is_aside else 0))
+        if self.is_robot:
+            return bench.cylinder(self.distances, bearings, body.radius)
+        return bench.wall(self.distances, bearings)
+
+
+def khepera2_report(folder: Path) -> list[Report]:
+    """Return the curves of the Khepera II's sensors before white paper and another robot."""
+    path = folder / "manual_data" / "iran_proximity_curves.csv"
+    rows = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    found: list[Report] = []
+    for target in ("paper", "robot"):
+        for side in ("front", "side"):
+            part = rows[(rows["test"] == f"A0_12_{target}_{side}") & (rows["kind"] == "marker")]
+            for sensor in np.unique(part["sensor_fig7_number"]).tolist():
+                mine = part[part["sensor_fig7_number"] == sensor]
+                away, counts = mine["distance_mm"] / 1e3, mine["mean_raw"].astype(np.float64)
+                found.append(Report(int(sensor), side == "side", target == "robot", away, counts))
+    return found
+
+
+def fit_khepera2(
+    folder: Path, headings: Sequence[float], lobe: float = 4.0
+) -> tuple[dict[int, Optics], float]:
+    """Fit the sensors 1 to 5 of the Khepera II with a lobe, and the reflectance of another robot's shell."""
+    curves, limit = khepera2_report(folder), 1020
+
+    def split(x: Floats) -> tuple[dict[int, Optics], float]:
+        each = {i + 1: Optics(x[i] * 1e5, -x[5 + i] * 100, x[10 + i], lobe) for i in range(5)}
+        return each, float(x[15])
+
+    def left(x: Floats) -> Floats:
+        sensors, shell = split(x)
+        errors = [
+            np.minimum(
+                level(
+                    curve.view(headings[curve.sensor]),
+                    sensors[curve.sensor],
+                    shell if curve.is_robot else 1.0,
+                ),
+                limit,
+            )
+            - curve.counts
+            for curve in curves
+        ]
+        return np.concatenate([*errors, _OFFSET_PRIOR * (x[10:15] - _SHARED[0])])
+
+    start = [*[2.5] * 5, *[0.9] * 5, *[_SHARED[0]] * 5, 0.2]
+    low, high = [*[0.3] * 5, *[0.0] * 10, 0.01], [*[20.0] * 5, *[3.0] * 5, *[15.0] * 5, 2.0]
+    return split(least_squares(left, start, bounds=(low, high), max_nfev=60).x)
 
 
 def main() -> None:
-    """Fit the sampled robot and print the values of its calibration."""
-    tables = sampled(reference())
+    """Fit the three robots and print the values of their calibrations, and what is left."""
+    folder = reference()
+    tables = sampled(folder)
     fits = [fit_sampled(tables, sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
-    print("heading_deg =", [round(float(np.degrees(heading)), 1) for heading, _ in fits])
-    print("gain_counts_mm2 =", [round(optics.gain_counts_mm2, -3) for _, optics in fits])
-    print("threshold_counts =", [round(optics.threshold_counts) for _, optics in fits])
-    for name in ("offset_mm", "lobe_exponent", "incidence_exponent"):
-        print(name, "=", [round(getattr(optics, name), 2) for _, optics in fits])
+    print("khepera1\nheading_deg =", [round(float(np.degrees(heading)), 1) for heading, _ in fits])
+    _show([optics for _, optics in fits])
     for table in tables:
-        found = [compare(table, sensor, *fits[sensor]) for sensor in range(N_SENSORS)]
-        print(
-            f"radius {table.radius}: rms {rms([each.everywhere for each in found]):.1f} at all bearings, "
-            f"{rms([each.on_axis for each in found]):.1f} on axis, "
-            f"half scale within {max(abs(each.half) for each in found) * 1e3:.2f} mm, "
-            f"peak within {np.degrees(max(abs(each.peak) for each in found)):.1f} deg"
-        )
+        _residuals(f"radius {table.radius}", table, fits)
+    for known, unseen in (tables, tables[::-1]):
+        alone = [fit_sampled([known], sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
+        _residuals(f"radius {unseen.radius}, not fitted", unseen, alone)
+    sensors, reflectances = fit_manual(folder)
+    print("\nkhepera1-manual")
+    _show(sensors)
+    print({name: round(value, 3) for name, value in reflectances.items()})
+    eleven, twelve, thirteen = manual_residuals(folder, sensors, reflectances)
+    print(f"figure 11 {rms(eleven):.1f}, figure 12 {rms([twelve]):.1f}, figure 13 {rms(thirteen):.1f}")
+    found, shell = fit_khepera2(folder, np.radians([90, 45, 10, -10, -45, -90]).tolist())
+    print(f"\nkhepera2, sensors 1 to 5; reflectance of a robot's shell {shell:.3f}")
+    _show(list(found.values()))
+
+
+def _show(sensors: Sequence[Optics]) -> None:
+    print("gain_counts_mm2 =", [round(optics.gain_counts_mm2, -3) for optics in sensors])
+    print("threshold_counts =", [round(optics.threshold_counts) for optics in sensors])
+    for name in ("offset_mm", "lobe_exponent"):
+        print(name, "=", [round(getattr(optics, name), 2) for optics in sensors])
+
+
+def _residuals(title: str, table: MeasuredTable, fits: Sequence[tuple[float, Optics]]) -> None:
+    found = [compare(table, sensor, *fit) for sensor, fit in enumerate(fits)]
+    print(
+        f"{title}: rms {rms([each.everywhere for each in found]):.1f} at all bearings, "
+        f"{rms([each.on_axis for each in found]):.1f} on axis, "
+        f"half scale within {max(abs(each.half) for each in found) * 1e3:.2f} mm, "
+        f"peak within {np.degrees(max(abs(each.peak) for each in found)):.1f} deg"
+    )
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ mj_step alone, called from Python, in the same scene with its rangefinders, driv
 the vehicle had. A second floor has no sensors at all.
 """
 
+import copy
 import sys
 
 import mujoco
@@ -40,7 +41,10 @@ def voltages(setup: EpisodeSetup, seconds: float) -> list[tuple[float, float]]:
 def bare_row(name: str, setup: EpisodeSetup, seconds: float, *, sensors: bool = True) -> Row:
     """Return a row of a loop of mj_step alone."""
     driven = voltages(setup, seconds)
-    model = setup.model if sensors else setup.for_compiled.model
+    model = setup.model
+    if sensors:
+        model = copy.copy(model)
+        model.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_SENSOR
     steps = setup.scene_model.timing.steps_per_tick
 
     def bare() -> None:

@@ -23,7 +23,7 @@ from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot, RobotSettings
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.simulation.mujoco_forms import NO_SENSORS, MujocoForms, SceneModel
+from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.simulation.simulation import Advance, Simulation
 
@@ -101,7 +101,7 @@ class World:
         made = playpen if isinstance(playpen, SceneModel) else SceneModel.of(at_spots(playpen, seed))
         self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
         self._has_turrets = any(entry.turrets for entry in self._base.robots)
-        # LEDs are moved in the model, and a turret may need its sensors.
+        # LEDs are moved in the model.
         self._shares_model = shared
         self.model = copy.copy(made.model) if isinstance(playpen, SceneModel) and not shared else made.model
         self.data = mujoco.MjData(self.model)
@@ -218,16 +218,8 @@ class World:
 
     def scan(self) -> None:
         """Convert all sensors of all robots now, without advancing time."""
-        model, data = self.model, self.data
-        # The rangefinders take turns; here all measure at the same time, and keep their turns afterwards.
-        turns, history = model.sensor_interval.copy(), data.history.copy()
-        disabled = model.opt.disableflags
-        model.sensor_interval[:] = 0
-        model.opt.disableflags &= ~NO_SENSORS
-        for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight, mujoco.mj_sensorPos):
-            look(model, data)
-        model.opt.disableflags = disabled
-        model.sensor_interval[:], data.history[:] = turns, history
+        for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
+            look(self.model, self.data)
         self.simulation.scan(self.simulation.steps)
 
     def relight(self, playpen: Playpen) -> None:
@@ -238,9 +230,6 @@ class World:
 
     def compile(self) -> None:
         """Step by compiled code from now on, with the same results; the first time may take some seconds.
-
-        Rangefinders are not measured then unless a robot has a turret, as the code casts rays only where
-        something is near.
 
         Raises:
             MissingNumbaError: numba is not installed.
@@ -260,8 +249,6 @@ class World:
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on, plain or compiled, such as one with controllers in it."""
         self.simulation.run_by(advance, compiled)
-        if compiled and not self._has_turrets and not self._shares_model:
-            self.model.opt.disableflags |= NO_SENSORS
 
     def _use_compiled(self, advance: Advance) -> None:
         self.change_over_at = None

@@ -34,16 +34,16 @@ class Surface(TomlTable):
 BUILT_IN_SURFACES: Mapping[str, Surface] = MappingProxyType(
     {
         "white": Surface(reflectance=1.0, rgb=(244, 243, 238)),
-        "grey": Surface(reflectance=0.145, rgb=(138, 141, 145)),
-        "black": Surface(reflectance=0.022, rgb=(38, 38, 42)),
-        "wood": Surface(reflectance=0.91, rgb=(196, 154, 108)),
-        "styropor": Surface(reflectance=0.87, rgb=(120, 178, 110)),
-        "sponge": Surface(reflectance=0.55, rgb=(232, 150, 160)),
-        "copper": Surface(reflectance=0.73, rgb=(190, 110, 64), resistance_ohm=1),
+        "grey": Surface(reflectance=0.151, rgb=(138, 141, 145)),
+        "black": Surface(reflectance=0.023, rgb=(38, 38, 42)),
+        "wood": Surface(reflectance=0.98, rgb=(196, 154, 108)),
+        "styropor": Surface(reflectance=0.913, rgb=(120, 178, 110)),
+        "sponge": Surface(reflectance=0.575, rgb=(232, 150, 160)),
+        "copper": Surface(reflectance=0.769, rgb=(190, 110, 64), resistance_ohm=1),
         "lego": Surface(reflectance=0.8, rgb=(196, 62, 48)),
     }
 )
 """Built-in surfaces. White is the calibration's reference by definition. Grey and black plastic, wood, green
 styropor, pink sponge and copper, beside white plastic: fitted to the counts over distance in the manual's
-figure 11, all with one gain, to 11.5 counts rms (the manual's other wood is 0.78). Lego bricks of mixed
+figure 11, all with one gain, to 7.7 counts rms (the manual's other wood is 0.82). Lego bricks of mixed
 colours: assumed. Copper conducts as well as a surface can."""

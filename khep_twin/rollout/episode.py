@@ -101,12 +101,11 @@ class Episode:
             run = when_ready(self._part)
             self._next_look = 0 if run is None else None
         self._run, self._compiled = run or stepping.run, run is not None
-        # One that may change over needs rangefinders at first.
-        shared = not observed and self._next_look is None
         self._world: World | PlanarWorld
         if setup.planar_scene is None:
-            model = setup.for_compiled if shared and self._compiled else setup.scene_model
-            self._world = World(model, unpaced=True, faults=faults, compiled=False, shared=shared)
+            self._world = World(
+                setup.scene_model, unpaced=True, faults=faults, compiled=False, shared=not observed
+            )
         elif faults:
             raise ValueError(f"{len(faults)} faults in the plane; expected none")
         else:

@@ -29,7 +29,6 @@ class EpisodeSetup:
 
     Attributes:
         scene_model: Compiled model.
-        for_compiled: The same for compiled episodes, which need its sensors only for turrets.
         steps_per_period: Steps per control period.
         entry: First robot.
         calibration: Calibration of the first robot.
@@ -69,8 +68,6 @@ class EpisodeSetup:
             step_ns = PLANAR_STEP_NS if planar else units.STEP_NS
         self.playpen, self.step_ns, self.period_ns = playpen, step_ns, period_ns
         self.scene_model = SceneModel.of(playpen, step_ns)
-        has_turrets = any(robot.turrets for robot in robots)
-        self.for_compiled = self.scene_model if has_turrets else self.scene_model.blind()
         self.model = self.scene_model.model
         self.steps_per_period = n_steps(period_ns, step_ns)
         self.entry = robots[0]

@@ -38,11 +38,11 @@ class ProximityCalibration(TomlTable):
     """Reflected light; per-sensor values in the order of N.
 
     Attributes:
-        gain_counts_mm2: Counts per light reflected by the reference wall.
+        gain_counts_mm2: Counts at 1 mm before an endless white wall, face to face.
         threshold_counts: Counts that are subtracted; below 0 the reading with nothing in reach.
         offset_mm: Offset of the chip behind the sensor's face.
-        lobe_exponent: Exponent of the cosine off the sensor's axis.
-        incidence_exponent: Exponent of the cosine between ray and surface normal.
+        lobe_exponent: Exponent of the cosine off the sensor's axis, in azimuth.
+        range_mm: Distance beyond which nothing counts.
         limit_counts: Highest reading.
         floor_counts: Lowest reading, also where ambient light saturates the sensor.
         quantum_counts: Step between readings.
@@ -54,7 +54,7 @@ class ProximityCalibration(TomlTable):
     threshold_counts: Annotated[tuple[_Threshold, ...], _Eight]
     offset_mm: Annotated[tuple[_Offset, ...], _Eight]
     lobe_exponent: Annotated[tuple[_Exponent, ...], _Eight]
-    incidence_exponent: Annotated[tuple[_Exponent, ...], _Eight]
+    range_mm: Annotated[float, Field(ge=20, le=1000)] = 60.0
     limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
     floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1

@@ -14,10 +14,23 @@ from numpy.typing import NDArray
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import view
 from khep_twin.sensing.optics import RobotSensors
-from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.scene import FASTEST, FEW, LENGTH_AND_NORMAL, MANY, Triple
+from khep_twin.sensing.reflection import Chip, add_upright
+from khep_twin.sensing.scene import FASTEST, FEW, MANY, Triple
 
 Floats = NDArray[np.float64]
+
+PAINT = 0.0005
+"""Height up to which a fixed thing is paint on the floor, which the sensors do not see [m]."""
+
+Upright = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
+"""Centre [m], cosine and sine of the angle, half of length and width [m], and heights of an upright thing."""
+
+_ROUNDING = 1e-9
+"""Margin for rounding [m]."""
+
+_PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
+_SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 
 
 class Disc(NamedTuple):
@@ -42,10 +55,9 @@ class MujocoScene:
     Args:
         model: Model of the scene.
         data: State of the scene.
-        robots: Indices of its robots.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robots: Sequence[RobotIndices]) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model, self._data = model, data
         self._warnings: NDArray[np.int32] = data.warning.number
         self._places: Floats = data.xpos.ravel()
@@ -55,14 +67,12 @@ class MujocoScene:
         self._body_frames: list[Floats] = list(data.xmat)
         self.positions: list[Floats] = list(data.cam_xpos)
         self._frames: list[Floats] = list(data.cam_xmat)
-        self._rays: dict[int, Floats] = {
-            camera: data.sensordata[part]
-            for robot in robots
-            for camera, part in zip(robot.cameras, robot.rays, strict=True)
-        }
-        n_rays = max((len(rays) // LENGTH_AND_NORMAL for rays in self._rays.values()), default=0)
-        self._reflectances: Floats = model.geom_user[:, 0]
-        self._geoms, self._lengths = np.zeros(n_rays, np.int32), np.zeros(n_rays)
+        seen = visible(model)
+        self._shapes = [fixed(model, geom) for geom in seen]
+        self._bodies: list[int] = model.geom_bodyid[seen].tolist()
+        self._reflectances: list[float] = model.geom_user[seen, 0].tolist()
+        self._geoms = np.array(seen, np.int64)
+        self._bounds: Floats = model.geom_rbound[self._geoms]
         self._discs = [_disc(points_of_a_bulb(number)) for number in (FEW, MANY)]
 
     def step(self) -> None:
@@ -114,35 +124,25 @@ class MujocoScene:
         """Answer the query `sensor_frame`."""
         return self._frames[sensors.cameras[channel]].tolist()
 
-    def direction(self, frame: Sequence[float], channel: int, ray: int, tangential: float) -> Triple:
-        """Answer the query `direction`."""
-        return through(frame, tangential)
-
-    def rays(self, sensors: RobotSensors, channel: int, level: float) -> int:
-        """Answer the query `rays`."""
-        # The rangefinders have cast them already; compiled code casts them where something may be near.
-        found = sensors.proximity.found
-        found[:] = self._rays[sensors.cameras[channel]].tolist()
-        return len(found)
-
-    def surfaces(self, sensors: RobotSensors, channel: int, cutoff: float) -> None:
+    def surfaces(self, sensors: RobotSensors, channel: int, chip: Chip, near: float) -> int:
         """Answer the query `surfaces`."""
-        # The rays are cast again, as rangefinders do not report what they hit.
-        mujoco.mj_multiRay(
-            self._model,
-            self._data,
-            self.positions[sensors.cameras[channel]],
-            np.array(sensors.proximity.directions),
-            None,
-            True,
-            sensors.base,
-            self._geoms,
-            self._lengths,
-            None,
-            len(self._geoms),
-            cutoff,
-        )
-        sensors.proximity.reflectances[:] = self._reflectances[self._geoms].tolist()
+        found, count, model, data = sensors.proximity.found, 0, self._model, self._data
+        ways: Floats = data.geom_xpos[self._geoms, :2] - (chip.x, chip.y)
+        away = np.sqrt((ways * ways).sum(axis=1)) - self._bounds
+        if not (away <= near + _ROUNDING).any():
+            return 0
+        for index in (away <= chip.reach + _ROUNDING).nonzero()[0].tolist():
+            if self._bodies[index] == sensors.base:
+                continue
+            shape = self._shapes[index]
+            if shape is None:
+                geom = int(self._geoms[index])
+                place, matrix = data.geom_xpos[geom].tolist(), data.geom_xmat[geom].tolist()
+                shape = upright(int(model.geom_type[geom]), model.geom_size[geom].tolist(), place, matrix)
+            centre, turn, half, span = shape
+            reflectance = self._reflectances[index]
+            count = add_upright(found, count, chip, centre, turn, half, span, reflectance)
+        return count
 
     def stopped(self, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
         """Answer the query `stopped`."""
@@ -198,13 +198,56 @@ def points_of_a_bulb(number: int) -> Floats:
     return np.concatenate([half, half * (-1, 1)])
 
 
+def visible(model: mujoco.MjModel) -> list[int]:
+    """Return the geoms that sensors see: all that are drawn, but floor and paint."""
+    return [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_rgba[geom, 3] > 0
+        and model.geom_type[geom] != _PLANE
+        and not (model.geom_bodyid[geom] == 0 and model.geom_pos[geom, 2] < PAINT)
+    ]
+
+
+def fixed(model: mujoco.MjModel, geom: int) -> Upright | None:
+    """Return the shape of a geom that cannot move; None for one that can."""
+    if model.geom_bodyid[geom] != 0:
+        return None
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+    place, size = model.geom_pos[geom].tolist(), model.geom_size[geom].tolist()
+    return upright(int(model.geom_type[geom]), size, place, turn.tolist())
+
+
 @compilable
-def through(frame: Sequence[float], tangential: float) -> Triple:
-    """Return the unit vector of a ray at a tangent off the axis of a frame."""
-    x, y = frame[0] * tangential - frame[2], frame[3] * tangential - frame[5]
-    z = frame[6] * tangential - frame[8]
-    scale = 1 / math.sqrt(x * x + y * y + z * z)
-    return x * scale, y * scale, z * scale
+def upright(kind: int, size: Sequence[float], place: Sequence[float], turn: Sequence[float]) -> Upright:
+    """Return a geom as the upright box or cylinder that it is, or that it resembles when it has tipped over.
+
+    Args:
+        kind: Type of the geom.
+        size: Its size (3,).
+        place: Its position (3,) [m].
+        turn: Its orientation (9,).
+    """
+    long, wide, high = size[0], size[1], size[2]
+    if kind == _SPHERE:
+        wide = high = long
+    elif kind not in (_BOX, _ELLIPSOID):  # they have a radius, and half a length along their third axis
+        high, wide = (wide + long if kind == _CAPSULE else wide), long
+    up = 2
+    if abs(turn[6]) > abs(turn[8]) or abs(turn[7]) > abs(turn[8]):
+        up = 0 if abs(turn[6]) > abs(turn[7]) else 1
+    if up == 2:
+        along, half, width, height = 0, long, wide, high
+        if kind != _BOX:
+            width = -1.0
+    elif up == 0:
+        along, half, width, height = 1, wide, high, long
+    else:
+        along, half, width, height = 2, high, long, wide
+    c, s = turn[along], turn[3 + along]
+    scale = 1 / math.sqrt(max(c * c + s * s, 1e-12))
+    return (place[0], place[1]), (c * scale, s * scale), (half, width), (place[2] - height, place[2] + height)
 
 
 def _disc(points: Floats) -> Disc:

@@ -1,7 +1,7 @@
-"""The infrared sensors' arithmetic: from rays and lamps to counts, in plain numbers.
+"""The infrared sensors' arithmetic: from surfaces and lamps to counts, in plain numbers.
 
-`sensors` and `ambient` describe the model. The functions are `compilable`: they index lists here, arrays
-there, and query the scene only by the functions of `scene`.
+`sensors`, `reflection` and `ambient` describe the model. The functions are `compilable`: they index lists
+here, arrays there, and query the scene only by the functions of `scene`.
 """
 
 import math
@@ -9,25 +9,20 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from khep_twin.compilable import compilable
+from khep_twin.sensing.reflection import Chip, Lobe, most, reflected
 from khep_twin.sensing.scene import (
     FEW,
-    LENGTH_AND_NORMAL,
     MANY,
     Scene,
     Triple,
     blocked,
     body_frame,
-    direction,
     position,
-    rays,
     sensor_frame,
     stopped,
     surfaces,
 )
 from khep_twin.units import BULB_RADIUS
-
-_SLACK = 1e-6
-"""Tolerance of the length of a ray that is cast again [m]."""
 
 _NOTHING = 0.5
 """Light for which no ray is cast [counts]."""
@@ -43,42 +38,40 @@ class Proximity(NamedTuple):
     """Reflected light; per-sensor numbers in the order of N.
 
     Attributes:
-        gain: Counts per light reflected by the reference wall (8,) [counts m^2].
+        gain: Counts per light (8,) [counts m^2].
+        bound: Highest counts of anything at a distance of 1 m (8,) [counts m^2].
         threshold: Counts that are subtracted (8,) [counts].
         offset: Offset of the chip behind the sensor's face (8,) [m].
-        incidence_exponent: Exponent of the cosine between ray and normal (8,).
+        reach: Range [m].
+        whole: Whole part of each lobe's exponent (8,).
+        part: The rest of it (8,).
+        norm: Norm of each lobe (8,).
+        width: Width of each lobe, over its norm (8,).
+        table: Cumulated light of faces, as of `lobes.table` (8, N_CELLS + 1, 4).
         limit: Highest reading [counts].
         floor: Lowest reading [counts].
         quantum: Step between readings [counts].
         noise: Standard deviation of one reading [counts].
         idle: Mean of the noise with nothing in reach [counts].
-        weights: Weights of each sensor's rays (8, n_rays).
-        tangential: Tangents of the rays' angles off the sensor's axis, to its right (8, n_rays).
-        brightest: Largest reflectance in the scene.
-        uniform: True if all that can be hit has that reflectance.
-        found: Buffer for the lengths and normals of rays (4 n_rays,).
-        directions: Buffer for the rays' directions in the world (3 n_rays,).
-        incidences: Buffer for the rays' cosines to the normals (n_rays,).
-        reflectances: Buffer for the reflectances of what the rays hit (n_rays,).
+        found: Buffer for the surfaces that a sensor sees (N_SURFACES * N_COLUMNS,).
     """
 
     gain: Sequence[float]
+    bound: Sequence[float]
     threshold: Sequence[float]
     offset: Sequence[float]
-    incidence_exponent: Sequence[float]
+    reach: float
+    whole: Sequence[int]
+    part: Sequence[float]
+    norm: Sequence[float]
+    width: Sequence[float]
+    table: Sequence[Sequence[Sequence[float]]]
     limit: int
     floor: int
     quantum: int
     noise: float
     idle: float
-    weights: Sequence[Sequence[float]]
-    tangential: Sequence[Sequence[float]]
-    brightest: float
-    uniform: bool
     found: list[float]
-    directions: list[float]
-    incidences: list[float]
-    reflectances: list[float]
 
 
 class Ambient(NamedTuple):
@@ -226,20 +219,35 @@ def proximity_counts(
     """
     proximity = sensors.proximity
     level = proximity.noise * noise - proximity.threshold[channel]
-    found, nearest = proximity.found, -1.0
-    for i in range(0, rays(scene, sensors, channel, level), LENGTH_AND_NORMAL):
-        length = found[i]
-        if length >= 0 and (length < nearest or nearest < 0):
-            nearest = length
-    if nearest >= 0:
-        # Mostly nothing is near enough; light that cannot pass the threshold is not summed up.
-        gain, reach = proximity.gain[channel], nearest + proximity.offset[channel]
-        if gain * proximity.brightest / (reach * reach) > -level:
-            _look(scene, sensors, channel, found)
-            level += gain * _reflected(found, proximity, channel)
+    # Where all is farther off, nothing passes the threshold, or changes the reading by half a step.
+    near = math.sqrt(proximity.bound[channel] / max(-level, proximity.quantum / 2))
+    chip = chip_of(scene, sensors, channel)
+    count = surfaces(scene, sensors, channel, chip, near)
+    gain, found = proximity.gain[channel], proximity.found
+    lobe = Lobe(
+        proximity.whole[channel],
+        proximity.part[channel],
+        proximity.norm[channel],
+        proximity.width[channel],
+        proximity.table[channel],
+    )
+    if count and (level > 0 or gain * most(found, count, lobe) > -level):
+        level += gain * reflected(found, count, chip, lobe)
     limit = int(proximity.limit * range_left)
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
     return max(counts, min(int(proximity.idle * idle), limit), proximity.floor)
+
+
+@compilable
+def chip_of(scene: Scene, sensors: RobotSensors, channel: int) -> Chip:
+    """Return the place of a sensor's chip, behind its face."""
+    place, frame = position(scene, sensors, channel), sensor_frame(scene, sensors, channel)
+    # The robot stands upright; what little it tilts does not count.
+    ahead, left, offset = -frame[2], -frame[5], sensors.proximity.offset[channel]
+    scale = 1 / math.sqrt(max(ahead * ahead + left * left, 1e-12))
+    ahead, left = ahead * scale, left * scale
+    x, y, reach = place[0] - offset * ahead, place[1] - offset * left, sensors.proximity.reach
+    return Chip(x, y, ahead, left, place[2], reach)
 
 
 @compilable
@@ -349,66 +357,6 @@ def part_of_bulb(
         left, up = (-y * side, x * side, 0.0), (x * tilt, y * tilt, flat * scale)
     # Hits are in lengths of the rays. One as near as the bulb's glass has reached it.
     return 1 - blocked(scene, sensors, channel, disc, left, up, way, 1.0 + scale, 1.0 - scale)
-
-
-@compilable
-def reflected(
-    lengths: Sequence[float],
-    incidences: Sequence[float],
-    reflectances: Sequence[float],
-    weights: Sequence[float],
-    offset: float,
-    incidence_exponent: float,
-) -> float:
-    """Return the reflected light: sum over rays of w_i rho_i cos(phi_i)^m / (d_i + offset)^2 [1/m^2].
-
-    Args:
-        lengths: Length d_i of each ray [m]; below 0 where it hits nothing.
-        incidences: Cosines cos(phi_i) between ray and surface normal.
-        reflectances: Reflectances rho_i of what they hit.
-        weights: Weights w_i of the rays in the cone.
-        offset: Offset of the sensor's chip behind its face [m].
-        incidence_exponent: Exponent m.
-    """
-    total = 0.0
-    for i in range(len(weights)):
-        if lengths[i] >= 0 and incidences[i] > 0:
-            lit = weights[i] * reflectances[i] * incidences[i] ** incidence_exponent
-            reach = lengths[i] + offset
-            total += lit / (reach * reach)
-    return total
-
-
-@compilable
-def _reflected(found: Sequence[float], proximity: Proximity, channel: int) -> float:
-    """Return `reflected` for the rays cast."""
-    return reflected(
-        found[::LENGTH_AND_NORMAL],
-        proximity.incidences,
-        proximity.reflectances,
-        proximity.weights[channel],
-        proximity.offset[channel],
-        proximity.incidence_exponent[channel],
-    )
-
-
-@compilable
-def _look(scene: Scene, sensors: RobotSensors, channel: int, found: Sequence[float]) -> None:
-    """Fill in the rays' incidences and reflectances."""
-    frame, proximity = sensor_frame(scene, sensors, channel), sensors.proximity
-    tangential, directions = proximity.tangential[channel], proximity.directions
-    farthest = -1.0
-    for i in range(len(tangential)):
-        first = LENGTH_AND_NORMAL * i
-        if found[first] > farthest:
-            farthest = found[first]
-        if proximity.uniform and found[first] < 0:
-            continue  # it is not cast again and adds no light
-        dx, dy, dz = direction(scene, frame, channel, i, tangential[i])
-        directions[3 * i], directions[3 * i + 1], directions[3 * i + 2] = dx, dy, dz
-        proximity.incidences[i] = -(found[first + 1] * dx + found[first + 2] * dy + found[first + 3] * dz)
-    if not proximity.uniform:
-        surfaces(scene, sensors, channel, farthest + _SLACK)
 
 
 @compilable

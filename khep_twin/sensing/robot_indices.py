@@ -27,7 +27,6 @@ class RobotIndices:
         wheel_speeds: Wheels in qvel.
         motors: Actuators of the wheels.
         cameras: Cameras of the infrared sensors (8,).
-        rays: Slices of sensordata with the rays of each sensor (8,).
         leds: Sites of the LEDs.
         led_lights: Bodies of the LEDs' lights.
     """
@@ -40,7 +39,6 @@ class RobotIndices:
     wheel_speeds: tuple[int, int]
     motors: tuple[int, int]
     cameras: tuple[int, ...]
-    rays: tuple[slice, ...]
     leds: tuple[int, ...]
     led_lights: tuple[int, ...]
 
@@ -54,7 +52,6 @@ class RobotIndices:
         pose = model.joint(f"{robot}/pose")
         left, right = (model.joint(f"{robot}/{side}_axle") for side in _SIDES)
         sensors = [f"{robot}/{sensor.name.lower()}" for sensor in Sensor]
-        rays = [model.sensor(f"{sensor}_rays") for sensor in sensors]
         left_wheel, right_wheel = (model.body(f"{robot}/{side}_wheel").id for side in _SIDES)
         left_motor, right_motor = (model.actuator(f"{robot}/{side}_motor").id for side in _SIDES)
         return cls(
@@ -66,7 +63,6 @@ class RobotIndices:
             wheel_speeds=(int(left.dofadr[0]), int(right.dofadr[0])),
             motors=(left_motor, right_motor),
             cameras=tuple(model.camera(sensor).id for sensor in sensors),
-            rays=tuple(slice(int(each.adr[0]), int(each.adr[0] + each.dim[0])) for each in rays),
             leds=tuple(model.site(f"{robot}/{led}").id for led in _LEDS),
             led_lights=tuple(model.body(f"{robot}/{led}_light").id for led in _LEDS),
         )

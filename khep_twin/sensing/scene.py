@@ -13,15 +13,13 @@ import numpy as np
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, Registers
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.reflection import Chip
 
 if TYPE_CHECKING:
     from khep_twin.sensing.optics import RobotSensors
 
 FEW, MANY = 0, 1
 """Numbers of points on a bulb: 9 or 64."""
-
-LENGTH_AND_NORMAL = 4
-"""Numbers per ray that the rangefinders of assets/khepera.xml give."""
 
 FASTEST = 1000.0
 """Highest speed of a joint in a playpen [m/s or rad/s]; beyond it the simulation has diverged."""
@@ -70,7 +68,7 @@ class SceneJoints(Protocol):
 
 
 class SceneSight(Protocol):
-    """Poses and rays of the sensors in a scene."""
+    """Poses of the sensors in a scene."""
 
     def body_frame(self, sensors: "RobotSensors") -> Sequence[float]:
         """Answer the query `body_frame`."""
@@ -84,19 +82,11 @@ class SceneSight(Protocol):
         """Answer the query `sensor_frame`."""
         ...
 
-    def direction(self, frame: Sequence[float], channel: int, ray: int, tangential: float) -> Triple:
-        """Answer the query `direction`."""
-        ...
-
 
 class SceneRays(Protocol):
-    """Rays of the sensors in a scene."""
+    """Surfaces and rays of the sensors in a scene."""
 
-    def rays(self, sensors: "RobotSensors", channel: int, level: float) -> int:
-        """Answer the query `rays`."""
-        ...
-
-    def surfaces(self, sensors: "RobotSensors", channel: int, cutoff: float) -> None:
+    def surfaces(self, sensors: "RobotSensors", channel: int, chip: Chip, near: float) -> int:
         """Answer the query `surfaces`."""
         ...
 
@@ -178,44 +168,17 @@ def sensor_frame(scene: Scene, sensors: "RobotSensors", channel: int) -> Sequenc
     return scene.sensor_frame(sensors, channel)
 
 
-def direction(scene: Scene, frame: Sequence[float], channel: int, ray: int, tangential: float) -> Triple:
-    """Return the direction of a ray in the world, computed as MuJoCo does, to the last bit.
-
-    Args:
-        scene: Scene of the robot.
-        frame: Orientation of the sensor (9,).
-        channel: Number of the sensor.
-        ray: Number of the ray.
-        tangential: Tangent of its angle off the sensor's axis.
-    """
-    return scene.direction(frame, channel, ray, tangential)
-
-
-def rays(scene: Scene, sensors: "RobotSensors", channel: int, level: float) -> int:
-    """Fill in `proximity.found`: length [m], below 0 for a miss, and normal of each ray of a sensor.
+def surfaces(scene: Scene, sensors: "RobotSensors", channel: int, chip: Chip, near: float) -> int:
+    """Fill in `proximity.found` with the surfaces that a sensor may see; return their number.
 
     Args:
         scene: Scene of the robot.
         sensors: Sensors of the robot.
         channel: Number of the sensor.
-        level: Reading with nothing in view, before clipping [counts].
-
-    Returns:
-        Number of values filled in; 0 where no ray matters.
+        chip: Chip of the sensor.
+        near: Distance within which one of them must be to matter [m]; 0 may be returned where none is.
     """
-    return scene.rays(sensors, channel, level)
-
-
-def surfaces(scene: Scene, sensors: "RobotSensors", channel: int, cutoff: float) -> None:
-    """Fill in `proximity.reflectances` of what the rays along `proximity.directions` hit.
-
-    Args:
-        scene: Scene of the robot.
-        sensors: Sensors of the robot.
-        channel: Number of the sensor.
-        cutoff: Range of the rays [m]; reflectances are undefined where nothing is hit.
-    """
-    scene.surfaces(sensors, channel, cutoff)
+    return scene.surfaces(sensors, channel, chip, near)
 
 
 def stopped(scene: Scene, sensors: "RobotSensors", channel: int, way: Triple, glass: float) -> bool:

@@ -22,7 +22,7 @@ from numba.extending import register_jitable
 from khep_twin import step, units
 from khep_twin.board import battery, kernel
 from khep_twin.compilable import FUNCTIONS
-from khep_twin.sensing import mujoco_scene, optics, scene
+from khep_twin.sensing import mujoco_scene, optics, reflection, scene
 from khep_twin.sensing.optics import Light
 from khep_twin.simulation import addresses, foreign, mujoco_calls
 from khep_twin.simulation.mujoco_calls import MujocoCalls
@@ -31,7 +31,8 @@ from khep_twin.step import Simulated, StepInputs
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-SOURCES = (units, battery, kernel, scene, optics, mujoco_scene, step, addresses, foreign, mujoco_calls)
+_OPTICS = reflection, optics, mujoco_scene
+SOURCES = (units, battery, kernel, scene, *_OPTICS, step, addresses, foreign, mujoco_calls)
 """Modules that are compiled."""
 
 _REGISTERED: list[object] = []

@@ -1,13 +1,11 @@
 """MuJoCo's scene for compiled code: the queries of `sensing.scene`, by addresses of MuJoCo's functions.
 
-Imported only where numba is installed. Rays are cast only where something may be near enough to count; their
-results are those of MuJoCo's rangefinders to the last bit.
+Imported only where numba is installed.
 """
 
 # numba is not typed, and its functions have no types of their own.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false, reportGeneralTypeIssues=false
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -17,9 +15,9 @@ from numpy.typing import NDArray
 from khep_twin.compilable import compilable
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.buffers import as_records
-from khep_twin.sensing.mujoco_scene import points_of_a_bulb, through
-from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.scene import FASTEST, FEW, LENGTH_AND_NORMAL, MANY
+from khep_twin.sensing.mujoco_scene import fixed, points_of_a_bulb, upright, visible
+from khep_twin.sensing.reflection import add_upright
+from khep_twin.sensing.scene import FASTEST, FEW, MANY
 from khep_twin.simulation.addresses import function_address, object_address
 from khep_twin.simulation.foreign import (
     address_of,
@@ -59,9 +57,7 @@ class Addresses(NamedTuple):
         n_qvel: Number of joint speeds.
         n_xpos: Number of coordinates of bodies.
         n_warnings: Number of kinds of warnings.
-        hits: Buffer for the solids that rays hit (n_rays,).
         way: Buffer for a ray's direction (3,).
-        normal: Buffer for a surface normal (3,).
         few: Few points of a bulb (9, 2).
         many: Many points of a bulb (64, 2).
     """
@@ -86,25 +82,25 @@ class Addresses(NamedTuple):
     n_qvel: int
     n_xpos: int
     n_warnings: int
-    hits: Any
     way: Any
-    normal: Any
     few: Any
     many: Any
 
 
 class Solid(NamedTuple):
-    """A visible geom.
+    """A geom that is drawn.
 
     Attributes:
         geom: Index of the geom.
         kind: Type of the geom.
         body: Its body.
-        x: Centre, x [m]; this and what follows up to `top` is for upright geoms that cannot move.
+        seen: 1 if proximity sensors see it, which is not so of floor and paint.
+        fixed: 1 if it cannot move; what follows up to `top` is its shape then, as of `mujoco_scene.upright`.
+        x: Centre, x [m].
         y: Centre, y [m].
         cosine: Cosine of its angle.
         sine: Sine of its angle.
-        half: Half of its length, or radius [m]; below 0 for other geoms.
+        half: Half of its length, or radius [m].
         width: Half of its width [m]; below 0 for a cylinder.
         bottom: Lowest height [m].
         top: Highest height [m].
@@ -115,12 +111,14 @@ class Solid(NamedTuple):
     geom: int = 0
     kind: int = 0
     body: int = 0
+    seen: int = 0
+    fixed: int = 0
     x: float = 0.0
     y: float = 0.0
     cosine: float = 1.0
     sine: float = 0.0
-    half: float = -1.0
-    width: float = -1.0
+    half: float = 0.0
+    width: float = 0.0
     bottom: float = 0.0
     top: float = 0.0
     bound: float = 0.0
@@ -132,18 +130,15 @@ class MujocoCalls(NamedTuple):
 
     Attributes:
         at: Addresses, as a record of `Addresses`.
-        solids: Visible geoms in MuJoCo's order, as records of `Solid` (n,).
+        solids: Geoms that are drawn, in MuJoCo's order, as records of `Solid` (n,).
     """
 
     at: np.void
     solids: NDArray[np.void]
 
 
-def calls_of(
-    model: mujoco.MjModel, data: mujoco.MjData, robots: Sequence[RobotIndices]
-) -> tuple[NDArray[np.void], NDArray[np.void]]:
+def calls_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Return a scene for compiled code, as the arrays of `MujocoCalls`; model and state must outlive it."""
-    n_rays = max((part.stop - part.start for robot in robots for part in robot.rays), default=0)
     names = ("qpos", "qvel", "ctrl", "xpos", "xmat", "cam_xpos", "cam_xmat", "geom_xpos", "geom_xmat")
     at = Addresses(
         step=function_address("mj_step"),
@@ -158,40 +153,28 @@ def calls_of(
         n_qvel=data.qvel.size,
         n_xpos=data.xpos.size,
         n_warnings=len(data.warning.number),
-        hits=np.zeros(n_rays // LENGTH_AND_NORMAL, np.int64),
         way=np.zeros(3),
-        normal=np.zeros(3),
         few=points_of_a_bulb(FEW),
         many=points_of_a_bulb(MANY),
     )
-    visible = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist()
-    return as_records([at], at), as_records([_solid(model, geom) for geom in visible], Solid())
+    drawn = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist()
+    return as_records([at], at), as_records([_solid(model, geom) for geom in drawn], Solid())
 
 
 def _solid(model: mujoco.MjModel, geom: int) -> Solid:
-    x, y, z = model.geom_pos[geom].tolist()
-    w, qx, qy, qz = model.geom_quat[geom].tolist()
-    size, kind = model.geom_size[geom].tolist(), int(model.geom_type[geom])
-    body = int(model.geom_bodyid[geom])
     solid = Solid(
-        geom, kind, body, bound=float(model.geom_rbound[geom]), reflectance=float(model.geom_user[geom, 0])
+        geom,
+        int(model.geom_type[geom]),
+        int(model.geom_bodyid[geom]),
+        seen=geom in visible(model),
+        bound=float(model.geom_rbound[geom]),
+        reflectance=float(model.geom_user[geom, 0]),
     )
-    fixed = body == 0 and abs(qx) + abs(qy) < 1e-12
-    box, cylinder = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
-    if not fixed or kind not in (box, cylinder):
+    shape = fixed(model, geom)
+    if shape is None or not solid.seen:
         return solid
-    height = size[2] if kind == box else size[1]
-    angle = 2 * np.arctan2(qz, w)
-    return solid._replace(
-        x=x,
-        y=y,
-        cosine=float(np.cos(angle)),
-        sine=float(np.sin(angle)),
-        half=size[0],
-        width=size[1] if kind == box else -1.0,
-        bottom=z - height,
-        top=z + height,
-    )
+    (x, y), (cosine, sine), (half, width), (bottom, top) = shape
+    return Solid(*solid[:4], 1, x, y, cosine, sine, half, width, bottom, top, *solid[-2:])
 
 
 @implements(queries.step, MujocoCalls)
@@ -283,111 +266,29 @@ def _nine(address, index):
     return _three(address, first) + _three(address, second) + _three(address, third)
 
 
-@implements(queries.direction, MujocoCalls)
-def _direction(scene, frame, channel, ray, tangential):
-    return through(frame, tangential)
-
-
-@implements(queries.rays, MujocoCalls)
-def _rays(scene, sensors, channel, level):
-    proximity = sensors.proximity
-    reach = np.inf
-    if level < 0:
-        # A thing this far away just fails to pass the threshold; a margin is added for rounding.
-        reach = np.sqrt(proximity.gain[channel] * proximity.brightest / -level) - proximity.offset[channel]
-        reach = reach * (1 + 1e-9) + 1e-9
-    camera = sensors.cameras[channel]
-    frame, place = _nine(scene.at.cam_xmat, camera), _three(scene.at.cam_xpos, camera)
-    if not _anything_within(scene, sensors.base, frame, place, reach):
-        return 0
-    tangential, found = proximity.tangential[channel], proximity.found
-    for ray in range(len(tangential)):
-        way = through(frame, tangential[ray])
-        scene.at.way[0], scene.at.way[1], scene.at.way[2] = way
-        _cast_one(scene, sensors.base, camera, place, way, ray, found)
-    return len(found)
-
-
-@compilable
-def _anything_within(scene, base, frame, place, reach):
-    """Return whether anything solid may be within reach [m] in front of a sensor; False is certain."""
-    if reach <= 0:
-        return False
-    if reach == np.inf:
-        return True
-    x, y, z = place
-    ahead_x, ahead_y = -frame[2], -frame[5]
-    # Rays incline no more than the sensor's own axes do together.
-    rise = reach * (abs(frame[6]) + abs(frame[8]))
-    for i in range(len(scene.solids)):
-        solid = scene.solids[i]
-        if solid.body == base:
-            continue
-        cx, cy, half, width = solid.x, solid.y, solid.half, solid.width
-        if half < 0:
-            if solid.kind == _PLANE:
-                if z - rise <= 0:
-                    return True
-                continue
-            cx, cy = _flat(scene.at.geom_xpos, solid.geom)
-            half = solid.bound
-        elif z + rise < solid.bottom or z - rise > solid.top:
-            continue
-        dx, dy = cx - x, cy - y
-        if width < 0:
-            limit = reach + half
-            if dx * dx + dy * dy <= limit * limit and dx * ahead_x + dy * ahead_y + half >= 0:
-                return True
-            continue
-        cosine, sine = solid.cosine, solid.sine
-        along, across = abs(dx * cosine + dy * sine), abs(dy * cosine - dx * sine)
-        beside, before = max(along - half, 0.0), max(across - width, 0.0)
-        if beside * beside + before * before <= reach * reach:
-            # Distance ahead of its farthest corner.
-            most = half * abs(cosine * ahead_x + sine * ahead_y)
-            most += width * abs(cosine * ahead_y - sine * ahead_x)
-            if dx * ahead_x + dy * ahead_y + most >= 0:
-                return True
-    return False
-
-
-@compilable
-def _cast_one(scene, base, camera, place, way, ray, found):
-    """Find the first geom that a ray hits: each is tested in MuJoCo's order, by MuJoCo."""
-    first = LENGTH_AND_NORMAL * ray
-    best, hit = -1.0, -1
-    for k in range(LENGTH_AND_NORMAL):
-        found[first + k] = 0.0
-    x, y = way[0], way[1]
-    flat = x * x + y * y
-    for i in range(len(scene.solids)):
-        solid = scene.solids[i]
-        if solid.body == base:
-            continue
-        if solid.kind != _PLANE:
-            cx, cy = _flat(scene.at.geom_xpos, solid.geom)
-            dx, dy = cx - place[0], cy - place[1]
-            bound = solid.bound + 1e-9
-            ahead, tangential = dx * x + dy * y, dx * y - dy * x
-            if ahead < -bound or tangential * tangential > bound * bound * flat:
-                continue
-            if best >= 0 and ahead - bound > best * flat + 1e-9:
-                continue
-        length = _length(scene, solid, camera, address_of(scene.at.normal))
-        if length >= 0 and (best < 0 or length < best):
-            best, hit = length, i
-            for k in range(3):
-                found[first + 1 + k] = scene.at.normal[k]
-    found[first] = best
-    scene.at.hits[ray] = hit
-
-
 @implements(queries.surfaces, MujocoCalls)
-def _surfaces(scene, sensors, channel, cutoff):
-    found = sensors.proximity.reflectances
-    for ray in range(len(found)):
-        hit = scene.at.hits[ray]
-        found[ray] = scene.solids[hit].reflectance if hit >= 0 else 0.0
+def _surfaces(scene, sensors, channel, chip, near):
+    found, count = sensors.proximity.found, 0
+    for i in range(len(scene.solids)):
+        solid = scene.solids[i]
+        geom = solid.geom
+        if not solid.seen or solid.body == sensors.base:
+            continue
+        if solid.fixed:
+            cx, cy = solid.x, solid.y
+        else:
+            cx, cy = _flat(scene.at.geom_xpos, geom)
+        dx, dy, limit = cx - chip.x, cy - chip.y, solid.bound + chip.reach + 1e-9
+        if dx * dx + dy * dy > limit * limit:
+            continue
+        centre, turn = (cx, cy), (solid.cosine, solid.sine)
+        half, span = (solid.half, solid.width), (solid.bottom, solid.top)
+        if not solid.fixed:
+            place, turned = _three(scene.at.geom_xpos, geom), _nine(scene.at.geom_xmat, geom)
+            shape = upright(solid.kind, _three(scene.at.geom_size, geom), place, turned)
+            centre, turn, half, span = shape
+        count = add_upright(found, count, chip, centre, turn, half, span, solid.reflectance)
+    return count
 
 
 @implements(queries.stopped, MujocoCalls)
@@ -429,15 +330,15 @@ def _stops(scene, base, camera, x, y, glass):
             ahead, tangential = dx * x + dy * y, dx * y - dy * x
             if ahead < -bound or ahead - bound > flat or abs(tangential) > bound:
                 continue
-        hit = _length(scene, solid, camera, 0)
+        hit = _length(scene, solid, camera)
         if 0 <= hit < glass:
             return True
     return False
 
 
 @compilable
-def _length(scene, solid, camera, normal):
-    """Return MuJoCo's length of a ray along `way` from a camera to a geom; the normal's address may be 0."""
+def _length(scene, solid, camera):
+    """Return MuJoCo's length of a ray along `way` from a camera to a geom."""
     at, geom = scene.at, solid.geom
     return call_ray_geom(
         at.ray_geom,
@@ -447,7 +348,7 @@ def _length(scene, solid, camera, normal):
         at.cam_xpos + 24 * camera,
         address_of(at.way),
         solid.kind,
-        normal,
+        0,
     )
 
 

@@ -1,6 +1,5 @@
 """A playpen's scene in MuJoCo as a simulation uses it: its two forms, robots, light and bounds."""
 
-import copy
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Self, cast
@@ -31,10 +30,6 @@ Joints = tuple[int, int, int, int, int, int, int]
 """Indices of both wheels' positions and speeds, of both motors, and of the pose."""
 
 
-NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-"""Flag of a model whose sensors are not measured."""
-
-
 class SceneModel(NamedTuple):
     """Compiled model of a playpen, which worlds may share.
 
@@ -56,13 +51,11 @@ class SceneModel(NamedTuple):
         spec = to_spec(playpen)
         if step_ns != units.STEP_NS:
             set_step(spec, step_ns)
-        return cls(playpen, spec, spec.compile(), timing(playpen, step_ns))
-
-    def blind(self) -> Self:
-        """Return the same without rangefinders, for compiled code, which casts rays itself."""
-        model = copy.copy(self.model)
-        model.opt.disableflags |= NO_SENSORS
-        return self._replace(model=model)
+        model = spec.compile()
+        # Rangefinders are for MuJoCo alone, as sensors see surfaces; a turret may need its own.
+        if not any(robot.turrets for robot in playpen.robots):
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+        return cls(playpen, spec, model, timing(playpen, step_ns))
 
 
 class MujocoForms:
@@ -86,13 +79,13 @@ class MujocoForms:
 
     def plain(self) -> MujocoScene:
         """Return the scene for plain code."""
-        return MujocoScene(self._model, self._data, self.indices)
+        return MujocoScene(self._model, self._data)
 
     def compiled(self) -> tuple[Any, ...]:
         """Return the scene for compiled code, as arrays."""
         from khep_twin.simulation.mujoco_calls import calls_of
 
-        return calls_of(self._model, self._data, self.indices)
+        return calls_of(self._model, self._data)
 
     def robot_states(self, spreads: Sequence[np.random.Generator] | None = None) -> list[RobotState]:
         """Return the states of the robots; their sensors are drawn at random if there are streams for it."""

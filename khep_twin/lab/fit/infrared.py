@@ -1,8 +1,8 @@
-"""Planar model of an infrared sensor before a wall or a cylinder, without a traced scene.
+"""Light that an infrared sensor gets back from a wall or a cylinder, for many poses at once.
 
-The optics are those of `khep_twin.sensors`, for many poses at once: to fit a calibration to measurements, and
-to compare both. Bearings and distances are those of a test bench: a robot turns on the spot in front of an
-object; the distance is from its edge to the object's nearest point.
+The optics are those of `khep_twin.sensing.reflection`, for one object without others, to fit a calibration to
+measurements and to compare both. Bearings and distances are those of a test bench: a robot turns on the spot
+in front of an object; the distance is from its edge to the object's nearest point.
 """
 
 from dataclasses import dataclass
@@ -11,27 +11,75 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.sensing import lobes
 from khep_twin.sensing.calibration import ProximityCalibration
-from khep_twin.sensors import lobe_weights
-from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS
+from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_HEIGHT, SENSOR_POSITIONS
 
 Floats = NDArray[np.float64]
 
-TANGENTS: Floats = (np.arange(9) + 0.5) / 9 * 2 - 1
-"""Tangents of the angles between a sensor's axis and the rays of assets/khepera.xml."""
+OBJECT_HEIGHT = 0.05
+"""Height of walls and cylinders [m]: a playpen's default (not told of any that was measured)."""
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
 @dataclass(frozen=True, slots=True)
-class RayHits:
-    """Hits of one sensor's rays at many poses.
+class View:
+    """Object before one sensor, at many poses.
 
     Attributes:
-        lengths: Lengths of the rays (n_places, n_rays) [m]; inf for a ray that hits nothing.
-        incidences: Cosines between ray and surface normal (n_places, n_rays), 0 for such a ray.
+        bearings: Bearings of a wall's nearest point or a cylinder's axis off the sensor's own axis (n,) [rad].
+        distances: Distances of these from the sensor's face (n,) [m].
+        radius: Radius of the cylinder [m]; 0 for a wall.
     """
 
-    lengths: Floats
-    incidences: Floats
+    bearings: Floats
+    distances: Floats
+    radius: float = 0.0
+
+    def light(self, offset: float, lobe_exponent: float) -> Floats:
+        """Return the light that comes back to a chip behind the face (n,) [1/m^2].
+
+        Args:
+            offset: Offset of the chip behind the face [m].
+            lobe_exponent: Exponent of the lobe in azimuth.
+        """
+        if self.radius:
+            seen = self._cylinder(offset)
+        else:
+            seen = self._wall(offset)
+        lengths, azimuths, lit = seen
+        ahead = np.maximum(np.cos(azimuths), 0)
+        whole = int(lobe_exponent)
+        lobe = ahead**whole * (1 - (lobe_exponent - whole) * (1 - ahead)) * (ahead > 0)
+        top, mirrored = OBJECT_HEIGHT - SENSOR_HEIGHT, -OBJECT_HEIGHT - SENSOR_HEIGHT
+        filled = _below(top / lengths) - _below(mirrored / lengths)
+        return (lit / lengths**2 * lobe * filled).sum(axis=1) / lobes.norm(lobe_exponent)
+
+    def _wall(self, offset: float) -> tuple[Floats, Floats, Floats]:
+        """Return lengths and azimuths of the way to points of the wall, and their cosines' arcs."""
+        away = self.distances + offset * np.cos(self.bearings)
+        # From one end of the wall, or of the lobe, to the other, in sines off the foot.
+        edge = np.cos(self.bearings)
+        low = np.where(self.bearings < 0, -edge, -1.0)[:, None]
+        high = np.where(self.bearings < 0, 1.0, edge)[:, None]
+        sines = (low + high) / 2 + (high - low) / 2 * _NODES
+        cosines = np.sqrt(1 - sines**2)
+        lit = _WEIGHTS * (high - low) / 2
+        return away[:, None] / cosines, self.bearings[:, None] + np.arcsin(sines), lit
+
+    def _cylinder(self, offset: float) -> tuple[Floats, Floats, Floats]:
+        """Return the same of points of the cylinder."""
+        x = self.distances * np.cos(self.bearings) + offset
+        y = self.distances * np.sin(self.bearings)
+        away, axis = np.hypot(x, y)[:, None], np.arctan2(y, x)[:, None]
+        square = _NODES**2
+        incidences = (1 - square) * np.sqrt(4 - square) / 2
+        sines = _NODES * (3 - square) / 2 * self.radius / away
+        cosines = np.sqrt(1 - sines**2)
+        lengths = away * cosines - self.radius * incidences
+        lit = _WEIGHTS * 1.5 * (1 - square) * incidences * self.radius / (away * cosines)
+        return lengths, axis + np.arcsin(sines), lit
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,40 +89,24 @@ class Bench:
     Attributes:
         position: Position of the sensor's face on the robot, x forward and y left (2,) [m].
         heading: Heading of the sensor, counter-clockwise from straight ahead [rad].
-        tangents: Tangents of the rays' angles off its axis, to the right positive (n_rays,).
         radius: Radius of the robot [m].
     """
 
     position: tuple[float, float]
     heading: float
-    tangents: Floats
     radius: float
 
-    def wall(self, distances: Floats, bearings: Floats) -> RayHits:
+    def wall(self, distances: Floats, bearings: Floats) -> View:
         """Return the view of a wall at distances from the robot's edge [m] and bearings, ccw [rad]."""
-        towards = _directions(bearings)
-        cosines = towards @ self._rays().T
-        away = self.radius + distances - towards @ np.array(self.position)
-        met = cosines > 1e-9
-        lengths = np.where(met, away[:, None] / np.where(met, cosines, 1), np.inf)
-        return RayHits(lengths, np.where(met, cosines, 0))
+        x, y = self.position
+        away = self.radius + distances - x * np.cos(bearings) - y * np.sin(bearings)
+        return View(_wrapped(bearings - self.heading), away)
 
-    def cylinder(self, distances: Floats, bearings: Floats, radius: float) -> RayHits:
+    def cylinder(self, distances: Floats, bearings: Floats, radius: float) -> View:
         """Return the view of an upright cylinder of a radius [m], likewise."""
-        away = (self.radius + distances + radius)[:, None]
-        centres = _directions(bearings) * away - np.array(self.position)
-        along = centres @ self._rays().T
-        tangential = (centres**2).sum(axis=1)[:, None] - along**2
-        met = (tangential < radius**2) & (along > 0)
-        depth = np.sqrt(np.where(met, radius**2 - tangential, 0))
-        return RayHits(np.where(met, along - depth, np.inf), depth / radius)
-
-    def _rays(self) -> Floats:
-        return _directions(self.heading - np.arctan(self.tangents))
-
-
-def _directions(angles: Floats) -> Floats:
-    return np.column_stack([np.cos(angles), np.sin(angles)])
+        away = self.radius + distances + radius
+        x, y = away * np.cos(bearings) - self.position[0], away * np.sin(bearings) - self.position[1]
+        return View(_wrapped(np.arctan2(y, x) - self.heading), np.hypot(x, y), radius)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +125,9 @@ class MeasuredTable:
     counts: Floats
     radius: float
 
-    def view(self, sensor: int, heading: float) -> RayHits:
+    def view(self, sensor: int, heading: float) -> View:
         """Return the view of a sensor with a heading [rad]."""
-        bench = Bench(SENSOR_POSITIONS[sensor], heading, TANGENTS, BODY_RADIUS)
+        bench = Bench(SENSOR_POSITIONS[sensor], heading, BODY_RADIUS)
         if self.radius:
             return bench.cylinder(self.distances, self.bearings, self.radius)
         return bench.wall(self.distances, self.bearings)
@@ -109,7 +141,6 @@ class Optics:
     threshold_counts: float
     offset_mm: float
     lobe_exponent: float
-    incidence_exponent: float
 
     @classmethod
     def of(cls, calibration: ProximityCalibration, sensor: int) -> Self:
@@ -119,24 +150,28 @@ class Optics:
             calibration.threshold_counts[sensor],
             calibration.offset_mm[sensor],
             calibration.lobe_exponent[sensor],
-            calibration.incidence_exponent[sensor],
         )
 
 
 def proximity(
-    view: RayHits,
-    tangents: Floats,
-    optics: Optics,
-    reflectance: float = 1.0,
-    limit_counts: int = COUNTS_LIMIT,
+    view: View, optics: Optics, reflectance: float = 1.0, limit_counts: int = COUNTS_LIMIT
 ) -> Floats:
     """Return the counts of a sensor without noise, not rounded (n_places,)."""
-    return np.clip(level(view, tangents, optics, reflectance), 0, limit_counts)
+    return np.clip(level(view, optics, reflectance), 0, limit_counts)
 
 
-def level(view: RayHits, tangents: Floats, optics: Optics, reflectance: float = 1.0) -> Floats:
+def level(view: View, optics: Optics, reflectance: float = 1.0) -> Floats:
     """Return `proximity` before it is clipped (n_places,) [counts]."""
-    weights = np.array(lobe_weights(tangents, optics.lobe_exponent))
-    lit = np.where(view.incidences > 0, weights * view.incidences**optics.incidence_exponent, 0)
-    light = (lit / (view.lengths * 1e3 + optics.offset_mm) ** 2).sum(axis=1)
-    return optics.gain_counts_mm2 * reflectance * light - optics.threshold_counts
+    light = view.light(optics.offset_mm * 1e-3, optics.lobe_exponent)
+    return optics.gain_counts_mm2 * 1e-6 * reflectance * light - optics.threshold_counts
+
+
+def _below(slopes: Floats) -> Floats:
+    """Return the part of the lobe in elevation below a slope, less a half, as `reflection` has it."""
+    sines = slopes / np.sqrt(1 + slopes**2)
+    return 35 / 32 * (sines - sines**3 + 0.6 * sines**5 - sines**7 / 7)
+
+
+def _wrapped(angles: Floats) -> Floats:
+    """Return angles from -pi to pi [rad]."""
+    return np.angle(np.exp(1j * angles))

@@ -1,7 +1,7 @@
 """The queries of `sensing.scene` in a plane, for screening.
 
 The robot is a disc on two wheels, among upright boxes and cylinders with heights. `motion` moves it,
-`rays` and `shadows` compute what its sensors see, as MuJoCo does for upright obstacles and no tilt.
+`shadows` computes which lamps its sensors see, as MuJoCo does for upright obstacles and no tilt.
 This source runs interpreted and compiled.
 
 No obstacle is left out for its distance. For each a lower bound of its distance is kept, less the distance
@@ -15,8 +15,8 @@ from functools import partial
 from khep_twin.compilable import compilable
 from khep_twin.rollout.planar import motion, shadows
 from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar import rays as planar_rays
 from khep_twin.rollout.planar.plane import (
+    BOTTOM,
     CENTRE_X,
     CENTRE_Y,
     COSINE,
@@ -27,8 +27,8 @@ from khep_twin.rollout.planar.plane import (
     LENGTH,
     MOVED,
     REFLECTANCE,
-    SEEN,
     SINE,
+    TOP,
     WIDTH,
     Plane,
     X,
@@ -36,10 +36,8 @@ from khep_twin.rollout.planar.plane import (
 )
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.optics import RobotSensors
+from khep_twin.sensing.reflection import Chip, add_upright
 from khep_twin.sensing.scene import FASTEST, FEW, Triple
-
-_ROUNDING = 1e-9
-"""Margin for rounding beyond the farthest hit of a ray [m]."""
 
 
 @compilable
@@ -130,132 +128,40 @@ def sensor_frame(scene: Plane, sensors: RobotSensors, channel: int) -> Sequence[
 
 
 @compilable
-def direction(
-    scene: Plane, frame: Sequence[float], channel: int, ray: int, tangential: float
-) -> tuple[float, float, float]:
-    """Return the same as `scene.direction`."""
-    c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
-    ray_directions, n_wide = scene.robot.ray_directions, len(scene.robot.hits)
-    ahead, left = ray_directions[channel, ray], ray_directions[channel, n_wide + ray]
-    return c * ahead - s * left, s * ahead + c * left, 0.0
-
-
-@compilable
-def rays(scene: Plane, sensors: RobotSensors, channel: int, level: float) -> int:
-    """Cast the same rays as `scene.rays`, but none if nothing can be near enough to count."""
-    proximity, found = sensors.proximity, sensors.proximity.found
-    robot, things, order = scene.robot, scene.things, scene.order
-    away = robot.mounts[channel, 4] + robot.last[MOVED]
-    gain, offset = proximity.gain[channel] * proximity.brightest, proximity.offset[channel]
-    n = len(order)
-    if level < 0:
-        # At this distance nothing passes the threshold; a margin is left for rounding.
-        if n == 0:
-            return 0
-        least = max(things[order[0], DISTANCE] - away, 0.0) + offset
-        if gain * 1.000001 <= -level * least * least:
-            return 0
-    place = position(scene, sensors, channel)
-    x, y = place[0], place[1]
-    c, s = robot.last[HEADING_COSINE], robot.last[HEADING_SINE]
-    cones = scene.robot.cones
-    right_x = c * cones[channel, 0] - s * cones[channel, 1]
-    right_y = s * cones[channel, 0] + c * cones[channel, 1]
-    left_x = c * cones[channel, 2] - s * cones[channel, 3]
-    left_y = s * cones[channel, 2] + c * cones[channel, 3]
-    cone = right_x, right_y, left_x, left_y
-    reach = math.inf
-    if level < 0:
-        reach = math.sqrt(gain / -level) * 1.000001 - offset
-        if not _within(scene, x, y, cone, reach, away):
-            return 0
-    n_rays, n_wide = len(found) // 4, len(robot.hits)
-    for ray in range(n_wide):
-        ahead, left = robot.ray_directions[channel, ray], robot.ray_directions[channel, n_wide + ray]
-        robot.looks[ray] = c * ahead - s * left
-        robot.looks[n_wide + ray] = s * ahead + c * left
-        robot.lengths[ray] = math.inf
-        robot.hits[ray] = -1
-    farthest, next_look = math.inf, reach
-    for i in range(n):
+def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, near: float) -> int:
+    """Fill in the same as `scene.surfaces`."""
+    robot, things, order, proximity = scene.robot, scene.things, scene.order, sensors.proximity
+    away = robot.mounts[channel, 4] + proximity.offset[channel] + robot.last[MOVED]
+    if not _within(scene, chip, near, away):
+        return 0
+    count, farthest = 0, chip.reach + away
+    for i in range(len(order)):
         thing = order[i]
-        least = things[thing, DISTANCE] - away
-        if least > farthest:
+        if things[thing, DISTANCE] > farthest:
             break
-        if least > next_look:
-            # All remaining obstacles are farther away than this.
-            light = planar_rays.most(robot, proximity.weights[channel], offset, least)
-            if gain * light * 1.000001 <= -level:
-                return 0
-            next_look = least + reach
-        if not things[thing, SEEN] or not planar_rays.in_cone(things, thing, x, y, cone):
-            continue
-        if farthest < math.inf and flat.distance_to(things, thing, x, y) > farthest + _ROUNDING:
-            continue
-        if things[thing, WIDTH] < 0:
-            planar_rays.meet_circle(scene, thing, x, y)
-        else:
-            planar_rays.meet_box(scene, thing, x, y)
-        farthest = 0.0
-        for ray in range(n_rays):
-            farthest = max(farthest, robot.lengths[ray])
-    if level < 0:
-        light = planar_rays.most(robot, proximity.weights[channel], offset, math.inf)
-        if gain * light * 1.000001 <= -level:
-            return 0
-    _fill(scene, x, y, found)
-    return len(found)
+        count = add_upright(
+            proximity.found,
+            count,
+            chip,
+            (things[thing, CENTRE_X], things[thing, CENTRE_Y]),
+            (things[thing, COSINE], things[thing, SINE]),
+            (things[thing, LENGTH], things[thing, WIDTH]),
+            (things[thing, BOTTOM], things[thing, TOP]),
+            things[thing, REFLECTANCE],
+        )
+    return count
 
 
 @compilable
-def _fill(scene: Plane, x: float, y: float, found: Vector[float]) -> None:
-    """Fill in length and normal of each ray of a sensor, below 0 and 0 for a miss."""
-    robot, things, n_wide = scene.robot, scene.things, len(scene.robot.hits)
-    for ray in range(len(found) // 4):
-        length, hit = robot.lengths[ray], robot.hits[ray]
-        found[4 * ray] = -1.0
-        found[4 * ray + 1] = found[4 * ray + 2] = found[4 * ray + 3] = 0.0
-        if hit < 0:
-            continue
-        found[4 * ray] = length
-        thing, face = hit >> 2, hit & 3
-        if things[thing, WIDTH] < 0:
-            dx = x + length * robot.looks[ray] - things[thing, CENTRE_X]
-            dy = y + length * robot.looks[n_wide + ray] - things[thing, CENTRE_Y]
-            found[4 * ray + 1], found[4 * ray + 2] = dx / things[thing, LENGTH], dy / things[thing, LENGTH]
-        else:
-            sign = -1.0 if face & 1 else 1.0
-            normal_x, normal_y = sign * things[thing, COSINE], sign * things[thing, SINE]
-            if face & 2:
-                normal_x, normal_y = -normal_y, normal_x
-            found[4 * ray + 1], found[4 * ray + 2] = normal_x, normal_y
-
-
-@compilable
-def _within(
-    scene: Plane, x: float, y: float, cone: tuple[float, float, float, float], reach: float, away: float
-) -> bool:
-    """Return whether anything is within reach [m] and in a sensor's cone; False is certain."""
-    things = scene.things
-    for i in range(len(scene.order)):
-        thing = scene.order[i]
-        if things[thing, DISTANCE] - away > reach:
+def _within(scene: Plane, chip: Chip, near: float, away: float) -> bool:
+    """Return whether anything is within a distance of a sensor's chip [m]."""
+    things, order = scene.things, scene.order
+    for i in range(len(order)):
+        if things[order[i], DISTANCE] - away > near:
             return False
-        if not scene.things[thing, SEEN]:
-            continue
-        distance = flat.distance_to(things, thing, x, y)
-        if distance <= reach and planar_rays.in_cone(things, thing, x, y, cone):
+        if flat.distance_to(things, order[i], chip.x, chip.y) <= near:
             return True
     return False
-
-
-@compilable
-def surfaces(scene: Plane, sensors: RobotSensors, channel: int, cutoff: float) -> None:
-    """Fill in the same as `scene.surfaces`, from what `rays` has hit."""
-    found = sensors.proximity.reflectances
-    for ray in range(len(found)):
-        hit = scene.robot.hits[ray]
-        found[ray] = scene.things[hit >> 2, REFLECTANCE] if hit >= 0 else 0.0
 
 
 @compilable
@@ -294,8 +200,6 @@ QUERIES = (
     body_frame,
     position,
     sensor_frame,
-    direction,
-    rays,
     surfaces,
     stopped,
     blocked,

@@ -8,7 +8,7 @@ Imported only where numba is installed.
 
 from khep_twin.rollout import stepping
 from khep_twin.rollout.compiled import EPISODE_SOURCES
-from khep_twin.rollout.planar import casting, contact_solver, motion, plane, rays, shadows
+from khep_twin.rollout.planar import casting, contact_solver, motion, plane, shadows
 from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing import scene
 from khep_twin.sensing.optics import Light
@@ -26,5 +26,5 @@ def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, power
     return stepping.run(controllers, simulated, StepInputs(powers, draws), until, stops)
 
 
-run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, rays, shadows))
+run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, shadows))
 """`stepping.run` in a plane, compiled."""

@@ -19,11 +19,8 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION, TYRE_FRICTION
 from khep_twin.rollout.planar import plane as flat
+from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensors import ray_tangents
-
-WIDE = 8
-"""Rays are padded to a multiple of this, for vector instructions; the padding has no direction."""
 
 _PREFIX = "khepera0/"
 
@@ -61,24 +58,14 @@ class PlanarScene:
         shell = model.geom(f"{_PREFIX}shell")
         low, high = _span(model, shell.id)
         self.height = float(model.cam_pos[at.cameras[0], 2])
-        fixed = np.flatnonzero((model.geom_bodyid == 0) & (model.geom_rgba[:, 3] > 0)).tolist()
-        upright = [geom for geom in fixed if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE]
+        upright = [geom for geom in visible(model) if model.geom_bodyid[geom] == 0]
         self.things = np.zeros((len(upright), flat.N_COLUMNS))
         for row, geom in zip(self.things, upright, strict=True):
             row[: flat.TOP + 1] = _thing(model, geom)
         bottoms, tops = self.things[:, flat.BOTTOM], self.things[:, flat.TOP]
         self.things[:, flat.TOUCHED] = (tops > low) & (bottoms < high)
-        self.things[:, flat.SEEN] = (tops >= self.height) & (bottoms <= self.height)
         self.things[:, flat.REFLECTANCE] = model.geom_user[upright, 0]
         self.mounts = np.array([_mount(model, camera) for camera in at.cameras])
-        n_rays = int(model.cam_resolution[at.cameras[0], 0])
-        ray_directions = np.array([_ways(model, camera) for camera in at.cameras])
-        wide = np.zeros((len(at.cameras), 2, -(-n_rays // WIDE) * WIDE))
-        wide[:, :, :n_rays] = ray_directions.transpose(0, 2, 1)
-        self.ray_directions = wide.reshape(len(at.cameras), -1)
-        # Towards the inside of a cone: left of its rightmost ray, right of its leftmost.
-        left, right = ray_directions[:, 0], ray_directions[:, -1]
-        self.cones = np.column_stack([-right[:, 1], right[:, 0], left[:, 1], -left[:, 0]])
 
 
 def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str, float | int]:
@@ -152,11 +139,3 @@ def _ahead(model: mujoco.MjModel, camera: int) -> tuple[float, float]:
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.cam_quat[camera])
     return -float(turn[2]), -float(turn[5])
-
-
-def _ways(model: mujoco.MjModel, camera: int) -> Floats:
-    """Return the directions of a sensor's rays in the robot's frame, left to right (n_rays, 2)."""
-    c, s = _ahead(model, camera)
-    tangential = ray_tangents(model, camera)
-    ray_directions = np.column_stack([c + tangential * s, s - tangential * c])
-    return ray_directions / np.sqrt(1 + tangential * tangential)[:, None]

@@ -55,18 +55,11 @@ class PlanarForms:
         self._entry, self._model = scene_model.playpen.robots[0], scene_model.model
         self._indices = RobotIndices.of(self._model, "khepera0")
         self._lights = LightSource(self._model, self._indices)
-        n_wide = planar_scene.ray_directions.shape[1] // 2
         points = [points_of_a_bulb(number) for number in (FEW, MANY)]
         numbers: dict[str, Any] = {
             **planar_scene.chassis,
             "height": planar_scene.height,
             "mounts": planar_scene.mounts,
-            "ray_directions": planar_scene.ray_directions,
-            "cones": planar_scene.cones,
-            "looks": np.zeros(2 * n_wide),
-            "hits": np.zeros(n_wide, np.int64),
-            "lengths": np.zeros(n_wide),
-            "shares": np.zeros(n_wide),
             "n_few": len(points[0]),
             "points": np.concatenate(points),
             "hidden": np.zeros(sum(map(len, points)), np.int64),

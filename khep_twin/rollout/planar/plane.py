@@ -10,10 +10,10 @@ CENTRE_X, CENTRE_Y, COSINE, SINE, LENGTH, WIDTH, BOTTOM, TOP = 0, 1, 2, 3, 4, 5,
 """Columns of `Plane.things`: centre [m], direction of the length, half of length and width [m], heights [m].
 A cylinder has its radius as length, and a width below 0."""
 
-TOUCHED, SEEN, REFLECTANCE, DISTANCE, ALONG, ACROSS = 8, 9, 10, 11, 12, 13
-"""More columns: 1 if the body can touch it, 1 if rays can hit it, infrared reflectance, distance from the
-anchor [m], and its impulse on the body in the last substep, along and across [N s]."""
-N_COLUMNS = 14
+TOUCHED, REFLECTANCE, DISTANCE, ALONG, ACROSS = 8, 9, 10, 11, 12
+"""More columns: 1 if the body can touch it, infrared reflectance, distance from the anchor [m], and its
+impulse on the body in the last substep, along and across [N s]."""
+N_COLUMNS = 13
 
 HEADING_COSINE, HEADING_SINE, MOVED, ANCHOR_X, ANCHOR_Y, SLIPS = 2, 3, 4, 5, 6, 7
 """Indices in `PlanarRobot.last`, behind CENTRE_X and CENTRE_Y: the pose at the start of the last step, its
@@ -49,15 +49,6 @@ class PlanarRobot(NamedTuple):
         height: Height of the sensors above the floor [m].
         mounts: Mount of each sensor: x forward, y left, cosine and sine of its direction, distance from the
             robot's centre (8, 5) [m].
-        ray_directions: Directions of all rays in the robot's frame, first all x forward, then all y left
-            (8, 2 n_wide), padded with zeros up to n_wide.
-        cones: Unit normals of the edges of each sensor's cone, to its inside, right then left (8, 4).
-        looks: Buffer for the directions of a sensor's rays in the plane, first all x, then all y
-            (2 n_wide,).
-        hits: Buffer for what the rays hit, four times its number plus the face, ahead, behind, left or
-            right; below 0 for nothing (n_wide,).
-        lengths: Buffer for the lengths of the rays, infinite for nothing (n_wide,) [m].
-        shares: Buffer for upper bounds of the light that comes back (n_wide,) [1/m^2].
         n_few: Number of the few points of a bulb.
         points: Points of a bulb, few and then many (n_points, 2).
         hidden: Buffer for which points are hidden (n_points,).
@@ -88,12 +79,6 @@ class PlanarRobot(NamedTuple):
     friction: float
     height: float
     mounts: Matrix
-    ray_directions: Matrix
-    cones: Matrix
-    looks: Vector[float]
-    hits: Vector[int]
-    lengths: Vector[float]
-    shares: Vector[float]
     n_few: int
     points: Matrix
     hidden: Vector[int]

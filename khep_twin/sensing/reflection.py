@@ -1,0 +1,575 @@
+"""Infrared light that a sensor gets back from what stands around it: an integral over all that it sees.
+
+A surface element at a distance d, seen at an angle theta off the sensor's axis and at an incidence phi, sends
+back light in proportion to lobe(theta) rho cos(phi) / d^2 per solid angle (a diffuse reflector; emitter and
+receiver are one point). For upright surfaces this falls into an azimuth and an elevation:
+
+    light = 1 / N  integral over the azimuth of  lobe(theta) rho cos(phi) / d^2 F dtheta
+
+with the horizontal distance d, the part F of the lobe in elevation that the surface fills, and N such that an
+endless wall at a distance d, face to face, gives 1 / d^2. The integral is taken over each visible arc of each surface, from edge to
+edge, so that light changes smoothly as things move: of faces by tables of `lobes`, of cylinders by quadrature.
+
+In elevation the lobe is cos^3 (assumed), which gives F a closed form. The floor mirrors what stands on it
+(assumed: so what is fitted to a wall alone meets a cylinder best, and the other way round). What stands behind
+a thing is seen over its top. A surface whose nearest point is farther away than a sensor's range is left out;
+in the last quarter of the range its light fades.
+
+Positions here are those in a sensor's frame: x along its axis, y to its left [m], its chip at the origin.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from khep_twin.compilable import compilable
+from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.lobes import FOOT, N_CELLS
+
+DISTANCE, COSINE, SINE, RADIUS, LOW, HIGH, TOP, BOTTOM, REFLECTANCE, SQUARE = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+"""Columns of a surface. A face has its distance from the origin [m], the direction of its foot, and a radius
+of 0; a cylinder the distance and direction of its axis. Both have the sines of the azimuths between which
+they lie, the heights of top and bottom above the sensor [m], their reflectance, less what fades, and the
+square of their nearest distance [m^2]."""
+N_COLUMNS = 10
+
+N_SURFACES = 48
+"""Largest number of surfaces that a sensor takes into account; of more, it takes the nearest."""
+
+_TOUCHING = 1e-4
+"""Smallest distance of a surface, for a sensor within a thing [m]."""
+
+_NARROW = 1e-9
+"""Width of an arc that is too small to matter [sine of the azimuth]."""
+
+_NODES = (
+    (-0.9324695142031521, 0.1713244923791704),
+    (-0.6612093864662645, 0.3607615730481386),
+    (-0.2386191860831969, 0.4679139345726910),
+    (0.2386191860831969, 0.4679139345726910),
+    (0.6612093864662645, 0.3607615730481386),
+    (0.9324695142031521, 0.1713244923791704),
+)
+"""Nodes and weights of Gauss and Legendre's quadrature."""
+
+
+class Chip(NamedTuple):
+    """Place of a sensor's chip, and how far it sees.
+
+    Attributes:
+        x: Position in the world [m].
+        y: The same, y.
+        ahead: Cosine of the direction of its axis.
+        left: Sine of that direction.
+        height: Height above the floor [m].
+        reach: Range [m].
+    """
+
+    x: float
+    y: float
+    ahead: float
+    left: float
+    height: float
+    reach: float
+
+
+class Lobe(NamedTuple):
+    """Lobe of a sensor.
+
+    Attributes:
+        whole: Whole part of its exponent.
+        part: The rest of it.
+        norm: Norm N.
+        width: Integral of the lobe over the azimuth, over N.
+        table: Cumulated light of faces, as of `lobes.tables`.
+    """
+
+    whole: int
+    part: float
+    norm: float
+    width: float
+    table: Sequence[Sequence[float]]
+
+
+@compilable
+def add_upright(
+    found: Vector[float],
+    count: int,
+    chip: Chip,
+    centre: tuple[float, float],
+    turn: tuple[float, float],
+    half: tuple[float, float],
+    span: tuple[float, float],
+    reflectance: float,
+) -> int:
+    """Add what a sensor may see of an upright box or cylinder; return the number of surfaces.
+
+    Args:
+        found: Surfaces (N_SURFACES * N_COLUMNS,).
+        count: Number of surfaces in it.
+        chip: Chip of the sensor.
+        centre: Centre in the world [m].
+        turn: Cosine and sine of its angle.
+        half: Half of a box's length and width [m]; radius and a number below 0 for a cylinder.
+        span: Heights of bottom and top [m].
+        reflectance: Infrared reflectance.
+    """
+    if half[1] < 0:
+        return _add_cylinder(found, count, chip, centre, half[0], span, reflectance)
+    return _add_box(found, count, chip, centre, turn, half, span, reflectance)
+
+
+@compilable
+def most(found: Vector[float], count: int, lobe: Lobe) -> float:
+    """Return an upper bound of `reflected`: each surface as at its nearest point all around [1/m^2]."""
+    total = 0.0
+    for first in range(0, count * N_COLUMNS, N_COLUMNS):
+        low, high = found[first + LOW], found[first + HIGH]
+        # The lobe at the azimuth nearest to the axis.
+        strength = found[first + REFLECTANCE] / found[first + SQUARE]
+        if low > 0 or high < 0:
+            edge = low if low > 0 else high
+            ahead = 1 - edge * edge
+            for _ in range(lobe.whole >> 1):
+                strength *= ahead
+        total += strength
+    return total * lobe.width
+
+
+@compilable
+def reflected(found: Vector[float], count: int, chip: Chip, lobe: Lobe) -> float:
+    """Return the light from all surfaces [1/m^2].
+
+    Args:
+        found: Surfaces.
+        count: Number of surfaces in it.
+        chip: Chip of the sensor.
+        lobe: Lobe of the sensor.
+    """
+    if count == 1:
+        return _arc(found, 0, (found[LOW], found[HIGH]), (-math.inf, math.inf), chip, lobe)
+    total, low, end = 0.0, 1.0, -1.0
+    for first in range(0, count * N_COLUMNS, N_COLUMNS):
+        low, end = min(low, found[first + LOW]), max(end, found[first + HIGH])
+    while low < end - _NARROW:
+        # Between two edges, the same surfaces are seen one behind the other.
+        high, index, highest = end, -1, -math.inf
+        for first in range(0, count * N_COLUMNS, N_COLUMNS):
+            if low + _NARROW < found[first + LOW]:
+                high = min(high, found[first + LOW])
+            elif low + _NARROW < found[first + HIGH]:
+                high = min(high, found[first + HIGH])
+                index, highest = (first if index < 0 else count * N_COLUMNS), max(highest, found[first + TOP])
+        if index == count * N_COLUMNS:
+            index, high = _front(found, count, low, high)
+        if index >= 0:
+            if highest > max(found[index + TOP], 0.0):
+                total += _strip(found, count, (low, high), chip, lobe)
+            else:
+                total += _arc(found, index, (low, high), (-math.inf, math.inf), chip, lobe)
+        low = high
+    return total
+
+
+@compilable
+def _front(found: Vector[float], count: int, low: float, high: float) -> tuple[int, float]:
+    """Return the nearest surface of several between two azimuths, and where another one crosses it."""
+    margin = (high - low) / 64
+    right, left = low + margin, high - margin
+    first_azimuth = math.sqrt(1 - right * right), right
+    last_azimuth = math.sqrt(1 - left * left), left
+    first_distance = last_distance = math.inf
+    first_index = last_index = -1
+    for first in range(0, count * N_COLUMNS, N_COLUMNS):
+        if found[first + LOW] < low + _NARROW and found[first + HIGH] > high - _NARROW:
+            distance = _distance(found, first, first_azimuth)
+            if distance < first_distance:
+                first_distance, first_index = distance, first
+            distance = _distance(found, first, last_azimuth)
+            if distance < last_distance:
+                last_distance, last_index = distance, first
+    if first_index == last_index:
+        return first_index, high
+    # Things that overlap: their surfaces cross here.
+    while left - right > _NARROW:
+        middle = (left + right) / 2
+        azimuth = math.sqrt(1 - middle * middle), middle
+        if _distance(found, first_index, azimuth) <= _distance(found, last_index, azimuth):
+            right = middle
+        else:
+            left = middle
+    return first_index, left
+
+
+@compilable
+def _strip(found: Vector[float], count: int, ends: tuple[float, float], chip: Chip, lobe: Lobe) -> float:
+    """Return the light between two azimuths, where the same surfaces are seen one behind the other."""
+    total, passed, last = 0.0, -1.0, -1
+    sine = (ends[0] + ends[1]) / 2
+    cosine = math.sqrt(1 - sine * sine)
+    for _ in range(count):
+        distance, index = _next(found, count, ends, (cosine, sine), passed, last)
+        if index < 0:
+            break
+        above, below = -math.inf, math.inf
+        if passed >= 0:
+            above, below = _hidden(found, count, ends, (cosine, sine), passed, last, chip.height)
+            if found[index + TOP] <= above * distance:
+                passed, last = distance, index
+                continue
+        total += _arc(found, index, ends, (above, below), chip, lobe)
+        passed, last = distance, index
+    return total
+
+
+@compilable
+def _arc(
+    found: Vector[float],
+    index: int,
+    ends: tuple[float, float],
+    hidden: tuple[float, float],
+    chip: Chip,
+    lobe: Lobe,
+) -> float:
+    """Return the light from a surface between two azimuths."""
+    if found[index + RADIUS] > 0:
+        return found[index + REFLECTANCE] * _cylinder(found, index, ends, hidden, chip, lobe)
+    return found[index + REFLECTANCE] * _face(found, index, ends, hidden, chip, lobe)
+
+
+@compilable
+def _face(
+    found: Vector[float],
+    index: int,
+    ends: tuple[float, float],
+    hidden: tuple[float, float],
+    chip: Chip,
+    lobe: Lobe,
+) -> float:
+    """Return the light from a face of reflectance 1 between two azimuths."""
+    distance, c, s = found[index + DISTANCE], found[index + COSINE], found[index + SINE]
+    # cos(phi) = cos(theta - foot), and d = distance / cos(phi).
+    factors = c * c * c, 3 * c * c * s, 3 * c * s * s, s * s * s
+    light = _cumulated(lobe.table, ends[1], factors) - _cumulated(lobe.table, ends[0], factors)
+    # Light comes from around a place between the axis and the foot; there, or near there, the height counts.
+    sharpness = FOOT + lobe.whole + lobe.part
+    share, spread = FOOT / sharpness, min(1 / (sharpness + 1), (ends[1] - ends[0]) ** 2 / 12)
+    x, y = 1 - share + share * c, share * s
+    sine = min(max(y / math.sqrt(x * x + y * y), ends[0]), ends[1])
+    length = distance / (math.sqrt(1 - sine * sine) * c + sine * s) * (1 + spread / 2)
+    return max(light, 0.0) / (distance * distance) * _filled(found, index, hidden, chip.height, length)
+
+
+@compilable
+def _cumulated(
+    table: Sequence[Sequence[float]], sine: float, factors: tuple[float, float, float, float]
+) -> float:
+    """Return the light of a face up to an azimuth, interpolated."""
+    place = (sine + 1) * (N_CELLS / 2)
+    cell = min(int(place), N_CELLS - 1)
+    low, high, part = table[cell], table[cell + 1], place - cell
+    a, b, c, d = factors
+    first = a * low[0] + b * low[1] + c * low[2] + d * low[3]
+    last = a * high[0] + b * high[1] + c * high[2] + d * high[3]
+    return first + (last - first) * part
+
+
+@compilable
+def _cylinder(
+    found: Vector[float],
+    index: int,
+    ends: tuple[float, float],
+    hidden: tuple[float, float],
+    chip: Chip,
+    lobe: Lobe,
+) -> float:
+    """Return the light from a cylinder of reflectance 1 between two azimuths."""
+    distance, radius = found[index + DISTANCE], found[index + RADIUS]
+    c, s = found[index + COSINE], found[index + SINE]
+    low, high = ends
+    # In a place u with sin(phi) = u (3 - u^2) / 2, light has no root at the cylinder's edges.
+    first = _third((low * c - math.sqrt(1 - low * low) * s) * distance / radius)
+    last = _third((high * c - math.sqrt(1 - high * high) * s) * distance / radius)
+    centre, half = (first + last) / 2, (last - first) / 2
+    total = 0.0
+    for node, weight in _NODES:
+        place = centre + half * node
+        square = place * place
+        incidence = (1 - square) * math.sqrt(4 - square) / 2
+        sine = place * (3 - square) / 2 * radius / distance
+        cosine = math.sqrt(1 - sine * sine)
+        length = distance * cosine - radius * incidence
+        ahead = cosine * c - sine * s
+        if ahead <= 0:
+            continue
+        lit = 1.5 * (1 - square) * incidence * radius / (distance * cosine * length * length)
+        strength = 1 - lobe.part + lobe.part * ahead
+        for _ in range(lobe.whole):
+            strength *= ahead
+        total += weight * lit * strength * _filled(found, index, hidden, chip.height, length)
+    return total * half / lobe.norm
+
+
+@compilable
+def _filled(
+    found: Vector[float], index: int, hidden: tuple[float, float], height: float, length: float
+) -> float:
+    """Return the part of the lobe in elevation that a surface and its image in the floor fill.
+
+    Args:
+        found: Surfaces.
+        index: Index of the surface.
+        hidden: Slopes up to which and down to which nearer things and their images hide it.
+        height: Height of the sensor above the floor [m].
+        length: Horizontal distance of the surface [m].
+    """
+    top, bottom = found[index + TOP], found[index + BOTTOM]
+    image, foot = -2 * height - top, -2 * height - bottom
+    if hidden[0] == -math.inf and bottom <= -height:
+        return _below(top, length) - _below(image, length)
+    above, below = hidden[0] * length, hidden[1] * length
+    seen = _below(max(top, above), length) - _below(max(bottom, above), length)
+    return seen + _below(min(foot, below), length) - _below(min(image, below), length)
+
+
+@compilable
+def _hidden(
+    found: Vector[float],
+    count: int,
+    ends: tuple[float, float],
+    azimuth: tuple[float, float],
+    passed: float,
+    last: int,
+    height: float,
+) -> tuple[float, float]:
+    """Return the slopes up to which and down to which nearer things and their images hide what is behind."""
+    above, below = -math.inf, math.inf
+    for first in range(0, count * N_COLUMNS, N_COLUMNS):
+        if found[first + LOW] < ends[0] + _NARROW and found[first + HIGH] > ends[1] - _NARROW:
+            distance = _distance(found, first, azimuth)
+            if distance < passed or (distance == passed and first <= last):
+                above = max(above, found[first + TOP] / distance)
+                below = min(below, (-2 * height - found[first + TOP]) / distance)
+    return above, below
+
+
+@compilable
+def _below(height: float, length: float) -> float:
+    """Return the part of the lobe in elevation below a height at a horizontal distance [m], less a half."""
+    sine = height / math.sqrt(height * height + length * length)
+    square = sine * sine
+    # The integral of cos^7, the lobe's cos^3 and four factors of the elevation.
+    return sine * (1 - square * (1 - square * (0.6 - square / 7))) * (35 / 32)
+
+
+@compilable
+def _next(
+    found: Vector[float],
+    count: int,
+    ends: tuple[float, float],
+    azimuth: tuple[float, float],
+    passed: float,
+    last: int,
+) -> tuple[float, int]:
+    """Return distance and index of the next surface at an azimuth behind another; an index below 0 for none."""
+    nearest, index = math.inf, -1
+    for first in range(0, count * N_COLUMNS, N_COLUMNS):
+        if found[first + LOW] < ends[0] + _NARROW and found[first + HIGH] > ends[1] - _NARROW:
+            distance = _distance(found, first, azimuth)
+            behind = distance > passed or (distance == passed and first > last)
+            if behind and distance < nearest:
+                nearest, index = distance, first
+    return nearest, index
+
+
+@compilable
+def _distance(found: Vector[float], first: int, azimuth: tuple[float, float]) -> float:
+    """Return the distance of a surface at an azimuth at which it lies [m]."""
+    cosine, sine = azimuth
+    along = found[first + COSINE] * cosine + found[first + SINE] * sine
+    distance, radius = found[first + DISTANCE], found[first + RADIUS]
+    if radius == 0:
+        return distance / along
+    across = distance * (found[first + COSINE] * sine - found[first + SINE] * cosine)
+    return distance * along - math.sqrt(max(radius * radius - across * across, 0.0))
+
+
+@compilable
+def _add_box(
+    found: Vector[float],
+    count: int,
+    chip: Chip,
+    centre: tuple[float, float],
+    turn: tuple[float, float],
+    half: tuple[float, float],
+    span: tuple[float, float],
+    reflectance: float,
+) -> int:
+    """Add the faces of a box that a sensor sees."""
+    dx, dy = chip.x - centre[0], chip.y - centre[1]
+    c, s = turn
+    along, across = dx * c + dy * s, dy * c - dx * s
+    beyond, beside = abs(along) - half[0], abs(across) - half[1]
+    if max(beyond, 0.0) ** 2 + max(beside, 0.0) ** 2 > chip.reach * chip.reach:
+        return count
+    if beyond <= 0 and beside <= 0:
+        return _add_around(found, count, chip, span, reflectance)
+    # Direction of the length in the sensor's frame.
+    c, s = c * chip.ahead + s * chip.left, s * chip.ahead - c * chip.left
+    if beyond > 0:
+        # Towards the face, against its normal; its edges lie at both sides of the foot.
+        sign = math.copysign(1.0, along)
+        edges = sign * across - half[1], sign * across + half[1]
+        count = _add_face(found, count, chip, (beyond, -sign * c, -sign * s), edges, span, reflectance)
+    if beside > 0:
+        sign = math.copysign(1.0, across)
+        edges = -sign * along - half[0], -sign * along + half[0]
+        count = _add_face(found, count, chip, (beside, sign * s, -sign * c), edges, span, reflectance)
+    return count
+
+
+@compilable
+def _add_face(
+    found: Vector[float],
+    count: int,
+    chip: Chip,
+    foot: tuple[float, float, float],
+    edges: tuple[float, float],
+    span: tuple[float, float],
+    reflectance: float,
+) -> int:
+    """Add a face by distance and direction of its foot, and its edges from right to left of it [m]."""
+    distance, c, s = foot
+    right, left = edges
+    beside = max(right, -left, 0.0)
+    square = max(distance * distance + beside * beside, _TOUCHING * _TOUCHING)
+    strength = reflectance * _fading(square, chip.reach)
+    right_x, right_y = distance * c - right * s, distance * s + right * c
+    left_x, left_y = distance * c - left * s, distance * s + left * c
+    if strength <= 0 or (right_x <= 0 and left_x <= 0):
+        return count
+    top = span[1] - chip.height
+    low, high = -1.0, 1.0
+    if right_x > 0:
+        low = right_y / math.sqrt(right_x * right_x + right_y * right_y)
+    if left_x > 0:
+        high = left_y / math.sqrt(left_x * left_x + left_y * left_y)
+    for first in range(0, count * N_COLUMNS, N_COLUMNS):
+        if found[first + LOW] <= low and found[first + HIGH] >= high and _covers(found, first, top):
+            c1, s1, away = found[first + COSINE], found[first + SINE], found[first + DISTANCE]
+            if right_x * c1 + right_y * s1 >= away and left_x * c1 + left_y * s1 >= away:
+                return count
+    return _add(found, count, (distance, c, s, 0.0, low, high, square), chip.height, span, strength)
+
+
+@compilable
+def _add_cylinder(
+    found: Vector[float],
+    count: int,
+    chip: Chip,
+    centre: tuple[float, float],
+    radius: float,
+    span: tuple[float, float],
+    reflectance: float,
+) -> int:
+    """Add a cylinder."""
+    dx, dy = centre[0] - chip.x, centre[1] - chip.y
+    distance = math.sqrt(dx * dx + dy * dy)
+    square = max((distance - radius) ** 2, _TOUCHING * _TOUCHING)
+    strength = reflectance * _fading(square, chip.reach)
+    if strength <= 0:
+        return count
+    if distance <= radius:
+        return _add_around(found, count, chip, span, reflectance)
+    c, s = (dx * chip.ahead + dy * chip.left) / distance, (dy * chip.ahead - dx * chip.left) / distance
+    sine = radius / distance
+    cosine = math.sqrt(1 - sine * sine)
+    # Tangents to the right and to the left; the lobe ends at both sides.
+    top = span[1] - chip.height
+    right_x, right_y = c * cosine + s * sine, s * cosine - c * sine
+    left_x, left_y = c * cosine - s * sine, s * cosine + c * sine
+    if right_x <= 0 and left_x <= 0 and c <= 0:
+        return count
+    low, high = (right_y if right_x > 0 else -1.0), (left_y if left_x > 0 else 1.0)
+    for first in range(0, count * N_COLUMNS, N_COLUMNS):
+        if found[first + LOW] <= low and found[first + HIGH] >= high and _covers(found, first, top):
+            ahead = distance * (c * found[first + COSINE] + s * found[first + SINE])
+            if ahead - radius >= found[first + DISTANCE]:
+                return count
+    return _add(found, count, (distance, c, s, radius, low, high, square), chip.height, span, strength)
+
+
+@compilable
+def _fading(square: float, reach: float) -> float:
+    """Return the part of its light that counts of a surface, by the square of its distance [m^2]."""
+    if square <= 9 / 16 * reach * reach:
+        return 1.0
+    return max(4 * (1 - math.sqrt(square) / reach), 0.0)
+
+
+@compilable
+def _covers(found: Vector[float], first: int, top: float) -> bool:
+    """Return whether nothing of a thing is seen over a nearer face: its top is not higher [m]."""
+    return found[first + RADIUS] == 0 and found[first + TOP] >= max(top, 0.0)
+
+
+@compilable
+def _add_around(
+    found: Vector[float], count: int, chip: Chip, span: tuple[float, float], reflectance: float
+) -> int:
+    """Add what a sensor lies within, possible only by rounding or where it was put there."""
+    if span[0] > chip.height or span[1] < chip.height:
+        return count
+    return _add(
+        found,
+        count,
+        (_TOUCHING, 1.0, 0.0, 0.0, -1.0, 1.0, _TOUCHING * _TOUCHING),
+        chip.height,
+        span,
+        reflectance,
+    )
+
+
+@compilable
+def _add(
+    found: Vector[float],
+    count: int,
+    shape: tuple[float, float, float, float, float, float, float],
+    height: float,
+    span: tuple[float, float],
+    reflectance: float,
+) -> int:
+    """Add a surface; where there are too many, the nearest ones are kept."""
+    distance, c, s, radius, low, high, square = shape
+    if high - low <= _NARROW:
+        return count
+    first = count * N_COLUMNS
+    if count == N_SURFACES:
+        first = _farthest(found)
+        if found[first + SQUARE] <= square:
+            return count
+        count -= 1
+    found[first + DISTANCE], found[first + RADIUS] = max(distance, _TOUCHING), radius
+    found[first + COSINE], found[first + SINE] = c, s
+    found[first + LOW], found[first + HIGH] = low, high
+    found[first + BOTTOM], found[first + TOP] = span[0] - height, span[1] - height
+    found[first + REFLECTANCE], found[first + SQUARE] = reflectance, square
+    return count + 1
+
+
+@compilable
+def _farthest(found: Vector[float]) -> int:
+    """Return the index of the farthest surface of a full list."""
+    index = 0
+    for first in range(0, N_SURFACES * N_COLUMNS, N_COLUMNS):
+        if found[first + SQUARE] > found[index + SQUARE]:
+            index = first
+    return index
+
+
+@compilable
+def _third(sine: float) -> float:
+    """Return the solution u of u (3 - u^2) / 2 = sine, for a sine that rounding may have put beyond 1."""
+    if sine >= 1.0:
+        return 1.0
+    return 2 * math.sin(math.asin(sine) / 3) if sine > -1.0 else -1.0
