@@ -30,9 +30,6 @@ from khep_twin.sensing import calibration
 
 ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
 
-TYRE_FRICTION = 0.9
-"""Friction of rubber tyres on the floor (0.9 to 1.2: simulators)."""
-
 SHELL_FRICTION = 0.3
 """Friction of the plastic body on walls and objects (assumed)."""
 
@@ -290,7 +287,7 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str
     )
     spec.attach(child, prefix=prefix, frame=frame)
     for tyre in ("left_tyre", "right_tyre"):
-        _add_contact(spec, prefix + tyre, "floor", TYRE_FRICTION)
+        _add_contact(spec, prefix + tyre, "floor", measured.wheels.friction)
     for support in ("front_support", "back_support"):
         # Polished balls: without friction, which also keeps odometry clean.
         _add_contact(spec, prefix + support, "floor", 0.0)
@@ -327,14 +324,19 @@ def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
 
 def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> None:
     """Set the size and position of the robot's wheels."""
-    radius, half_base = units.metres(wheels.radius_mm), units.metres(wheels.base_mm) / 2
-    for side, y in (("left", half_base), ("right", -half_base)):
+    half_base = units.metres(wheels.base_mm) / 2
+    for side, y, radius in zip(("left", "right"), (half_base, -half_base), wheels.radii, strict=True):
         wheel, tyre, rim = robot.body(f"{side}_wheel"), robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
-        across = wheel.mass * (3 * radius**2 + units.WHEEL_WIDTH**2) / 12
-        wheel.inertia = [across, across, wheel.mass * radius**2 / 2]
+        wheel.inertia = wheel_inertia(wheel.mass, radius)
         tyre.size = [radius, *tyre.size[1:]]
         rim.size = [radius, *rim.size[1:]]
         wheel.pos = rim.pos = [0, y, radius]
+
+
+def wheel_inertia(mass: float, radius: float) -> list[float]:
+    """Return the principal inertias of a wheel, a cylinder [kg m^2], about its axle last."""
+    across = mass * (3 * radius**2 + units.WHEEL_WIDTH**2) / 12
+    return [across, across, mass * radius**2 / 2]
 
 
 def _fit_motors(robot: mujoco.MjSpec, motors: calibration.MotorCalibration) -> None:

@@ -65,6 +65,9 @@ WHEEL_MASS = 0.004
 WHEEL_BASE = 0.052
 """Distance of the two wheels' contact points [m] (52 to 53 mm: simulators, ruler)."""
 
+TYRE_FRICTION = 0.9
+"""Friction of rubber tyres on the floor (0.9 to 1.2: simulators)."""
+
 # Motors ------------------------------------------------------------------------------------------------
 
 SUPPLY_VOLTAGE = 5.0

@@ -83,7 +83,7 @@ def test_a_robot_straight_on_follows_its_voltage_as_one_lag() -> None:
     robot = backend.plane.robot
     drive(backend, 0.8, 0.8, 40)
     lag = (robot.mass / 2 * robot.wheel**2 + robot.spin) / robot.damping
-    fastest, h = 0.8 * robot.free_speed, robot.substep
+    fastest, h = 0.8 * robot.left_free_speed, robot.substep
     left = 1 / (1 + h / lag)
     way = fastest * sum(h * (1 - left ** (k + 1)) for k in range(160))
     x, y, heading = backend.pose
@@ -100,7 +100,9 @@ def test_turning_in_place_is_the_speed_of_the_tyres_over_half_the_track() -> Non
     before = backend.joints[2]
     drive(backend, -0.3, 0.3, 100)
     robot = backend.plane.robot
-    assert backend.joints[2] - before == pytest.approx(2 * 0.3 * robot.free_speed / robot.track, rel=1e-6)
+    assert backend.joints[2] - before == pytest.approx(
+        2 * 0.3 * robot.left_free_speed / robot.track, rel=1e-6
+    )
     assert backend.pose[:2] == pytest.approx((4.5, 4.5), abs=1e-9)
 
 
@@ -112,13 +114,13 @@ def test_a_circle_closes_with_the_radius_of_its_speeds() -> None:
         drive(backend, 0.3, 0.5, 1)
         places.append(backend.pose[:2])
     robot = backend.plane.robot
-    turn = 0.2 * robot.free_speed / robot.track
+    turn = 0.2 * robot.left_free_speed / robot.track
     whole = round(2 * math.pi / turn / 0.01)
     (x0, y0), (x1, y1) = places[0], places[whole]
-    assert math.hypot(x1 - x0, y1 - y0) < 0.4 * robot.free_speed * 0.01
+    assert math.hypot(x1 - x0, y1 - y0) < 0.4 * robot.left_free_speed * 0.01
     xs = np.array(places[:whole])
     radius = np.ptp(xs, axis=0) / 2
-    assert radius == pytest.approx([0.4 * robot.free_speed / turn] * 2, rel=2e-3)
+    assert radius == pytest.approx([0.4 * robot.left_free_speed / turn] * 2, rel=2e-3)
 
 
 def test_a_tyre_slips_when_it_would_need_more_than_its_grip() -> None:

@@ -53,6 +53,9 @@ class _Named:
     pos: NDArray[np.float64]
     size: NDArray[np.float64]
 
+class MjStatistic:
+    meaninertia: float
+
 class MjModel:
     nbody: int
     ngeom: int
@@ -62,10 +65,12 @@ class MjModel:
     body_parentid: NDArray[np.int32]
     body_pos: NDArray[np.float64]
     body_quat: NDArray[np.float64]
+    body_inertia: NDArray[np.float64]
     body_mass: NDArray[np.float64]
     body_rootid: NDArray[np.int32]
     body_weldid: NDArray[np.int32]
     body_subtreemass: NDArray[np.float64]
+    dof_M0: NDArray[np.float64]
     dof_bodyid: NDArray[np.int32]
     qpos0: NDArray[np.float64]
     cam_pos: NDArray[np.float64]
@@ -78,6 +83,10 @@ class MjModel:
     geom_quat: NDArray[np.float64]
     geom_rbound: NDArray[np.float64]
     opt: MjsOption
+    stat: MjStatistic
+    pair_friction: NDArray[np.float64]
+    pair_geom1: NDArray[np.int32]
+    pair_geom2: NDArray[np.int32]
     actuator_gainprm: NDArray[np.float64]
     geom_rgba: NDArray[np.float32]
     geom_size: NDArray[np.float64]
@@ -244,6 +253,8 @@ def mj_kinematics(model: MjModel, data: MjData) -> None: ...
 def mj_resetData(model: MjModel, data: MjData) -> None: ...
 def mj_camlight(model: MjModel, data: MjData) -> None: ...
 def mj_comPos(model: MjModel, data: MjData) -> None: ...
+def mj_setConst(model: MjModel, data: MjData) -> None: ...
+def mju_mat2Quat(quat: NDArray[np.float64], mat: NDArray[np.float64]) -> None: ...
 def mj_sensorPos(model: MjModel, data: MjData) -> None: ...
 def mju_mulPose(
     posres: NDArray[np.float64],

@@ -64,7 +64,7 @@ def slide(plane: Plane) -> None:
     joints, speeds, grips, h = robot.joints, robot.speeds, robot.grips, robot.substep
     x, y, heading = joints[X], joints[Y], joints[HEADING]
     forward, lateral, spin = speeds[0], speeds[1], speeds[2]
-    left, right = robot.wheel * speeds[LEFT_ANGLE], robot.wheel * speeds[RIGHT_ANGLE]
+    left, right = robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE]
     rates = _rates(robot)
     half = rates[0]
     slips = touches = False
@@ -77,8 +77,8 @@ def slide(plane: Plane) -> None:
         )
         x += h * (forward * c - lateral * s)
         y += h * (forward * s + lateral * c)
-        joints[LEFT_ANGLE] += h * left / robot.wheel
-        joints[RIGHT_ANGLE] += h * right / robot.wheel
+        joints[LEFT_ANGLE] += h * left / robot.left_wheel
+        joints[RIGHT_ANGLE] += h * right / robot.right_wheel
         turn = h * spin
         heading += turn
         slip = abs(forward - half * spin - left) + abs(forward + half * spin - right) + abs(lateral)
@@ -92,7 +92,7 @@ def slide(plane: Plane) -> None:
         x, y = _out(plane, x, y)
     joints[X], joints[Y], joints[HEADING] = x, y, heading
     speeds[0], speeds[1], speeds[2] = forward, lateral, spin
-    speeds[LEFT_ANGLE], speeds[RIGHT_ANGLE] = left / robot.wheel, right / robot.wheel
+    speeds[LEFT_ANGLE], speeds[RIGHT_ANGLE] = left / robot.left_wheel, right / robot.right_wheel
     robot.last[SLIPS] = 1.0 if slips else 0.0
     if not slips:
         grips[0] = grips[1] = grips[2] = 0.0
@@ -114,8 +114,8 @@ def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
     robot, things, grips = plane.robot, plane.things, plane.robot.grips
     half, inv_mass, inv_inertia, _, _, rim, lag = rates
     forward, lateral, spin, left, right = motion
-    left += (robot.free_speed * robot.ctrl[0] - left) * (1 - lag)
-    right += (robot.free_speed * robot.ctrl[1] - right) * (1 - lag)
+    left += (robot.left_free_speed * robot.ctrl[0] - left) * (1 - lag)
+    right += (robot.right_free_speed * robot.ctrl[1] - right) * (1 - lag)
     impulses = grips[0], grips[1], grips[2]
     forward += (impulses[0] + impulses[1]) * inv_mass
     lateral += impulses[2] * inv_mass

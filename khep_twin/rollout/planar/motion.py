@@ -7,7 +7,7 @@ implicit integrator, in substeps of 2.5 ms, for any number of them per step:
     m v' = F_left + F_right + walls       and likewise about the vertical axis
 
 While tyres grip, both wheels and the body are two first-order lags, for translation and rotation, and nothing
-has to be solved. `contact_solver` does the rest.
+has to be solved; wheels of different radii have the lags of their mean. `contact_solver` does the rest.
 """
 
 import math
@@ -52,8 +52,8 @@ def step(plane: Plane) -> None:
         measure(plane)
     robot.force[0] = robot.stall * robot.ctrl[0] - robot.damping * speeds[LEFT_ANGLE]
     robot.force[1] = robot.stall * robot.ctrl[1] - robot.damping * speeds[RIGHT_ANGLE]
-    left_aim, right_aim = robot.free_speed * robot.ctrl[0], robot.free_speed * robot.ctrl[1]
-    left, right = robot.wheel * speeds[LEFT_ANGLE], robot.wheel * speeds[RIGHT_ANGLE]
+    left_aim, right_aim = robot.left_free_speed * robot.ctrl[0], robot.right_free_speed * robot.ctrl[1]
+    left, right = robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE]
     going, turning = (left + right) / 2, (right - left) / 2
     going_aim, turning_aim = (left_aim + right_aim) / 2, (right_aim - left_aim) / 2
     n, h = robot.n_substeps, robot.substep
@@ -85,11 +85,11 @@ def step(plane: Plane) -> None:
         turn_c, turn_s = flat.turned(turn)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
     joints[X], joints[Y], joints[HEADING] = x, y, heading
-    joints[LEFT_ANGLE] += left_way * h / robot.wheel
-    joints[RIGHT_ANGLE] += right_way * h / robot.wheel
+    joints[LEFT_ANGLE] += left_way * h / robot.left_wheel
+    joints[RIGHT_ANGLE] += right_way * h / robot.right_wheel
     speeds[0], speeds[1], speeds[2] = going, 0.0, turning * per_turn
-    speeds[LEFT_ANGLE] = (going - turning) / robot.wheel
-    speeds[RIGHT_ANGLE] = (going + turning) / robot.wheel
+    speeds[LEFT_ANGLE] = (going - turning) / robot.left_wheel
+    speeds[RIGHT_ANGLE] = (going + turning) / robot.right_wheel
 
 
 @compilable

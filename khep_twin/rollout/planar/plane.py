@@ -34,13 +34,16 @@ class PlanarRobot(NamedTuple):
         n_substeps: Substeps in each step.
         radius: Radius of the body [m].
         track: Distance between the wheels [m].
-        wheel: Radius of the wheels [m].
+        wheel: Mean radius of the wheels [m].
+        left_wheel: Radius of the left wheel [m].
+        right_wheel: Radius of the right wheel [m].
         mass: Mass of the whole robot [kg].
         inertia: Inertia of the whole robot about the vertical axis [kg m^2].
         spin: Inertia of a wheel and its rotor [kg m^2].
         stall: Stall torque of a motor per voltage [N m/V].
         damping: Torque lost per speed of a wheel [N m s].
-        free_speed: Speed of a tyre per voltage, without load [m/s/V].
+        left_free_speed: Speed of the left tyre per voltage, without load [m/s/V].
+        right_free_speed: Speed of the right tyre per voltage, without load [m/s/V].
         going: Part of the lag behind the free speed left after a substep, driving straight.
         turning: Part of the lag left after a substep, turning in place.
         grip: Largest force of a tyre without acceleration [N].
@@ -75,12 +78,15 @@ class PlanarRobot(NamedTuple):
     radius: float
     track: float
     wheel: float
+    left_wheel: float
+    right_wheel: float
     mass: float
     inertia: float
     spin: float
     stall: float
     damping: float
-    free_speed: float
+    left_free_speed: float
+    right_free_speed: float
     going: float
     turning: float
     grip: float
