@@ -171,9 +171,9 @@ GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
 """Relative standard deviations of gain and threshold over the eight sensors of the sampled robot, and of
 their gain for lamps (4 to 7 % measured)."""
 
-COMMON_GAIN_SPREAD = 0.4
-"""Standard deviation of the logarithm of a gain common to a robot's sensors: of the two Kheperas that were
-measured, with half the scale at 24 and 33 mm."""
+COMMON_GAIN_SPREAD = 0.3
+"""Standard deviation of the logarithm of a gain common to a robot's sensors (assumed: the two Kheperas known,
+with half the scale at 24 and 33 mm, give 0.4; no robot is known to see farther than 33 mm)."""
 
 HEADING_SPREAD_DEG = 3.4
 """Standard deviation of a heading [deg]: of the sampled robot's headings from left-right symmetry, which is
