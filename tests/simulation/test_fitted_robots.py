@@ -114,11 +114,12 @@ def test_a_restart_with_vary_is_a_new_world_with_vary() -> None:
     assert same(world.model, new.model)
 
 
+@pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("compiled", [False, True])
-def test_an_episode_that_varies_leaves_the_shared_model_as_it_is(compiled: bool) -> None:
+def test_an_episode_that_varies_leaves_the_shared_model_as_it_is(compiled: bool, planar: bool) -> None:
     if compiled:
         pytest.importorskip("numba")
-    setup = EpisodeSetup(playpen.load("default"))
+    setup = EpisodeSetup(playpen.load("default"), planar=planar)
     before = [copy.copy(each.model) for each in (setup.scene_model, setup.for_compiled)]
     episode = Episode(setup, compiled=compiled)
     ends: list[bytes] = []
@@ -130,6 +131,17 @@ def test_an_episode_that_varies_leaves_the_shared_model_as_it_is(compiled: bool)
     assert ends[0] == ends[2] != ends[1]
     for each, model in zip((setup.scene_model, setup.for_compiled), before, strict=True):
         assert same(each.model, model)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_another_robot_of_the_same_make_sees_the_same_in_the_plane(seed: int) -> None:
+    seen: list[list[list[int]]] = []
+    for planar, vary in ((False, True), (True, True), (False, False)):
+        episode = Episode(EpisodeSetup(playpen.load("two-lamps"), planar=planar), compiled=False)
+        episode.begin(seed, start=(45.0, 300.0, 170.0), noise=False, vary=vary)
+        seen.append(list(episode.readings()))
+    assert np.abs(np.subtract(seen[0], seen[1])).max() <= 1
+    assert np.abs(np.subtract(seen[0], seen[2])).max() > 20
 
 
 @pytest.mark.parametrize("planar", [False, True])
