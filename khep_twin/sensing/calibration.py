@@ -14,6 +14,8 @@ from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable
 from khep_twin.units import (
     COUNTS_LIMIT,
+    DUTY_LIMIT,
+    MOTOR_FRICTION_TORQUE,
     MOTOR_NO_LOAD_SPEED,
     MOTOR_STALL_TORQUE,
     N_SENSORS,
@@ -106,20 +108,28 @@ class MotorCalibration(TomlTable):
     Attributes:
         no_load_speed_rad_s: Speed of an unloaded wheel at full duty.
         stall_torque_n_m: Torque at a blocked wheel at full duty.
+        friction_torque_n_m: Dry friction of motor and gear; full duty overcomes it in both figures above.
     """
 
     no_load_speed_rad_s: Annotated[float, Field(ge=20, le=1000)] = MOTOR_NO_LOAD_SPEED
     stall_torque_n_m: Annotated[float, Field(ge=0.0005, le=0.2)] = MOTOR_STALL_TORQUE
+    friction_torque_n_m: Annotated[float, Field(ge=0, le=0.05)] = MOTOR_FRICTION_TORQUE
 
     @property
     def constant(self) -> float:
         """Torque at the wheel per current [N m/A], which is also voltage per speed [V s/rad]."""
-        return SUPPLY_VOLTAGE / self.no_load_speed_rad_s
+        used = self.stall_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
+        return SUPPLY_VOLTAGE / self.no_load_speed_rad_s * used
 
     @property
     def resistance(self) -> float:
         """Resistance of the winding [ohm]."""
-        return SUPPLY_VOLTAGE * self.constant / self.stall_torque_n_m
+        return SUPPLY_VOLTAGE * self.constant / (self.stall_torque_n_m + self.friction_torque_n_m)
+
+    @property
+    def dead_duty(self) -> float:
+        """Duty below which friction holds an unloaded wheel at rest."""
+        return DUTY_LIMIT * self.friction_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
 
 
 class Calibration(TomlTable):

@@ -98,11 +98,11 @@ def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str,
     # Inertia at each wheel, with the body's mass or inertia as if at the rims.
     going = mass / 2 * wheel * wheel + spin
     swinging = 2 * inertia / (track * track) * wheel * wheel + spin
-    # Load on the rear support per acceleration: the mass at its height, and the wheels' spin.
-    height = float(data.subtree_com[at.base, 2])
+    friction = float(model.dof_frictionloss[axle])
+    _, _, high = centre = data.subtree_com[at.base]
+    ahead = float((centre - data.xpos[at.base]) @ data.xmat[at.base].reshape(3, 3)[:, 0])
     arm = abs(float(model.geom(f"{_PREFIX}front_support").pos[0]))
     weight = mass * abs(float(model.opt.gravity[2]))
-    behind = (mass * height + 2 * spin / wheel) / arm
     return dict(
         substep=h,
         n_substeps=step_ns // units.STEP_NS,
@@ -117,8 +117,14 @@ def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str,
         free_speed=wheel / constant,
         going=going / (going + h * damping),
         turning=swinging / (swinging + h * damping),
+        gear=friction / wheel,
+        dead_voltage=friction / stall,
         grip=TYRE_FRICTION * weight / 2,
-        relief=TYRE_FRICTION * behind / 2,
+        relief=TYRE_FRICTION / 2 / arm,
+        shift=TYRE_FRICTION / track,
+        lean=-weight * ahead,
+        high=float(high) + 2 * (spin - float(model.dof_armature[axle])) / (wheel * mass),
+        low=_span(model, model.geom(f"{_PREFIX}shell").id)[0],
         friction=SHELL_FRICTION,
     )
 
