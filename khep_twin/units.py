@@ -134,6 +134,11 @@ SENSOR_HEIGHT = 0.0134
 """Height of the sensors above the ground [m] (manual, side view)."""
 
 
+IDLE_CURRENT = 0.2364
+"""Current of the robot with its motors at rest [A]: 180 mAh that last 45 minutes (manual, 2.3) are 240 mA, of
+which the motors take 3.6 mA at 10 pulses per 10 ms, the speed of the ROM's demonstration (assumed)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Body:
     """Body of a model of the robot.
@@ -144,6 +149,7 @@ class Body:
         support_position: Distance of the sliding supports before and behind the centre [m].
         sensor_positions: Positions of the sensors' faces, x forward and y left of the centre (8, 2) [m].
         sensor_height: Height of the sensors above the ground [m].
+        idle_current: Current with the motors at rest [A].
     """
 
     radius: float
@@ -151,10 +157,11 @@ class Body:
     support_position: float
     sensor_positions: tuple[tuple[float, float], ...]
     sensor_height: float
+    idle_current: float
 
 
 BODIES = {
-    "khepera1": Body(BODY_RADIUS, MASS, SUPPORT_POSITION, SENSOR_POSITIONS, SENSOR_HEIGHT),
+    "khepera1": Body(BODY_RADIUS, MASS, SUPPORT_POSITION, SENSOR_POSITIONS, SENSOR_HEIGHT, IDLE_CURRENT),
     "khepera2": Body(
         0.035,
         0.080,
@@ -170,11 +177,12 @@ BODIES = {
             (-0.0289, 0.0111),
         ),
         0.017,
+        0.2464,
     ),
 }
 """Bodies by model. The Khepera II: 70 mm and 80 g (simulators, host libraries), sensors as in its manual's
-figure 7, scaled to that diameter, their height after Webots; supports and height like the Khepera's
-(assumed)."""
+figure 7, scaled to that diameter, their height after Webots; 250 mAh that last 60 minutes (manual II), less
+the motors' share; supports and height like the Khepera's (assumed)."""
 
 SENSOR_HEADINGS = tuple(math.radians(heading_deg) for heading_deg in (88, 45, 8, -8, -45, -88, 180, 180))
 """Heading of each sensor, counter-clockwise from straight ahead [rad] (a lamp far away, measured on one
@@ -193,10 +201,6 @@ CONVERTER_COUNTS_PER_VOLT = 1024 / 4.096
 
 PROCESSOR_VOLTAGE = 4.0
 """Voltage below which the processor fails and the motors still turn [V] (manual, 2.3 on the battery)."""
-
-IDLE_CURRENT = 0.2364
-"""Current of the robot with its motors at rest [A]: 180 mAh that last 45 minutes (manual, 2.3) are 240 mA, of
-which the motors take 3.6 mA at 10 pulses per 10 ms, the speed of the ROM's demonstration (assumed)."""
 
 # Gripper -----------------------------------------------------------------------------------------------
 

@@ -198,8 +198,11 @@ def test_full_duty_reaches_the_no_load_speed_less_what_the_robot_takes() -> None
     assert stall == pytest.approx(units.MOTOR_STALL_TORQUE)
 
 
-def test_a_driving_robot_draws_the_manuals_capacity_over_its_autonomy() -> None:
-    twin = episode(x_mm=300)
+@pytest.mark.parametrize(("model", "capacity_mah", "hours"), [("khepera1", 180, 0.75), ("khepera2", 250, 1)])
+def test_a_driving_robot_draws_the_manuals_capacity_over_its_autonomy(
+    model: str, capacity_mah: float, hours: float
+) -> None:
+    twin = episode(x_mm=300, model=model)
     twin.drive(10, 10)
     twin.run(1.0)
     currents, duties = [], []
@@ -207,13 +210,12 @@ def test_a_driving_robot_draws_the_manuals_capacity_over_its_autonomy() -> None:
         twin.run(0.02)
         currents.append(int(twin.registers[Board.CURRENT]))
         duties.append(int(twin.registers[DUTIES[0]]))
-    # 180 mAh in 45 minutes.
-    assert np.mean(currents) == pytest.approx(180 / 0.75, abs=2)
+    assert np.mean(currents) == pytest.approx(capacity_mah / hours, abs=1)
     # Friction and the motor's own voltage take this duty, as in closed form.
     motors = MotorCalibration()
     speed = units.speed(10) / units.WHEEL_RADIUS
     current = motors.friction_torque_n_m / motors.constant
     voltage = motors.constant * speed + motors.resistance * current
     assert np.mean(duties) == pytest.approx(units.DUTY_LIMIT * voltage / units.SUPPLY_VOLTAGE, abs=1)
-    drawn = units.IDLE_CURRENT + 2 * current * voltage / units.SUPPLY_VOLTAGE
-    assert drawn == pytest.approx(0.24, abs=5e-4)
+    drawn = units.BODIES[model].idle_current + 2 * current * voltage / units.SUPPLY_VOLTAGE
+    assert drawn * 1e3 == pytest.approx(capacity_mah / hours, abs=0.5)
