@@ -15,6 +15,8 @@ from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable
 from khep_twin.units import (
     COUNTS_LIMIT,
+    DUTY_LIMIT,
+    MOTOR_FRICTION_TORQUE,
     MOTOR_NO_LOAD_SPEED,
     MOTOR_STALL_TORQUE,
     N_SENSORS,
@@ -119,20 +121,28 @@ class MotorCalibration(TomlTable):
     Attributes:
         no_load_speed_rad_s: Speed of an unloaded wheel at full duty.
         stall_torque_n_m: Torque at a blocked wheel at full duty.
+        friction_torque_n_m: Dry friction of motor and gear; full duty overcomes it in both figures above.
     """
 
     no_load_speed_rad_s: Annotated[float, Field(ge=20, le=1000)] = MOTOR_NO_LOAD_SPEED
     stall_torque_n_m: Annotated[float, Field(ge=0.0005, le=0.2)] = MOTOR_STALL_TORQUE
+    friction_torque_n_m: Annotated[float, Field(ge=0, le=0.05)] = MOTOR_FRICTION_TORQUE
 
     @property
     def constant(self) -> float:
         """Torque at the wheel per current [N m/A], which is also voltage per speed [V s/rad]."""
-        return SUPPLY_VOLTAGE / self.no_load_speed_rad_s
+        used = self.stall_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
+        return SUPPLY_VOLTAGE / self.no_load_speed_rad_s * used
 
     @property
     def resistance(self) -> float:
         """Resistance of the winding [ohm]."""
-        return SUPPLY_VOLTAGE * self.constant / self.stall_torque_n_m
+        return SUPPLY_VOLTAGE * self.constant / (self.stall_torque_n_m + self.friction_torque_n_m)
+
+    @property
+    def dead_duty(self) -> float:
+        """Duty below which friction holds an unloaded wheel at rest."""
+        return DUTY_LIMIT * self.friction_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
 
 
 class Calibration(TomlTable):
@@ -187,9 +197,9 @@ INEQUALITY_SPREAD = 0.004
 """Standard deviation of `right_over_left` (assumed: so that after 30 s of driving robots miss home by the
 published 50 to 100 mm, and 8 in 10 by less than 100 mm; `benchmarks.home_test`)."""
 
-FRICTION_SPREAD, NO_LOAD_SPREAD, STALL_SPREAD = 0.1, 0.05, 0.1
-"""Relative standard deviations of the tyres' friction and the motors' no-load speed and stall torque
-(assumed; simulators' tyres differ by 0.9 to 1.2)."""
+FRICTION_SPREAD, NO_LOAD_SPREAD, STALL_SPREAD, GEAR_SPREAD = 0.1, 0.05, 0.1, 0.2
+"""Relative standard deviations of the tyres' friction, the motors' no-load speed and stall torque, and the
+gears' friction (assumed; simulators' tyres differ by 0.9 to 1.2)."""
 
 _MOST = 4.0
 """Standard deviations at which draws of wheels and motors are cut off."""
@@ -203,7 +213,8 @@ def varied(calibration: Calibration, rng: np.random.Generator) -> Calibration:
     lamps = 1 + LAMP_SPREAD * rng.standard_normal(N_SENSORS)
     turns = HEADING_SPREAD_DEG * rng.standard_normal((2, N_SENSORS))
     common = np.exp(COMMON_GAIN_SPREAD * rng.standard_normal())
-    radius, base, ratio, friction, no_load, stall = np.clip(rng.standard_normal(6), -_MOST, _MOST).tolist()
+    drawn = np.clip(rng.standard_normal(7), -_MOST, _MOST).tolist()
+    radius, base, ratio, friction, no_load, stall, gear = drawn
     proximity, ambient = calibration.proximity, calibration.ambient
     wheels, motors = calibration.wheels, calibration.motors
     return calibration.model_copy(
@@ -233,6 +244,7 @@ def varied(calibration: Calibration, rng: np.random.Generator) -> Calibration:
                 update={
                     "no_load_speed_rad_s": motors.no_load_speed_rad_s * (1 + NO_LOAD_SPREAD * no_load),
                     "stall_torque_n_m": motors.stall_torque_n_m * (1 + STALL_SPREAD * stall),
+                    "friction_torque_n_m": motors.friction_torque_n_m * (1 + GEAR_SPREAD * gear),
                 }
             ),
         }

@@ -1,9 +1,9 @@
 """Robots of a compiled scene fitted to other calibrations, without compiling it anew.
 
-The result is the model that `playpen_to_mjcf` would make of these calibrations, to the last bit, in a
-fiftieth of the time: wheels, motors, tyres and headings are set, and MuJoCo computes what follows from them.
-Two things stay: the damping of a turret's servos, which depends a little on the robot's inertia, and the
-scale of viewers' arrows.
+The result is the model that `playpen_to_mjcf` would make of these calibrations, to the last bit (the sag of
+tyres to rounding), in a fiftieth of the time: wheels, motors, tyres and headings are set, and MuJoCo computes
+what follows from them. Two things stay: the damping of a turret's servos, which depends a little on the
+robot's inertia, and the scale of viewers' arrows.
 """
 
 from collections.abc import Sequence
@@ -27,6 +27,7 @@ FIELDS = (
     "cam_poscom0",
     "cam_quat",
     "dof_M0",
+    "dof_frictionloss",
     "dof_invweight0",
     "dof_length",
     "geom_aabb",
@@ -35,6 +36,7 @@ FIELDS = (
     "geom_size",
     "light_poscom0",
     "pair_friction",
+    "pair_margin",
 )
 """Arrays of a model that a calibration changes, itself or by what MuJoCo computes from it."""
 
@@ -72,6 +74,11 @@ class FittedRobots:
             _fit(model, robot, calibration)
             model.pair_friction[grips, :2] = calibration.wheels.friction
         mujoco.mj_setConst(model, data)
+        inverse, before = model.body_invweight0, self._compiled["body_invweight0"]
+        for robot, grips in zip(self._robots, self._grips, strict=True):
+            # Tyres' springs begin above the floor by their sag, which goes with the wheel's inverse weight.
+            wheel = robot.wheels[0]
+            model.pair_margin[grips] *= inverse[wheel, 0] / before[wheel, 0]
         # The solver's scale; summed one by one, as MuJoCo does.
         model.stat.meaninertia = float(np.cumsum(model.dof_M0)[-1]) / model.nv
 
@@ -88,6 +95,7 @@ def _fit(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -
         model.geom_rbound[tyre], model.geom_rbound[rim] = radius, np.hypot(radius, half_width)
         model.geom_aabb[tyre, 3:], model.geom_aabb[rim, 3:5] = radius, radius
         motors = calibration.motors
+        model.dof_frictionloss[robot.wheel_speeds[side]] = motors.friction_torque_n_m
         model.actuator_gainprm[robot.motors[side], :2] = motors.resistance, motors.constant
     for camera, heading_deg in zip(robot.cameras, calibration.heading_deg, strict=True):
         # A camera looks along its -z, with x to its right and y up.

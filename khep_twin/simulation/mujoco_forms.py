@@ -206,6 +206,7 @@ def robot_state(
         *joints,
         radius=entry.body.radius,
         motor_constant=measured.motors.constant,
+        idle_current=entry.body.idle_current,
         used_min=CHARGER if entry.battery_used_min is None else entry.battery_used_min,
         sensors=RobotSensors(
             indices.base,

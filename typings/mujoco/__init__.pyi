@@ -45,6 +45,8 @@ class _Named:
     id: int
     name: str
     bodyid: NDArray[np.int32]
+    subtreemass: NDArray[np.float64]
+    invweight0: NDArray[np.float64]
     adr: NDArray[np.int32]
     dim: NDArray[np.int32]
     fovy: NDArray[np.float64]
@@ -65,6 +67,7 @@ class MjModel:
     body_parentid: NDArray[np.int32]
     body_pos: NDArray[np.float64]
     body_quat: NDArray[np.float64]
+    body_invweight0: NDArray[np.float64]
     body_inertia: NDArray[np.float64]
     body_mass: NDArray[np.float64]
     body_rootid: NDArray[np.int32]
@@ -72,6 +75,8 @@ class MjModel:
     body_subtreemass: NDArray[np.float64]
     dof_M0: NDArray[np.float64]
     dof_bodyid: NDArray[np.int32]
+    dof_armature: NDArray[np.float64]
+    dof_frictionloss: NDArray[np.float64]
     qpos0: NDArray[np.float64]
     cam_pos: NDArray[np.float64]
     cam_quat: NDArray[np.float64]
@@ -84,6 +89,7 @@ class MjModel:
     geom_rbound: NDArray[np.float64]
     opt: MjsOption
     stat: MjStatistic
+    pair_margin: NDArray[np.float64]
     pair_friction: NDArray[np.float64]
     pair_geom1: NDArray[np.int32]
     pair_geom2: NDArray[np.int32]
@@ -186,6 +192,12 @@ class MjsGeom:
 
 class MjsPair:
     solref: Sequence[float]
+    solimp: Sequence[float]
+    solreffriction: Sequence[float]
+    margin: float
+
+class MjsJoint:
+    frictionloss: float
 
 class MjsSensor:
     name: str
@@ -234,11 +246,12 @@ class MjSpec:
 
     @staticmethod
     def from_file(filename: str) -> MjSpec: ...
-    def add_pair(self, **attributes: Any) -> None: ...
+    def add_pair(self, **attributes: Any) -> MjsPair: ...
     def add_key(self, **attributes: Any) -> None: ...
     def body(self, name: str) -> MjsBody: ...
     def geom(self, name: str) -> MjsGeom: ...
     def actuator(self, name: str) -> MjsActuator: ...
+    def joint(self, name: str) -> MjsJoint: ...
     def attach(self, child: MjSpec, *, prefix: str, frame: MjsFrame) -> MjsFrame: ...
     def camera(self, name: str) -> MjsCamera: ...
     def compile(self) -> MjModel: ...

@@ -100,7 +100,7 @@ def _chassis(
     inertia, spin = float(masses[turning, turning]), float(masses[axle, axle])
     left_wheel, right_wheel = model.geom_size[list(at.tyres), 0].tolist()
     wheel = (left_wheel + right_wheel) / 2
-    friction = float(model.pair_friction[pairs_of(model, at.tyres)[0], 0])
+    grip = float(model.pair_friction[pairs_of(model, at.tyres)[0], 0])
     left, right = (float(model.body_pos[wheel, 1]) for wheel in at.wheels)
     track, h = left - right, units.STEP_NS * 1e-9
     resistance, constant = model.actuator_gainprm[at.motors[0], :2].tolist()
@@ -108,11 +108,11 @@ def _chassis(
     # Inertia at each wheel, with the body's mass or inertia as if at the rims.
     going = mass / 2 * wheel * wheel + spin
     swinging = 2 * inertia / (track * track) * wheel * wheel + spin
-    # Load on the rear support per acceleration: the mass at its height, and the wheels' spin.
-    height = float(data.subtree_com[at.base, 2])
+    gear = float(model.dof_frictionloss[axle])
+    _, _, high = centre = data.subtree_com[at.base]
+    ahead = float((centre - data.xpos[at.base]) @ data.xmat[at.base].reshape(3, 3)[:, 0])
     arm = abs(float(model.geom(f"{_PREFIX}front_support").pos[0]))
     weight = mass * abs(float(model.opt.gravity[2]))
-    behind = (mass * height + 2 * spin / wheel) / arm
     return dict(
         substep=h,
         n_substeps=step_ns // units.STEP_NS,
@@ -130,8 +130,14 @@ def _chassis(
         right_free_speed=right_wheel / constant,
         going=going / (going + h * damping),
         turning=swinging / (swinging + h * damping),
-        grip=friction * weight / 2,
-        relief=friction * behind / 2,
+        gear=gear / wheel,
+        dead_voltage=gear / stall,
+        grip=grip * weight / 2,
+        relief=grip / 2 / arm,
+        shift=grip / track,
+        lean=-weight * ahead,
+        high=float(high) + 2 * (spin - float(model.dof_armature[axle])) / (wheel * mass),
+        low=_span(model, model.geom(f"{_PREFIX}shell").id)[0],
         friction=SHELL_FRICTION,
     )
 

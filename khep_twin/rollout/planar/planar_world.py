@@ -77,7 +77,7 @@ class PlanarForms:
             "speeds": np.zeros(flat.N_JOINTS),
             "ctrl": np.zeros(2),
             "force": np.zeros(2),
-            "grips": np.zeros(3),
+            "grips": np.zeros(flat.N_GRIPS),
             "last": np.zeros(flat.N_LAST),
         }
         self._things, self._order = planar_scene.things.copy(), np.zeros(len(planar_scene.things), np.int64)
