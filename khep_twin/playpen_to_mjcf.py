@@ -30,9 +30,6 @@ from khep_twin.sensing import calibration
 
 ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
 
-TYRE_FRICTION = 0.9
-"""Friction of rubber tyres on the floor (0.9 to 1.2: simulators)."""
-
 SHELL_FRICTION = 0.3
 """Friction of the plastic body on walls and objects (assumed)."""
 
@@ -43,7 +40,15 @@ _SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
 """Stiffest contact that is stable at this step: time constant 2.5 steps, critically damped (measured)."""
 
 _SOLIMP = [0.95, 0.99, 0.0005, 0.5, 2]
-"""Impedance above MuJoCo's default, so that the robot's weight presses its tyres in by micrometres only."""
+"""Impedance above MuJoCo's default, so that weights press contacts in by micrometres only."""
+
+_FRICTION_RATIO = 5e4
+"""Ratio of frictional to normal impedance: under the tyres' soft springs, friction stays hard (creep below
+1 mm/s before a tyre slips)."""
+
+_TYRE_SOLIMP = [0.002, 0.002, 0.0005, 0.5, 2]
+"""Impedance of the tyres, which makes them springs with dampers. MuJoCo's friction lifts a contact that slips
+at a speed by impedance x friction x speed x time constant: a stiff one leaves the floor, again and again."""
 
 _PATCH_HEIGHT = 0.0002
 """Height of patches on the floor [m]: as thin as paint."""
@@ -69,8 +74,6 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     _set_options(spec, any(item.movable for items in playpen.objects.values() for item in items))
     if any(kind.scene is not None for robot in playpen.robots for kind in find(robot.turrets)):
         # A gripped object must not slip: 0.01 mm lost in a minute, instead of 31 mm (measured).
-        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        spec.option.impratio = 10
         spec.option.noslip_iterations = 5
     obstacles = _add_arena(spec, playpen)
     for kind, items in playpen.objects.items():
@@ -123,10 +126,14 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
             f"into whole conversions; expected one of {right} ms"
         )
     step = step_ns * 1e-9
+    coarser = step / spec.option.timestep
     spec.option.timestep = step
     for stiff in (*spec.geoms, *spec.pairs):
         if stiff.solref[0] == _SOLREF[0]:
             stiff.solref = [2.5 * step, 1.0]
+    for pair in spec.pairs:
+        pair.solreffriction = [pair.solreffriction[0] * coarser, pair.solreffriction[1]]
+        pair.margin *= coarser**2
     conversions, scan = step_ns // units.STEP_NS, units.SCAN_NS * 1e-9
     for sensor in spec.sensors:
         for channel, kind in enumerate(units.Sensor):
@@ -138,6 +145,9 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
 def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
     spec.option.timestep = units.STEP_NS * 1e-9
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # The same friction in all directions; a pyramid's depends on the heading by 10 to 15 %.
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = _FRICTION_RATIO
     # A diverged simulation must stop the run, not restart silently.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     # With it, contacts are wrong by up to 7.6 mm in 17 to 29 of 100 positions around a box's edges (measured,
@@ -283,6 +293,7 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str
             hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
             controls += _take_home(turret)
             child.attach(turret, prefix=f"{kind.name}/", frame=child.body("base").add_frame())
+    sag = _tyre_sag(child)
     heading = units.radians(robot.heading_deg)
     frame = spec.worldbody.add_frame(
         pos=[units.metres(robot.x_mm), units.metres(robot.y_mm), 0],
@@ -290,7 +301,12 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str
     )
     spec.attach(child, prefix=prefix, frame=frame)
     for tyre in ("left_tyre", "right_tyre"):
-        _add_contact(spec, prefix + tyre, "floor", TYRE_FRICTION)
+        pair = _add_contact(spec, prefix + tyre, "floor", measured.wheels.friction)
+        pair.solimp = _TYRE_SOLIMP
+        # MuJoCo divides it by the impedance: friction acts as fast as that of a stiff contact.
+        pair.solreffriction = [_SOLREF[0] / _TYRE_SOLIMP[0], 1]
+        # The spring begins above the floor, so that the loaded tyre just touches it.
+        pair.margin = sag
     for support in ("front_support", "back_support"):
         # Polished balls: without friction, which also keeps odometry clean.
         _add_contact(spec, prefix + support, "floor", 0.0)
@@ -327,26 +343,32 @@ def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
 
 def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> None:
     """Set the size and position of the robot's wheels."""
-    radius, half_base = units.metres(wheels.radius_mm), units.metres(wheels.base_mm) / 2
-    for side, y in (("left", half_base), ("right", -half_base)):
+    half_base = units.metres(wheels.base_mm) / 2
+    for side, y, radius in zip(("left", "right"), (half_base, -half_base), wheels.radii, strict=True):
         wheel, tyre, rim = robot.body(f"{side}_wheel"), robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
-        across = wheel.mass * (3 * radius**2 + units.WHEEL_WIDTH**2) / 12
-        wheel.inertia = [across, across, wheel.mass * radius**2 / 2]
+        wheel.inertia = wheel_inertia(wheel.mass, radius)
         tyre.size = [radius, *tyre.size[1:]]
         rim.size = [radius, *rim.size[1:]]
         wheel.pos = rim.pos = [0, y, radius]
 
 
+def wheel_inertia(mass: float, radius: float) -> list[float]:
+    """Return the principal inertias of a wheel, a cylinder [kg m^2], about its axle last."""
+    across = mass * (3 * radius**2 + units.WHEEL_WIDTH**2) / 12
+    return [across, across, mass * radius**2 / 2]
+
+
 def _fit_motors(robot: mujoco.MjSpec, motors: calibration.MotorCalibration) -> None:
-    """Set the constants of the robot's motors."""
+    """Set the constants of the robot's motors and gears."""
     for side in ("left", "right"):
+        robot.joint(f"{side}_axle").frictionloss = motors.friction_torque_n_m
         robot.actuator(f"{side}_motor").set_to_dcmotor(
             motorconst=[motors.constant, motors.constant], resistance=motors.resistance
         )
 
 
-def _add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> None:
-    spec.add_pair(
+def _add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> mujoco.MjsPair:
+    return spec.add_pair(
         geomname1=geom,
         geomname2=other,
         condim=3 if friction else 1,
@@ -354,3 +376,17 @@ def _add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) ->
         solref=_SOLREF,
         solimp=_SOLIMP,
     )
+
+
+def _tyre_sag(robot: mujoco.MjSpec) -> float:
+    """Return how far the robot's weight presses in the springs of its tyres [m].
+
+    MuJoCo's contact in equilibrium: (1 - impedance) (time constant)^2 x load x inverse mass of the wheel.
+    """
+    model = robot.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    base, wheel, support = model.body("base"), model.body("left_wheel"), model.geom("front_support")
+    on_wheels = 1 - abs(data.subtree_com[base.id, 0] / support.pos[0])
+    load = base.subtreemass[0] * units.GRAVITY / 2 * on_wheels
+    return float((1 - _TYRE_SOLIMP[0]) * _SOLREF[0] ** 2 * load * wheel.invweight0[0])

@@ -78,6 +78,7 @@ class RobotState(NamedTuple):
         pose: Index of the robot's pose.
         radius: Radius of the robot [m].
         motor_constant: Torque per current [N m/A].
+        idle_current: Supply current with the motors at rest [A].
         used_min: Use of the cells before the run [min]; or `battery.CHARGER`.
         sensors: Sensors of the robot.
         registers: State of the board (N_REGISTERS,).
@@ -96,6 +97,7 @@ class RobotState(NamedTuple):
     pose: int
     radius: float
     motor_constant: float
+    idle_current: float
     used_min: float
     sensors: RobotSensors
     registers: kernel.Registers
@@ -235,7 +237,7 @@ def update_supply(scene: Scene, robot: RobotState, time_ns: int) -> bool:
     registers = robot.registers
     left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
     robot.voltage[0] = voltage = battery.voltage(robot.used_min, time_ns)
-    current = units.IDLE_CURRENT
+    current = robot.idle_current
     current += units.supply_current(left, motor_torque(scene, robot.left_motor) / robot.motor_constant)
     current += units.supply_current(right, motor_torque(scene, robot.right_motor) / robot.motor_constant)
     kernel.measure(registers, units.supply_counts(voltage), round(current * 1000))

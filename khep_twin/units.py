@@ -41,8 +41,19 @@ CENTRE_OF_MASS_HEIGHT = 0.008
 """Height of the centre of mass [m] (assumed: batteries at the bottom; Webots has 5 mm, half the height is
 15 mm)."""
 
+CENTRE_OF_MASS_BEHIND = 0.0005
+"""Distance of the centre of mass behind the axle [m] (assumed: exactly above it, the robot would rock between
+its supports at every change of duty)."""
+
 SUPPORT_POSITION = 0.022
 """Distance of the two sliding supports before and behind the centre [m] (assumed)."""
+
+SUPPORT_CLEARANCE = 50e-6
+"""Height of the front support above the floor while wheels and back support stand on it [m] (assumed: the
+wheels carry nearly all of the robot, 98 %)."""
+
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s^2]."""
 
 # Wheels and encoders -----------------------------------------------------------------------------------
 
@@ -65,6 +76,9 @@ WHEEL_MASS = 0.004
 WHEEL_BASE = 0.052
 """Distance of the two wheels' contact points [m] (52 to 53 mm: simulators, ruler)."""
 
+TYRE_FRICTION = 0.9
+"""Friction of rubber tyres on the floor (0.9 to 1.2: simulators)."""
+
 # Motors ------------------------------------------------------------------------------------------------
 
 SUPPLY_VOLTAGE = 5.0
@@ -77,6 +91,10 @@ MOTOR_NO_LOAD_SPEED = 150.0
 
 MOTOR_STALL_TORQUE = 0.010
 """Torque at a blocked wheel at full duty [N m] (assumed: well above the 2.4 mN m at which a tyre slips)."""
+
+MOTOR_FRICTION_TORQUE = 0.0005
+"""Dry friction of motor and gear, seen at the wheel [N m] (assumed: 5 % of the stall torque; a motor of that
+size has 3 % by its data sheet, FAULHABER 0816 SR, and the gear its share)."""
 
 ROTOR_INERTIA = 1e-6
 """Inertia of the motor's rotor, seen at the wheel through the gear [kg m^2] (assumed: with the robot's mass
@@ -119,6 +137,11 @@ SENSOR_HEIGHT = 0.0134
 """Height of the sensors above the ground [m] (manual, side view)."""
 
 
+IDLE_CURRENT = 0.2364
+"""Current of the robot with its motors at rest [A]: 180 mAh that last 45 minutes (manual, 2.3) are 240 mA, of
+which the motors take 3.6 mA at 10 pulses per 10 ms, the speed of the ROM's demonstration (assumed)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Body:
     """Body of a model of the robot.
@@ -129,6 +152,7 @@ class Body:
         support_position: Distance of the sliding supports before and behind the centre [m].
         sensor_positions: Positions of the sensors' faces, x forward and y left of the centre (8, 2) [m].
         sensor_height: Height of the sensors above the ground [m].
+        idle_current: Current with the motors at rest [A].
     """
 
     radius: float
@@ -136,10 +160,11 @@ class Body:
     support_position: float
     sensor_positions: tuple[tuple[float, float], ...]
     sensor_height: float
+    idle_current: float
 
 
 BODIES = {
-    "khepera1": Body(BODY_RADIUS, MASS, SUPPORT_POSITION, SENSOR_POSITIONS, SENSOR_HEIGHT),
+    "khepera1": Body(BODY_RADIUS, MASS, SUPPORT_POSITION, SENSOR_POSITIONS, SENSOR_HEIGHT, IDLE_CURRENT),
     "khepera2": Body(
         0.035,
         0.080,
@@ -155,11 +180,12 @@ BODIES = {
             (-0.0289, 0.0111),
         ),
         0.017,
+        0.2464,
     ),
 }
 """Bodies by model. The Khepera II: 70 mm and 80 g (simulators, host libraries), sensors as in its manual's
-figure 7, scaled to that diameter, their height after Webots; supports and height like the Khepera's
-(assumed)."""
+figure 7, scaled to that diameter, their height after Webots; 250 mAh that last 60 minutes (manual II), less
+the motors' share; supports and height like the Khepera's (assumed)."""
 
 SENSOR_HEADINGS = tuple(math.radians(heading_deg) for heading_deg in (88, 45, 8, -8, -45, -88, 180, 180))
 """Heading of each sensor, counter-clockwise from straight ahead [rad] (a lamp far away, measured on one
@@ -178,10 +204,6 @@ CONVERTER_COUNTS_PER_VOLT = 1024 / 4.096
 
 PROCESSOR_VOLTAGE = 4.0
 """Voltage below which the processor fails and the motors still turn [V] (manual, 2.3 on the battery)."""
-
-IDLE_CURRENT = 0.2
-"""Current of the robot with its motors at rest [A] (assumed: 180 mAh that last 45 minutes are 240 mA,
-driving)."""
 
 # Gripper -----------------------------------------------------------------------------------------------
 

@@ -61,13 +61,13 @@ class World:
         seed: Seed of every random stream.
         noise: True for noisy sensors.
         unpaced: True for lines without delay.
-        vary: True to draw each robot's sensors at random around its calibration.
+        vary: True to draw each robot at random around its calibration: another one of the same make.
         strict_line: True to garble the bytes between a robot and a host whose line has another speed.
         faults: Faults of its robots.
         compiled: Whether to step by compiled code, with the same results; None to change over to it in a long
             run, once it is compiled.
-        shared: True to share the model of a `SceneModel` with other worlds; LEDs are not shown then, and
-            there are no observers.
+        shared: True to share the model of a `SceneModel` with other worlds, until a run with `vary`; LEDs are
+            not shown then, and there are no observers.
 
     Attributes:
         time_ns: Current time [ns].
@@ -105,7 +105,7 @@ class World:
         self._shares_model = shared
         self.model = copy.copy(made.model) if isinstance(playpen, SceneModel) and not shared else made.model
         self.data = mujoco.MjData(self.model)
-        self._forms = MujocoForms(self._base, self.model, self.data)
+        self._forms = MujocoForms(self._base, self.model, self.data, shared)
         self._bodies: NDArray[np.float64] = self.model.body_pos.copy()
         self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
         self.robots: tuple[Robot, ...] = ()
@@ -132,21 +132,23 @@ class World:
         Args:
             seed: Seed of every random stream.
             noise: True for noisy sensors.
-            vary: True to draw each robot's sensors at random around its calibration.
+            vary: True to draw each robot at random around its calibration.
             starts: Start of each robot; by default the playpen's.
             lamps: Other lamps than the playpen's.
 
         Raises:
             DivergedError: The physics leaves its bounds at once.
         """
-        model, data, forms, simulation = self.model, self.data, self._forms, self.simulation
+        forms, simulation = self._forms, self.simulation
         self.observers: list[Observer] = []
         self._untold: list[tuple[int | None, str]] = []
         self._failure: DivergedError | None = None
         self.time_ns = 0
-        mujoco.mj_resetData(model, data)
         if not self._shares_model:
-            model.body_pos[:] = self._bodies
+            self.model.body_pos[:] = self._bodies
+        simulation.reset(seed, noise=noise, vary=vary)
+        self.model = forms.model
+        mujoco.mj_resetData(self.model, self.data)
         playpen = at_spots(self._base, seed) if starts is None else forms.started(starts)
         forms.put(playpen)
         if lamps is not None:
@@ -154,7 +156,6 @@ class World:
         self.playpen = playpen
         self._lamp_chance = cache(partial(stream, seed, "lamps"))
         self.lamps = Lamps(playpen, self._lamp_chance)
-        simulation.reset(seed, noise=noise, vary=vary)
         self.robots = tuple(
             Robot(self, index, at, state, partial(stream, seed, "robot", index), self._robot_settings)
             for index, (at, state) in enumerate(zip(forms.indices, simulation.records, strict=True))

@@ -27,7 +27,8 @@ def test_mass_and_centre_of_mass_arrive_in_the_model(robot: mujoco.MjModel) -> N
     data = mujoco.MjData(robot)
     mujoco.mj_resetDataKeyframe(robot, data, robot.key("home").id)
     mujoco.mj_forward(robot, data)
-    assert data.subtree_com[1] == pytest.approx((0, 0, units.CENTRE_OF_MASS_HEIGHT), abs=3e-5)
+    centre = -units.CENTRE_OF_MASS_BEHIND, 0, units.CENTRE_OF_MASS_HEIGHT
+    assert data.subtree_com[1] == pytest.approx(centre, abs=3e-5)
 
 
 def test_wheels_and_supports_arrive_in_the_model(robot: mujoco.MjModel) -> None:
@@ -42,8 +43,11 @@ def test_wheels_and_supports_arrive_in_the_model(robot: mujoco.MjModel) -> None:
         across = around / 2 + units.WHEEL_MASS * units.WHEEL_WIDTH**2 / 12
         assert wheel.inertia == pytest.approx((across, across, around), rel=1e-5)
         assert robot.dof_armature[robot.joint(f"{side}_axle").dofadr[0]] == pytest.approx(units.ROTOR_INERTIA)
-    assert robot.geom("front_support").pos[0] == pytest.approx(units.SUPPORT_POSITION)
-    assert robot.geom("back_support").pos[0] == pytest.approx(-units.SUPPORT_POSITION)
+    front, back = robot.geom("front_support"), robot.geom("back_support")
+    assert front.pos[0] == pytest.approx(units.SUPPORT_POSITION)
+    assert back.pos[0] == pytest.approx(-units.SUPPORT_POSITION)
+    assert front.pos[2] - front.size[0] == pytest.approx(units.SUPPORT_CLEARANCE)
+    assert back.pos[2] == pytest.approx(back.size[0])
 
 
 def test_the_body_has_its_size(robot: mujoco.MjModel) -> None:
@@ -59,7 +63,9 @@ def test_a_motor_reaches_its_no_load_speed_and_its_stall_torque(robot: mujoco.Mj
     data = mujoco.MjData(model)
     data.ctrl[:] = units.duty_voltage(units.DUTY_LIMIT, units.SUPPLY_VOLTAGE)
     mujoco.mj_step(model, data)
-    assert data.actuator_force[0] == pytest.approx(units.MOTOR_STALL_TORQUE)
+    friction = model.dof_frictionloss[6]
+    assert friction == pytest.approx(units.MOTOR_FRICTION_TORQUE)
+    assert data.actuator_force[0] - friction == pytest.approx(units.MOTOR_STALL_TORQUE)
     # Until the wheels turn freely; the body turns the other way, so it is held.
     for _ in range(2000):
         mujoco.mj_step(model, data)
@@ -86,7 +92,8 @@ def test_the_rangefinders_take_turns_for_ten_minutes() -> None:
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=[x, y, 0], size=size, contype=0)
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qvel[5] = 3.0  # turning, so that every reading is new
+    data.qvel[5] = 3.0  # turning, so that every reading is new, about its centre of mass
+    data.qvel[1] = 3.0 * units.CENTRE_OF_MASS_BEHIND
     mujoco.mj_step(model, data)
     # The middle ray of each sensor; a look at the end of each minute.
     middle = data.sensordata[16::36]

@@ -63,7 +63,9 @@ class RobotOptions:
 
     seed: Annotated[int, typer.Option(help="Seed of every random stream of the run.")] = 0
     noise: Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")] = Switch.ON
-    vary: Annotated[Switch, typer.Option(help="Draw another robot's sensors, by the seed.")] = Switch.OFF
+    vary: Annotated[Switch, typer.Option(help="Draw another robot of the same make, by the seed.")] = (
+        Switch.OFF
+    )
     mode: Annotated[
         str | None,
         typer.Option(

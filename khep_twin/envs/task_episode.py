@@ -62,7 +62,7 @@ class TaskSetup:
         playpen: Playpen instead of the task's, as a name, path or object.
         robots: Number of robots.
         noise: Whether sensors are noisy.
-        vary: Whether each episode has the sensors of another robot of the same make, by its seed.
+        vary: Whether each episode has another robot of the same make, by its seed.
         period_ns: Control period [ns], whole ticks of 10 ms.
         seconds: Time limit of an episode [s]; by default the task's.
         compiled: Whether to run compiled; None if numba is installed.

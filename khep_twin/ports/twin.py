@@ -31,7 +31,7 @@ class TwinOptions:
         seed: Seed of every random stream.
         robot: Number of the robot on the line; None for all of them.
         noise: Add noise to the sensors.
-        vary: Draw the robots' sensors anew around their calibration.
+        vary: Draw the robots anew around their calibration: others of the same make.
         rom: Version of the robot's firmware.
         mode: Running mode, which sets the line's speed.
         battery_used_min: Time that the robot has run on its cells at start [min].

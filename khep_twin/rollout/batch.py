@@ -105,7 +105,7 @@ def rollout(
             (n, n_robots, 3); by default the playpen's.
         lamps: Lamps of each episode; by default the playpen's.
         noise: Whether sensors are noisy.
-        vary: Whether each episode has the sensors of another robot, by its seed.
+        vary: Whether each episode has another robot of the same make, by its seed.
         home: Home x, y, radius [mm] and duration of a charge [s], for the metric "homing".
         faults: Faults of the robots.
         step_ns: Physics step [ns]: 2.5 ms as on the robot, or 5 or 10 ms; by default 2.5 ms, and 10 ms in a

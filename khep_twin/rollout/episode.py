@@ -133,7 +133,7 @@ class Episode:
             seed: Seed of every random stream.
             start: Start x, y [mm] and heading [deg], or one for each robot; None for the playpen's.
             noise: Whether sensors are noisy.
-            vary: Whether to draw the sensors of other robots.
+            vary: Whether to draw other robots of the same make.
             lamps: Other lamps than the playpen's.
             genes: Genes of the controller, or of each robot's (n_robots, n_genes).
             home: Home x, y, radius [m] and duration of a charge [s]; radius 0 for none.

@@ -7,6 +7,7 @@ assets/calibration are used by bare name, others by path. `sensors` explains the
 from typing import Annotated, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from khep_twin.errors import CalibrationError, Problem
@@ -14,12 +15,16 @@ from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable
 from khep_twin.units import (
     COUNTS_LIMIT,
+    DUTY_LIMIT,
+    MOTOR_FRICTION_TORQUE,
     MOTOR_NO_LOAD_SPEED,
     MOTOR_STALL_TORQUE,
     N_SENSORS,
     SUPPLY_VOLTAGE,
+    TYRE_FRICTION,
     WHEEL_BASE,
     WHEEL_RADIUS,
+    metres,
 )
 
 _Gain = Annotated[float, Field(gt=0, le=1e8)]
@@ -92,12 +97,22 @@ class WheelCalibration(TomlTable):
     """Both wheels; the robot's own firmware knows only their pulses.
 
     Attributes:
-        radius_mm: Radius of a wheel.
+        radius_mm: Mean radius of the wheels.
+        right_over_left: Radius of the right wheel over that of the left.
         base_mm: Distance between the wheels' contacts with the floor.
+        friction: Friction of the tyres on the floor.
     """
 
     radius_mm: Annotated[float, Field(ge=6, le=9)] = WHEEL_RADIUS * 1000
+    right_over_left: Annotated[float, Field(ge=0.9, le=1.1)] = 1.0
     base_mm: Annotated[float, Field(ge=40, le=60)] = WHEEL_BASE * 1000
+    friction: Annotated[float, Field(ge=0.1, le=3)] = TYRE_FRICTION
+
+    @property
+    def radii(self) -> tuple[float, float]:
+        """Radius of the left and of the right wheel [m]."""
+        left = 2 * metres(self.radius_mm) / (1 + self.right_over_left)
+        return left, left * self.right_over_left
 
 
 class MotorCalibration(TomlTable):
@@ -106,20 +121,28 @@ class MotorCalibration(TomlTable):
     Attributes:
         no_load_speed_rad_s: Speed of an unloaded wheel at full duty.
         stall_torque_n_m: Torque at a blocked wheel at full duty.
+        friction_torque_n_m: Dry friction of motor and gear; full duty overcomes it in both figures above.
     """
 
     no_load_speed_rad_s: Annotated[float, Field(ge=20, le=1000)] = MOTOR_NO_LOAD_SPEED
     stall_torque_n_m: Annotated[float, Field(ge=0.0005, le=0.2)] = MOTOR_STALL_TORQUE
+    friction_torque_n_m: Annotated[float, Field(ge=0, le=0.05)] = MOTOR_FRICTION_TORQUE
 
     @property
     def constant(self) -> float:
         """Torque at the wheel per current [N m/A], which is also voltage per speed [V s/rad]."""
-        return SUPPLY_VOLTAGE / self.no_load_speed_rad_s
+        used = self.stall_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
+        return SUPPLY_VOLTAGE / self.no_load_speed_rad_s * used
 
     @property
     def resistance(self) -> float:
         """Resistance of the winding [ohm]."""
-        return SUPPLY_VOLTAGE * self.constant / self.stall_torque_n_m
+        return SUPPLY_VOLTAGE * self.constant / (self.stall_torque_n_m + self.friction_torque_n_m)
+
+    @property
+    def dead_duty(self) -> float:
+        """Duty below which friction holds an unloaded wheel at rest."""
+        return DUTY_LIMIT * self.friction_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
 
 
 class Calibration(TomlTable):
@@ -158,31 +181,85 @@ GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
 """Relative standard deviations of gain and threshold over the eight sensors of the sampled robot, and of
 their gain for lamps (4 to 7 % measured)."""
 
+COMMON_GAIN_SPREAD = 0.3
+"""Standard deviation of the logarithm of a gain common to a robot's sensors (assumed: the two Kheperas known,
+with half the scale at 24 and 33 mm, give 0.4; no robot is known to see farther than 33 mm)."""
+
+HEADING_SPREAD_DEG = 3.4
+"""Standard deviation of a heading [deg]: of the sampled robot's headings from left-right symmetry, which is
+3.4 degrees for emitters and for receivers, in different directions."""
+
+RADIUS_SPREAD, BASE_SPREAD = 0.015, 0.015
+"""Relative standard deviations of the wheels' mean radius and of the wheel base: half of the ranges 7.5 to
+7.96 mm and 52 to 54 mm in which simulators and users find them."""
+
+INEQUALITY_SPREAD = 0.004
+"""Standard deviation of `right_over_left` (assumed: so that after 30 s of driving robots miss home by the
+published 50 to 100 mm, and 8 in 10 by less than 100 mm; `benchmarks.home_test`)."""
+
+FRICTION_SPREAD, NO_LOAD_SPREAD, STALL_SPREAD, GEAR_SPREAD = 0.1, 0.05, 0.1, 0.2
+"""Relative standard deviations of the tyres' friction, the motors' no-load speed and stall torque, and the
+gears' friction (assumed; simulators' tyres differ by 0.9 to 1.2)."""
+
+_MOST = 4.0
+"""Standard deviations at which draws of wheels and motors are cut off."""
+
 
 def varied(calibration: Calibration, rng: np.random.Generator) -> Calibration:
-    """Return a robot of the same make with random gain, threshold and gain for lamps of each sensor."""
+    """Return a robot of the same make: sensors, wheels and motors drawn around a calibration."""
     gains, thresholds = 1 + np.array([[GAIN_SPREAD], [THRESHOLD_SPREAD]]) * rng.standard_normal(
         (2, N_SENSORS)
     )
+    lamps = 1 + LAMP_SPREAD * rng.standard_normal(N_SENSORS)
+    turns = HEADING_SPREAD_DEG * rng.standard_normal((2, N_SENSORS))
+    common = np.exp(COMMON_GAIN_SPREAD * rng.standard_normal())
+    drawn = np.clip(rng.standard_normal(7), -_MOST, _MOST).tolist()
+    radius, base, ratio, friction, no_load, stall, gear = drawn
     proximity, ambient = calibration.proximity, calibration.ambient
-    factors = {"gain_counts_mm2": gains, "threshold_counts": thresholds}
-    changed = {
-        name: tuple(
-            float(value * max(factor, 0.2))
-            for value, factor in zip(getattr(proximity, name), row, strict=True)
-        )
-        for name, row in factors.items()
-    }
-    lamps = tuple(
-        gain * max(1 + LAMP_SPREAD * float(factor), 0.2)
-        for gain, factor in zip(ambient.gain_counts_mm2_per_w, rng.standard_normal(N_SENSORS), strict=True)
-    )
+    wheels, motors = calibration.wheels, calibration.motors
     return calibration.model_copy(
         update={
-            "proximity": proximity.model_copy(update=changed),
-            "ambient": ambient.model_copy(update={"gain_counts_mm2_per_w": lamps}),
+            "heading_deg": _shifted(calibration.heading_deg, turns[0]),
+            "proximity": proximity.model_copy(
+                update={
+                    "gain_counts_mm2": _scaled(proximity.gain_counts_mm2, gains, common),
+                    "threshold_counts": _scaled(proximity.threshold_counts, thresholds),
+                }
+            ),
+            "ambient": ambient.model_copy(
+                update={
+                    "heading_deg": _shifted(ambient.heading_deg, turns[1]),
+                    "gain_counts_mm2_per_w": _scaled(ambient.gain_counts_mm2_per_w, lamps),
+                }
+            ),
+            "wheels": wheels.model_copy(
+                update={
+                    "radius_mm": wheels.radius_mm * (1 + RADIUS_SPREAD * radius),
+                    "right_over_left": wheels.right_over_left + INEQUALITY_SPREAD * ratio,
+                    "base_mm": wheels.base_mm * (1 + BASE_SPREAD * base),
+                    "friction": wheels.friction * (1 + FRICTION_SPREAD * friction),
+                }
+            ),
+            "motors": motors.model_copy(
+                update={
+                    "no_load_speed_rad_s": motors.no_load_speed_rad_s * (1 + NO_LOAD_SPREAD * no_load),
+                    "stall_torque_n_m": motors.stall_torque_n_m * (1 + STALL_SPREAD * stall),
+                    "friction_torque_n_m": motors.friction_torque_n_m * (1 + GEAR_SPREAD * gear),
+                }
+            ),
         }
     )
+
+
+def _scaled(
+    values: tuple[float, ...], factors: NDArray[np.float64], common: float = 1.0
+) -> tuple[float, ...]:
+    """Return values by factors that are cut off far below 1, and by a common one."""
+    return tuple((np.array(values) * np.maximum(factors, 0.2) * common).tolist())
+
+
+def _shifted(values: tuple[float, ...], shifts: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple((np.array(values) + shifts).tolist())
 
 
 def names() -> list[str]:

@@ -72,7 +72,6 @@ class MujocoScene:
         self._bodies: list[int] = model.geom_bodyid[seen].tolist()
         self._reflectances: list[float] = model.geom_user[seen, 0].tolist()
         self._geoms = np.array(seen, np.int64)
-        self._bounds: Floats = model.geom_rbound[self._geoms]
         self._discs = [_disc(points_of_a_bulb(number)) for number in (FEW, MANY)]
 
     def step(self) -> None:
@@ -128,7 +127,7 @@ class MujocoScene:
         """Answer the query `surfaces`."""
         found, count, model, data = sensors.proximity.found, 0, self._model, self._data
         ways: Floats = data.geom_xpos[self._geoms, :2] - (chip.x, chip.y)
-        away = np.sqrt((ways * ways).sum(axis=1)) - self._bounds
+        away: Floats = np.sqrt((ways * ways).sum(axis=1)) - model.geom_rbound[self._geoms]
         if not (away <= near + _ROUNDING).any():
             return 0
         for index in (away <= chip.reach + _ROUNDING).nonzero()[0].tolist():

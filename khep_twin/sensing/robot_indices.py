@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from khep_twin.units import Sensor
 
 _SIDES = ("left", "right")
+_PARTS = ("tyre", "rim")
 _LEDS = ("led_0", "led_1")
 
 
@@ -21,6 +22,8 @@ class RobotIndices:
     Attributes:
         base: Body of the chassis.
         wheels: Bodies of the wheels.
+        tyres: Geoms that touch the floor.
+        rims: Geoms that show the wheels.
         pose: First of the 7 numbers of the pose in qpos.
         velocity: First of the 6 numbers of the velocity in qvel.
         wheel_angles: Wheels in qpos.
@@ -33,6 +36,8 @@ class RobotIndices:
 
     base: int
     wheels: tuple[int, int]
+    tyres: tuple[int, int]
+    rims: tuple[int, int]
     pose: int
     velocity: int
     wheel_angles: tuple[int, int]
@@ -53,10 +58,13 @@ class RobotIndices:
         left, right = (model.joint(f"{robot}/{side}_axle") for side in _SIDES)
         sensors = [f"{robot}/{sensor.name.lower()}" for sensor in Sensor]
         left_wheel, right_wheel = (model.body(f"{robot}/{side}_wheel").id for side in _SIDES)
+        tyres, rims = ([model.geom(f"{robot}/{side}_{part}").id for side in _SIDES] for part in _PARTS)
         left_motor, right_motor = (model.actuator(f"{robot}/{side}_motor").id for side in _SIDES)
         return cls(
             base=model.body(f"{robot}/base").id,
             wheels=(left_wheel, right_wheel),
+            tyres=(tyres[0], tyres[1]),
+            rims=(rims[0], rims[1]),
             pose=int(pose.qposadr[0]),
             velocity=int(pose.dofadr[0]),
             wheel_angles=(int(left.qposadr[0]), int(right.qposadr[0])),

@@ -23,6 +23,7 @@ from khep_twin.sensing.mujoco_scene import MujocoScene
 from khep_twin.sensing.optics import Light, RobotSensors
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensors import proximity_optics
+from khep_twin.simulation.fitted_robots import FittedRobots
 from khep_twin.simulation.simulation import NO_LIGHT
 from khep_twin.step import WARNED, RobotState, Timing
 
@@ -65,38 +66,66 @@ class MujocoForms:
         playpen: Playpen.
         model: Compiled scene.
         data: State of the scene.
+        shared: Whether others use the model, too.
 
     Attributes:
+        model: Compiled scene: the one given, or a copy of it once robots of a shared one have varied.
         indices: Indices of each robot.
     """
 
-    def __init__(self, playpen: Playpen, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self._playpen, self._model, self._data = playpen, model, data
+    def __init__(
+        self, playpen: Playpen, model: mujoco.MjModel, data: mujoco.MjData, shared: bool = False
+    ) -> None:
+        self._playpen, self.model, self._data, self._shared = playpen, model, data, shared
+        self._calibrations = [calibration.read(entry.calibration)[0] for entry in playpen.robots]
+        self._drawn = self._calibrations
+        self._fitted: FittedRobots | None = None
+        self._plain: MujocoScene | None = None
+        self._arrays: tuple[Any, ...] | None = None
         count = len(self._playpen.robots)
-        self.indices = [RobotIndices.of(self._model, f"khepera{index}") for index in range(count)]
+        self.indices = [RobotIndices.of(self.model, f"khepera{index}") for index in range(count)]
         # Where there are several robots no sight line is known, so one robot's are all's.
-        self._lights = [LightSource(self._model, robot) for robot in self.indices[:1]]
+        self._lights = [LightSource(self.model, robot) for robot in self.indices[:1]]
 
     def plain(self) -> MujocoScene:
         """Return the scene for plain code."""
-        return MujocoScene(self._model, self._data)
+        if self._plain is None:
+            self._plain = MujocoScene(self.model, self._data)
+        return self._plain
 
     def compiled(self) -> tuple[Any, ...]:
         """Return the scene for compiled code, as arrays."""
         from khep_twin.simulation.mujoco_calls import calls_of
 
-        return calls_of(self._model, self._data)
+        if self._arrays is None:
+            self._arrays = calls_of(self.model, self._data)
+        solids = self._arrays[1]
+        # Other robots' rims may have another size.
+        solids["bound"] = self.model.geom_rbound[solids["geom"]]
+        return self._arrays
 
-    def robot_states(self, spreads: Sequence[np.random.Generator] | None = None) -> list[RobotState]:
-        """Return the states of the robots; their sensors are drawn at random if there are streams for it."""
-        states: list[RobotState] = []
-        for number, (entry, at) in enumerate(zip(self._playpen.robots, self.indices, strict=True)):
-            measured = calibration.read(entry.calibration)[0]
-            if spreads is not None:
-                measured = calibration.varied(measured, spreads[number])
-            joints = *at.wheel_angles, *at.wheel_speeds, *at.motors, at.pose
-            states.append(robot_state(self._model, at, joints, measured, entry))
-        return states
+    def vary(self, spreads: Sequence[np.random.Generator] | None) -> None:
+        """Make the robots others of the same make, by a stream each; None for those of the playpen."""
+        if self._fitted is None:
+            if self._shared:
+                self.model, self._plain, self._arrays = copy.copy(self.model), None, None
+            self._fitted = FittedRobots(self.model, self.indices)
+        self._drawn = self._calibrations
+        if spreads is not None:
+            self._drawn = [
+                calibration.varied(measured, spread)
+                for measured, spread in zip(self._calibrations, spreads, strict=True)
+            ]
+        self._fitted.fit(None if spreads is None else self._drawn, self._data)
+
+    def robot_states(self) -> list[RobotState]:
+        """Return the states of the robots."""
+        return [
+            robot_state(
+                self.model, at, (*at.wheel_angles, *at.wheel_speeds, *at.motors, at.pose), drawn, entry
+            )
+            for entry, at, drawn in zip(self._playpen.robots, self.indices, self._drawn, strict=True)
+        ]
 
     def trouble(self, reason: int) -> str:
         """Return a sentence on why the physics cannot go on."""
@@ -170,6 +199,7 @@ def robot_state(
         *joints,
         radius=entry.body.radius,
         motor_constant=measured.motors.constant,
+        idle_current=entry.body.idle_current,
         used_min=CHARGER if entry.battery_used_min is None else entry.battery_used_min,
         sensors=RobotSensors(
             indices.base,

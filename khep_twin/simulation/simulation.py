@@ -44,8 +44,15 @@ class SceneForms(Protocol):
         """Return the scene for compiled code, as arrays."""
         ...
 
-    def robot_states(self, spreads: Sequence[np.random.Generator] | None = None) -> list[RobotState]:
-        """Return the states of the robots; their sensors are drawn at random if there are streams for it."""
+    def vary(self, spreads: Sequence[np.random.Generator] | None) -> None:
+        """Make the robots others of the same make, drawn from a stream each; None for those of the playpen.
+
+        The scene's state is lost.
+        """
+        ...
+
+    def robot_states(self) -> list[RobotState]:
+        """Return the states of the robots."""
         ...
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
@@ -114,16 +121,20 @@ class Simulation:
         self._bind()
 
     def reset(self, seed: int, *, noise: bool, vary: bool) -> None:
-        """Return to step 0.
+        """Return to step 0; the scene's own state has to be reset afterwards.
 
         Args:
             seed: Seed of the robots' random streams.
             noise: Whether sensors are noisy.
-            vary: Whether to draw each robot's sensors at random around its calibration.
+            vary: Whether to draw each robot at random around its calibration.
         """
         rngs = [partial(stream, seed, "robot", index) for index in range(len(self.records))]
         if vary or self._is_varied:
-            robots = self._scene.robot_states([rng("spread") for rng in rngs] if vary else None)
+            self._scene.vary([rng("spread") for rng in rngs] if vary else None)
+            self.plain = self.plain._replace(scene=self._scene.plain())
+            if self._compiled:
+                self._arrays = (self._scene.compiled(), *self._arrays[1:])
+            robots = self._scene.robot_states()
             for record, robot in zip(self.records, robots, strict=True):
                 fill_record(record, robot)
             self._show_plain(robots)

@@ -50,7 +50,7 @@ class Group:
         playpen: Index of the study's playpen.
         controller: Index of the study's controller.
         noise: Whether sensors are noisy.
-        vary: Whether each episode has other sensors.
+        vary: Whether each episode has another robot of the same make.
         lighting: "all" or "off".
         starts: Words for the starts; "playpen" and "random" depend on the seed.
         first: Number of its first episode.

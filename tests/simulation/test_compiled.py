@@ -92,6 +92,7 @@ CASES = {
     "a lamp that blinks and fades": (arena(LAMPS), {}),
     "lamps by turns": (playpen.load("two-lamps"), {}),
     "three robots": (arena(ROBOTS), {}),
+    "three other robots of the same make": (arena(ROBOTS), {"vary": True}),
     "a gripper": (playpen.load("gripper"), {}),
     "faults": (
         arena(ROBOTS),

@@ -45,6 +45,8 @@ class _Named:
     id: int
     name: str
     bodyid: NDArray[np.int32]
+    subtreemass: NDArray[np.float64]
+    invweight0: NDArray[np.float64]
     adr: NDArray[np.int32]
     dim: NDArray[np.int32]
     fovy: NDArray[np.float64]
@@ -52,6 +54,9 @@ class _Named:
     qposadr: NDArray[np.int32]
     pos: NDArray[np.float64]
     size: NDArray[np.float64]
+
+class MjStatistic:
+    meaninertia: float
 
 class MjModel:
     nbody: int
@@ -62,11 +67,16 @@ class MjModel:
     body_parentid: NDArray[np.int32]
     body_pos: NDArray[np.float64]
     body_quat: NDArray[np.float64]
+    body_invweight0: NDArray[np.float64]
+    body_inertia: NDArray[np.float64]
     body_mass: NDArray[np.float64]
     body_rootid: NDArray[np.int32]
     body_weldid: NDArray[np.int32]
     body_subtreemass: NDArray[np.float64]
+    dof_M0: NDArray[np.float64]
     dof_bodyid: NDArray[np.int32]
+    dof_armature: NDArray[np.float64]
+    dof_frictionloss: NDArray[np.float64]
     qpos0: NDArray[np.float64]
     cam_pos: NDArray[np.float64]
     cam_quat: NDArray[np.float64]
@@ -78,6 +88,11 @@ class MjModel:
     geom_quat: NDArray[np.float64]
     geom_rbound: NDArray[np.float64]
     opt: MjsOption
+    stat: MjStatistic
+    pair_margin: NDArray[np.float64]
+    pair_friction: NDArray[np.float64]
+    pair_geom1: NDArray[np.int32]
+    pair_geom2: NDArray[np.int32]
     actuator_gainprm: NDArray[np.float64]
     geom_rgba: NDArray[np.float32]
     geom_size: NDArray[np.float64]
@@ -177,6 +192,12 @@ class MjsGeom:
 
 class MjsPair:
     solref: Sequence[float]
+    solimp: Sequence[float]
+    solreffriction: Sequence[float]
+    margin: float
+
+class MjsJoint:
+    frictionloss: float
 
 class MjsSensor:
     name: str
@@ -225,11 +246,12 @@ class MjSpec:
 
     @staticmethod
     def from_file(filename: str) -> MjSpec: ...
-    def add_pair(self, **attributes: Any) -> None: ...
+    def add_pair(self, **attributes: Any) -> MjsPair: ...
     def add_key(self, **attributes: Any) -> None: ...
     def body(self, name: str) -> MjsBody: ...
     def geom(self, name: str) -> MjsGeom: ...
     def actuator(self, name: str) -> MjsActuator: ...
+    def joint(self, name: str) -> MjsJoint: ...
     def attach(self, child: MjSpec, *, prefix: str, frame: MjsFrame) -> MjsFrame: ...
     def camera(self, name: str) -> MjsCamera: ...
     def compile(self) -> MjModel: ...
@@ -244,6 +266,8 @@ def mj_kinematics(model: MjModel, data: MjData) -> None: ...
 def mj_resetData(model: MjModel, data: MjData) -> None: ...
 def mj_camlight(model: MjModel, data: MjData) -> None: ...
 def mj_comPos(model: MjModel, data: MjData) -> None: ...
+def mj_setConst(model: MjModel, data: MjData) -> None: ...
+def mju_mat2Quat(quat: NDArray[np.float64], mat: NDArray[np.float64]) -> None: ...
 def mj_sensorPos(model: MjModel, data: MjData) -> None: ...
 def mju_mulPose(
     posres: NDArray[np.float64],

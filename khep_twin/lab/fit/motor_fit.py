@@ -1,8 +1,8 @@
 """Fit of one robot's motors to recorded drives with fixed duties (command P), by simulating them.
 
 The host's lines of a log are sent to a twin at their times, and its answers to E and H are compared with the
-robot's. The steady speed at a duty determines the no-load speed, the rise time the stall torque. The
-controllers of D and C hide both, so the log must contain P.
+robot's. Steady speeds at two duties determine the no-load speed and the gears' friction, the rise time the
+stall torque. The controllers of D and C hide them, so the log must contain P.
 """
 
 import re
@@ -74,11 +74,13 @@ class MotorFit:
         motors: Fitted calibration.
         speed_interval: Half of the no-load speed's 95 % confidence interval [rad/s].
         torque_interval: Half of the stall torque's 95 % confidence interval [N m].
+        friction_interval: Half of the friction torque's 95 % confidence interval [N m].
     """
 
     motors: MotorCalibration
     speed_interval: float
     torque_interval: float
+    friction_interval: float
 
 
 def read_drive(log: Path) -> DutyDrive:
@@ -129,18 +131,17 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
     parameters = [
         Parameter("no-load speed", begin.no_load_speed_rad_s, 30, 5, " rad/s", 20, 1000),
         Parameter("stall torque", begin.stall_torque_n_m * 1e3, 3, 2, " mN m", 0.5, 200),
+        Parameter("gear friction", begin.friction_torque_n_m * 1e3, 0.3, 0.3, " mN m", 0, 50),
     ]
 
     def left(x: Floats) -> Floats:
-        motors = MotorCalibration(no_load_speed_rad_s=float(x[0]), stall_torque_n_m=float(x[1]) / 1e3)
-        robot = start.model_copy(update={"motors": motors})
+        robot = start.model_copy(update={"motors": _motors(x.tolist())})
         twin = np.concatenate([driven(drive, robot) for drive in drives])
         return (twin - measured).ravel()
 
     found = least_squares(left, parameters, _WISH, step=_STEP)
-    no_load, torque = round(found.values[0], 2), round(found.values[1] / 1e3, 6)
-    motors = MotorCalibration(no_load_speed_rad_s=no_load, stall_torque_n_m=torque)
-    return MotorFit(motors, found.intervals[0], found.intervals[1] / 1e3)
+    speed_interval, torque_interval, friction_interval = found.intervals
+    return MotorFit(_motors(found.values), speed_interval, torque_interval / 1e3, friction_interval / 1e3)
 
 
 def driven(drive: DutyDrive, robot: Calibration) -> Floats:
@@ -168,6 +169,16 @@ def driven(drive: DutyDrive, robot: Calibration) -> Floats:
     ticks = drive.times_ns // TICK_NS
     gone = pulses[ticks] - pulses[np.maximum(ticks - 1, 0)]
     return drive.speeds(np.where(drive.ways[:, None], pulses[ticks], gone))
+
+
+def _motors(values: Sequence[float]) -> MotorCalibration:
+    """Return motors of a no-load speed [rad/s], stall torque and friction torque [mN m]."""
+    speed, stall, friction = values
+    return MotorCalibration(
+        no_load_speed_rad_s=round(speed, 2),
+        stall_torque_n_m=round(stall / 1e3, 6),
+        friction_torque_n_m=round(friction / 1e3, 6),
+    )
 
 
 def _values(line: TextLine) -> tuple[str, int, int] | None:

@@ -43,9 +43,11 @@ def fit_robot(tests: Measured, start: Calibration) -> RobotFit:
         motors = fit_motors(tests.motors, found)
         found = found.model_copy(update={"motors": motors.motors})
         speed, torque = motors.motors.no_load_speed_rad_s, motors.motors.stall_torque_n_m
+        friction = motors.motors.friction_torque_n_m
         lines += [
             f"no-load speed  {speed:.1f} rad/s +- {motors.speed_interval:.1f} (95 %)",
             f"stall torque   {torque * 1e3:.2f} mN m +- {motors.torque_interval * 1e3:.2f} (95 %)",
+            f"gear friction  {friction * 1e3:.3f} mN m +- {motors.friction_interval * 1e3:.3f} (95 %)",
         ]
         if not tests.wheels:
             lines.append("               with wheels as in --start; measured wheels improve the torque")

@@ -1,8 +1,9 @@
-"""Contact impulses by warm-started projected Gauss-Seidel: slipping tyres and obstacles that push the robot.
+"""Contact impulses by warm-started projected Gauss-Seidel: tyres that slip, gears that hold, obstacles.
 
-A tyre slips beyond its share of friction x load, along or across; the load on the rear support during an
-acceleration is taken off the tyres. Obstacles push along the line to the disc's centre, with friction across.
-All impulses of a substep are solved together, in repeated rounds.
+A tyre slips beyond its share of friction x load, along or across; the load that a pitching moment puts on a
+support is taken off the tyres. A gear's dry friction holds its wheel up to its torque. Obstacles push along
+the line to the disc's centre, with friction across. All impulses of a substep are solved together, in
+repeated rounds.
 
 Left out: tilt, hopping tyres, soft contacts.
 """
@@ -16,11 +17,15 @@ from khep_twin.rollout.planar.plane import (
     ALONG,
     ANCHOR_X,
     ANCHOR_Y,
+    ASIDE,
     DISTANCE,
+    GEAR,
     HEADING,
     HEADING_COSINE,
     HEADING_SINE,
     LEFT_ANGLE,
+    PUSHED,
+    PUSHED_ASIDE,
     RIGHT_ANGLE,
     SLIPS,
     TOUCHED,
@@ -39,6 +44,9 @@ _SETTLED = 1e-6
 _GRIPS = 1e-5
 """Slip below which a tyre counts as gripping [m/s]."""
 
+STANDS = 1e-5
+"""Speed of a tyre below which its gear may hold the wheel [m/s]."""
+
 _NEAR = 1e-4
 """Distance within which an obstacle counts as touched [m]."""
 
@@ -48,9 +56,6 @@ _PASSES = 4
 
 _Motion = tuple[float, float, float, float, float]
 """Speeds forwards and to the left [m/s], of rotation [rad/s], and of the left and right tyre [m/s]."""
-
-_Impulses = tuple[float, float, float]
-"""Impulses of the left tyre, the right tyre, and of both to the left [N s]."""
 
 _Rates = tuple[float, float, float, float, float, float, float]
 """Half of the track [m], inverse mass and inertia, effective masses of a tyre and of a touch, a tyre's speed
@@ -64,7 +69,7 @@ def slide(plane: Plane) -> None:
     joints, speeds, grips, h = robot.joints, robot.speeds, robot.grips, robot.substep
     x, y, heading = joints[X], joints[Y], joints[HEADING]
     forward, lateral, spin = speeds[0], speeds[1], speeds[2]
-    left, right = robot.wheel * speeds[LEFT_ANGLE], robot.wheel * speeds[RIGHT_ANGLE]
+    left, right = robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE]
     rates = _rates(robot)
     half = rates[0]
     slips = touches = False
@@ -77,8 +82,8 @@ def slide(plane: Plane) -> None:
         )
         x += h * (forward * c - lateral * s)
         y += h * (forward * s + lateral * c)
-        joints[LEFT_ANGLE] += h * left / robot.wheel
-        joints[RIGHT_ANGLE] += h * right / robot.wheel
+        joints[LEFT_ANGLE] += h * left / robot.left_wheel
+        joints[RIGHT_ANGLE] += h * right / robot.right_wheel
         turn = h * spin
         heading += turn
         slip = abs(forward - half * spin - left) + abs(forward + half * spin - right) + abs(lateral)
@@ -92,10 +97,11 @@ def slide(plane: Plane) -> None:
         x, y = _out(plane, x, y)
     joints[X], joints[Y], joints[HEADING] = x, y, heading
     speeds[0], speeds[1], speeds[2] = forward, lateral, spin
-    speeds[LEFT_ANGLE], speeds[RIGHT_ANGLE] = left / robot.wheel, right / robot.wheel
+    speeds[LEFT_ANGLE], speeds[RIGHT_ANGLE] = left / robot.left_wheel, right / robot.right_wheel
     robot.last[SLIPS] = 1.0 if slips else 0.0
     if not slips:
-        grips[0] = grips[1] = grips[2] = 0.0
+        for i in range(len(grips)):
+            grips[i] = 0.0
 
 
 @compilable
@@ -114,65 +120,80 @@ def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
     robot, things, grips = plane.robot, plane.things, plane.robot.grips
     half, inv_mass, inv_inertia, _, _, rim, lag = rates
     forward, lateral, spin, left, right = motion
-    left += (robot.free_speed * robot.ctrl[0] - left) * (1 - lag)
-    right += (robot.free_speed * robot.ctrl[1] - right) * (1 - lag)
-    impulses = grips[0], grips[1], grips[2]
-    forward += (impulses[0] + impulses[1]) * inv_mass
-    lateral += impulses[2] * inv_mass
-    spin += (impulses[1] - impulses[0]) * half * inv_inertia
-    left -= impulses[0] * rim
-    right -= impulses[1] * rim
+    for side in range(2):
+        speed = motion[3 + side]
+        if abs(speed) > STANDS:
+            grips[GEAR + side] = math.copysign(robot.gear * robot.substep, speed)
+    left += (robot.left_free_speed * robot.ctrl[0] - left) * (1 - lag)
+    right += (robot.right_free_speed * robot.ctrl[1] - right) * (1 - lag)
+    grips[PUSHED] = grips[PUSHED_ASIDE] = 0.0
     for i in range(count):
         thing = int(robot.contacts[i, 3])
         along, across = things[thing, ALONG], things[thing, ACROSS]
         nx, ny = robot.contacts[i, 0], robot.contacts[i, 1]
-        forward += (along * nx - across * ny) * inv_mass
-        lateral += (along * ny + across * nx) * inv_mass
+        grips[PUSHED] += along * nx - across * ny
+        grips[PUSHED_ASIDE] += along * ny + across * nx
         spin -= across * robot.radius * inv_inertia
+    forward += (grips[0] + grips[1] + grips[PUSHED]) * inv_mass
+    lateral += (grips[ASIDE] + grips[ASIDE + 1] + grips[PUSHED_ASIDE]) * inv_mass
+    spin += (grips[1] - grips[0]) * half * inv_inertia
+    left -= (grips[0] + grips[GEAR]) * rim
+    right -= (grips[1] + grips[GEAR + 1]) * rim
     motion = forward, lateral, spin, left, right
     for _ in range(_ROUNDS):
-        motion, impulses, changed = _hold(robot, rates, motion, impulses)
-        motion, changed = _push(plane, count, rates, motion, changed)
+        # Pitching loads a support instead of the tyres, rolling one tyre instead of the other.
+        pitching = robot.lean * robot.substep - robot.low * grips[PUSHED]
+        pitching += robot.high * (grips[0] + grips[1] + grips[PUSHED])
+        rolling = robot.high * (grips[ASIDE] + grips[ASIDE + 1] + grips[PUSHED_ASIDE])
+        rolling = (rolling - robot.low * grips[PUSHED_ASIDE]) * robot.shift
+        most = robot.grip * robot.substep - robot.relief * abs(pitching)
+        motion, changed = _hold(robot, rates, motion, 0, max(most - rolling, 0.0))
+        motion, more = _hold(robot, rates, motion, 1, max(most + rolling, 0.0))
+        motion, changed = _push(plane, count, rates, motion, changed + more)
         if changed * inv_mass < _SETTLED:
             break
-    grips[0], grips[1], grips[2] = impulses
     return motion
 
 
 @compilable
 def _hold(
-    robot: PlanarRobot, rates: _Rates, motion: _Motion, impulses: _Impulses
-) -> tuple[_Motion, _Impulses, float]:
-    """Return motion and impulses after one round of the tyres, and the change of impulses [N s]."""
+    robot: PlanarRobot, rates: _Rates, motion: _Motion, side: int, most: float
+) -> tuple[_Motion, float]:
+    """Return the motion after one round of a tyre and its gear, and the change of their impulses [N s].
+
+    Args:
+        robot: Robot.
+        rates: Constants of a substep.
+        motion: Motion so far.
+        side: 0 for the left tyre, 1 for the right one.
+        most: Largest impulse of the tyre, along and aside together [N s].
+    """
     half, inv_mass, inv_inertia, tyre, _, rim, _ = rates
     forward, lateral, spin, left, right = motion
-    grip_left, grip_right, grip_aside = impulses
-    change_left = -(forward - half * spin - left) * tyre
-    change_right = -(forward + half * spin - right) * tyre
-    change_aside = -lateral * robot.mass
-    # Each tyre's impulse along and across is limited by its grip.
-    new_left, new_right = grip_left + change_left, grip_right + change_right
-    new_aside = grip_aside + change_aside
-    most = max(robot.grip * robot.substep - robot.relief * inv_mass * abs(grip_left + grip_right), 0.0)
-    both = new_aside * new_aside / 4
-    left_aside = right_aside = new_aside / 2
-    size = new_left * new_left + both
-    if size > most * most:
-        part = most / math.sqrt(size)
-        new_left, left_aside = new_left * part, left_aside * part
-    size = new_right * new_right + both
-    if size > most * most:
-        part = most / math.sqrt(size)
-        new_right, right_aside = new_right * part, right_aside * part
-    change_left, change_right = new_left - grip_left, new_right - grip_right
-    change_aside = left_aside + right_aside - grip_aside
-    forward += (change_left + change_right) * inv_mass
+    grips, rubs = robot.grips, robot.gear * robot.substep
+    arm, speed = (-half, left) if side == 0 else (half, right)
+    rub = min(max(grips[GEAR + side] + speed / rim, -rubs), rubs)
+    change = rub - grips[GEAR + side]
+    speed -= change * rim
+    changed = abs(change)
+    slip = forward + arm * spin - speed
+    along, aside = grips[side] - slip * tyre, grips[ASIDE + side] - lateral * robot.mass
+    if along * along + aside * aside > most * most:
+        # One scale for both: where it slips, the force is against the slip.
+        aside = grips[ASIDE + side] - lateral * tyre
+        part = most / max(math.sqrt(along * along + aside * aside), most)
+        along, aside = along * part, aside * part
+    change, change_aside = along - grips[side], aside - grips[ASIDE + side]
+    grips[side], grips[ASIDE + side], grips[GEAR + side] = along, aside, rub
+    forward += change * inv_mass
     lateral += change_aside * inv_mass
-    spin += (change_right - change_left) * half * inv_inertia
-    left -= change_left * rim
-    right -= change_right * rim
-    changed = abs(change_left) + abs(change_right) + abs(change_aside)
-    return (forward, lateral, spin, left, right), (new_left, new_right, left_aside + right_aside), changed
+    spin += change * arm * inv_inertia
+    speed -= change * rim
+    if side == 0:
+        left = speed
+    else:
+        right = speed
+    return (forward, lateral, spin, left, right), changed + abs(change) + abs(change_aside)
 
 
 @compilable
@@ -199,6 +220,8 @@ def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: flo
         changed += abs(change) + abs(new - along)
         forward += (new - along) * nx * inv_mass
         lateral += (new - along) * ny * inv_mass
+        robot.grips[PUSHED] += (new - along) * nx - change * ny
+        robot.grips[PUSHED_ASIDE] += (new - along) * ny + change * nx
     return (forward, lateral, spin, left, right), changed
 
 

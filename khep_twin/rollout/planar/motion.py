@@ -3,11 +3,13 @@
 All constants are those of the scene that `playpen_to_mjcf` makes. Motion is integrated as by MuJoCo's
 implicit integrator, in substeps of 2.5 ms, for any number of them per step:
 
-    J w' = K (V - K w) / R - r F          each wheel, w its speed, F the force of its tyre on the floor
+    J w' = K (V - K w) / R - T - r F      each wheel, w its speed, F the force of its tyre on the floor
     m v' = F_left + F_right + walls       and likewise about the vertical axis
 
-While tyres grip, both wheels and the body are two first-order lags, for translation and rotation, and nothing
-has to be solved. `contact_solver` does the rest.
+T is the gear's dry friction, against the speed; a wheel stands while less than its torque drives it. While
+tyres grip and wheels keep turning as they do, both wheels and the body are two first-order lags, for
+translation and rotation, and nothing has to be solved. Wheels of different radii have
+the lags of their mean. `contact_solver` does the rest.
 """
 
 import math
@@ -29,6 +31,7 @@ from khep_twin.rollout.planar.plane import (
     RIGHT_ANGLE,
     SLIPS,
     TOUCHED,
+    PlanarRobot,
     Plane,
     X,
     Y,
@@ -52,8 +55,15 @@ def step(plane: Plane) -> None:
         measure(plane)
     robot.force[0] = robot.stall * robot.ctrl[0] - robot.damping * speeds[LEFT_ANGLE]
     robot.force[1] = robot.stall * robot.ctrl[1] - robot.damping * speeds[RIGHT_ANGLE]
-    left_aim, right_aim = robot.free_speed * robot.ctrl[0], robot.free_speed * robot.ctrl[1]
-    left, right = robot.wheel * speeds[LEFT_ANGLE], robot.wheel * speeds[RIGHT_ANGLE]
+    left, right = robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE]
+    left_way, right_way = _turning(left, robot.ctrl[0], robot), _turning(right, robot.ctrl[1], robot)
+    if left_way == 0.0 and right_way == 0.0 and last[SLIPS] == 0:
+        # Both gears hold; what is left of a speed is the solver's rest.
+        for i in range(len(speeds)):
+            speeds[i] = 0.0
+        return
+    left_aim = robot.left_free_speed * (robot.ctrl[0] - left_way * robot.dead_voltage)
+    right_aim = robot.right_free_speed * (robot.ctrl[1] - right_way * robot.dead_voltage)
     going, turning = (left + right) / 2, (right - left) / 2
     going_aim, turning_aim = (left_aim + right_aim) / 2, (right_aim - left_aim) / 2
     n, h = robot.n_substeps, robot.substep
@@ -63,33 +73,47 @@ def step(plane: Plane) -> None:
     per_turn = 2 / robot.track
     force = abs(robot.mass * speeding) / 2 + abs(robot.inertia * swinging) * per_turn * per_turn / 2
     force += abs(robot.mass * going * turning) * per_turn / 2
+    pitching = abs(robot.lean + robot.mass * robot.high * speeding)
     most = max(abs(going), abs(going_aim)) * h * n
     if (
         last[SLIPS] != 0
-        or force > robot.grip - robot.relief * abs(speeding)
+        or left_way * right_way == 0.0
+        or force > robot.grip - robot.relief * pitching
         or not _clear(plane, x, y, robot.radius + most)
     ):
         contact_solver.slide(plane)
         return
-    left_way = right_way = 0.0
+    left_path = right_path = 0.0
     for _ in range(n):
         going = going_aim + (going - going_aim) * robot.going
         turning = turning_aim + (turning - turning_aim) * robot.turning
         # Positions are integrated with the new speeds along the old heading, as in MuJoCo.
         x += h * going * c
         y += h * going * s
-        left_way += going - turning
-        right_way += going + turning
+        left_path += going - turning
+        right_path += going + turning
         turn = h * turning * per_turn
         heading += turn
         turn_c, turn_s = flat.turned(turn)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
+    if (going - turning) * left_way < 0 or (going + turning) * right_way < 0:
+        # A wheel stops within the step.
+        contact_solver.slide(plane)
+        return
     joints[X], joints[Y], joints[HEADING] = x, y, heading
-    joints[LEFT_ANGLE] += left_way * h / robot.wheel
-    joints[RIGHT_ANGLE] += right_way * h / robot.wheel
+    joints[LEFT_ANGLE] += left_path * h / robot.left_wheel
+    joints[RIGHT_ANGLE] += right_path * h / robot.right_wheel
     speeds[0], speeds[1], speeds[2] = going, 0.0, turning * per_turn
-    speeds[LEFT_ANGLE] = (going - turning) / robot.wheel
-    speeds[RIGHT_ANGLE] = (going + turning) / robot.wheel
+    speeds[LEFT_ANGLE] = (going - turning) / robot.left_wheel
+    speeds[RIGHT_ANGLE] = (going + turning) / robot.right_wheel
+
+
+@compilable
+def _turning(speed: float, voltage: float, robot: PlanarRobot) -> float:
+    """Return the direction in which a wheel turns or starts to, 1 or -1; 0 if its gear holds it."""
+    if abs(speed) > contact_solver.STANDS:
+        return math.copysign(1.0, speed)
+    return math.copysign(1.0, voltage) if abs(voltage) > robot.dead_voltage else 0.0
 
 
 @compilable

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.playpen_to_mjcf import SHELL_FRICTION, TYRE_FRICTION
+from khep_twin.playpen_to_mjcf import SHELL_FRICTION
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.fitted_robots import pairs_of
 
 _PREFIX = "khepera0/"
 
@@ -54,7 +55,7 @@ class PlanarScene:
                     )
         robot = playpen.robots[0]
         self.position = robot.x_mm, robot.y_mm, robot.heading_deg
-        self.chassis = _chassis(model, at, step_ns)
+        self._step_ns = step_ns
         shell = model.geom(f"{_PREFIX}shell")
         low, high = _span(model, shell.id)
         self.height = float(model.cam_pos[at.cameras[0], 2])
@@ -65,19 +66,28 @@ class PlanarScene:
         bottoms, tops = self.things[:, flat.BOTTOM], self.things[:, flat.TOP]
         self.things[:, flat.TOUCHED] = (tops > low) & (bottoms < high)
         self.things[:, flat.REFLECTANCE] = model.geom_user[upright, 0]
+        self.fit(model, at, mujoco.MjData(model))
+
+    def fit(self, model: mujoco.MjModel, at: RobotIndices, data: mujoco.MjData) -> None:
+        """Take the robot's constants from a model; its state is lost."""
+        self.chassis = _chassis(model, at, self._step_ns, data)
         self.mounts = np.array([_mount(model, camera) for camera in at.cameras])
 
 
-def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str, float | int]:
+def _chassis(
+    model: mujoco.MjModel, at: RobotIndices, step_ns: int, data: mujoco.MjData
+) -> dict[str, float | int]:
     """Return the robot's constants, from the scene."""
-    data = mujoco.MjData(model)
+    mujoco.mj_resetData(model, data)
     mujoco.mj_forward(model, data)
     masses = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, masses)
     turning, axle = at.velocity + 5, at.wheel_speeds[0]
     mass = float(model.body_subtreemass[at.base])
     inertia, spin = float(masses[turning, turning]), float(masses[axle, axle])
-    wheel = float(model.geom(f"{_PREFIX}left_tyre").size[0])
+    left_wheel, right_wheel = model.geom_size[list(at.tyres), 0].tolist()
+    wheel = (left_wheel + right_wheel) / 2
+    grip = float(model.pair_friction[pairs_of(model, at.tyres)[0], 0])
     left, right = (float(model.body_pos[wheel, 1]) for wheel in at.wheels)
     track, h = left - right, units.STEP_NS * 1e-9
     resistance, constant = model.actuator_gainprm[at.motors[0], :2].tolist()
@@ -85,27 +95,36 @@ def _chassis(model: mujoco.MjModel, at: RobotIndices, step_ns: int) -> dict[str,
     # Inertia at each wheel, with the body's mass or inertia as if at the rims.
     going = mass / 2 * wheel * wheel + spin
     swinging = 2 * inertia / (track * track) * wheel * wheel + spin
-    # Load on the rear support per acceleration: the mass at its height, and the wheels' spin.
-    height = float(data.subtree_com[at.base, 2])
+    gear = float(model.dof_frictionloss[axle])
+    _, _, high = centre = data.subtree_com[at.base]
+    ahead = float((centre - data.xpos[at.base]) @ data.xmat[at.base].reshape(3, 3)[:, 0])
     arm = abs(float(model.geom(f"{_PREFIX}front_support").pos[0]))
     weight = mass * abs(float(model.opt.gravity[2]))
-    behind = (mass * height + 2 * spin / wheel) / arm
     return dict(
         substep=h,
         n_substeps=step_ns // units.STEP_NS,
         radius=float(model.geom(f"{_PREFIX}shell").size[0]),
         track=track,
         wheel=wheel,
+        left_wheel=left_wheel,
+        right_wheel=right_wheel,
         mass=mass,
         inertia=inertia,
         spin=spin,
         stall=stall,
         damping=damping,
-        free_speed=wheel / constant,
+        left_free_speed=left_wheel / constant,
+        right_free_speed=right_wheel / constant,
         going=going / (going + h * damping),
         turning=swinging / (swinging + h * damping),
-        grip=TYRE_FRICTION * weight / 2,
-        relief=TYRE_FRICTION * behind / 2,
+        gear=gear / wheel,
+        dead_voltage=gear / stall,
+        grip=grip * weight / 2,
+        relief=grip / 2 / arm,
+        shift=grip / track,
+        lean=-weight * ahead,
+        high=float(high) + 2 * (spin - float(model.dof_armature[axle])) / (wheel * mass),
+        low=_span(model, model.geom(f"{_PREFIX}shell").id)[0],
         friction=SHELL_FRICTION,
     )
 

@@ -1,10 +1,12 @@
 """One robot in a plane, as episodes use it: the counterpart of `World`."""
 
+import copy
 import math
 from collections.abc import Sequence
 from functools import cache, partial
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,7 @@ from khep_twin.sensing.mujoco_scene import points_of_a_bulb
 from khep_twin.sensing.optics import Light
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.scene import FEW, MANY
+from khep_twin.simulation.fitted_robots import FittedRobots
 from khep_twin.simulation.mujoco_forms import SceneModel, robot_state
 from khep_twin.simulation.simulation import Advance, Simulation
 from khep_twin.step import DONE, RobotState
@@ -53,13 +56,14 @@ class PlanarForms:
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
         self._planar_scene = planar_scene
         self._entry, self._model = scene_model.playpen.robots[0], scene_model.model
+        self._calibration = self._drawn = calibration.read(self._entry.calibration)[0]
+        self._fitted: tuple[PlanarScene, FittedRobots, mujoco.MjModel, mujoco.MjData] | None = None
         self._indices = RobotIndices.of(self._model, "khepera0")
         self._lights = LightSource(self._model, self._indices)
         points = [points_of_a_bulb(number) for number in (FEW, MANY)]
         numbers: dict[str, Any] = {
-            **planar_scene.chassis,
+            **_constants(planar_scene),
             "height": planar_scene.height,
-            "mounts": planar_scene.mounts,
             "n_few": len(points[0]),
             "points": np.concatenate(points),
             "hidden": np.zeros(sum(map(len, points)), np.int64),
@@ -68,7 +72,7 @@ class PlanarForms:
             "speeds": np.zeros(flat.N_JOINTS),
             "ctrl": np.zeros(2),
             "force": np.zeros(2),
-            "grips": np.zeros(3),
+            "grips": np.zeros(flat.N_GRIPS),
             "last": np.zeros(flat.N_LAST),
         }
         self._things, self._order = planar_scene.things.copy(), np.zeros(len(planar_scene.things), np.int64)
@@ -106,12 +110,34 @@ class PlanarForms:
         away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
         self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
 
-    def robot_states(self, spreads: Sequence[np.random.Generator] | None = None) -> list[RobotState]:
-        """Return the state of the robot; its sensors are drawn at random if there is a stream for it."""
-        measured = calibration.read(self._entry.calibration)[0]
-        if spreads is not None:
-            measured = calibration.varied(measured, spreads[0])
-        return [robot_state(self._model, self._indices, PlanarScene.JOINTS, measured, self._entry)]
+    def vary(self, spreads: Sequence[np.random.Generator] | None) -> None:
+        """Make the robot another of the same make, drawn from the stream; None for that of the playpen."""
+        if self._fitted is None:
+            model = copy.copy(self._model)
+            self._fitted = (
+                copy.copy(self._planar_scene),
+                FittedRobots(model, [self._indices]),
+                model,
+                mujoco.MjData(model),
+            )
+        scene, fitted, model, data = self._fitted
+        self._drawn = self._calibration
+        if spreads is None:
+            scene = self._planar_scene
+        else:
+            self._drawn = calibration.varied(self._calibration, spreads[0])
+            fitted.fit([self._drawn], data)
+            scene.fit(model, self._indices, data)
+        record: Any = self._records[0]
+        numbers = _constants(scene)
+        for name, value in numbers.items():
+            record[name] = value
+        single = {name: value for name, value in numbers.items() if not isinstance(value, np.ndarray)}
+        self.plane = self.plane._replace(robot=self.plane.robot._replace(**single))
+
+    def robot_states(self) -> list[RobotState]:
+        """Return the state of the robot."""
+        return [robot_state(self._model, self._indices, PlanarScene.JOINTS, self._drawn, self._entry)]
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
         """Return the lamps with the known sight lines to them."""
@@ -131,6 +157,16 @@ class PlanarForms:
     def joints(self) -> Floats:
         """Copy of the joint positions."""
         return self.state["joints"].copy()
+
+
+def _constants(scene: PlanarScene) -> dict[str, Any]:
+    """Return the fields of `PlanarRobot` that a calibration changes."""
+    return {
+        **scene.chassis,
+        "mounts": scene.mounts,
+        "ray_directions": scene.ray_directions,
+        "cones": scene.cones,
+    }
 
 
 class PlanarWorld:
@@ -165,8 +201,8 @@ class PlanarWorld:
         if starts is None:
             robot = at_spots(self.playpen, seed).robots[0]
             starts = [(robot.x_mm, robot.y_mm, robot.heading_deg)]
-        self.forms.put(starts[0])
         simulation.reset(seed, noise=noise, vary=vary)
+        self.forms.put(starts[0])
         self._switch_on_board()
         playpen = self.playpen
         if lamps is not None:

@@ -20,6 +20,11 @@ HEADING_COSINE, HEADING_SINE, MOVED, ANCHOR_X, ANCHOR_Y, SLIPS = 2, 3, 4, 5, 6, 
 distance from the anchor, the anchor [m], and whether a tyre slips or something is touched."""
 N_LAST = 8
 
+ASIDE, GEAR, PUSHED, PUSHED_ASIDE = 2, 4, 6, 7
+"""Indices in `PlanarRobot.grips`, behind the left and right tyre's impulse along: both to the left, those of
+the gears' friction, left before right, and of all obstacles forwards and to the left."""
+N_GRIPS = 8
+
 X, Y, HEADING, LEFT_ANGLE, RIGHT_ANGLE = 0, 1, 2, 3, 4
 """Indices in `PlanarRobot.joints` [m, rad]; `PlanarRobot.speeds` has the speeds forwards, to the left, of
 rotation, and of the wheels [m/s, rad/s]."""
@@ -34,17 +39,26 @@ class PlanarRobot(NamedTuple):
         n_substeps: Substeps in each step.
         radius: Radius of the body [m].
         track: Distance between the wheels [m].
-        wheel: Radius of the wheels [m].
+        wheel: Mean radius of the wheels [m].
+        left_wheel: Radius of the left wheel [m].
+        right_wheel: Radius of the right wheel [m].
         mass: Mass of the whole robot [kg].
         inertia: Inertia of the whole robot about the vertical axis [kg m^2].
         spin: Inertia of a wheel and its rotor [kg m^2].
         stall: Stall torque of a motor per voltage [N m/V].
         damping: Torque lost per speed of a wheel [N m s].
-        free_speed: Speed of a tyre per voltage, without load [m/s/V].
+        left_free_speed: Speed of the left tyre per voltage, without load [m/s/V].
+        right_free_speed: Speed of the right tyre per voltage, without load [m/s/V].
         going: Part of the lag behind the free speed left after a substep, driving straight.
         turning: Part of the lag left after a substep, turning in place.
-        grip: Largest force of a tyre without acceleration [N].
-        relief: Loss of that force per acceleration [N s^2/m].
+        gear: Dry friction of a gear, as a force at the tyre [N].
+        dead_voltage: Voltage at which a motor overcomes that friction [V].
+        grip: Largest force of a tyre that carries half of the robot [N].
+        relief: Loss of that force per pitching moment, which a support takes [1/m].
+        shift: Shift of that force to the other tyre per rolling moment [1/m].
+        lean: Pitching moment of the weight [N m].
+        high: Pitching moment per accelerating force: the height of the mass, and the wheels' spin [m].
+        low: Height at which obstacles push [m].
         friction: Friction of the body on obstacles.
         height: Height of the sensors above the floor [m].
         mounts: Mount of each sensor: x forward, y left, cosine and sine of its direction, distance from the
@@ -57,7 +71,7 @@ class PlanarRobot(NamedTuple):
         speeds: Joint speeds, live (N_JOINTS,).
         ctrl: Motor voltages (2,) [V].
         force: Motor torques at the start of the step (2,) [N m].
-        grips: Impulses of the tyres in the last substep: left, right, and of both to the left (3,) [N s].
+        grips: Impulses in the last substep (N_GRIPS,) [N s].
         last: State of the last step (N_LAST,).
     """
 
@@ -66,16 +80,25 @@ class PlanarRobot(NamedTuple):
     radius: float
     track: float
     wheel: float
+    left_wheel: float
+    right_wheel: float
     mass: float
     inertia: float
     spin: float
     stall: float
     damping: float
-    free_speed: float
+    left_free_speed: float
+    right_free_speed: float
     going: float
     turning: float
+    gear: float
+    dead_voltage: float
     grip: float
     relief: float
+    shift: float
+    lean: float
+    high: float
+    low: float
     friction: float
     height: float
     mounts: Matrix

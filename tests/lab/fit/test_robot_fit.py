@@ -32,7 +32,9 @@ def times(values: tuple[float, ...], factors: np.ndarray) -> tuple[float, ...]:
 HIDDEN = KHEPERA1.model_copy(
     update={
         "wheels": calibration.WheelCalibration(radius_mm=7.83, base_mm=53.4),
-        "motors": calibration.MotorCalibration(no_load_speed_rad_s=131.0, stall_torque_n_m=0.0142),
+        "motors": calibration.MotorCalibration(
+            no_load_speed_rad_s=131.0, stall_torque_n_m=0.0142, friction_torque_n_m=0.0008
+        ),
         "proximity": KHEPERA1.proximity.model_copy(
             update={
                 "gain_counts_mm2": times(KHEPERA1.proximity.gain_counts_mm2, FACTORS),
@@ -149,6 +151,7 @@ def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
     assert found.wheels.base_mm == pytest.approx(HIDDEN.wheels.base_mm, rel=0.005)
     assert found.motors.no_load_speed_rad_s == pytest.approx(HIDDEN.motors.no_load_speed_rad_s, rel=0.01)
     assert found.motors.stall_torque_n_m == pytest.approx(HIDDEN.motors.stall_torque_n_m, rel=0.03)
+    assert found.motors.friction_torque_n_m == pytest.approx(HIDDEN.motors.friction_torque_n_m, rel=0.05)
     for part, key in (("proximity", "gain_counts_mm2"), ("ambient", "gain_counts_mm2_per_w")):
         gains = np.array(getattr(getattr(found, part), key)) / getattr(getattr(HIDDEN, part), key)
         np.testing.assert_allclose(gains, 1, atol=0.03)

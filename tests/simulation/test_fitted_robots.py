@@ -1,0 +1,169 @@
+"""Robots fitted to another calibration: the scene that would be compiled of it, and back."""
+
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.playpen import Playpen
+from khep_twin.rollout.episode import Episode
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.sensing import calibration
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.fitted_robots import FIELDS, FittedRobots
+from khep_twin.simulation.mujoco_forms import SceneModel
+from khep_twin.world import World
+
+SECOND = "[[robot]]\nx_mm = 150\ny_mm = 150\nheading_deg = 90\n"
+OPEN = """
+version = 1
+name = "open"
+[arena]
+width_mm = 2000
+height_mm = 2000
+[[robot]]
+x_mm = 1000
+y_mm = 1000
+heading_deg = 0
+"""
+
+LEFT_OUT = {"meansize", "actuator_biasprm"}
+"""The scale of viewers' arrows, and the damping of a gripper's servos."""
+
+
+def two() -> Playpen:
+    return playpen.parse(playpen.dump(playpen.load("default")) + SECOND, "two")
+
+
+def another(seed: int = 0) -> Calibration:
+    return calibration.varied(calibration.read("khepera1")[0], np.random.default_rng(seed))
+
+
+def replace(patch: pytest.MonkeyPatch, name: str, value: object) -> None:
+    """Have a function of `calibration` always return this."""
+
+    def answer(*_: object) -> object:
+        return value
+
+    patch.setattr(calibration, name, answer)
+
+
+def numbers(model: mujoco.MjModel) -> dict[str, Any]:
+    """All arrays of a model, and its statistics."""
+    found: dict[str, Any] = {}
+    for part in (model, model.stat):
+        for name in dir(part):
+            value = getattr(part, name) if not name.startswith("_") else None
+            if isinstance(value, (np.ndarray, float, int)) and name not in LEFT_OUT:
+                found[name] = np.array(value)
+    return found
+
+
+def same(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
+    left, right = numbers(one), numbers(other)
+    # The sag of the tyres is computed otherwise in a fitted scene.
+    if np.allclose(left["pair_margin"], right["pair_margin"], rtol=1e-9, atol=0):
+        left["pair_margin"] = right["pair_margin"]
+    different = {
+        name
+        for name, value in left.items()
+        if not np.array_equal(value, right[name], equal_nan=value.dtype.kind == "f")
+    }
+    assert not different - {*FIELDS, "meaninertia"}
+    return not different
+
+
+@pytest.mark.parametrize("name", ["obstacles", "garbage", "two"])
+def test_a_fitted_scene_is_the_one_compiled_of_that_calibration_and_can_be_undone(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = two() if name == "two" else playpen.load(name)
+    model = SceneModel.of(scene).model
+    before, drawn = copy.copy(model), another()
+    robots = [RobotIndices.of(model, f"khepera{index}") for index in range(len(scene.robots))]
+    fitted, data = FittedRobots(model, robots), mujoco.MjData(model)
+    fitted.fit([another(1)] * len(robots), data)
+    fitted.fit([drawn] * len(robots), data)
+    assert not same(model, before)
+    with monkeypatch.context() as patched:
+        replace(patched, "read", (drawn, ""))
+        assert same(model, SceneModel.of(scene).model)
+    fitted.fit(None, data)
+    assert same(model, before)
+
+
+def test_a_world_that_has_varied_returns_to_its_own_robot() -> None:
+    world, untouched = World(two(), seed=1), World(two(), seed=1)
+    world.restart(2, vary=True)
+    assert not same(world.model, untouched.model)
+    world.restart(1)
+    for each in (world, untouched):
+        for robot in each.robots:
+            robot.send(b"D,5,7\n")
+        each.advance_to(1_000_000_000)
+    # LEDs that are lit differ from a model as compiled, but not between these two.
+    assert same(world.model, untouched.model)
+    assert world.data.qpos.tobytes() == untouched.data.qpos.tobytes()
+
+
+def test_a_restart_with_vary_is_a_new_world_with_vary() -> None:
+    world, new = World(two(), seed=1), World(two(), seed=2, vary=True)
+    world.restart(3, vary=True)
+    world.restart(2, vary=True)
+    assert same(world.model, new.model)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_an_episode_that_varies_leaves_the_shared_model_as_it_is(compiled: bool, planar: bool) -> None:
+    if compiled:
+        pytest.importorskip("numba")
+    setup = EpisodeSetup(playpen.load("default"), planar=planar)
+    before = [copy.copy(each.model) for each in (setup.scene_model, setup.for_compiled)]
+    episode = Episode(setup, compiled=compiled)
+    ends: list[bytes] = []
+    for vary in (False, True, False):
+        episode.begin(1, vary=vary)
+        episode.drive(5, 5)
+        episode.run(0.5)
+        ends.append(episode.joints.tobytes())
+    assert ends[0] == ends[2] != ends[1]
+    for each, model in zip((setup.scene_model, setup.for_compiled), before, strict=True):
+        assert same(each.model, model)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_another_robot_of_the_same_make_sees_the_same_in_the_plane(seed: int) -> None:
+    seen: list[list[list[int]]] = []
+    for planar, vary in ((False, True), (True, True), (False, False)):
+        episode = Episode(EpisodeSetup(playpen.load("two-lamps"), planar=planar), compiled=False)
+        episode.begin(seed, start=(45.0, 300.0, 170.0), noise=False, vary=vary)
+        seen.append(list(episode.readings()))
+    assert np.abs(np.subtract(seen[0], seen[1])).max() <= 1
+    assert np.abs(np.subtract(seen[0], seen[2])).max() > 20
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_wheels_drive_as_far_as_their_radii_and_turn_by_their_difference(
+    planar: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Straight by the encoders is an arc: heading = (right - left) / base, by the radii's difference."""
+    measured = calibration.read("khepera1")[0]
+    wheels = measured.wheels.model_copy(update={"radius_mm": 7.8, "right_over_left": 1.02, "base_mm": 53.0})
+    drawn = measured.model_copy(update={"wheels": wheels})
+    replace(monkeypatch, "varied", drawn)
+    episode = Episode(EpisodeSetup(playpen.parse(OPEN, "open"), planar=planar), compiled=False)
+    episode.begin(noise=False, vary=True)
+    episode.drive(10, 10)
+    episode.run(2.0)
+    x, y, heading = episode.pose
+    left, right = episode.joints[[3, 4] if planar else [7, 8]].tolist()
+    assert left == pytest.approx(right, rel=2e-4)
+    way = (left + right) / 2 * 7.8e-3
+    turn = (right * 7.8e-3 * 1.02 - left * 7.8e-3) * 2 / 2.02 / 0.053
+    assert heading == pytest.approx(turn, rel=3e-3)
+    assert np.hypot(x - 1, y - 1) == pytest.approx(way * np.sinc(turn / 2 / np.pi), rel=1e-3)
