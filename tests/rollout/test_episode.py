@@ -156,7 +156,7 @@ def test_coarser_steps_convert_in_the_same_order_plain_and_compiled_alike(step_n
     ]
     seen: set[int] = set()
     for episode in both:
-        episode.begin(2, start=(330.0, 300.0, 0.0))
+        episode.begin(2, start=(330.0, 300.0, 240.0))
     for _ in range(150):
         for episode in both:
             episode.run(0.02)

@@ -75,9 +75,9 @@ def test_a_simulated_command_takes_no_time_and_kheprom_takes_a_cycle(btmap1: Ope
 def test_a_speed_of_1_moves(btmap1: OpenPlaypen) -> None:
     names.sim_sms(2, 1, 1)
     cycles(btmap1, 40)
-    # 8 mm/s for 2 s.
-    assert btmap1.twin.robot.pose[0] == pytest.approx(1.516, abs=1e-3)
-    assert np.abs(names.sim_rpc(2) - 200).max() <= 3
+    # 8 mm/s for 2 s, less the 0.2 s in which the controller's sum overcomes the gears' friction.
+    assert btmap1.twin.robot.pose[0] == pytest.approx(1.5144, abs=1e-3)
+    assert np.abs(names.sim_rpc(2) - 182).max() <= 3
 
 
 def test_speeds_have_sizes(btmap1: OpenPlaypen) -> None:

@@ -164,8 +164,6 @@ def _constants(scene: PlanarScene) -> dict[str, Any]:
     return {
         **scene.chassis,
         "mounts": scene.mounts,
-        "ray_directions": scene.ray_directions,
-        "cones": scene.cones,
     }
 
 
