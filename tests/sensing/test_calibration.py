@@ -40,7 +40,7 @@ def test_what_is_not_said_of_wheels_and_motors_is_as_the_manual_has_it() -> None
             "ambient: floor_counts = 75; expected below dark_counts = 60",
         ),
         (
-            "noise_counts = 40",
+            "noise_counts = 22",
             "noise_counts = -1",
             "proximity: noise_counts = -1; expected a number from 0 to 1023",
         ),
