@@ -36,7 +36,7 @@ _FAINT = 30.0
 """Light below which shadows have hard edges [counts]: their softness would be lost in the noise."""
 
 EMITTER_NS = 1_250_000
-"""Time from a sensor's conversion of ambient light to that with its emitter on [ns]: half its turn (assumed)."""
+"""Time from a sensor's conversion without its emitter to that with it [ns]: half its turn (assumed)."""
 
 _CLOSEST_MM = 1.0
 """Smallest distance of a lamp; nearer ones count as this near."""
