@@ -1,9 +1,9 @@
 """Noise of the sampled robot's proximity beside a twin of its room: `python -m benchmarks.noise_fits`.
 
-The tables come from the folder that KHEP_TWIN_REFERENCE_DATA names, as in `infrared_fits`. Their readings have
-a ripple that advances by a quarter of a period from one sensor to the next, which is converted 2.5 ms later:
-light that swings at 100 Hz. It belongs to the room. The twin of the room has a lamp overhead that flickers,
-and its robot is turned as the sampled one was.
+The tables come from the folder that KHEP_TWIN_REFERENCE_DATA names, as in `infrared_fits`. Their readings
+have a ripple that advances by a quarter of a period from one sensor to the next, which is converted 2.5 ms
+later: light that swings at 100 Hz. It belongs to the room. The twin of the room has a lamp overhead that
+flickers, and its robot is turned as the sampled one was.
 """
 
 from collections.abc import Iterator, Sequence
