@@ -185,7 +185,7 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
     scene, timing, robots = simulated.scene, simulated.timing, simulated.robots
     # The rangefinders' first turn comes in the second step.
     step(scene)
-    for first in range(0, units.N_SENSORS, timing.conversions):
+    for first in range(-units.N_SENSORS, 0, timing.conversions):
         step(scene)
         _scan(simulated, inputs, first)
     stopped = False
@@ -201,7 +201,7 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
 
 @compilable
 def convert_sensor(
-    simulated: Simulated, inputs: StepInputs, robot: int, row: int, channel: int, draw: int
+    simulated: Simulated, inputs: StepInputs, robot: int, row: int, time_ns: int, channel: int, draw: int
 ) -> None:
     """Convert one sensor of a robot.
 
@@ -210,6 +210,7 @@ def convert_sensor(
         inputs: Lamps and random draws.
         robot: Index of the robot.
         row: Row of the lamps' powers.
+        time_ns: Time of the conversion [ns].
         channel: Number of the sensor.
         draw: Index of the random draws.
     """
@@ -217,7 +218,7 @@ def convert_sensor(
     registers = state.registers
     noise = draws[0][draw], draws[1][draw], draws[2][draw]
     proximity, ambient = convert(
-        simulated.scene, state.sensors, simulated.light, inputs.powers[row], channel, noise
+        simulated.scene, state.sensors, simulated.light, inputs.powers[row], time_ns, channel, noise
     )
     if state.stuck[channel]:
         proximity, ambient = registers[_PROXIMITY + channel], registers[_AMBIENT + channel]
@@ -257,8 +258,8 @@ def _scan(simulated: Simulated, inputs: StepInputs, first: int) -> None:
     row = 0 if len(inputs.powers) == 1 else counters[STEPS] - 1 - counters[FIRST]
     for turn in range(conversions):
         for robot in range(len(simulated.robots)):
-            channel = (first + turn) % units.N_SENSORS
-            convert_sensor(simulated, inputs, robot, row, channel, counters[DRAWS])
+            time_ns, channel = (first + turn) * units.STEP_NS, (first + turn) % units.N_SENSORS
+            convert_sensor(simulated, inputs, robot, row, time_ns, channel, counters[DRAWS])
         counters[DRAWS] += 1
 
 

@@ -226,7 +226,7 @@ class World:
     def relight(self, playpen: Playpen) -> None:
         """Take the lamps and the lighting of another playpen."""
         self.playpen = playpen
-        self.lamps = Lamps(playpen, self._lamp_chance, self.time_ns)
+        self.lamps = Lamps(playpen, self._lamp_chance, self.time_ns, self.lamps.phase)
         self.simulation.set_lamps(self.lamps, playpen.lighting)
 
     def compile(self) -> None:

@@ -204,7 +204,7 @@ def test_noise_has_the_measured_level() -> None:
     text = scene(x_mm=1000 - 27.5 - 24, y_mm=500)
     middle = readings(text, PROXIMITY)[:, 2]
     assert 200 < middle.mean() < 800
-    assert middle.std() == pytest.approx(40, abs=3)
+    assert middle.std() == pytest.approx(22, abs=1.5)
     assert readings(text, AMBIENT)[:, 7].std() == pytest.approx(5, abs=0.5)
 
 

@@ -212,6 +212,7 @@ class Lamp(TomlTable):
         blink_period_s: Time from one flash to the next; 0 for a steady lamp.
         blink_duty: Fraction of that time in which it is on.
         fade_s: Time that it takes to go from dark to bright, and back.
+        flicker: Fraction of its light by which it swings with the mains (`Lighting.mains_hz`).
     """
 
     name: ObjectName = None
@@ -227,6 +228,7 @@ class Lamp(TomlTable):
     blink_period_s: Seconds = 0.0
     blink_duty: Annotated[float, Field(ge=0, le=1)] = 0.5
     fade_s: Seconds = 0.0
+    flicker: Annotated[float, Field(ge=0, le=1)] = 0.0
 
     @property
     def footprint(self) -> Circle:
@@ -247,6 +249,7 @@ class Lighting(TomlTable):
         law: "optics" as measured, or "toolbox" as in the Khepera Toolbox for Matlab, without shadows.
         min_angle_deg: Toolbox angle, up to which a lamp off the sensor's axis loses nothing.
         max_angle_deg: Toolbox angle, from which on nothing is left.
+        mains_hz: Frequency of the mains; lamps flicker twice in each of its periods.
     """
 
     mode: LightingMode = "all"
@@ -254,6 +257,7 @@ class Lighting(TomlTable):
     law: Literal["optics", "toolbox"] = "optics"
     min_angle_deg: Annotated[float, Field(ge=0, le=180)] = MIN_ANGLE_DEG
     max_angle_deg: Annotated[float, Field(ge=1, le=180)] = MAX_ANGLE_DEG
+    mains_hz: Annotated[float, Field(ge=10, le=100)] = 50.0
 
 
 MODELS: Mapping[str, Mapping[str, str]] = {

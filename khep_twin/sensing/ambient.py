@@ -71,5 +71,12 @@ def light_of(lines: SightLines, lighting: Lighting) -> Light:
         for middle, half, nearest in directions:
             edge = math.cos(half) if half < math.pi else -2.0
             hidden.append(Hidden(math.cos(middle), math.sin(middle), edge, nearest))
-    law = LightLaw(lighting.law == "toolbox", lighting.min_angle_deg, lighting.max_angle_deg, lines.known)
+    law = LightLaw(
+        lighting.law == "toolbox",
+        lighting.min_angle_deg,
+        lighting.max_angle_deg,
+        lines.known,
+        round(5e8 / lighting.mains_hz),
+        0.0,
+    )
     return Light(law, bulbs, hidden)

@@ -5,6 +5,9 @@ A lamp shines with its power times its dim. It can blink, `on_s` gives the times
 all, or one at a time. Then the next one, at random or in the file's order, is lit when a robot comes near
 the lit one or near a wall of the arena. Robots have to leave before they can come near again. The user can
 switch a lamp off and on again, whatever else switches it.
+
+A lamp with `flicker` swings about that power twice in each period of the mains, all lamps alike and at any
+time the same function of time; only the phase at time 0 is drawn by the seed, as no robot knows it.
 """
 
 import math
@@ -14,6 +17,7 @@ import numpy as np
 
 from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
 from khep_twin.playpen.polygon import distance
+from khep_twin.sensing.optics import Light
 from khep_twin.units import STEP_NS, metres
 
 
@@ -24,16 +28,24 @@ class Lamps:
         playpen: Playpen with the lamps and the lighting.
         rng: Factory of the random stream for the next lamp, called in mode "random" only.
         time_ns: Current time [ns].
+        phase: Phase of the mains, as in `optics.LightLaw`; drawn where a lamp flickers if not given.
 
     Attributes:
         names: Names in the playpen, else in the scene.
         positions: Positions of the bulbs' centres (n, 3) [m].
-        powers: Current powers (n,) [W].
+        powers: Current powers (n,), without their flicker [W].
         steady: True if the powers never change.
         lit: Index of the lamp that is on, if they are on one at a time; else None.
+        phase: Phase of the mains; None if no lamp flickers.
     """
 
-    def __init__(self, playpen: Playpen, rng: Callable[[], np.random.Generator], time_ns: int = 0) -> None:
+    def __init__(
+        self,
+        playpen: Playpen,
+        rng: Callable[[], np.random.Generator],
+        time_ns: int = 0,
+        phase: float | None = None,
+    ) -> None:
         self._lamps, self._lighting = playpen.lamps, playpen.lighting
         self._corners = [(metres(x_mm), metres(y_mm)) for x_mm, y_mm in playpen.arena.corners]
         self._rng = rng
@@ -49,6 +61,9 @@ class Lamps:
             self.lit = 0
             if self._lighting.mode == "random":
                 self.lit = int(rng().integers(len(self._lamps)))
+        self.phase = phase
+        if phase is None and any(lamp.flicker for lamp in self._lamps):
+            self.phase = float(rng().random())
         self._time_ns = time_ns
         self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
 
@@ -62,6 +77,14 @@ class Lamps:
     def turned_off(self, index: int) -> bool:
         """Return whether the user has switched a lamp off."""
         return index in self._off
+
+    def flickering(self, light: Light) -> Light:
+        """Return a scene's light with the flicker of these lamps."""
+        if self.phase is None:
+            return light
+        law = light.law._replace(phase=self.phase)
+        pairs = zip(light.bulbs, self._lamps, strict=True)
+        return light._replace(law=law, bulbs=[bulb._replace(flicker=lamp.flicker) for bulb, lamp in pairs])
 
     def update(self, time_ns: int, robots: Sequence[tuple[float, float, float]]) -> bool:
         """Advance the lamps to a time.

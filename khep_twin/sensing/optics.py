@@ -30,6 +30,9 @@ _NOTHING = 0.5
 _FAINT = 30.0
 """Light below which shadows have hard edges [counts]: their softness would be lost in the noise."""
 
+EMITTER_NS = 1_250_000
+"""Time from a sensor's conversion without its emitter to that with it [ns]: half its turn (assumed)."""
+
 _CLOSEST_MM = 1.0
 """Smallest distance of a lamp; nearer ones count as this near."""
 
@@ -119,13 +122,14 @@ class RobotSensors(NamedTuple):
 
 
 class Bulb(NamedTuple):
-    """A lamp: its centre [m], and the range of its directions in `Light.hidden`."""
+    """A lamp: its centre [m], the range of its directions in `Light.hidden`, and the depth of its flicker."""
 
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
     first: int = 0
     end: int = 0
+    flicker: float = 0.0
 
 
 class Hidden(NamedTuple):
@@ -152,12 +156,16 @@ class LightLaw(NamedTuple):
         min_angle_deg: Minimum angle of that law [deg].
         max_angle_deg: Maximum angle of that law [deg].
         known: True if all that stops light stands still.
+        flicker_ns: Period of the lamps' flicker [ns].
+        phase: Part of that period that has passed at time 0.
     """
 
     by_toolbox: bool
     min_angle_deg: float
     max_angle_deg: float
     known: bool
+    flicker_ns: int
+    phase: float
 
 
 class Light(NamedTuple):
@@ -180,6 +188,7 @@ def convert(
     sensors: RobotSensors,
     light: Light,
     powers: Sequence[float],
+    time_ns: int,
     channel: int,
     draws: tuple[float, float, float],
 ) -> tuple[int, int]:
@@ -189,23 +198,37 @@ def convert(
         scene: Scene around the robot.
         sensors: Sensors of the robot.
         light: Lamps of the world.
-        powers: Powers of the lamps (n,) [W].
+        powers: Mean powers of the lamps (n,) [W].
+        time_ns: Time of the conversion [ns].
         channel: Number of the sensor.
         draws: Random draws for proximity and ambient counts, with standard deviation 1, and for idle counts,
             with mean 1.
     """
-    ambient = sensors.ambient
-    noise = ambient.noise * draws[1]
+    ambient, added = sensors.ambient, 0.0
+    noise, reach = ambient.noise * draws[1], ambient.dark - ambient.floor
+    total, swing = light_counts(scene, sensors, light, powers, channel)
+    bright = total + swing * wave(light.law, time_ns) if swing > 0 else total
     # The floor is the first argument, so that NaN counts as the floor until it is noticed.
-    level = max(ambient.floor, ambient.dark - light_counts(scene, sensors, light, powers, channel))
-    range_left = (level - ambient.floor) / (ambient.dark - ambient.floor)
+    level = max(ambient.floor, ambient.dark - bright)
+    if swing > 0:
+        # The second conversion, with the emitter on, has other ambient light than the first.
+        bright = total + swing * wave(light.law, time_ns + EMITTER_NS)
+        change = level - max(ambient.floor, ambient.dark - bright)
+        added = sensors.proximity.limit * change / reach
     counts = max(min(round(level + noise), ambient.ceiling), 0)
-    return proximity_counts(scene, sensors, channel, draws[0], draws[2], range_left), counts
+    range_left = (level - ambient.floor) / reach
+    return proximity_counts(scene, sensors, channel, draws[0], draws[2], range_left, added), counts
 
 
 @compilable
 def proximity_counts(
-    scene: Scene, sensors: RobotSensors, channel: int, noise: float, idle: float, range_left: float
+    scene: Scene,
+    sensors: RobotSensors,
+    channel: int,
+    noise: float,
+    idle: float,
+    range_left: float,
+    added: float,
 ) -> int:
     """Return the counts of reflected light.
 
@@ -216,9 +239,10 @@ def proximity_counts(
         noise: Random draw with standard deviation 1.
         idle: Random draw with mean 1.
         range_left: Part of the range that ambient light leaves, 0 to 1.
+        added: Change of the ambient light between the sensor's two conversions [counts].
     """
     proximity = sensors.proximity
-    level = proximity.noise * noise - proximity.threshold[channel]
+    level = proximity.noise * noise + added - proximity.threshold[channel]
     # Where all is farther off, nothing passes the threshold, or changes the reading by half a step.
     near = math.sqrt(proximity.bound[channel] / max(-level, proximity.quantum / 2))
     chip = chip_of(scene, sensors, channel)
@@ -253,11 +277,11 @@ def chip_of(scene: Scene, sensors: RobotSensors, channel: int) -> Chip:
 @compilable
 def light_counts(
     scene: Scene, sensors: RobotSensors, light: Light, powers: Sequence[float], channel: int
-) -> float:
-    """Return the light of all lamps at one receiver, below its dark level [counts]."""
-    total, law, bulbs, ambient = 0.0, light.law, light.bulbs, sensors.ambient
+) -> tuple[float, float]:
+    """Return the mean light of all lamps at one receiver, below its dark level, and its swing [counts]."""
+    total, swing, law, bulbs, ambient = 0.0, 0.0, light.law, light.bulbs, sensors.ambient
     if not len(bulbs):
-        return total
+        return total, swing
     place, frame = position(scene, sensors, channel), body_frame(scene, sensors)
     x, y, z = place[0], place[1], place[2]
     ahead, left = ambient.ahead[channel], ambient.left[channel]
@@ -275,18 +299,25 @@ def light_counts(
             distance = BULB_RADIUS
         cosine = (dx * axis_x + dy * axis_y + dz * axis_z) / distance
         if law.by_toolbox:
-            total += power * received_by_toolbox(ambient, law, channel, distance, cosine)
-            continue
-        counts = power * received(ambient, channel, distance, cosine)
-        if counts <= _NOTHING:
-            continue
-        if clear(light, lamp, x, y):
-            total += counts
-        elif counts >= _FAINT:
-            total += counts * in_sight(scene, sensors, channel, (dx, dy, dz), distance)
-        elif not stopped(scene, sensors, channel, (dx, dy, dz), 1 - BULB_RADIUS / distance):
-            total += counts
-    return total
+            counts = power * received_by_toolbox(ambient, law, channel, distance, cosine)
+        else:
+            counts = power * received(ambient, channel, distance, cosine)
+            if counts <= _NOTHING:
+                continue
+            if not clear(light, lamp, x, y):
+                if counts >= _FAINT:
+                    counts *= in_sight(scene, sensors, channel, (dx, dy, dz), distance)
+                elif stopped(scene, sensors, channel, (dx, dy, dz), 1 - BULB_RADIUS / distance):
+                    continue
+        total += counts
+        swing += counts * bulb.flicker
+    return total, swing
+
+
+@compilable
+def wave(law: LightLaw, time_ns: int) -> float:
+    """Return the lamps' flicker at a time [ns], -1 to 1."""
+    return math.cos(math.tau * (time_ns % law.flicker_ns / law.flicker_ns + law.phase))
 
 
 @compilable

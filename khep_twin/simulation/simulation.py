@@ -23,7 +23,7 @@ from khep_twin.units import N_SENSORS
 N_DRAWS = 2048
 """Length of the buffers of random draws [conversions]; no effect on results."""
 
-NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True), (), ())
+NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True, 1, 0.0), (), ())
 """Lamps of a scene without any."""
 
 Draw = Callable[[int], NDArray[np.float64]]
@@ -151,7 +151,7 @@ class Simulation:
     def set_lamps(self, lamps: Lamps, lighting: Lighting) -> None:
         """Replace the lamps and the law of their light."""
         self.lamps, self._powered = lamps, self.steps
-        light = self._scene.light(lamps, lighting)
+        light = lamps.flickering(self._scene.light(lamps, lighting))
         if light is not self.plain.light:
             self.plain = self.plain._replace(light=light)
             if self._compiled:
@@ -207,10 +207,11 @@ class Simulation:
         inputs = self.inputs
         if self.lamps is not None:
             inputs = inputs._replace(powers=[self.lamps.powers])
+        time_ns = self.steps * self.plain.timing.step_ns
         for turn in range(N_SENSORS):
-            draw = int(self.counters[step.DRAWS])
+            channel, draw = (first + turn) % N_SENSORS, int(self.counters[step.DRAWS])
             for robot in range(len(self.plain.robots)):
-                step.convert_sensor(self.plain, inputs, robot, 0, (first + turn) % N_SENSORS, draw)
+                step.convert_sensor(self.plain, inputs, robot, 0, time_ns, channel, draw)
             self.counters[step.DRAWS] += 1
         self._count_draws()
 

@@ -42,6 +42,7 @@ x_mm = 260
 y_mm = 480
 z_mm = 40
 power_w = 6
+flicker = 0.4
 [[cylinder]]
 x_mm = 400
 y_mm = 110
@@ -278,9 +279,9 @@ def test_rays_that_end_early_change_no_count(name: str) -> None:
         backend.put((*rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), rng.uniform(0, 360)))
         drive(backend, 0.5, 0.5, 1)
         for channel, noise in enumerate(rng.normal(size=8).tolist()):
-            early = proximity_counts(PlaneScene(backend.plane), sensors, channel, noise, 1.0, 1.0)
-            looked = rays(backend.plane, sensors, channel, 40 * noise - near.threshold[channel])
-            assert proximity_counts(Whole(), sensors, channel, noise, 1.0, 1.0) == early
+            early = proximity_counts(PlaneScene(backend.plane), sensors, channel, noise, 1.0, 1.0, 0.0)
+            looked = rays(backend.plane, sensors, channel, near.noise * noise - near.threshold[channel])
+            assert proximity_counts(Whole(), sensors, channel, noise, 1.0, 1.0, 0.0) == early
             seen, ended = seen + (early > 10), ended + (looked == 0)
     assert seen > 50
     assert ended > 50

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
-from khep_twin.board.kernel import AMBIENT
+from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.sensing import calibration, optics
 from khep_twin.sensing.ambient import ambient_optics, light_of
 from khep_twin.sensing.occlusion import SightLines
@@ -131,6 +131,61 @@ def test_a_lamp_overhead_is_dimly_seen_all_round() -> None:
     depths = DARK - counts(scene(overhead))
     expected = 50 * KHEPERA1.diffuse / 2 * np.array(KHEPERA1.gain_counts_mm2_per_w) / 287**2
     np.testing.assert_allclose(depths, expected, rtol=0.35)
+
+
+DEPTH = 0.8
+
+
+def under(power_w: float, mains_hz: float, x_mm: float) -> World:
+    """A world with a quiet robot right under a lamp that flickers."""
+    lamp = f"[[lamp]]\nx_mm = 300\ny_mm = 250\nz_mm = 1000\npower_w = {power_w}\nflicker = {DEPTH}\n"
+    text = scene(f"[lighting]\nmains_hz = {mains_hz}\n", lamp).replace("x_mm = 300", f"x_mm = {x_mm}")
+    return World(playpen.parse(text, "scene"), noise=False, seed=5)
+
+
+def scans(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """What the robot reads in 100 scans: proximity and ambient counts (100, 8)."""
+    rows: list[np.ndarray] = []
+    for _ in range(100):
+        world.advance_to(world.time_ns + 20_000_000)
+        rows.append(world.robots[0].registers.copy())
+    return np.array(rows)[:, PROXIMITY], np.array(rows)[:, AMBIENT]
+
+
+@pytest.mark.parametrize(("mains_hz", "repeat"), [(50, 1), (50.5, 50), (52, 25)])
+def test_flicker_is_a_beat_of_the_mains_with_the_scan(mains_hz: float, repeat: int) -> None:
+    _, found = scans(under(400, mains_hz, 300))
+    assert (found[repeat:] == found[:-repeat]).all()
+    if repeat > 1:
+        assert (np.ptp(found, axis=0) > 30).all()
+
+
+def test_sensors_see_flicker_in_the_order_of_the_scan() -> None:
+    # Each is converted 2.5 ms after the one before it.
+    _, found = scans(under(400, 52, 300))
+    light = KHEPERA1.dark_counts - found
+    parts = light / light.mean(axis=0) - 1
+    times = 0.02 * np.arange(100)[:, None] + 0.0025 * np.arange(8)
+    phase = under(400, 52, 300).simulation.plain.light.law.phase
+    np.testing.assert_allclose(parts, DEPTH * np.cos(2 * np.pi * (104 * times + phase)), atol=0.08)
+
+
+def test_light_that_changes_between_the_two_conversions_of_a_sensor_is_added_to_its_proximity() -> None:
+    near, low = scans(under(400, 52, 1000 - 27.5 - 24))
+    sensor, scale = 3, 1023 / (KHEPERA1.dark_counts - KHEPERA1.floor_counts)
+    swing = np.ptp(low[:, sensor]) / 2
+    # A sine of this amplitude changes by so much in 1.25 ms.
+    change = 2 * math.sin(math.pi * 104 * 0.00125) * swing * scale
+    assert 10 < near[:, sensor].min() < near[:, sensor].max() < 850
+    assert np.ptp(near[:, sensor]) / 2 == pytest.approx(change, rel=0.08)
+    assert change > 20
+
+
+def test_in_light_that_saturates_a_receiver_nothing_flickers() -> None:
+    text = scene(LAMP.replace("x_mm = 700", "x_mm = 345") + "flicker = 0.5\n", "[lighting]\nmains_hz = 52\n")
+    near, low = scans(World(playpen.parse(text, "scene"), noise=False))
+    assert (low[:, LEFT_10] == KHEPERA1.floor_counts).all()
+    assert (near[:, LEFT_10] == 0).all()
 
 
 def test_a_lamp_is_seen_by_a_robot_that_turns_towards_it() -> None:

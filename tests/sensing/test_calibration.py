@@ -85,7 +85,7 @@ def test_robots_of_the_same_make_spread_around_their_calibration_as_told() -> No
             "ambient: floor_counts = 75; expected below dark_counts = 60",
         ),
         (
-            "noise_counts = 40",
+            "noise_counts = 22",
             "noise_counts = -1",
             "proximity: noise_counts = -1; expected a number from 0 to 1023",
         ),

@@ -10,6 +10,7 @@ from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.randomness import stream
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.optics import Bulb, Light, LightLaw
 from khep_twin.world import World
 
 MIDDLE = (0.5, 0.5)
@@ -59,6 +60,27 @@ def test_a_lamp_that_fades_goes_on_and_off_along_a_line() -> None:
     assert shown[600_000_000 - STEP_NS] == pytest.approx(1)
     assert shown[700_000_000] == 0
     assert shown[1_000_000_000] == pytest.approx(2 * 2.5 / 200)
+
+
+def test_all_lamps_that_flicker_have_one_phase_which_the_seed_draws() -> None:
+    still = Light(LightLaw(False, 0.0, 0.0, True, 10_000_000, 0.0), [Bulb()] * 2, [])
+    assert lamps(lamp(200, 200) * 2).flickering(still) is still
+    both = lamp(200, 200, "flicker = 0.3\n") + lamp(300, 300)
+    found = [lamps(both, seed) for seed in (1, 1, 2)]
+    phases = [each.flickering(still).law.phase for each in found]
+    assert phases[0] == phases[1] != phases[2]
+    assert [bulb.flicker for bulb in found[0].flickering(still).bulbs] == [0.3, 0]
+    assert (found[0].powers, found[0].steady) == ([2, 2], True)
+
+
+def test_the_mains_go_on_when_the_lamps_of_a_world_are_changed() -> None:
+    scene = playpen.load("two-lamps")
+    flickering = [each.model_copy(update={"flicker": 0.5}) for each in scene.lamps]
+    world = World(scene, seed=3)
+    world.relight(scene.model_copy(update={"lamps": tuple(flickering)}))
+    phase = world.simulation.plain.light.law.phase
+    world.relight(scene.model_copy(update={"lamps": (flickering[0],)}))
+    assert world.simulation.plain.light.law.phase == phase > 0
 
 
 def walk(found: Lamps, *positions: tuple[float, float]) -> list[int | None]:

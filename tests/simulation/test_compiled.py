@@ -19,6 +19,7 @@ y_mm = 80
 power_w = 9
 blink_period_s = 0.7
 fade_s = 0.2
+flicker = 0.4
 """
 
 ROBOTS = """

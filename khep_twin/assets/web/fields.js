@@ -12,13 +12,13 @@ const KEYS = {
   ...Object.fromEntries(Object.entries(OBJECTS).map(([kind, keys]) => [kind, ["name", "x_mm", "y_mm", ...Object.keys(keys)]])),
   wall: ["name", "points_mm", "closed", "thickness_mm", "height_mm", "surface"],
   patch: ["name", "x_mm", "y_mm", "radius_mm", "length_mm", "width_mm", "angle_deg", "surface"],
-  lamp: ["name", "x_mm", "y_mm", "z_mm", "power_w", "dim", "rgb", "on_s", "blink_period_s", "blink_duty", "fade_s"],
+  lamp: ["name", "x_mm", "y_mm", "z_mm", "power_w", "dim", "rgb", "on_s", "blink_period_s", "blink_duty", "fade_s", "flicker"],
   robot: ["name", "x_mm", "y_mm", "heading_deg", "model", "calibration", "mode", "rom", "turrets", "spots", "battery_used_min"],
   spot: ["name", "x_mm", "y_mm", "heading_deg"],
 };
 const PARTS = [
   ["arena", ["width_mm", "height_mm", "wall_height_mm", "wall_thickness_mm", "surface", "outline_mm"]],
-  ["lighting", ["mode", "switch_distance_mm", "law", "min_angle_deg", "max_angle_deg"]],
+  ["lighting", ["mode", "switch_distance_mm", "law", "min_angle_deg", "max_angle_deg", "mains_hz"]],
 ];
 const TEXTS = new Set(["name", "surface", "model", "calibration", "rom", "mode"]);
 const LISTS = new Set(["points_mm", "outline_mm", "rgb", "on_s", "spots"]);

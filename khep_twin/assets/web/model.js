@@ -12,7 +12,7 @@ export const NEW = {
   ...OBJECTS,
   wall: { closed: false, thickness_mm: 10, height_mm: 50, surface: "white" },
   patch: { radius_mm: 40, surface: "black" },
-  lamp: { z_mm: 15, power_w: 7, dim: 1, rgb: [255, 217, 77], blink_period_s: 0, blink_duty: 0.5, fade_s: 0 },
+  lamp: { z_mm: 15, power_w: 7, dim: 1, rgb: [255, 217, 77], blink_period_s: 0, blink_duty: 0.5, fade_s: 0, flicker: 0 },
   robot: { heading_deg: 90, model: "khepera1", calibration: "khepera1", mode: 1, rom: "5.02" },
   spot: { heading_deg: 90 },
 };

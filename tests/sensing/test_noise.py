@@ -1,0 +1,53 @@
+"""Noise of proximity: the sampled robot's derived figures, and a twin of it in a twin of its room."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.noise_fits import ORDERS, PERIOD, differences, ripple, twin
+
+DISTANCES_MM = tuple(range(11, 39, 4))
+
+SAMPLED = {"wall": (35.5, 26.1, 23.6), "cylinder": (33.3, 25.6, 23.7)}
+"""Differences of order 2, 4 and 6 of the sampled robot's readings of 15 to 850 [counts]."""
+
+
+@cache
+def in_the_room(target: str) -> np.ndarray:
+    return twin(target, distances_mm=DISTANCES_MM, seed=1)
+
+
+@pytest.mark.parametrize("target", ["wall", "cylinder"])
+def test_in_a_twin_of_its_room_the_robots_noise_is_that_of_the_samples(target: str) -> None:
+    # Steps in what a robot without any noise reads are no noise.
+    quiet = twin(target, noise=0, lamp_w=0, bearing_sd_deg=0, distances_mm=DISTANCES_MM)
+    for order, expected in zip(ORDERS, SAMPLED[target], strict=True):
+        steps = differences(quiet, order)
+        found = np.sqrt(differences(in_the_room(target), order) ** 2 - steps**2)
+        assert found == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("target", ["wall", "cylinder"])
+def test_the_rooms_light_runs_through_the_sensors_in_the_order_of_the_scan(target: str) -> None:
+    found = ripple(in_the_room(target))
+    assert found.period == pytest.approx(PERIOD, rel=0.03)
+    assert found.amplitude == pytest.approx(55, rel=0.15)
+    assert found.lead_deg == pytest.approx(360 * 0.0025 * 103.6, abs=15)
+    assert found.coherence > 0.8
+
+
+def test_without_the_room_the_noise_is_white() -> None:
+    readings = twin("wall", lamp_w=0, bearing_sd_deg=0, distances_mm=DISTANCES_MM)
+    found = [differences(readings, order) for order in ORDERS]
+    assert found == pytest.approx([22, 22, 22], rel=0.08)
+
+
+def test_differences_of_white_noise_are_its_deviation_and_of_a_wave_as_in_closed_form() -> None:
+    rng = np.random.default_rng(0)
+    white = 500 + 30 * rng.standard_normal((40, 180, 8))
+    assert [differences(white, order) for order in ORDERS] == pytest.approx([30, 30, 30], rel=0.02)
+    wave = 500 + 59 * np.cos(2 * np.pi * np.arange(180) / 4.5)[None, :, None] * np.ones((1, 1, 8))
+    for order, binomials in zip(ORDERS, (6, 70, 924), strict=True):
+        expected = 59 / np.sqrt(2) * (2 * np.sin(np.pi / 4.5)) ** order / np.sqrt(binomials)
+        assert differences(wave, order) == pytest.approx(expected)
