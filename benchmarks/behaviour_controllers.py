@@ -20,7 +20,7 @@ def threshold_stop(level: float, direction: int = 1) -> Controller:
 
     def decide(proximity: Floats, ambient: Floats, memory: Floats) -> Floats:
         memory[proximity.max(axis=1) >= level, 0] = 1
-        return np.outer(direction * _SLOW * (memory[:, 0] == 0), [1, 1])
+        return np.outer(direction * _SLOW * (memory[:, 0] == 0), [1.0, 1.0])
 
     return Controller(f"stop at {level:g}{', backwards' if direction < 0 else ''}", decide, 1)
 
@@ -29,7 +29,7 @@ def proportional_stop(level: float = 700) -> Controller:
     """Return a Braitenberg vehicle that drives the slower the nearer, and back beyond a level."""
 
     def decide(proximity: Floats, ambient: Floats, memory: Floats) -> Floats:
-        return np.outer(2 * _SLOW * (1 - proximity.max(axis=1) / level), [1, 1])
+        return np.outer(2 * _SLOW * (1 - proximity.max(axis=1) / level), [1.0, 1.0])
 
     return Controller("Braitenberg stop", decide)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from benchmarks import behaviour
 from benchmarks.behaviour import Row
+from benchmarks.behaviour_trials import trials
 from benchmarks.fidelity_comparison import Comparison, Outcome, short
 
 _SOURCE = "tables of the sampled Khepera"
@@ -21,7 +22,7 @@ _NETWORKS = " of random networks"
 def rows(folder: Path) -> dict[str, Row]:
     """Return the rows over all controllers, by the name of their comparison."""
     tables, kinematics = behaviour.tables(folder), behaviour.motor_table(folder)
-    found = behaviour.pooled(behaviour.judge(tables, kinematics, behaviour.trials()))
+    found = behaviour.pooled(behaviour.judge(tables, kinematics, trials()))
     return {_name(row.thing, row.measure, "network" in row.controller): row for row in found}
 
 
@@ -42,7 +43,7 @@ COMPARISONS = tuple(
     Comparison(
         name := _name(thing, measure, of_networks),
         _SOURCE,
-        "predicted, by sensors fitted to the tables",
+        "sensors fitted to the tables, motion predicted",
         measure.partition("[")[2].rstrip("]"),
         partial(compared, name),
     )

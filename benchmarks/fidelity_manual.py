@@ -69,8 +69,8 @@ def figure_12(folder: Path) -> Outcome:
     table = columns(folder / "manual_data" / "k1_fig12_proximity_vs_angle_7mm_obstacle_15mm.csv")
     measured = table["proximity_raw"].astype(float)
     calibrated, robot = calibration.read("khepera1-manual")[0], _robot("khepera1-manual")
-    middle = {"x_mm": _SIDE_MM / 2, "y_mm": _SIDE_MM / 2}
-    obstacle = Cylinder(**middle, radius_mm=OBSTACLE_RADIUS_MM, height_mm=50)
+    middle = _SIDE_MM / 2
+    obstacle = Cylinder(x_mm=middle, y_mm=middle, radius_mm=OBSTACLE_RADIUS_MM, height_mm=50)
     arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
     away = OBSTACLE_MM + OBSTACLE_RADIUS_MM
 
@@ -79,7 +79,7 @@ def figure_12(folder: Path) -> Outcome:
         outwards = 1 if left > 0 else -1
         angles = np.radians(calibrated.heading_deg[sensor] + outwards * table["obstacle_angle_deg"])
         at = np.column_stack([ahead + away * np.cos(angles), left + away * np.sin(angles)])
-        starts = np.column_stack([_SIDE_MM / 2 - at, np.zeros(len(at))])
+        starts = np.column_stack([middle - at, np.zeros(len(at))])
         return at_rest(_playpen(arena, robot, cylinders=(obstacle,)), starts)[0][:, sensor] - measured
 
     return _best({sensor: errors(sensor) for sensor in _SIX})

@@ -61,7 +61,8 @@ def on_axis_of(folder: Path, thing: Thing) -> Outcome:
 
 def at_all_bearings(folder: Path) -> Outcome:
     """Compare both objects at all bearings."""
-    errors, noise = [], []
+    errors: list[Floats] = []
+    noise: list[Floats] = []
     others: dict[str, list[Floats]] = {name: [] for name in PEERS}
     for thing in (WALL, CYLINDER):
         table, modelled = before(folder, thing)

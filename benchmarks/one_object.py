@@ -172,9 +172,13 @@ class TwinWorld:
 
 def scene(thing: Thing) -> Playpen:
     """Return the object as a playpen: the wall at its right side, others in its middle."""
-    at = {"x_mm": _MIDDLE_MM, "y_mm": _MIDDLE_MM}
-    cylinders = (Cylinder(**at, radius_mm=thing.radius * 1e3, height_mm=50),) if thing is CYLINDER else ()
-    lamps = (Lamp(**at, power_w=LAMP_POWER_W),) if thing is LAMP else ()
+    at = _MIDDLE_MM
+    cylinders: tuple[Cylinder, ...] = ()
+    lamps: tuple[Lamp, ...] = ()
+    if thing is CYLINDER:
+        cylinders = (Cylinder(x_mm=at, y_mm=at, radius_mm=thing.radius * 1e3, height_mm=50),)
+    elif thing is LAMP:
+        lamps = (Lamp(x_mm=at, y_mm=at, power_w=LAMP_POWER_W),)
     return Playpen(
         version=1,
         name=thing.name,

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks import behaviour
-from benchmarks.behaviour import Trial, heading_for, judge, pooled, stopping, text, turning
+from benchmarks.behaviour import judge, pooled, text
 from benchmarks.behaviour_controllers import avoider, networks, threshold_stop
+from benchmarks.behaviour_trials import Trial, heading_for, stopping, trials, turning
 from benchmarks.one_object import CYLINDER, LAMP, PERIOD_S, WALL, Controller, Thing, TwinWorld, run
 from benchmarks.sampled_world import Kinematics, SampledWorld, Samples, along_axes, table_readings
 from khep_twin.board import kernel
@@ -138,17 +139,17 @@ def test_networks_depend_on_their_seed_and_remember() -> None:
 def test_twin_and_table_are_compared_beside_a_floor_the_same_each_time() -> None:
     samples, stop = {WALL: synthetic(30)}, {"stopping distance [mm]": stopping}
     ahead = heading_for(WALL, 40, np.array([-20.0, 0.0]))
-    trials = [
+    chosen = [
         Trial(WALL, threshold_stop(400), ahead, 1.2, stop),
         Trial(WALL, threshold_stop(300), ahead, 1.2, {**stop, "turn [deg]": turning}),
     ]
-    rows = judge(samples, Kinematics(), trials, seed=3)
+    rows = judge(samples, Kinematics(), chosen, seed=3)
     assert [(row.measure, row.controller, row.count) for row in rows] == [
         ("stopping distance [mm]", "stop at 400", 2),
         ("stopping distance [mm]", "stop at 300", 2),
         ("turn [deg]", "stop at 300", 2),
     ]
-    assert rows == judge(samples, Kinematics(), trials, seed=3)
+    assert rows == judge(samples, Kinematics(), chosen, seed=3)
     for row in rows[:2]:
         # The twin with the table's readings differs by its motors and the age of nothing else.
         assert abs(row.motion[1]) < 1.5
@@ -163,7 +164,7 @@ def test_twin_and_table_are_compared_beside_a_floor_the_same_each_time() -> None
 
 
 def test_every_trial_has_starts_outside_its_object_and_whole_periods() -> None:
-    for trial in behaviour.trials():
+    for trial in trials():
         assert trial.thing.place(trial.starts)[0].min() > 0
         assert trial.seconds / PERIOD_S == pytest.approx(round(trial.seconds / PERIOD_S))
         assert trial.measures
