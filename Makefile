@@ -21,7 +21,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges record soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges record soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -113,6 +113,9 @@ tutorial: $(VENV)/dev.stamp ## the tutorial's numbers and the docs' pictures ane
 
 bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run; three minutes, BENCH=--quick for a short one
 	@$(BIN)/python -m benchmarks $(BENCH)
+
+fidelity: $(VENV)/dev.stamp ## docs/fidelity.md, twin and reality compared; needs KHEP_TWIN_REFERENCE_DATA; two minutes
+	@$(BIN)/python -m benchmarks.fidelity
 
 lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv

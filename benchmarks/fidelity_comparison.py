@@ -1,0 +1,87 @@
+"""Comparison of the twin with reality, as a row of `docs/fidelity.md`, and what its measures share."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.playpen import Playpen
+from khep_twin.rollout.episode import Episode, EpisodeSetup
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Figures of a comparison, in its unit; less is better.
+
+    Attributes:
+        figure: Deviation of the twin from the robot.
+        floor: Deviation that the robot's own noise leaves to a perfect twin; None if it is not known.
+        peers: Deviations of other simulators by name.
+        note: Further figures, or what to know of this one.
+    """
+
+    figure: float
+    floor: float | None = None
+    peers: Mapping[str, float] = field(default_factory=dict[str, float])
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A comparison of the twin with measurements.
+
+    Attributes:
+        name: What is compared.
+        source: Origin of the measurements.
+        basis: What was fitted to them; begins with "predicted" if nothing was.
+        unit: Unit of the figures.
+        measure: Function of the folder of the measured tables that makes the comparison.
+    """
+
+    name: str
+    source: str
+    basis: str
+    unit: str
+    measure: Callable[[Path], Outcome]
+
+    @property
+    def predicted(self) -> bool:
+        """Whether nothing of the twin was fitted to the measurements themselves."""
+        return self.basis.startswith("predicted")
+
+
+def short(value: float) -> str:
+    """Return a number with two digits, and all of those before the point."""
+    return f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
+
+
+def noise_variance(readings: Floats, order: int = 2) -> Floats:
+    """Return the variance of the noise along the last axis, by differences, which a smooth curve lacks."""
+    differences = np.diff(readings, order, axis=-1)
+    return (differences**2).mean(axis=-1) / math.comb(2 * order, order)
+
+
+def at_rest(scene: Playpen, starts: Floats) -> tuple[Floats, Floats]:
+    """Return the twin's proximity and ambient counts without noise at poses of its robots, each (n, 8).
+
+    Args:
+        scene: Playpen; the first robot reads.
+        starts: Poses x, y [mm] and heading [deg] (n, 3), or of each robot (n, n_robots, 3).
+    """
+    episode = Episode(EpisodeSetup(scene))
+    counts: list[tuple[list[int], list[int]]] = []
+    for start in starts.tolist():
+        episode.begin(start=start, noise=False)
+        counts.append(episode.readings())
+    return np.array([each[0] for each in counts], float), np.array([each[1] for each in counts], float)
+
+
+def columns(path: Path, kind: type | None = None) -> Any:
+    """Return a table's columns by name, each of its own type or all of one, with NaN for words."""
+    return np.genfromtxt(path, delimiter=",", names=True, dtype=kind, encoding="utf-8")

@@ -1,0 +1,72 @@
+"""Comparisons of odometry, motors and supply."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.behaviour import motor_table
+from benchmarks.fidelity_comparison import Comparison, Outcome, columns
+from benchmarks.infrared_fits import rms
+from khep_twin import playpen
+from khep_twin.board.battery import discharged
+from khep_twin.rollout.controllers import ConstantSpeed
+from khep_twin.rollout.episode import Episode, EpisodeSetup
+
+_TABLE = "motor table of evorobot's simulator, whose scatter is not told"
+_MANUAL = "Khepera manual 5.02"
+
+
+def driven(left: int, right: int) -> tuple[float, float]:
+    """Return way [m/s] and turn [rad/s] of the twin at constant speeds, once it has reached them."""
+    episode = Episode(EpisodeSetup(playpen.load("default")), ConstantSpeed(left, right))
+    episode.begin(noise=False, start=(100.0, 150.0, 0.0))
+    episode.run(0.5)
+    before = episode.pose
+    episode.run(0.5)
+    after = episode.pose
+    turned = math.remainder(after[2] - before[2], 2 * math.pi)
+    return math.dist(before[:2], after[:2]) / 0.5, turned / 0.5
+
+
+def way(folder: Path) -> Outcome:
+    """Compare the way at equal speeds."""
+    own, table = driven(5, 5)[0], 5 * motor_table(folder).speed
+    # Webots' wheels have a radius of 7.5 mm, 600 pulses to a turn; Michel's step is 8 mm/s per unit.
+    webots, michel = 5 * 2 * math.pi * 7.5e-3 / 600 * 100, 5 * 8e-3
+    peers = {"Webots": _apart(webots, table), "Michel's simulator": _apart(michel, table)}
+    note = "the manual has 0.08 mm per pulse, and 12 pulses per mm"
+    return Outcome(_apart(own, table), None, peers, note)
+
+
+def turn(folder: Path) -> Outcome:
+    """Compare the turn at opposite speeds."""
+    motion = motor_table(folder)
+    own, table = driven(-3, 3)[1], 6 * motion.speed / motion.base
+    webots, michel = 6 * 2 * math.pi * 7.5e-3 / 600 * 100 / 0.052, 6 * 8e-3 / 0.050
+    peers = {"Webots": _apart(webots, table), "Michel's simulator": _apart(michel, table)}
+    return Outcome(_apart(own, table), None, peers)
+
+
+def battery(folder: Path) -> Outcome:
+    """Compare the cells' voltage over their use."""
+    table = columns(folder / "manual_data" / "k1_fig14_battery_discharge.csv")
+    errors = np.array([discharged(each) for each in table["time_min"]]) - table["battery_V"]
+    # The figure's voltages have steps of 18 mV.
+    return Outcome(rms([errors]), 0.018 / math.sqrt(12))
+
+
+def _apart(value: float, reference: float) -> float:
+    return abs(value / reference - 1) * 100
+
+
+COMPARISONS = (
+    Comparison("way at a speed", _TABLE, "predicted: the manual's 0.08 mm per pulse", "%", way),
+    Comparison("turn at a speed", _TABLE, "predicted: wheel base of 52 mm", "%", turn),
+)
+"""Comparisons of odometry, in the page's order."""
+
+SUPPLY = (
+    Comparison("cells' voltage over 45 minutes (figure 14)", _MANUAL, "fitted: ten points", "V", battery),
+)
+"""Comparisons of the supply, in the page's order."""
