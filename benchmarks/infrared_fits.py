@@ -24,7 +24,7 @@ SET_UP_BEARING = np.radians(2.2)
 """Corrections of the sampled set-up's bearings of wall and cylinder [rad]: they make left and right equal."""
 
 MANUAL_SENSOR = 1
-"""Sensor of the manual's figures 11 and 12, which do not name theirs: that of figure 13 which meets them best."""
+"""Sensor of the manual's figures 11 and 12, which name none: that of figure 13 which meets them best."""
 
 ROD_RADIUS, ROD_DISTANCE = 0.0035, 0.015
 """Obstacle of the manual's figure 12 [m], taken as a cylinder; its distance is from the sensor's face."""
@@ -70,7 +70,7 @@ def sampled(folder: Path) -> list[MeasuredTable]:
 
 
 def fit_sampled(tables: Sequence[MeasuredTable], sensor: int, heading: float) -> tuple[float, Optics]:
-    """Fit one sensor of the sampled robot: heading [rad] and optics, by all bearings and the means on axis."""
+    """Fit heading [rad] and optics of one sensor of the sampled robot, by all bearings and on axis."""
     axes = [on_axis(table, sensor) for table in tables]
 
     def left(x: Floats) -> Floats:

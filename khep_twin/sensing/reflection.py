@@ -7,12 +7,13 @@ receiver are one point). For upright surfaces this falls into an azimuth and an 
     light = 1 / N  integral over the azimuth of  lobe(theta) rho cos(phi) / d^2 F dtheta
 
 with the horizontal distance d, the part F of the lobe in elevation that the surface fills, and N such that an
-endless wall at a distance d, face to face, gives 1 / d^2. The integral is taken over each visible arc of each surface, from edge to
-edge, so that light changes smoothly as things move: of faces by tables of `lobes`, of cylinders by quadrature.
+endless wall at a distance d, face to face, gives 1 / d^2. The integral is taken over each visible arc of each
+surface, from edge to edge, so that light changes smoothly as things move: of faces by the tables of `lobes`,
+of cylinders by quadrature.
 
 In elevation the lobe is cos^3 (assumed), which gives F a closed form. The floor mirrors what stands on it
-(assumed: so what is fitted to a wall alone meets a cylinder best, and the other way round). What stands behind
-a thing is seen over its top. A surface whose nearest point is farther away than a sensor's range is left out;
+(assumed: so a cylinder is met best by what is fitted to a wall alone, and the other way round). What stands
+behind a thing is seen over its top. A surface whose nearest point is beyond a sensor's range is left out;
 in the last quarter of the range its light fades.
 
 Positions here are those in a sensor's frame: x along its axis, y to its left [m], its chip at the origin.
@@ -371,7 +372,7 @@ def _next(
     passed: float,
     last: int,
 ) -> tuple[float, int]:
-    """Return distance and index of the next surface at an azimuth behind another; an index below 0 for none."""
+    """Return distance and index of the next surface behind another; an index below 0 for none."""
     nearest, index = math.inf, -1
     for first in range(0, count * N_COLUMNS, N_COLUMNS):
         if found[first + LOW] < ends[0] + _NARROW and found[first + HIGH] > ends[1] - _NARROW:

@@ -1,5 +1,6 @@
 """A playpen's scene in MuJoCo as a simulation uses it: its two forms, robots, light and bounds."""
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Self, cast

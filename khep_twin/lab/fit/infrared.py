@@ -28,7 +28,7 @@ class View:
     """Object before one sensor, at many poses.
 
     Attributes:
-        bearings: Bearings of a wall's nearest point or a cylinder's axis off the sensor's own axis (n,) [rad].
+        bearings: Bearings of a wall's nearest point, or a cylinder's axis, off the sensor's axis (n,) [rad].
         distances: Distances of these from the sensor's face (n,) [m].
         radius: Radius of the cylinder [m]; 0 for a wall.
     """
