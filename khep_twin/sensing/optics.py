@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from khep_twin.compilable import compilable
-from khep_twin.sensing.reflection import Chip, Lobe, most, reflected
+from khep_twin.sensing.reflection import Chip, Lobe, reflected, sift
 from khep_twin.sensing.scene import (
     FEW,
     MANY,
@@ -23,6 +23,9 @@ from khep_twin.sensing.scene import (
     surfaces,
 )
 from khep_twin.units import BULB_RADIUS
+
+_SLIGHT = 4.0
+"""Reflected light of a surface that is left out [counts]: a fifth of the noise."""
 
 _NOTHING = 0.5
 """Light for which no ray is cast [counts]."""
@@ -255,7 +258,8 @@ def proximity_counts(
         proximity.width[channel],
         proximity.table[channel],
     )
-    if count and (level > 0 or gain * most(found, count, lobe) > -level):
+    count, most = sift(found, count, lobe, _SLIGHT / gain)
+    if count and gain * most > -level:
         level += gain * reflected(found, count, chip, lobe)
     limit = int(proximity.limit * range_left)
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
