@@ -2,7 +2,8 @@
 
 Robots are drawn around a calibration and recorded by the planar models of the sensors, before objects that
 stand where a person with a ruler puts them: off by 0.5 mm and 1.5 degrees (standard deviations). Printed is
-how often the fitted 95 % intervals contain the robot's own values.
+how often the fitted 95 % intervals contain the robot's own values. With `--sessions` they are twins in MuJoCo
+that go through `khep-twin calibrate`, motors included, with all that the planar models leave out.
 """
 
 import argparse
@@ -11,26 +12,33 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from khep_twin.files.toml_files import TomlTable
-from khep_twin.lab.fit.fit_inputs import Measured, SensorData
+from khep_twin import playpen
+from khep_twin.files.toml_files import TomlTable, dump
+from khep_twin.host import Khepera
+from khep_twin.lab.fit.fit_inputs import Measured, SensorData, fit_inputs
 from khep_twin.lab.fit.infrared_fit import levels
 from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
 from khep_twin.lab.fit.placement import Misplacement, Placement, Readings, Ruler
 from khep_twin.lab.fit.robot_fit import FittedValue, fit_robot
+from khep_twin.lab.fit.session import Session
+from khep_twin.lab.fit.session_people import SimulatedPerson
+from khep_twin.lab.fit.session_steps import LAMPS_MM, WALLS_MM, steps
 from khep_twin.lab.fit.wheel_fit import Drive
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.randomness import stream
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import BULB_RADIUS, N_SENSORS, PULSES_PER_TURN, SENSOR_HEIGHT
 
 ROBOTS = 40
-WALLS_MM = (6.0, 12.0, 17.0, 21.0, 25.0, 29.0)
-LAMPS_MM = (60.0, 150.0)
 STRAIGHT_MM, TURNS = 800.0, 5
 POWER_W, FILAMENT = 2.0, 0.015
 
@@ -45,6 +53,14 @@ FACTORS = {
     "radius_mm": 0.01,
 }
 """Relative ones: as among the sampled robot's sensors; noise and wheels are assumed."""
+
+MOTORS = 0.08
+"""Relative standard deviation of the motors' values (assumed)."""
+
+BENCH = (
+    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 400\n'
+    "[[robot]]\nx_mm = 500\ny_mm = 200\nheading_deg = 0\n"
+)
 
 PERIOD, _SPEED = 0.05, 1
 """Time between two readings [s], and speed of the wheels in a turn [pulses/10 ms]."""
@@ -155,6 +171,29 @@ def study(
         yield [(value, value.of(robot)) for value in fit_robot(person.tests(), start, Ruler()).values]
 
 
+def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tuple[FittedValue, float]]]:
+    """Yield the same of twins that were calibrated in guided sessions."""
+    for number in range(robots):
+        rng = stream(seed, "fit_intervals", number, "robot")
+        robot = hidden(start, rng)
+        motors = start.motors.model_dump()
+        drawn = {key: value * (1 + MOTORS * rng.standard_normal()) for key, value in motors.items()}
+        robot = robot.model_copy(update={"motors": start.motors.model_copy(update=drawn)})
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "hidden.toml"
+            path.write_text(dump(robot), encoding="utf-8")
+            twin = open_twin(
+                playpen.parse(f"{BENCH}calibration = '{path}'\n", "bench"), TwinOptions(seed=number)
+            )
+            session = Session(Path(folder) / "session")
+            with Khepera(Serial.of(twin, timeout=1.0)) as host:
+                person = SimulatedPerson(twin, Ruler(), lambda _: None)
+                todo = steps(WALLS_MM, None, POWER_W, FILAMENT * 1e3)
+                session.run(todo, host, person, lambda _: None, lambda: False)
+            found = fit_robot(fit_inputs(session.paths), start, Ruler())
+        yield [(value, value.of(robot)) for value in found.values]
+
+
 def errors(values: Sequence[tuple[FittedValue, float]]) -> Iterator[tuple[str, float]]:
     """Yield the error of each value in its told standard deviation, with its place in the calibration."""
     for value, true in values:
@@ -166,10 +205,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", type=int, default=ROBOTS, help="number of hidden robots")
     parser.add_argument("--start", default="khepera1", help="calibration that they are drawn around")
     parser.add_argument("--seed", type=int, default=0, help="seed of the robots")
+    parser.add_argument("--sessions", action="store_true", help="calibrate twins in MuJoCo")
     given = parser.parse_args(arguments)
     found: dict[str, list[float]] = defaultdict(list)
     widths: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    for values in study(calibration.read(given.start)[0], given.robots, given.seed):
+    made = sessions if given.sessions else study
+    for values in made(calibration.read(given.start)[0], given.robots, given.seed):
         for name, error in errors(values):
             found[name].append(error)
         for value, true in values:
