@@ -42,7 +42,7 @@ ROBOTS = 40
 STRAIGHT_MM, TURNS = 800.0, 5
 POWER_W, FILAMENT = 2.0, 0.015
 
-SPREADS = {"heading_deg": 3.0, "lobe_exponent": 0.3, "dark_counts": 15.0, "diffuse": 0.02, "base_mm": 0.6}
+SPREADS = {"heading_deg": 3.0, "lobe_exponent": 0.3, "dark_counts": 8.0, "diffuse": 0.02, "base_mm": 0.6}
 """Standard deviations of values around the calibration's (assumed)."""
 
 FACTORS = {
@@ -83,6 +83,8 @@ def _drawn(table: TomlTable, rng: np.random.Generator) -> dict[str, object]:
         draws = rng.standard_normal(value.shape)
         if key in SPREADS:
             value = np.maximum(value + SPREADS[key] * draws, 0.0 if key != "heading_deg" else -np.inf)
+            if key == "dark_counts":
+                value = np.minimum(value, table.model_dump()["ceiling_counts"] - 1)
         elif key in FACTORS:
             value = value * (1 + FACTORS[key] * draws)
         else:
@@ -147,7 +149,8 @@ class Person:
             return np.rint(np.clip(level, idle, near.limit_counts))
         lamp = LampTable.of(test, moved)
         level = np.column_stack([ambient_counts(lamp, sensor, ambient) for sensor in range(N_SENSORS)])
-        return np.rint(np.maximum(level + ambient.noise_counts * self.rng.standard_normal(level.shape), 0))
+        level += ambient.noise_counts * self.rng.standard_normal(level.shape)
+        return np.rint(np.clip(level, 0, ambient.ceiling_counts))
 
     @property
     def _pulse(self) -> float:

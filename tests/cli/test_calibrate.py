@@ -1,6 +1,7 @@
 """`khep-twin calibrate`: one command from an unknown robot to its calibration."""
 
 import math
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -55,25 +56,32 @@ def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(tmp_path: Path) -
     assert "mine.toml: is there already" in kept.stderr
 
 
-def test_a_person_at_a_served_twin_reads_and_answers_until_the_input_ends(tmp_path: Path) -> None:
-    """Two steps are skipped, the third is driven, and nothing answers before the wall."""
+def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) -> None:
+    """Two steps are skipped, the third is driven, and Ctrl-C comes before the wall."""
     hidden(tmp_path)
-    with served(str(tmp_path / "bench.toml")) as (_, port):
-        done = subprocess.run(
-            [sys.executable, "-m", "khep_twin", "calibrate", port, "-o", "mine.toml", "--walls", "12"],
-            input="s\ns\n\n",
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            timeout=240,
-            check=False,
+    command = [sys.executable, "-m", "khep_twin", "calibrate", "", "-o", "mine.toml", "--walls", "12"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with served(str(tmp_path / "bench.toml")) as (_, command[4]):
+        with subprocess.Popen(command, **pipes, cwd=tmp_path, text=True) as process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            process.stdin.write("s\ns\n\n")
+            process.stdin.flush()
+            shown = [*iter(process.stdout.readline, "step 4 of 4: wall\n")]
+            process.send_signal(signal.SIGINT)
+            assert process.wait(60) == 130
+            assert process.stderr is not None
+            assert "the same command goes on with what is in mine-session" in process.stderr.read()
+        ended = subprocess.run(
+            command, input="s\ns\n", capture_output=True, text=True, cwd=tmp_path, check=False
         )
-    assert done.returncode == 1
-    assert "step 2 of 4: skipped" in done.stdout
-    assert "step 3 of 4: duty.mcap=duty" in done.stdout
-    (line,) = done.stderr.splitlines()
-    assert "the input ended at the question" in line
+    assert "step 2 of 4: skipped\n" in shown
+    assert "step 3 of 4: duty.mcap=duty\n" in shown
     assert (tmp_path / "mine-session" / "tests.txt").read_text() == "duty.mcap=duty\n"
+    assert ended.returncode == 1
+    assert "step 3 of 4: done before: duty.mcap=duty" in ended.stdout
+    (line,) = ended.stderr.splitlines()
+    assert "the input ended at the question" in line
     assert not (tmp_path / "mine.toml").exists()
 
 

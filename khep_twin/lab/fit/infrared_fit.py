@@ -10,18 +10,14 @@ information: it is compared with the mean of a noisy sensor,
 with level x and the sensor's noise s, weighted by the reading's precision.
 """
 
-# scipy is not typed.
-# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
-# pyright: reportUnknownArgumentType=false
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from khep_twin.errors import FitError
+from khep_twin.lab.fit.clipped_noise import deviation, expected
 from khep_twin.lab.fit.infrared import TANGENTS, Floats, MeasuredTable, Optics, level
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Parameter, least_squares
 from khep_twin.lab.fit.placement import (
@@ -207,27 +203,6 @@ def fitted(start: Calibration, found: InfraredFit) -> Calibration:
     return start.model_copy(update={"heading_deg": headings, "proximity": proximity})
 
 
-def expected(levels: Floats, noise: float | Floats, limit: float) -> Floats:
-    """Return the mean reading of a noisy sensor that is clipped to 0 and a limit."""
-    noise = np.maximum(noise, 1e-6)
-    low, high = -levels / noise, (limit - levels) / noise
-    return noise * (_bell(low) - _bell(high)) + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)
-
-
-def deviation(levels: Floats, noise: float | Floats, limit: float) -> Floats:
-    """Return the standard deviation of such a reading, which is small where it is clipped."""
-    noise = np.maximum(noise, 1e-6)
-    low, high = -levels / noise, (limit - levels) / noise
-    inside = ndtr(high) - ndtr(low)
-    squares = (
-        (levels**2 + noise**2) * inside
-        + 2 * levels * noise * (_bell(low) - _bell(high))
-        + noise**2 * (low * _bell(low) - high * _bell(high))
-        + limit**2 * ndtr(-high)
-    )
-    return np.sqrt(np.maximum(squares - expected(levels, noise, limit) ** 2, 0))
-
-
 def _check(counts: Floats, noise: float, limit: float) -> None:
     """Raise a `FitError` for a sensor with hardly a reading between both ends."""
     between = ((counts > noise) & (counts < limit - noise)).sum(axis=0)
@@ -265,7 +240,3 @@ def _noise(levels: Floats, off: Floats, noise: Floats, limit: float) -> tuple[Fl
     squares = np.where(inside, off**2, 0).sum(axis=0) / np.maximum(numbers - _OWN, 1)
     enough = numbers >= _LEAST_NOISY
     return np.where(enough, np.sqrt(squares), noise), np.where(enough, numbers, 0).tolist()
-
-
-def _bell(z: Floats) -> Floats:
-    return np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)

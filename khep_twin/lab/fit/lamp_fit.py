@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 
 from khep_twin.errors import FitError
+from khep_twin.lab.fit.clipped_noise import expected
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, Parameter, least_squares
 from khep_twin.lab.fit.placement import (
     IN_PLACE,
@@ -130,7 +131,9 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
             np.concatenate([_counts(lamp, sensor, tuple(own), common, before.offset_mm) for lamp in lamps])
             for sensor, own in enumerate(each)
         ]
-        return ((np.column_stack(columns) - counts) / noise).ravel()
+        # Noise above the highest reading is cut off, as it is in the dark.
+        means = expected(np.column_stack(columns), before.noise_counts, before.ceiling_counts)
+        return ((means - counts) / noise).ravel()
 
     parameters = [*shared, *_receivers(before), *unknowns(tests, ruler or Ruler())]
     wish = "readings of a lamp in turns of 360 degrees, at two distances and more"

@@ -10,7 +10,8 @@ from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.host import Khepera
-from khep_twin.lab.fit.infrared_fit import expected, fit_infrared, fitted, levels
+from khep_twin.lab.fit.clipped_noise import expected
+from khep_twin.lab.fit.infrared_fit import fit_infrared, fitted, levels
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Placement, Readings, Ruler
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
