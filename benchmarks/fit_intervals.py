@@ -58,8 +58,8 @@ MOTORS = 0.08
 """Relative standard deviation of the motors' values (assumed)."""
 
 BENCH = (
-    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 400\n'
-    "[[robot]]\nx_mm = 500\ny_mm = 200\nheading_deg = 0\n"
+    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 2000\nheight_mm = 2000\n'
+    "[[robot]]\nx_mm = 500\ny_mm = 500\nheading_deg = 0\n"
 )
 
 PERIOD, _SPEED = 0.05, 1

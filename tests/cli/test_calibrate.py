@@ -14,8 +14,8 @@ from khep_twin.files.toml_files import dump
 from khep_twin.sensing import calibration
 
 BENCH = (
-    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 400\n'
-    '[[robot]]\nx_mm = 500\ny_mm = 200\nheading_deg = 0\ncalibration = "hidden.toml"\n'
+    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
+    '[[robot]]\nx_mm = 500\ny_mm = 500\nheading_deg = 0\ncalibration = "hidden.toml"\n'
 )
 KHEPERA1 = calibration.read("khepera1")[0]
 

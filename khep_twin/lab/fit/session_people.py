@@ -13,16 +13,17 @@ from khep_twin.errors import FitError
 from khep_twin.interventions.move_robot import put
 from khep_twin.interventions.switching import relight
 from khep_twin.lab.fit.placement import Ruler
-from khep_twin.lab.fit.session_steps import STRAIGHT_MM, TURNS, Step
+from khep_twin.lab.fit.session_steps import TURNS, Step
 from khep_twin.playpen import Lamp, Lighting
 from khep_twin.ports.twin import Twin
 from khep_twin.randomness import stream
 from khep_twin.units import BODIES, BULB_RADIUS
 
 _MARGIN_MM = 150.0
-"""Least distance of the robot from walls behind or beside it [mm]: out of its sensors' reach."""
+"""Distance of the robot's start from the wall behind it on the straight drive [mm]."""
 
-_SHORTEST_MM, _NARROWEST_MM = STRAIGHT_MM + 2 * _MARGIN_MM, 2 * _MARGIN_MM
+_LEAST_MM = 900.0
+"""Least size of the arena [mm]: walls 170 mm aside add up to 7 counts 12 mm from the wall (measured)."""
 
 
 class Person(Protocol):
@@ -101,15 +102,14 @@ class SimulatedPerson:
         self._width, self._height = arena.width_mm, arena.height_mm
         problems = {
             "no rectangle": bool(arena.outline_mm),
-            f"{self._width:g} x {self._height:g} mm": self._width < _SHORTEST_MM
-            or self._height < _NARROWEST_MM,
+            f"{self._width:g} x {self._height:g} mm": min(self._width, self._height) < _LEAST_MM,
             f"walls of {arena.surface}": arena.surface != "white",
             f"{things} objects and other robots": things > 0,
         }
         if problem := next((text for text, is_so in problems.items() if is_so), ""):
             raise FitError(
-                f"{found.name}: {problem}; expected an empty arena of {_SHORTEST_MM:g} x "
-                f"{_NARROWEST_MM:g} mm and more with white walls, or a served twin to place by hand"
+                f"{found.name}: {problem}; expected an empty arena of {_LEAST_MM:g} x {_LEAST_MM:g} mm "
+                "and more with white walls, or a served twin to place by hand"
             )
 
     def place(self, step: Step) -> float | None:

@@ -20,8 +20,8 @@ from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 BENCH = (
-    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 400\n'
-    "[[robot]]\nx_mm = 500\ny_mm = 200\nheading_deg = 0\n"
+    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
+    "[[robot]]\nx_mm = 500\ny_mm = 500\nheading_deg = 0\n"
 )
 STRAIGHT, DUTY, WALL = Step("straight"), Step("duty"), Step("wall", 15.0)
 
@@ -129,8 +129,8 @@ def test_turns_are_counted_whole_and_with_what_lies_beyond() -> None:
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (("width_mm = 1000", "width_mm = 600"), "600 x 400 mm"),
-        (("height_mm = 400\n", 'height_mm = 400\nsurface = "black"\n'), "walls of black"),
+        (("width_mm = 1000", "width_mm = 600"), "600 x 1000 mm"),
+        (("height_mm = 1000\n", 'height_mm = 1000\nsurface = "black"\n'), "walls of black"),
         (
             (
                 "[[robot]]",
