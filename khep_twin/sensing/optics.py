@@ -57,7 +57,7 @@ class Proximity(NamedTuple):
         limit: Highest reading [counts].
         floor: Lowest reading [counts].
         quantum: Step between readings [counts].
-        noise: Standard deviation of one reading [counts].
+        noise: Standard deviation of one reading (8,) [counts].
         idle: Mean of the noise with nothing in reach [counts].
         found: Buffer for the surfaces that a sensor sees (N_SURFACES * N_COLUMNS,).
     """
@@ -75,7 +75,7 @@ class Proximity(NamedTuple):
     limit: int
     floor: int
     quantum: int
-    noise: float
+    noise: Sequence[float]
     idle: float
     found: list[float]
 
@@ -245,7 +245,7 @@ def proximity_counts(
         added: Change of the ambient light between the sensor's two conversions [counts].
     """
     proximity = sensors.proximity
-    level = proximity.noise * noise + added - proximity.threshold[channel]
+    level = proximity.noise[channel] * noise + added - proximity.threshold[channel]
     # Where all is farther off, nothing passes the threshold, or changes the reading by half a step.
     near = math.sqrt(proximity.bound[channel] / max(-level, proximity.quantum / 2))
     chip = chip_of(scene, sensors, channel)
