@@ -187,7 +187,7 @@ def test_the_walls_stand_around_the_arena() -> None:
 
 def test_reflectance_and_power_travel_inside_the_mjcf() -> None:
     model = mujoco.MjModel.from_xml_string(to_mjcf(playpen.parse(SCENE, "scene")))
-    assert model.geom("block0").user == pytest.approx([0.022, 0])
+    assert model.geom("block0").user == pytest.approx([0.023, 0])
     assert model.geom("wall_left").user == pytest.approx([0.145, 0])
     assert model.geom("khepera0/base").user == pytest.approx([0.23, 0])
     assert model.site("lamp0").user == pytest.approx(7)

@@ -38,10 +38,17 @@ _Eight = Field(
     min_length=N_SENSORS, max_length=N_SENSORS, description="a list of eight numbers, one per sensor"
 )
 
+_EightOrOne = Field(
+    min_length=N_SENSORS,
+    max_length=N_SENSORS,
+    description=f"a number from 0 to {COUNTS_LIMIT}, or a list of eight, one per sensor",
+)
+
 
 def _for_each(value: object) -> object:
-    """Return a number eight times, for eight sensors; all else as it is."""
-    return (value,) * N_SENSORS if isinstance(value, int | float) else value
+    """Return counts eight times, for eight sensors; all else as it is."""
+    fits = isinstance(value, int | float) and 0 <= value <= COUNTS_LIMIT
+    return (value,) * N_SENSORS if fits else value
 
 
 class ProximityCalibration(TomlTable):
@@ -68,7 +75,7 @@ class ProximityCalibration(TomlTable):
     limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
     floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1
-    noise_counts: Annotated[tuple[_Counts, ...], _Eight, BeforeValidator(_for_each)]
+    noise_counts: Annotated[tuple[_Counts, ...], _EightOrOne, BeforeValidator(_for_each)]
     idle_counts: _Counts
 
 
