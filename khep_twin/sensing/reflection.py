@@ -171,6 +171,11 @@ def reflected(found: Vector[float], count: int, chip: Chip, lobe: Lobe) -> float
         return _arc(found, 0, (found[LOW], found[HIGH]), (-math.inf, math.inf), chip, lobe)
     total, low, end = 0.0, 1.0, -1.0
     for first in range(0, count * N_COLUMNS, N_COLUMNS):
+        if found[first + BOTTOM] > 0:
+            # What floats above the sensor, as a gripper does, hides nothing, and is taken out.
+            ends = found[first + LOW], found[first + HIGH]
+            total += _arc(found, first, ends, (-math.inf, math.inf), chip, lobe)
+            found[first + LOW], found[first + HIGH] = math.inf, -math.inf
         low, end = min(low, found[first + LOW]), max(end, found[first + HIGH])
     while low < end - _NARROW:
         # Between two edges, the same surfaces are seen one behind the other.
@@ -549,7 +554,7 @@ def _fading(square: float, reach: float) -> float:
 @compilable
 def _covers(found: Vector[float], first: int, top: float) -> bool:
     """Return whether nothing of a thing is seen over a nearer face: its top is not higher [m]."""
-    return found[first + RADIUS] == 0 and found[first + TOP] >= max(top, 0.0)
+    return found[first + RADIUS] == 0 and found[first + BOTTOM] <= 0 and found[first + TOP] >= max(top, 0.0)
 
 
 @compilable
