@@ -16,6 +16,8 @@ its emitter on and off; so in bright light its limit falls by (dark - light - fl
 where ambient light alone saturates it. Not modelled: light reflected more than once, but by the floor.
 """
 
+import math
+
 import mujoco
 
 from khep_twin.sensing import lobes
@@ -24,6 +26,12 @@ from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.sensing.optics import Proximity
 from khep_twin.sensing.reflection import N_COLUMNS, N_SURFACES
 from khep_twin.sensing.robot_indices import RobotIndices
+
+_RANGE = 1.5
+"""Range of a sensor, in distances at which an endless wall gives as much light as the threshold."""
+
+_SLIGHT = 4.0
+"""Least light of such a wall, for sensors without a threshold [counts]."""
 
 
 def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> Proximity:
@@ -42,7 +50,10 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
         ],
         threshold=list(numbers.threshold_counts),
         offset=[offset * 1e-3 for offset in numbers.offset_mm],
-        reach=numbers.range_mm * 1e-3,
+        reach=[
+            _RANGE * math.sqrt(gain * brightest / max(threshold, _SLIGHT))
+            for gain, threshold in zip(gains, numbers.threshold_counts, strict=True)
+        ],
         whole=[int(exponent) for exponent in exponents],
         part=[exponent - int(exponent) for exponent in exponents],
         norm=[lobes.norm(exponent) for exponent in exponents],

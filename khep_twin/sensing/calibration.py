@@ -59,7 +59,6 @@ class ProximityCalibration(TomlTable):
         threshold_counts: Counts that are subtracted; below 0 the reading with nothing in reach.
         offset_mm: Offset of the chip behind the sensor's face.
         lobe_exponent: Exponent of the cosine off the sensor's axis, in azimuth.
-        range_mm: Distance beyond which nothing counts.
         limit_counts: Highest reading.
         floor_counts: Lowest reading, also where ambient light saturates the sensor.
         quantum_counts: Step between readings.
@@ -71,7 +70,6 @@ class ProximityCalibration(TomlTable):
     threshold_counts: Annotated[tuple[_Threshold, ...], _Eight]
     offset_mm: Annotated[tuple[_Offset, ...], _Eight]
     lobe_exponent: Annotated[tuple[_Exponent, ...], _Eight]
-    range_mm: Annotated[float, Field(ge=20, le=1000)] = 60.0
     limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
     floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1

@@ -48,7 +48,7 @@ class Proximity(NamedTuple):
         bound: Highest counts of anything at a distance of 1 m (8,) [counts m^2].
         threshold: Counts that are subtracted (8,) [counts].
         offset: Offset of the chip behind the sensor's face (8,) [m].
-        reach: Range [m].
+        reach: Range (8,) [m].
         whole: Whole part of each lobe's exponent (8,).
         part: The rest of it (8,).
         norm: Norm of each lobe (8,).
@@ -66,7 +66,7 @@ class Proximity(NamedTuple):
     bound: Sequence[float]
     threshold: Sequence[float]
     offset: Sequence[float]
-    reach: float
+    reach: Sequence[float]
     whole: Sequence[int]
     part: Sequence[float]
     norm: Sequence[float]
@@ -274,7 +274,7 @@ def chip_of(scene: Scene, sensors: RobotSensors, channel: int) -> Chip:
     ahead, left, offset = -frame[2], -frame[5], sensors.proximity.offset[channel]
     scale = 1 / math.sqrt(max(ahead * ahead + left * left, 1e-12))
     ahead, left = ahead * scale, left * scale
-    x, y, reach = place[0] - offset * ahead, place[1] - offset * left, sensors.proximity.reach
+    x, y, reach = place[0] - offset * ahead, place[1] - offset * left, sensors.proximity.reach[channel]
     return Chip(x, y, ahead, left, place[2], reach)
 
 

@@ -13,7 +13,7 @@ of cylinders by quadrature.
 
 In elevation the lobe is cos^3 (assumed), which gives F a closed form. The floor mirrors what stands on it
 (assumed: so a cylinder is met best by what is fitted to a wall alone, and the other way round). What stands
-behind a thing is seen over its top. A surface whose nearest point is beyond a sensor's range is left out;
+behind a thing is seen over its top. A surface whose nearest point is beyond a sensor's range is left out:
 in the last quarter of the range its light fades.
 
 Positions here are those in a sensor's frame: x along its axis, y to its left [m], its chip at the origin.

@@ -30,7 +30,7 @@ class Interrupted(Khepera):
 def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Interrupted:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
-    return Interrupted("khep://obstacles?seed=1", 300)
+    return Interrupted("khep://obstacles?seed=1", 500)
 
 
 @pytest.mark.parametrize("name", ["brait", "brait_khepbase"])
