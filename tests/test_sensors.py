@@ -146,7 +146,7 @@ def test_paint_on_the_floor_is_not_seen() -> None:
 
 
 def test_a_movable_cylinder_that_has_fallen_over_is_read_as_a_block() -> None:
-    standing = "[[cylinder]]\nx_mm = 342.5\ny_mm = 250\nradius_mm = 10\nheight_mm = 40\nmass_g = 20\nmovable = true\n"
+    standing = "[[cylinder]]\nx_mm = 342.5\ny_mm = 250\nradius_mm = 10\nheight_mm = 40\nmovable = true\n"
     world = World(playpen.parse(scene(standing), "scene"), noise=False)
     upright = world.robots[0].registers[PROXIMITY].tolist()
     pose = int(world.model.jnt_qposadr[world.model.body("cylinder0").jntadr[0]])
