@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.infrared_fits import reference
 from benchmarks.lamp_fits import sampled_lamp
-from khep_twin.lab.fit.lamp_fit import ambient_counts
+from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 
@@ -23,12 +23,12 @@ _AWAY = 0.213
 def draw(target: Path) -> None:
     """Draw all sensors."""
     ambient = calibration.read("khepera1")[0].ambient
-    distances, table = sampled_lamp(reference())
-    bearings = np.arctan2(table.positions[:, 1], table.positions[:, 0])
+    distances, test = sampled_lamp(reference())
+    lamp, (_, bearings) = LampTable.of(test), test.placement.seen()
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     panels = figure.subplots(2, 4, sharey=True).ravel()
     for panel, sensor in zip(panels, [0, 1, 2, 7, 5, 4, 3, 6], strict=True):
-        counts, modelled = table.counts[:, sensor], ambient_counts(table, sensor, ambient)
+        counts, modelled = test.counts[:, sensor], ambient_counts(lamp, sensor, ambient)
         tangential = np.angle(np.exp(1j * (bearings - np.radians(ambient.heading_deg[sensor]))))
         near = np.abs(tangential) <= np.radians(10)
         positions = np.unique(distances)

@@ -51,7 +51,7 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
         limit=numbers.limit_counts,
         floor=numbers.floor_counts,
         quantum=numbers.quantum_counts,
-        noise=numbers.noise_counts,
+        noise=list(numbers.noise_counts),
         idle=numbers.idle_counts,
         found=[0.0] * (N_SURFACES * N_COLUMNS),
     )

@@ -1,7 +1,7 @@
 """The command line's part for fits: `khep-twin fit`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,6 +9,17 @@ from khep_twin.cli.completion import calibrations
 from khep_twin.cli.options import Force, check_apart, check_new, check_writable
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_whole
+
+if TYPE_CHECKING:
+    from khep_twin.lab.fit.fit_inputs import Measured
+    from khep_twin.lab.fit.placement import Ruler
+    from khep_twin.sensing.calibration import Calibration
+
+RulerMm = Annotated[float, typer.Option(metavar="MM", help="Standard deviation of distances by your ruler.")]
+BearingDeg = Annotated[
+    float,
+    typer.Option(metavar="DEG", help='Standard deviation of "straight ahead", and of counted turns.'),
+]
 
 
 def fit(
@@ -29,6 +40,8 @@ def fit(
     start: Annotated[
         str, typer.Option(help="Calibration that the rest is taken from.", autocompletion=calibrations)
     ] = "khepera1",
+    ruler_mm: RulerMm = 0.5,
+    bearing_deg: BearingDeg = 1.5,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Calibration file to write.")] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the fit over the data in this PNG, SVG or PDF file.")
@@ -36,15 +49,27 @@ def fit(
     force: Force = False,
 ) -> None:
     """Fit one robot's wheels, motors and sensors to recorded tests and ruler measurements."""
-    from khep_twin.files.toml_files import dump
     from khep_twin.lab.fit.fit_inputs import fit_inputs
-    from khep_twin.lab.fit.robot_fit import fit_robot, met, named
+    from khep_twin.lab.fit.placement import Ruler
     from khep_twin.sensing import calibration
 
+    ruler = Ruler(ruler_mm, bearing_deg)
+    recorded = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
+    check_outputs(recorded, start, output, picture, force)
+    data, unused = fit_inputs(tests), fit_inputs(check or [])
+    if picture is not None and not (data.objects or data.lamps or data.motors):
+        wanted = "expected a sensor test or steps of duty, too"
+        raise FitError(f"{picture}: measured drives give no picture; {wanted}")
+    fit_and_write(data, unused, calibration.read(start)[0], ruler, output, picture, len(tests))
+
+
+def check_outputs(
+    recorded: list[Path], start: str, output: Path | None, picture: Path | None, force: bool
+) -> None:
+    """Refuse a calibration and a picture that could not be written, or would replace what is read."""
     check_writable(output, picture)
     if output is not None and picture is not None and is_same(output, picture):
         raise FitError(f"{picture}: this is the calibration; expected a file of its own for the picture")
-    recorded = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
     for path in filter(None, (output, picture)):
         if any(is_same(path, each) for each in recorded):
             raise FitError(f"{path}: this is a recorded test; expected a file of its own")
@@ -52,25 +77,36 @@ def fit(
         raise FitError(f"{picture}: expected a name that ends in .png, .svg or .pdf")
     check_apart([start], output, picture)
     check_new(force, output)
-    data, unused = fit_inputs(tests), fit_inputs(check or [])
-    if picture is not None and not (data.objects or data.lamps or data.motors):
-        wanted = "expected a sensor test or steps of duty, too"
-        raise FitError(f"{picture}: measured drives give no picture; {wanted}")
-    found = fit_robot(data, calibration.read(start)[0])
+
+
+def fit_and_write(
+    data: "Measured",
+    unused: "Measured",
+    start: "Calibration",
+    ruler: "Ruler",
+    output: Path | None,
+    picture: Path | None,
+    count: int,
+) -> None:
+    """Fit a robot to tests, print the values and residuals, write the calibration and the picture."""
+    from khep_twin.files.toml_files import dump
+    from khep_twin.lab.fit.robot_fit import fit_robot, met, named
+
+    found = fit_robot(data, start, ruler)
     for line in found.lines:
         typer.echo(line)
-    for line in met(data, found.calibration):
+    for line in met(data, found, ruler):
         typer.echo(f"{line} left")
-    for line in met(unused, found.calibration):
+    for line in met(unused, found, ruler):
         typer.echo(f"{line} off, not used for the fit")
     if output is not None:
-        after = named(found.calibration, output.stem, len(tests))
+        after = named(found.calibration, output.stem, count)
         write_whole(output, dump(after).encode("utf-8"))
         typer.echo(f"calibration   {output}")
     if picture is not None:
         from khep_twin.drawing import map as drawing
         from khep_twin.lab.fit.fit_figure import draw_fit
 
-        if (figure := draw_fit(data, found.calibration)) is not None:
+        if (figure := draw_fit(data, found)) is not None:
             drawing.save(figure, picture)
             typer.echo(f"picture       {picture}")

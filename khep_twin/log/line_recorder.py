@@ -109,6 +109,10 @@ class LineRecorder:
             self._transcript.write_rests(self._now())
             self._log.finish()
 
+    def discard(self) -> None:
+        """Remove the unfinished file."""
+        self._log.discard()
+
     def _write(self) -> None:
         self._transcript.write()
         if self._host_events:

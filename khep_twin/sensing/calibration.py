@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from khep_twin.errors import CalibrationError, Problem
 from khep_twin.files import toml_files
@@ -38,6 +38,18 @@ _Eight = Field(
     min_length=N_SENSORS, max_length=N_SENSORS, description="a list of eight numbers, one per sensor"
 )
 
+_EightOrOne = Field(
+    min_length=N_SENSORS,
+    max_length=N_SENSORS,
+    description=f"a number from 0 to {COUNTS_LIMIT}, or a list of eight, one per sensor",
+)
+
+
+def _for_each(value: object) -> object:
+    """Return counts eight times, for eight sensors; all else as it is."""
+    fits = isinstance(value, int | float) and 0 <= value <= COUNTS_LIMIT
+    return (value,) * N_SENSORS if fits else value
+
 
 class ProximityCalibration(TomlTable):
     """Reflected light; per-sensor values in the order of N.
@@ -51,7 +63,7 @@ class ProximityCalibration(TomlTable):
         limit_counts: Highest reading.
         floor_counts: Lowest reading, also where ambient light saturates the sensor.
         quantum_counts: Step between readings.
-        noise_counts: Standard deviation of one reading.
+        noise_counts: Standard deviation of one reading; one number stands for all sensors.
         idle_counts: Mean of the noise with nothing in reach.
     """
 
@@ -63,7 +75,7 @@ class ProximityCalibration(TomlTable):
     limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
     floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1
-    noise_counts: _Counts
+    noise_counts: Annotated[tuple[_Counts, ...], _EightOrOne, BeforeValidator(_for_each)]
     idle_counts: _Counts
 
 

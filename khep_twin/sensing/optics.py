@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from khep_twin.compilable import compilable
-from khep_twin.sensing.reflection import Chip, Lobe, most, reflected
+from khep_twin.sensing.reflection import Chip, Lobe, reflected, sift
 from khep_twin.sensing.scene import (
     FEW,
     MANY,
@@ -23,6 +23,9 @@ from khep_twin.sensing.scene import (
     surfaces,
 )
 from khep_twin.units import BULB_RADIUS
+
+_SLIGHT = 4.0
+"""Reflected light of a surface that is left out [counts]: a fifth of the noise."""
 
 _NOTHING = 0.5
 """Light for which no ray is cast [counts]."""
@@ -54,7 +57,7 @@ class Proximity(NamedTuple):
         limit: Highest reading [counts].
         floor: Lowest reading [counts].
         quantum: Step between readings [counts].
-        noise: Standard deviation of one reading [counts].
+        noise: Standard deviation of one reading (8,) [counts].
         idle: Mean of the noise with nothing in reach [counts].
         found: Buffer for the surfaces that a sensor sees (N_SURFACES * N_COLUMNS,).
     """
@@ -72,7 +75,7 @@ class Proximity(NamedTuple):
     limit: int
     floor: int
     quantum: int
-    noise: float
+    noise: Sequence[float]
     idle: float
     found: list[float]
 
@@ -242,7 +245,7 @@ def proximity_counts(
         added: Change of the ambient light between the sensor's two conversions [counts].
     """
     proximity = sensors.proximity
-    level = proximity.noise * noise + added - proximity.threshold[channel]
+    level = proximity.noise[channel] * noise + added - proximity.threshold[channel]
     # Where all is farther off, nothing passes the threshold, or changes the reading by half a step.
     near = math.sqrt(proximity.bound[channel] / max(-level, proximity.quantum / 2))
     chip = chip_of(scene, sensors, channel)
@@ -255,7 +258,8 @@ def proximity_counts(
         proximity.width[channel],
         proximity.table[channel],
     )
-    if count and (level > 0 or gain * most(found, count, lobe) > -level):
+    count, most = sift(found, count, lobe, _SLIGHT / gain)
+    if count and gain * most > -level:
         level += gain * reflected(found, count, chip, lobe)
     limit = int(proximity.limit * range_left)
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)

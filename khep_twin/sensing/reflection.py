@@ -121,20 +121,40 @@ def add_upright(
 
 
 @compilable
-def most(found: Vector[float], count: int, lobe: Lobe) -> float:
-    """Return an upper bound of `reflected`: each surface as at its nearest point all around [1/m^2]."""
-    total = 0.0
+def sift(found: Vector[float], count: int, lobe: Lobe, least: float) -> tuple[int, float]:
+    """Remove surfaces that send back too little to matter; return how many are left, and their bound.
+
+    The bound, above `reflected`, needs no integral and no shadows [1/m^2].
+
+    Args:
+        found: Surfaces.
+        count: Number of surfaces in it.
+        lobe: Lobe of the sensor.
+        least: Light that does not matter [1/m^2].
+    """
+    total, left = 0.0, 0
     for first in range(0, count * N_COLUMNS, N_COLUMNS):
         low, high = found[first + LOW], found[first + HIGH]
-        # The lobe at the azimuth nearest to the axis.
-        strength = found[first + REFLECTANCE] / found[first + SQUARE]
+        # All around, in the lobe's strength at the azimuth nearest to the axis.
+        around = lobe.width / found[first + SQUARE]
         if low > 0 or high < 0:
             edge = low if low > 0 else high
             ahead = 1 - edge * edge
             for _ in range(lobe.whole >> 1):
-                strength *= ahead
-        total += strength
-    return total * lobe.width
+                around *= ahead
+        # An endless wall in its place; ((1 + cos) / 2)^k is above its light, with k by the lobe.
+        away = found[first + DISTANCE] - found[first + RADIUS]
+        wall = 1 / (away * away)
+        for _ in range(min(lobe.whole, 2) + 1 if lobe.whole else 0):
+            wall *= (1 + found[first + COSINE]) / 2
+        light = min(around, wall)
+        if light > least:
+            total += found[first + REFLECTANCE] * light
+            if left < first:
+                for column in range(N_COLUMNS):
+                    found[left + column] = found[first + column]
+            left += N_COLUMNS
+    return left // N_COLUMNS, total
 
 
 @compilable
@@ -192,6 +212,8 @@ def _front(found: Vector[float], count: int, low: float, high: float) -> tuple[i
     if first_index == last_index:
         return first_index, high
     # Things that overlap: their surfaces cross here.
+    if found[first_index + RADIUS] == 0 and found[last_index + RADIUS] == 0:
+        return first_index, min(max(_meeting(found, first_index, last_index), right), left)
     while left - right > _NARROW:
         middle = (left + right) / 2
         azimuth = math.sqrt(1 - middle * middle), middle
@@ -200,6 +222,15 @@ def _front(found: Vector[float], count: int, low: float, high: float) -> tuple[i
         else:
             left = middle
     return first_index, left
+
+
+@compilable
+def _meeting(found: Vector[float], one: int, other: int) -> float:
+    """Return the sine of the azimuth at which two faces meet."""
+    near, far = found[one + DISTANCE], found[other + DISTANCE]
+    x = near * found[other + SINE] - far * found[one + SINE]
+    y = far * found[one + COSINE] - near * found[other + COSINE]
+    return math.copysign(y, x * y) / math.sqrt(max(x * x + y * y, _NARROW * _NARROW))
 
 
 @compilable
@@ -254,10 +285,13 @@ def _face(
     light = _cumulated(lobe.table, ends[1], factors) - _cumulated(lobe.table, ends[0], factors)
     # Light comes from around a place between the axis and the foot; there, or near there, the height counts.
     sharpness = FOOT + lobe.whole + lobe.part
-    share, spread = FOOT / sharpness, min(1 / (sharpness + 1), (ends[1] - ends[0]) ** 2 / 12)
-    x, y = 1 - share + share * c, share * s
-    sine = min(max(y / math.sqrt(x * x + y * y), ends[0]), ends[1])
-    length = distance / (math.sqrt(1 - sine * sine) * c + sine * s) * (1 + spread / 2)
+    spread = min(1 / (sharpness + 1), (ends[1] - ends[0]) ** 2 / 12)
+    x, y = sharpness - FOOT + FOOT * c, FOOT * s
+    norm = math.sqrt(x * x + y * y)
+    if not ends[0] * norm < y < ends[1] * norm:
+        y = ends[0] if ends[0] * norm >= y else ends[1]
+        x, norm = math.sqrt(1 - y * y), 1.0
+    length = distance * norm / (x * c + y * s) * (1 + spread / 2)
     return max(light, 0.0) / (distance * distance) * _filled(found, index, hidden, chip.height, length)
 
 
@@ -409,23 +443,27 @@ def _add_box(
     """Add the faces of a box that a sensor sees."""
     dx, dy = chip.x - centre[0], chip.y - centre[1]
     c, s = turn
+    # Cosine and sine of the length's direction in the sensor's frame.
+    cosine, sine = c * chip.ahead + s * chip.left, s * chip.ahead - c * chip.left
+    if dx * chip.ahead + dy * chip.left >= abs(cosine) * half[0] + abs(sine) * half[1]:
+        return count  # behind the sensor
     along, across = dx * c + dy * s, dy * c - dx * s
     beyond, beside = abs(along) - half[0], abs(across) - half[1]
     if max(beyond, 0.0) ** 2 + max(beside, 0.0) ** 2 > chip.reach * chip.reach:
         return count
     if beyond <= 0 and beside <= 0:
         return _add_around(found, count, chip, span, reflectance)
-    # Direction of the length in the sensor's frame.
-    c, s = c * chip.ahead + s * chip.left, s * chip.ahead - c * chip.left
     if beyond > 0:
         # Towards the face, against its normal; its edges lie at both sides of the foot.
         sign = math.copysign(1.0, along)
         edges = sign * across - half[1], sign * across + half[1]
-        count = _add_face(found, count, chip, (beyond, -sign * c, -sign * s), edges, span, reflectance)
+        count = _add_face(
+            found, count, chip, (beyond, -sign * cosine, -sign * sine), edges, span, reflectance
+        )
     if beside > 0:
         sign = math.copysign(1.0, across)
         edges = -sign * along - half[0], -sign * along + half[0]
-        count = _add_face(found, count, chip, (beside, sign * s, -sign * c), edges, span, reflectance)
+        count = _add_face(found, count, chip, (beside, sign * sine, -sign * cosine), edges, span, reflectance)
     return count
 
 

@@ -15,7 +15,8 @@ from khep_twin.drawing.map import STYLE
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.fit.fit_inputs import Measured, SensorData
 from khep_twin.lab.fit.motor_fit import DutyDrive, driven
-from khep_twin.lab.fit.robot_fit import modelled
+from khep_twin.lab.fit.placement import IN_PLACE
+from khep_twin.lab.fit.robot_fit import RobotFit, modelled
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import Calibration
 
@@ -24,7 +25,7 @@ _UNITS = {"linear": "distance driven [cm]", "rotational": "turned [degrees]"}
 _ROW, _MARGIN, _DRIVE = 1.75, 0.85, 2.6
 
 
-def draw_fit(tests: Measured, found: Calibration) -> Figure | None:
+def draw_fit(tests: Measured, fit: RobotFit) -> Figure | None:
     """Draw sensor tests and drives with fixed duties as dots, and the fitted twin as lines.
 
     Returns:
@@ -42,19 +43,18 @@ def draw_fit(tests: Measured, found: Calibration) -> Figure | None:
         rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
         parts: list[SubFigure] = rows[:, 0].tolist()
         for part, (kind, runs) in zip(parts, kinds.items(), strict=False):
-            _draw_sensors(part, *kind, runs, found)
+            _draw_sensors(part, *kind, runs, fit)
         for part, drive in zip(parts[len(kinds) :], tests.motors, strict=True):
-            _draw_speeds(part, drive, found)
+            _draw_speeds(part, fit.drives.get(drive.name, drive), fit.calibration)
     return figure
 
 
-def _draw_sensors(
-    part: SubFigure, what: str, motion: str, runs: Sequence[SensorData], found: Calibration
-) -> None:
+def _draw_sensors(part: SubFigure, what: str, motion: str, runs: Sequence[SensorData], fit: RobotFit) -> None:
     """Draw eight panels, one for each sensor."""
     panels: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).ravel())
     for index, data in enumerate(runs):
-        colour, model = _COLOURS[index % len(_COLOURS)], modelled(data, found)
+        colour = _COLOURS[index % len(_COLOURS)]
+        model = modelled(data, fit.calibration, fit.moved.get(data.name, IN_PLACE))
         order = np.argsort(data.run.travelled, kind="stable")
         for axes, counts, line in zip(panels, data.counts.T, model.T, strict=True):
             axes.plot(data.run.travelled, counts, ".", ms=2.5, color=colour, alpha=0.55)

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.infrared import Floats, MeasuredTable
-from khep_twin.lab.fit.lamp_fit import LampTable
+from khep_twin.lab.fit.least_squares import Floats
 from khep_twin.lab.fit.motor_fit import DutyDrive, read_drive
+from khep_twin.lab.fit.placement import Placement, Readings
 from khep_twin.lab.fit.wheel_fit import Drive, pulses
 from khep_twin.lab.sensor_test.sensor_files import load
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
 from khep_twin.sensing.calibration import WheelCalibration
-from khep_twin.units import BODY_RADIUS, BULB_RADIUS, PULSES_PER_TURN, SENSOR_HEIGHT
+from khep_twin.units import BULB_RADIUS, PULSES_PER_TURN, SENSOR_HEIGHT
 
 FILAMENT_MM = 15.0
 """Default height of a lamp's filament [mm]: as a playpen's lamps."""
@@ -70,37 +70,20 @@ class SensorData:
     power: float | None = None
     height: float = FILAMENT_MM / 1e3
 
-    def table(self, wheels: WheelCalibration) -> MeasuredTable:
-        """Return the readings with the object's distance and bearing in each row."""
-        away, bearings = self._object(wheels, self.radius)
-        if self.radius == 0:
-            # A wall's nearest point lies in the direction of the robot's initial heading.
-            x, _, heading = self._poses(wheels).T
-            away, bearings = BODY_RADIUS + self.distance - x, -heading
-        return MeasuredTable(away - self.radius - BODY_RADIUS, bearings, self.counts, self.radius)
-
-    def lamp_table(self, wheels: WheelCalibration) -> LampTable:
-        """Return the readings with the lamp's position in each row."""
-        away, bearings = self._object(wheels, BULB_RADIUS)
-        height = np.full(len(away), self.height - SENSOR_HEIGHT)
-        positions = np.column_stack([away * np.cos(bearings), away * np.sin(bearings), height])
+    def readings(self, wheels: WheelCalibration) -> Readings:
+        """Return the readings, with the object's place and the robot's poses."""
         pulse = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
         # A straight drive does not turn, and the speed of a turn is known.
         speed = self.run.test.speed if self.run.test.motion == "rotational" else None
         turning = 2 * (speed or 0) * 100 * pulse / wheels.base_mm
-        return LampTable(positions, self.counts, self.power or 0.0, turning)
+        radius = self.radius if self.power is None else BULB_RADIUS
+        place = Placement(self._poses(wheels), self.distance, radius, turning)
+        return Readings(self.name, place, self.counts, self.power, self.height - SENSOR_HEIGHT)
 
     @property
     def counts(self) -> Floats:
         """Readings of the sensors (n, 8) [counts]."""
         return self.run.dv[:, 2:].astype(np.float64)
-
-    def _object(self, wheels: WheelCalibration, radius: float) -> tuple[Floats, Floats]:
-        """Return distance [m] and bearing [rad] of the object's centre from the robot's, per row."""
-        x, y, heading = self._poses(wheels).T
-        ahead = BODY_RADIUS + self.distance + radius - x
-        bearings = np.arctan2(-y, ahead) - heading
-        return np.hypot(ahead, y), np.angle(np.exp(1j * bearings))
 
     def _poses(self, wheels: WheelCalibration) -> Floats:
         """Return the robot's poses at the readings by odometry: x, y [m], heading [rad] (n, 3)."""

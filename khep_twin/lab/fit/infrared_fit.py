@@ -1,137 +1,242 @@
 """Fit of one robot's infrared sensors to readings in front of a wall or a cylinder.
 
-Gain and threshold of each sensor are found by least squares, the shape of its optics is taken from another
-calibration. A clipped reading still carries information: it is compared with the mean of a noisy sensor,
+Gain, threshold, heading, lobe exponent and noise of each sensor are found by least squares, together with
+the errors of the ruler in each test; the rest of the optics is taken from another calibration. Heading and
+lobe exponent stay as they are there if the readings do not determine them. A clipped reading still carries
+information: it is compared with the mean of a noisy sensor,
 
     E[clip(x + s z, 0, limit)],  z normal,
 
-with level x and the calibration's noise s, weighted by the reading's precision.
+with level x and the sensor's noise s, weighted by the reading's precision.
 """
 
-# scipy is not typed.
-# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
-# pyright: reportUnknownArgumentType=false
-
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.infrared import TANGENTS, Floats, MeasuredTable, Optics, level
-from khep_twin.lab.fit.least_squares import Parameter, least_squares
+from khep_twin.lab.fit.clipped_noise import deviation, expected
+from khep_twin.lab.fit.infrared import Floats, MeasuredTable, Optics, level
+from khep_twin.lab.fit.least_squares import CONFIDENCE, Parameter, least_squares
+from khep_twin.lab.fit.placement import (
+    IN_PLACE,
+    SCAN_LAG_S,
+    Misplacement,
+    Placement,
+    Readings,
+    Ruler,
+    flat,
+    misplacements,
+    owners_of,
+    unknowns,
+)
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import N_SENSORS
 
+HEADING_SPREAD_DEG, LOBE_SPREAD = 5.0, 0.5
+"""Standard deviations of a sensor's heading and lobe exponent around those of another robot (assumed: the
+sampled robot's headings are up to 9 degrees off the manual's)."""
+
 _LEAST_READINGS = 10
 """Least number of unclipped readings to fit a sensor."""
+
+_LEAST_NOISY = 50
+"""Least number of readings far from both ends that determine a sensor's noise."""
 
 _WISH = "readings at several distances between 10 and 40 mm"
 
 _BLUR = 8.0
-"""Error of a reading beside its noise, from the uncertain pose of the robot [counts] (assumed)."""
+"""Error of a reading beside its noise, from what the model of the optics leaves out [counts] (assumed)."""
 
-_WIDEST = 0.15
+_OUTLIER = 3.0
+"""Residual from which on a reading counts as an outlier, in its standard deviation."""
+
+_WIDEST = 0.3
 """Largest half of a gain's confidence interval, relative, for which a fit is accepted."""
+
+_OWN = 4
+"""Number of parameters of a sensor: gain, threshold, heading, lobe exponent."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFit:
-    """Fit of one sensor.
+    """Fit of one sensor; each interval is half of the 95 % confidence interval.
 
     Attributes:
         optics: Fitted optics.
-        gain_interval: Half of the gain's 95 % confidence interval, relative.
-        threshold_interval: Half of the threshold's 95 % confidence interval [counts].
+        heading_deg: Heading, counter-clockwise from ahead [deg].
+        noise_counts: Standard deviation of a reading [counts].
+        gain_interval: Interval of the gain, relative.
+        threshold_interval: Interval of the threshold [counts].
+        heading_interval: Interval of the heading [deg]; None if it stayed as it was.
+        lobe_interval: Interval of the lobe exponent; None if it stayed as it was.
+        noise_interval: Interval of the noise [counts]; None if it stayed as it was.
         rms: Root mean square of the residuals [counts].
     """
 
     optics: Optics
+    heading_deg: float
+    noise_counts: float
     gain_interval: float
     threshold_interval: float
+    heading_interval: float | None
+    lobe_interval: float | None
+    noise_interval: float | None
     rms: float
 
 
-def fit_infrared(tables: Sequence[MeasuredTable], start: Calibration) -> list[SensorFit]:
-    """Fit gain and threshold of each sensor to the readings.
+@dataclass(frozen=True, slots=True)
+class InfraredFit:
+    """Fit of all sensors, and where the objects stood in each test."""
+
+    sensors: tuple[SensorFit, ...]
+    moved: tuple[Misplacement, ...]
+
+
+def unclipped(
+    sensor: int, heading_deg: float, optics: Optics, seen: tuple[Floats, Floats], radius: float
+) -> Floats:
+    """Return the counts of a sensor before an object, without noise and before they are clipped (n,).
+
+    Args:
+        sensor: Number of the sensor.
+        heading_deg: Heading of the sensor, counter-clockwise from ahead [deg].
+        optics: Calibration of the sensor.
+        seen: Distances from the robot's edge [m] and bearings, counter-clockwise [rad], of the object.
+        radius: Radius of the cylinder, 0 for a wall [m].
+    """
+    distances, bearings = seen
+    table = MeasuredTable(distances, bearings, np.empty((0, N_SENSORS)), radius)
+    return level(table.view(sensor, math.radians(heading_deg)), optics)
+
+
+def levels(placement: Placement, robot: Calibration, moved: Misplacement = IN_PLACE) -> Floats:
+    """Return the proximity of a calibration without noise and clipping (n, 8)."""
+    seen = placement.seen(moved)
+    optics = [Optics.of(robot.proximity, sensor) for sensor in range(N_SENSORS)]
+    columns = [
+        unclipped(sensor, heading_deg, optics[sensor], seen, placement.radius)
+        for sensor, heading_deg in enumerate(robot.heading_deg)
+    ]
+    return np.column_stack(columns)
+
+
+def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> InfraredFit:
+    """Fit the sensors to the readings.
+
+    Args:
+        tests: Readings before walls and cylinders.
+        start: Initial values, and the rest of the optics.
+        ruler: Precision of the objects' places; None for the usual one.
 
     Raises:
         FitError: The readings do not determine a sensor's gain.
     """
-    return [_fit_sensor(tables, sensor, start) for sensor in range(N_SENSORS)]
+    near = start.proximity
+    counts = flat([test.counts for test in tests]).reshape(-1, N_SENSORS)
+    _check(counts, np.array(near.noise_counts), near.limit_counts)
+    before = [Optics.of(near, sensor) for sensor in range(N_SENSORS)]
+    parameters = [*_parameters(before, start.heading_deg), *unknowns(tests, ruler or Ruler())]
+    owners = owners_of(tests, _OWN)
 
+    def found_levels(x: Floats) -> Floats:
+        own, errors = x[: _OWN * N_SENSORS].reshape(N_SENSORS, _OWN), x[_OWN * N_SENSORS :]
+        seen = [
+            (test.placement.seen(moved), test.placement.radius)
+            for test, moved in zip(tests, misplacements(errors), strict=True)
+        ]
+        columns = [
+            np.concatenate([unclipped(sensor, row[2], _optics(old, row), *each) for each in seen])
+            for sensor, (row, old) in enumerate(zip(own, before, strict=True))
+        ]
+        return np.column_stack(columns)
 
-def fitted(start: Calibration, fits: Sequence[SensorFit]) -> Calibration:
-    """Return a calibration with the fitted values."""
-    found = {
-        "gain_counts_mm2": tuple(round(fit.optics.gain_counts_mm2) for fit in fits),
-        "threshold_counts": tuple(round(fit.optics.threshold_counts, 1) for fit in fits),
-    }
-    return start.model_copy(update={"proximity": start.proximity.model_copy(update=found)})
-
-
-def expected(levels: Floats, noise: float, limit: float) -> Floats:
-    """Return the mean reading of a noisy sensor that is clipped to 0 and a limit."""
-    if noise <= 0:
-        return np.clip(levels, 0, limit)
-    low, high = -levels / noise, (limit - levels) / noise
-    return noise * (_bell(low) - _bell(high)) + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)
-
-
-def deviation(levels: Floats, noise: float, limit: float) -> Floats:
-    """Return the standard deviation of such a reading, which is small where it is clipped."""
-    if noise <= 0:
-        return np.zeros_like(levels)
-    low, high = -levels / noise, (limit - levels) / noise
-    inside = ndtr(high) - ndtr(low)
-    squares = (
-        (levels**2 + noise**2) * inside
-        + 2 * levels * noise * (_bell(low) - _bell(high))
-        + noise**2 * (low * _bell(low) - high * _bell(high))
-        + limit**2 * ndtr(-high)
-    )
-    return np.sqrt(np.maximum(squares - expected(levels, noise, limit) ** 2, 0))
-
-
-def _fit_sensor(tables: Sequence[MeasuredTable], sensor: int, start: Calibration) -> SensorFit:
-    name, proximity = SENSORS[sensor], start.proximity
-    before = Optics.of(proximity, sensor)
-    views = [table.view(sensor, float(np.radians(start.heading_deg[sensor]))) for table in tables]
-    counts = np.concatenate([table.counts[:, sensor] for table in tables])
-    noise, limit = proximity.noise_counts, proximity.limit_counts
-    told = int(((counts > noise) & (counts < limit - noise)).sum())
-    if told < _LEAST_READINGS:
-        raise FitError(
-            f"{name}: the gain cannot be determined: {told} readings are neither 0 nor saturated; expected "
-            f"at least {_LEAST_READINGS} such {_WISH}"
-        )
-
-    def levels(x: Floats) -> Floats:
-        optics = replace(before, gain_counts_mm2=x[0], threshold_counts=x[1])
-        return np.concatenate([level(view, TANGENTS, optics) for view in views])
-
-    weights: float | Floats = 1.0
+    noise = np.array(near.noise_counts)
+    weights: Floats = 1 / np.hypot(noise, _BLUR)
 
     def left(x: Floats) -> Floats:
-        return (expected(levels(x), noise, limit) - counts) * weights
+        return ((expected(found_levels(x), noise, near.limit_counts) - counts) * weights).ravel()
 
-    gain = before.gain_counts_mm2
-    parameters = [
-        Parameter(f"{name}: gain", gain, gain / 4, _WIDEST * gain, " counts mm2"),
-        Parameter(f"{name}: threshold", before.threshold_counts, 100, 300, " counts"),
-    ]
     # A robust loss limits the influence of outliers, such as readings while someone walks by.
-    first = least_squares(left, parameters, _WISH, "soft_l1", 3 * max(noise, _BLUR))
-    weights = 1 / np.hypot(deviation(levels(np.array(first.values)), noise, limit), _BLUR)
-    found = least_squares(left, parameters, _WISH, "soft_l1", 3.0, unit_variance=True)
-    (gain, threshold), (gain_interval, threshold_interval) = found.values, found.intervals
-    weights = 1.0
-    rms = float(np.sqrt(np.mean(left(np.array(found.values)) ** 2)))
-    optics = replace(before, gain_counts_mm2=gain, threshold_counts=threshold)
-    return SensorFit(optics, gain_interval / gain, threshold_interval, rms)
+    first = least_squares(left, parameters, _WISH, _OUTLIER, unit_variance=True, owners=owners)
+    level, off = found_levels(first.values), left(first.values).reshape(counts.shape) / weights
+    noise, noisy = _noise(level, off, noise, near.limit_counts)
+    spread = np.hypot(deviation(level, noise, near.limit_counts), _BLUR)
+    weights = (1 + (off / spread / _OUTLIER) ** 2) ** -0.25 / spread
+    found = least_squares(left, parameters, _WISH, unit_variance=True, owners=owners)
+    own, widths = (x[: _OWN * N_SENSORS].reshape(N_SENSORS, _OWN) for x in (found.values, found.intervals))
+    held = found.held[: _OWN * N_SENSORS].reshape(N_SENSORS, _OWN)
+    weights = np.ones(N_SENSORS)
+    left_over = left(found.values).reshape(counts.shape)
+    lag = max(CONFIDENCE * math.degrees(test.placement.turning * SCAN_LAG_S) for test in tests)
+    fits = [
+        SensorFit(
+            _optics(old, row),
+            float(row[2]),
+            float(noise[sensor]),
+            float(width[0] / row[0]),
+            float(width[1]),
+            None if kept[2] else math.hypot(width[2], lag),
+            None if kept[3] else float(width[3]),
+            CONFIDENCE * float(noise[sensor]) / math.sqrt(2 * noisy[sensor]) if noisy[sensor] else None,
+            float(np.sqrt(np.mean(left_over[:, sensor] ** 2))),
+        )
+        for sensor, (row, width, kept, old) in enumerate(zip(own, widths, held, before, strict=True))
+    ]
+    return InfraredFit(tuple(fits), tuple(misplacements(found.values[_OWN * N_SENSORS :])))
 
 
-def _bell(z: Floats) -> Floats:
-    return np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+def fitted(start: Calibration, found: InfraredFit) -> Calibration:
+    """Return a calibration with the fitted values; it has one noise for all sensors."""
+    fits = found.sensors
+    update = {
+        "gain_counts_mm2": tuple(round(fit.optics.gain_counts_mm2) for fit in fits),
+        "threshold_counts": tuple(round(fit.optics.threshold_counts, 1) for fit in fits),
+        "lobe_exponent": tuple(round(fit.optics.lobe_exponent, 3) for fit in fits),
+        "noise_counts": tuple(round(fit.noise_counts, 1) for fit in fits),
+    }
+    headings = tuple(round(fit.heading_deg, 2) for fit in fits)
+    proximity = start.proximity.model_copy(update=update)
+    return start.model_copy(update={"heading_deg": headings, "proximity": proximity})
+
+
+def _check(counts: Floats, noise: Floats, limit: float) -> None:
+    """Raise a `FitError` for a sensor with hardly a reading between both ends."""
+    between = ((counts > noise) & (counts < limit - noise)).sum(axis=0)
+    for name, told in zip(SENSORS, between.tolist(), strict=True):
+        if told < _LEAST_READINGS:
+            raise FitError(
+                f"{name}: the gain cannot be determined: {told} readings are neither 0 nor saturated; "
+                f"expected at least {_LEAST_READINGS} such {_WISH}"
+            )
+
+
+def _parameters(before: Sequence[Optics], headings_deg: Sequence[float]) -> list[Parameter]:
+    found: list[Parameter] = []
+    for name, old, heading_deg in zip(SENSORS, before, headings_deg, strict=True):
+        gain, spread, lobe = old.gain_counts_mm2, HEADING_SPREAD_DEG, LOBE_SPREAD
+        found += [
+            Parameter(f"{name}: gain", gain, gain / 4, _WIDEST * gain, " counts mm2", gain / 20),
+            Parameter(f"{name}: threshold", old.threshold_counts, 100, 500, " counts"),
+            Parameter(f"{name}: heading", heading_deg, spread, prior=spread, optional=True),
+            Parameter(f"{name}: lobe", old.lobe_exponent, lobe, low=0, prior=lobe, optional=True),
+        ]
+    return found
+
+
+def _optics(before: Optics, x: Floats) -> Optics:
+    gain, threshold, _, lobe = x.tolist()
+    return replace(before, gain_counts_mm2=gain, threshold_counts=threshold, lobe_exponent=lobe)
+
+
+def _noise(levels: Floats, off: Floats, noise: Floats, limit: float) -> tuple[Floats, list[int]]:
+    """Return each sensor's noise [counts], and of how many readings far from both ends; 0 if too few."""
+    inside = (levels > 2 * noise) & (levels < limit - 2 * noise)
+    numbers = inside.sum(axis=0)
+    # Each sensor's four parameters have taken their part of the residuals.
+    squares = np.where(inside, off**2, 0).sum(axis=0) / np.maximum(numbers - _OWN, 1)
+    enough = numbers >= _LEAST_NOISY
+    return np.where(enough, np.sqrt(squares), noise), np.where(enough, numbers, 0).tolist()

@@ -2,15 +2,17 @@
 
 The host's lines of a log are sent to a twin at their times, and its answers to E and H are compared with the
 robot's. Steady speeds at two duties determine the no-load speed and the gears' friction, the rise time the
-stall torque. The controllers of D and C hide them, so the log must contain P.
+stall torque. The controllers of D and C hide them, so the log must contain P. A host's log does not tell at
+which part of its 10 ms the robot's controller ticks: the phase that meets its answers best is taken.
 """
 
 import re
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -29,6 +31,12 @@ from khep_twin.world import World
 _WISH = "steps of duty (P) of up to 50 and of half a second and more, while polling E or H"
 _HIGHEST_DUTY = 50
 """Largest duty; beyond it tyres slip and hide the motors' behaviour (measured on the twin)."""
+
+_PHASES, _FINER = range(0, TICK_NS, TICK_NS // 10), (TICK_NS // 20, TICK_NS // 40, TICK_NS // 80)
+"""Shifts of a log's times against the controller's ticks that are tried, and steps around the best [ns]."""
+
+_ROUNDS = 4
+"""Most rounds of fitting motors and shifts in turn."""
 
 _LEAST_ANSWERS = 20
 _FIELD = 'version = 1\nname = "field"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
@@ -60,6 +68,16 @@ class DutyDrive:
         gone = np.diff(values[self.ways], axis=0) / ticks[:, None]
         return np.concatenate([values[~self.ways], gone], dtype=np.float64)
 
+    def shifted(self, phase_ns: int) -> Self:
+        """Return the drive with its first line so much after a tick of the controller [ns]."""
+        # One whole tick first, so that no line comes before the world begins.
+        return self.later(phase_ns + TICK_NS - self.sent[0][0])
+
+    def later(self, shift_ns: int) -> Self:
+        """Return the drive with all its times later [ns]."""
+        sent = tuple((time_ns + shift_ns, text) for time_ns, text in self.sent)
+        return replace(self, sent=sent, times_ns=self.times_ns + shift_ns)
+
     @property
     def times(self) -> Floats:
         """Times of the rows of `speeds` (m,) [s]."""
@@ -75,12 +93,14 @@ class MotorFit:
         speed_interval: Half of the no-load speed's 95 % confidence interval [rad/s].
         torque_interval: Half of the stall torque's 95 % confidence interval [N m].
         friction_interval: Half of the friction torque's 95 % confidence interval [N m].
+        drives: Drives in phase with the controller.
     """
 
     motors: MotorCalibration
     speed_interval: float
     torque_interval: float
     friction_interval: float
+    drives: tuple[DutyDrive, ...]
 
 
 def read_drive(log: Path) -> DutyDrive:
@@ -126,6 +146,32 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
     Raises:
         FitError: The drives do not determine a parameter.
     """
+    drives = [aligned(drive, start) for drive in drives]
+    found = _fit(drives, start)
+    for _ in range(_ROUNDS):
+        before = [drive.sent[0][0] for drive in drives]
+        drives = [aligned(drive, start.model_copy(update={"motors": found.motors})) for drive in drives]
+        if [drive.sent[0][0] for drive in drives] == before:
+            break
+        found = _fit(drives, start)
+    return found
+
+
+def aligned(drive: DutyDrive, robot: Calibration) -> DutyDrive:
+    """Return a drive with its times shifted to where a robot's twin meets its answers best."""
+
+    def left(shifted: DutyDrive) -> float:
+        return float(np.mean((driven(shifted, robot) - shifted.speeds(shifted.values)) ** 2))
+
+    tried = {left(each): each for each in map(drive.shifted, _PHASES)}
+    for step_ns in _FINER:
+        best = tried[min(tried)]
+        tried |= {left(each): each for each in map(best.later, (-step_ns, step_ns))}
+    return tried[min(tried)]
+
+
+def _fit(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
+    """Fit the motors to drives whose times are in phase with the controller."""
     measured = np.concatenate([drive.speeds(drive.values) for drive in drives])
     begin = start.motors
     parameters = [
@@ -141,7 +187,8 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
 
     found = least_squares(left, parameters, _WISH, step=_STEP)
     speed_interval, torque_interval, friction_interval = found.intervals
-    return MotorFit(_motors(found.values), speed_interval, torque_interval / 1e3, friction_interval / 1e3)
+    within = float(speed_interval), float(torque_interval) / 1e3, float(friction_interval) / 1e3
+    return MotorFit(_motors(found.values.tolist()), *within, tuple(drives))
 
 
 def driven(drive: DutyDrive, robot: Calibration) -> Floats:

@@ -22,15 +22,10 @@ from scipy.optimize import least_squares
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import CONFIDENCE
+from khep_twin.lab.fit.placement import Ruler
 from khep_twin.log.reader import read
 from khep_twin.sensing.calibration import WheelCalibration
 from khep_twin.units import PULSES_PER_TURN, WHEEL_BASE, WHEEL_RADIUS
-
-RULER = 0.0005
-"""Standard deviation of a distance measured with a ruler [m] (assumed)."""
-
-PROTRACTOR = math.radians(1)
-"""Standard deviation of an angle measured by a person [rad] (assumed)."""
 
 _WIDEST = 0.1
 """Largest half of a confidence interval, relative, for which a fit is accepted."""
@@ -78,8 +73,12 @@ class WheelFit:
         return WheelCalibration(radius_mm=round(self.radius * 1e3, 4), base_mm=round(self.base * 1e3, 3))
 
 
-def fit_wheels(drives: Sequence[Drive]) -> WheelFit:
+def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
     """Fit radius and base of the wheels to the drives.
+
+    Args:
+        drives: Measured drives.
+        ruler: Precision of their measurement; None for the usual one.
 
     Raises:
         FitError: The drives do not determine the radius or the base, or contradict each other.
@@ -93,12 +92,14 @@ def fit_wheels(drives: Sequence[Drive]) -> WheelFit:
     if not any(abs(drive.turned or 0) >= _LEAST_TURNED for drive in drives):
         raise FitError("the wheel base cannot be determined: no half turn and more; expected LOG=5turns")
 
+    precisions = np.array([_precision(drive, ruler or Ruler()) for drive in drives])
+
     def left(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([left_over(drive, *x) / _precision(drive) for drive in drives])
+        return np.array([left_over(drive, *x) for drive in drives]) / precisions
 
     found = least_squares(left, [WHEEL_RADIUS, WHEEL_BASE], x_scale=[1e-3, 1e-2])
     radius, base = (float(value) for value in found.x)
-    # The noise is as assumed for rulers, or larger if the drives differ by more.
+    # The noise is that of the ruler, or larger if the drives differ by more.
     excess = max(1.0, 2 * float(found.cost) / max(len(drives) - 2, 1))
     spread = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * excess)
     try:
@@ -162,5 +163,8 @@ def _check_kind(drive: Drive) -> None:
         )
 
 
-def _precision(drive: Drive) -> float:
-    return RULER if drive.distance is not None else PROTRACTOR
+def _precision(drive: Drive, ruler: Ruler) -> float:
+    """Return the standard deviation of a measurement [m or rad]; zeros would weigh infinitely much."""
+    if drive.distance is not None:
+        return max(ruler.distance_mm, 1e-3) / 1e3
+    return math.radians(max(ruler.bearing_deg, 1e-3))

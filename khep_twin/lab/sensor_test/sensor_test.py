@@ -213,13 +213,13 @@ def sense(
         robot.set_position(0, 0)
         profile = test.speed or DEFAULT_SPEED, test.acceleration or DEFAULT_ACCELERATION
         robot.configure_profile(*profile, *profile)
-        if _drive(robot, test.target, gathered.look, asked) and test.return_to_zero:
+        if drive_to(robot, test.target, gathered.look, asked) and test.return_to_zero:
             _go_back(robot, asked)
-        _rest(robot)
+        rest(robot)
     except BaseException as error:
         # A second error while the motors are stopped would only hide the first one.
         with suppress(KhepTwinError):
-            _rest(robot)
+            rest(robot)
         if isinstance(error, KhepTwinError):
             raise BrokenOffError(f"{gathered.so_far}: {error}", gathered.run()) from error
         if isinstance(error, KeyboardInterrupt):
@@ -265,7 +265,7 @@ class _Gathered:
         return f"the test broke off after {travelled:.1f} of {self.test.amount:g} {self.test.unit}"
 
 
-def _drive(
+def drive_to(
     robot: Khepera,
     target: tuple[int, int],
     look: Callable[[tuple[int, int]], None] | None,
@@ -304,12 +304,12 @@ def _go_back(robot: Khepera, stop: Callable[[], bool]) -> None:
     while robot.time < end and not stop():
         robot.sleep(0.1)
     try:
-        _drive(robot, (0, 0), None, stop)
+        drive_to(robot, (0, 0), None, stop)
     except SensorTestError as error:
         raise SensorTestError(f"on the return {error}") from None
 
 
-def _rest(robot: Khepera) -> None:
+def rest(robot: Khepera) -> None:
     """Stop the motors and set command J's values to those of a reset."""
     robot.set_speed(0, 0)
     robot.configure_profile(DEFAULT_SPEED, DEFAULT_ACCELERATION, DEFAULT_SPEED, DEFAULT_ACCELERATION)

@@ -1,15 +1,17 @@
 """The law of lamps: as the sampled robot's, the scene's own, and found from readings."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.lamp_fits import FAR, left_over, positions, sampled_lamp
+from benchmarks.lamp_fits import FAR, SET_UP_BEARING, left_over, readings, sampled_lamp
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts, fit_lamps
+from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Readings, Ruler
 from khep_twin.sensing import calibration
 from khep_twin.units import SENSOR_HEIGHT
 from khep_twin.world import World
@@ -28,27 +30,31 @@ BEARINGS = -np.radians(np.arange(0, 360, 2))
 DISTANCES = np.arange(0.073, 0.534, 0.02)
 
 
-def turned(distance: float, power: float = 2.0) -> LampTable:
+def turned(distance: float, power: float = 2.0) -> Readings:
     """A robot turned in a lamp's light, with nothing read."""
-    return LampTable(positions(np.full(180, distance), BEARINGS), np.zeros((180, 8)), power)
+    return readings(np.full(180, distance), SET_UP_BEARING + BEARINGS, np.zeros((180, 8)), power)
+
+
+def lamp(distance: float) -> LampTable:
+    return LampTable.of(turned(distance))
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_each_receiver_has_the_derived_figures_of_the_real_one(sensor: int) -> None:
     dark = KHEPERA1.ambient.dark_counts
-    depths = dark - ambient_counts(turned(0.213), sensor, KHEPERA1.ambient)
+    depths = dark - ambient_counts(lamp(0.213), sensor, KHEPERA1.ambient)
     best = np.angle((depths * np.exp(1j * BEARINGS)).sum(), deg=True)
     assert (best - BEST_DEG[sensor] + 180) % 360 - 180 == pytest.approx(0, abs=5)
     assert 2 * (depths > depths.max() / 2).sum() == pytest.approx(WIDTH_DEG[sensor], abs=18)
     near = np.abs(np.angle(np.exp(1j * (BEARINGS - np.radians(BEST_DEG[sensor]))))) <= np.radians(10)
-    means = [ambient_counts(turned(each), sensor, KHEPERA1.ambient)[near].mean() for each in DISTANCES]
+    means = [ambient_counts(lamp(each), sensor, KHEPERA1.ambient)[near].mean() for each in DISTANCES]
     assert np.interp(250, means, DISTANCES) * 1e3 == pytest.approx(AT_250_MM[sensor], abs=8)
     assert np.interp(0.213, DISTANCES, means) == pytest.approx(AT_213_COUNTS[sensor], abs=9)
 
 
 def test_the_sampled_lamp_is_met_far_off_and_near(reference: Path) -> None:
-    distances, table = sampled_lamp(reference)
-    errors = left_over(table, KHEPERA1.ambient)
+    distances, test = sampled_lamp(reference)
+    errors = left_over(test, KHEPERA1.ambient)
     far = distances >= FAR
     assert np.sqrt(np.mean(errors[far] ** 2)) <= 15
     assert np.sqrt(np.mean(errors[~far] ** 2)) <= 68.5
@@ -68,7 +74,7 @@ def read_in_scene(forward: float, left: float, height: float) -> np.ndarray:
     "position", [(0.2, 0.0, 0.0016), (0.1, 0.15, 0.05), (-0.07, 0.02, 0.03), (0.0, -0.5, 0.2)]
 )
 def test_the_law_for_many_positions_gives_what_the_scene_gives(position: tuple[float, float, float]) -> None:
-    table = LampTable(np.array([position]), np.zeros((1, 8)), 2.0)
+    table = LampTable(np.array([position]), 2.0)
     expected = [ambient_counts(table, sensor, KHEPERA1.ambient)[0] for sensor in SENSORS]
     # Its own wheels may hide a lamp behind it from a sensor that sees it by its diffuse part only.
     np.testing.assert_allclose(read_in_scene(*position), expected, atol=1.5)
@@ -85,18 +91,19 @@ HIDDEN = KHEPERA1.ambient.model_copy(
 )
 
 
-def recorded(*distances: float, seed: int = 1) -> list[LampTable]:
-    """A hidden robot's noisy readings in full turns."""
+def recorded(*distances: float, seed: int = 1, moved: Misplacement = IN_PLACE) -> list[Readings]:
+    """A hidden robot's noisy readings in full turns, of lamps that stood elsewhere than told."""
     rng = np.random.default_rng(seed)
-    tables: list[LampTable] = []
+    tests: list[Readings] = []
     for distance in distances:
-        table = turned(distance)
+        test = turned(distance)
         for sensor in SENSORS:
-            table.counts[:, sensor] = np.round(
-                ambient_counts(table, sensor, HIDDEN) + 5 * rng.standard_normal(len(BEARINGS))
+            test.counts[:, sensor] = np.round(
+                ambient_counts(LampTable.of(test, moved), sensor, HIDDEN)
+                + 5 * rng.standard_normal(len(BEARINGS))
             )
-        tables.append(table)
-    return tables
+        tests.append(test)
+    return tests
 
 
 def test_hidden_receivers_are_found_from_two_turns() -> None:
@@ -112,13 +119,23 @@ def test_hidden_receivers_are_found_from_two_turns() -> None:
 
 
 def test_readings_in_the_dark_are_refused_by_receiver() -> None:
-    table = LampTable(positions(np.full(180, 0.15), BEARINGS), np.full((180, 8), 470.0), 2.0)
     with pytest.raises(FitError, match="left 90: the gain for lamps cannot be determined"):
-        fit_lamps([table], KHEPERA1)
+        fit_lamps([readings(np.full(180, 0.15), BEARINGS, np.full((180, 8), 470.0), 2.0)], KHEPERA1)
+
+
+def test_the_intervals_contain_what_a_ruler_s_error_does() -> None:
+    moved = Misplacement(0.0005, math.radians(1.5))
+    fit = fit_lamps(recorded(0.07, 0.15, moved=moved), KHEPERA1)
+    gains = np.array(fit.ambient.gain_counts_mm2_per_w) / HIDDEN.gain_counts_mm2_per_w
+    assert (np.abs(gains - 1) < 1.3 * np.array(fit.gain_intervals)).all()
+    headings = (np.array(fit.ambient.heading_deg) - HIDDEN.heading_deg + 180) % 360 - 180
+    assert (np.abs(headings) < 1.3 * np.array(fit.heading_intervals)).all()
+    exact = fit_lamps(recorded(0.07, 0.15), KHEPERA1, Ruler(0, 0, 0))
+    assert min(fit.heading_intervals) > 2 * max(exact.heading_intervals)
 
 
 def test_a_lamp_that_was_only_passed_on_one_side_does_not_tell_the_other_sensors() -> None:
     (whole,) = recorded(0.15)
     ahead = np.abs(np.angle(np.exp(1j * BEARINGS))) < 0.6
     with pytest.raises(FitError, match=r"^(back right|left 90|right 90|back left)"):
-        fit_lamps([LampTable(whole.positions[ahead], whole.counts[ahead], 2.0)], KHEPERA1)
+        fit_lamps([readings(np.full(ahead.sum(), 0.15), BEARINGS[ahead], whole.counts[ahead], 2.0)], KHEPERA1)

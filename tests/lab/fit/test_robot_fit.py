@@ -13,6 +13,7 @@ from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.host import Khepera
 from khep_twin.lab.fit.fit_inputs import SensorData, fit_inputs
+from khep_twin.lab.fit.lamp_fit import LampTable
 from khep_twin.lab.fit.motor_fit import read_drive
 from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels
 from khep_twin.lab.sensor_test.sensor_files import save
@@ -227,9 +228,9 @@ def test_in_a_straight_approach_the_wall_comes_nearer_and_stays_ahead() -> None:
     dv = np.zeros((3, 10), np.int64)
     dv[:, :2] = [[0, 0], [100, 100], [250, 250]]
     run = SensorRun(SensorTest(linear_cm=5), dv, np.array([0.0, 1e6, 2e6]))
-    table = SensorData("approach", run, 0.03).table(KHEPERA1.wheels)
-    np.testing.assert_allclose(table.distances, [0.03, 0.022, 0.01], atol=1e-5)
-    np.testing.assert_allclose(table.bearings, 0, atol=1e-12)
+    distances, bearings = SensorData("approach", run, 0.03).readings(KHEPERA1.wheels).placement.seen()
+    np.testing.assert_allclose(distances, [0.03, 0.022, 0.01], atol=1e-5)
+    np.testing.assert_allclose(bearings, 0, atol=1e-12)
 
 
 def test_a_robot_that_turns_left_has_the_object_on_its_right() -> None:
@@ -237,13 +238,11 @@ def test_a_robot_that_turns_left_has_the_object_on_its_right() -> None:
     dv = np.zeros((2, 10), np.int64)
     dv[1, :2] = -quarter, quarter
     run = SensorRun(SensorTest(rotate_deg=90), dv, np.array([0.0, 1e6]))
-    for table in (
-        SensorData("wall", run, 0.02).table(KHEPERA1.wheels),
-        SensorData("can", run, 0.02, radius=0.0125).table(KHEPERA1.wheels),
-    ):
-        np.testing.assert_allclose(table.distances, 0.02, atol=1e-6)
-        np.testing.assert_allclose(table.bearings, [0, -math.pi / 2], atol=2e-3)
-    lamp = SensorData("lamp", run, 0.1, power=2.0).lamp_table(KHEPERA1.wheels)
+    for data in (SensorData("wall", run, 0.02), SensorData("can", run, 0.02, radius=0.0125)):
+        distances, bearings = data.readings(KHEPERA1.wheels).placement.seen()
+        np.testing.assert_allclose(distances, 0.02, atol=1e-6)
+        np.testing.assert_allclose(bearings, [0, -math.pi / 2], atol=2e-3)
+    lamp = LampTable.of(SensorData("lamp", run, 0.1, power=2.0).readings(KHEPERA1.wheels))
     np.testing.assert_allclose(lamp.positions[1], [0, -0.1375, 0.0016], atol=4e-4)
 
 

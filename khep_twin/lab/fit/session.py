@@ -1,0 +1,127 @@
+"""Calibration session: steps that a person and a robot go through, kept in a folder from step to step.
+
+Each recording is written as a whole; a step is done when its word stands in `tests.txt`, one of `fit_inputs`
+for each line, with the recording's name in the folder. A session that was broken off goes on after the last
+step that was done.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from khep_twin.errors import FitError
+from khep_twin.files.atomic import read_regular, write_whole
+from khep_twin.host import Khepera
+from khep_twin.lab.fit.fit_inputs import fit_inputs
+from khep_twin.lab.fit.session_people import Person
+from khep_twin.lab.fit.session_steps import Step, record
+
+TESTS = "tests.txt"
+"""Name of the file with the words."""
+
+_LIMIT = 100_000
+"""Largest file of words [bytes]."""
+
+
+class Session:
+    """Calibration session in a folder.
+
+    Args:
+        folder: Folder of the recordings; it is made with the first of them.
+
+    Attributes:
+        folder: Folder of the recordings.
+        words: Words of the steps that are done, without the folder.
+
+    Raises:
+        FitError: The folder cannot be used, or its words are wrong or have no recording.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        if folder.exists() and not folder.is_dir():
+            raise FitError(f"{folder}: no directory; expected one for the recordings")
+        self.words: list[str] = []
+        path = folder / TESTS
+        if not path.exists():
+            return
+        try:
+            text = read_regular(path)[:_LIMIT].decode("utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise FitError(f"{path}: cannot be read: {error}") from error
+        self.words = [line for line in text.split("\n") if line]
+        for line in self.words:
+            file = line.rpartition("=")[0]
+            if not file or Path(file).name != file or not (folder / file).is_file():
+                raise FitError(
+                    f"{path}: {line[:80]}; expected a recording of {folder} and what was measured, such as "
+                    "wall-12.csv=wall@12mm"
+                )
+
+    @property
+    def paths(self) -> list[str]:
+        """Words with the folder, as `fit_inputs` takes them."""
+        return [str(self.folder / word) for word in self.words]
+
+    def done(self, step: Step) -> str:
+        """Return the word of a step that is done; empty if it is not."""
+        return next((word for word in self.words if word.rpartition("=")[0] == step.file), "")
+
+    def run(
+        self,
+        steps: Sequence[Step],
+        robot: Khepera,
+        person: Person,
+        show: Callable[[str], None],
+        stop: Callable[[], bool],
+    ) -> bool:
+        """Go through the steps that are not done; return False if asked to stop.
+
+        Args:
+            steps: Steps in order.
+            robot: Robot.
+            person: Person who places and measures.
+            show: Function that shows a line.
+            stop: Function that returns whether to end; the motors stop then.
+
+        Raises:
+            FitError: A recording cannot be used.
+            SensorTestError: A wheel is blocked.
+            PortError: The port failed.
+        """
+        for number, step in enumerate(steps, 1):
+            title = f"step {number} of {len(steps)}"
+            if word := self.done(step):
+                show(f"{title}: done before: {word}")
+            elif not self._do(step, title, robot, person, show, stop):
+                return False
+        return True
+
+    def _do(
+        self,
+        step: Step,
+        title: str,
+        robot: Khepera,
+        person: Person,
+        show: Callable[[str], None],
+        stop: Callable[[], bool],
+    ) -> bool:
+        """Do a step, again if the person wants; return False if asked to stop."""
+        while True:
+            show(f"{title}: {step.kind}")
+            told = person.place(step)
+            if told is None:
+                show(f"{title}: skipped")
+                return True
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if not record(robot, step, self.folder / step.file, stop):
+                return False
+            measured = person.measure(step) if step.kind in ("straight", "turns") else told
+            if measured is None:
+                continue
+            word = step.word(measured)
+            # What cannot be used is refused while the robot still stands there.
+            fit_inputs([str(self.folder / word)])
+            self.words.append(word)
+            write_whole(self.folder / TESTS, "".join(f"{each}\n" for each in self.words).encode("utf-8"))
+            show(f"{title}: {word}")
+            return True

@@ -1,0 +1,233 @@
+"""Calibration sessions: placed and measured by a person, kept from step to step, ended without a loss."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.errors import FitError
+from khep_twin.host import Khepera
+from khep_twin.lab.fit.fit_inputs import fit_inputs
+from khep_twin.lab.fit.motor_fit import read_drive
+from khep_twin.lab.fit.placement import Ruler
+from khep_twin.lab.fit.session import TESTS, Session
+from khep_twin.lab.fit.session_people import PersonAtTerminal, SimulatedPerson
+from khep_twin.lab.fit.session_steps import Step, record, steps
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+BENCH = (
+    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
+    "[[robot]]\nx_mm = 500\ny_mm = 500\nheading_deg = 0\n"
+)
+STRAIGHT, DUTY, WALL = Step("straight"), Step("duty"), Step("wall", 15.0)
+
+
+def bench(log: Path | None = None, text: str = BENCH) -> Khepera:
+    twin = open_twin(playpen.parse(text, "bench"), TwinOptions(log=log and str(log)))
+    return Khepera(Serial.of(twin, timeout=1.0))
+
+
+def never() -> bool:
+    return False
+
+
+def simulated(robot: Khepera, ruler: Ruler | None = None) -> SimulatedPerson:
+    return SimulatedPerson(robot.port.twin, ruler or Ruler(0, 0), lambda _: None)
+
+
+def answering(*answers: str) -> tuple[PersonAtTerminal, list[str]]:
+    """A person at a terminal with these answers, and what was shown."""
+    shown: list[str] = []
+    rest = iter(answers)
+
+    def ask(question: str) -> str:
+        shown.append(question)
+        return next(rest)
+
+    return PersonAtTerminal(shown.append, ask), shown
+
+
+def test_a_session_goes_on_after_the_last_step_that_was_done(tmp_path: Path) -> None:
+    folder, shown = tmp_path / "session", list[str]()
+    with bench() as robot:
+        assert Session(folder).run([STRAIGHT], robot, simulated(robot), shown.append, never)
+        before = (folder / "straight.mcap").read_bytes()
+        asked = iter([False] * 40)
+        again = Session(folder)
+        assert not again.run(
+            [STRAIGHT, WALL, DUTY], robot, simulated(robot), shown.append, lambda: next(asked, True)
+        )
+        # The motors stand, and nothing is half there.
+        robot.sleep(0.5)
+        assert robot.speed() == (0, 0)
+        assert sorted(each.name for each in folder.iterdir()) == ["straight.mcap", TESTS]
+        assert any("done before: straight.mcap=" in line for line in shown)
+        third = Session(folder)
+        assert third.run([STRAIGHT, DUTY], robot, simulated(robot), shown.append, never)
+    assert (folder / "straight.mcap").read_bytes() == before
+    assert (folder / TESTS).read_text().splitlines() == third.words
+    found = fit_inputs(third.paths)
+    assert (len(found.wheels), len(found.motors)) == (1, 1)
+    assert found.wheels[0].distance == pytest.approx(0.6, abs=0.001)
+
+
+def test_a_recording_that_is_asked_to_stop_leaves_no_file(tmp_path: Path) -> None:
+    with bench() as robot:
+        for step in (STRAIGHT, DUTY, WALL):
+            asked = iter([False] * 10)
+            assert not record(robot, step, tmp_path / step.file, lambda asked=asked: next(asked, True))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_host_s_recording_has_the_times_of_the_twin_s_own_log(tmp_path: Path) -> None:
+    with bench(tmp_path / "own.mcap") as robot:
+        assert record(robot, DUTY, tmp_path / "host.mcap", never)
+    own, host = (read_drive(tmp_path / name) for name in ("own.mcap", "host.mcap"))
+    assert len(host.times_ns) > 300
+    np.testing.assert_allclose(host.times_ns, own.times_ns[: len(host.times_ns)], atol=10)
+    np.testing.assert_array_equal(host.values, own.values[: len(host.values)])
+
+
+def test_a_simulated_person_puts_the_robot_where_the_step_wants_it_within_the_ruler_s_errors() -> None:
+    with bench() as robot:
+        twin = robot.port.twin
+        exact = simulated(robot)
+        assert exact.place(WALL) == 15.0
+        assert twin.robot.pose[0] == pytest.approx(1.0 - 0.0275 - 0.015, abs=1e-6)
+        lamp = Step("lamp", 60.0, power_w=2.0, height_mm=30.0)
+        exact.place(lamp)
+        (found,) = twin.world.playpen.lamps
+        assert found.x_mm - twin.robot.pose[0] * 1e3 == pytest.approx(27.5 + 60 + 10, abs=0.01)
+        assert (found.z_mm, found.power_w) == (30.0, 2.0)
+        person, errors = simulated(robot, Ruler(0.5, 1.5)), list[tuple[float, float]]()
+        for _ in range(60):
+            person.place(WALL)
+            x, _, heading = twin.robot.pose
+            errors.append(((1.0 - 0.0275 - x) * 1e3 - 15, math.degrees(heading)))
+        assert twin.world.playpen.lamps == ()
+    np.testing.assert_allclose(np.std(errors, axis=0), [0.5, 1.5], rtol=0.3)
+
+
+def test_turns_are_counted_whole_and_with_what_lies_beyond() -> None:
+    with bench() as robot:
+        person = simulated(robot)
+        step = Step("turns")
+        person.place(step)
+        start = robot.port.twin.robot.pose[2]
+        robot.set_speed(-10, 10)
+        robot.sleep(1.0)
+        robot.set_speed(0, 0)
+        robot.sleep(0.5)
+        beyond = (robot.port.twin.robot.pose[2] - start + math.pi) % (2 * math.pi) - math.pi
+        assert person.measure(step) == pytest.approx(5 + beyond / 2 / math.pi, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (("width_mm = 1000", "width_mm = 600"), "600 x 1000 mm"),
+        (("height_mm = 1000\n", 'height_mm = 1000\nsurface = "black"\n'), "walls of black"),
+        (
+            (
+                "[[robot]]",
+                "[[cylinder]]\nx_mm = 200\ny_mm = 200\nradius_mm = 10\nheight_mm = 50\n[[robot]]",
+            ),
+            "1 objects and other robots",
+        ),
+    ],
+)
+def test_a_playpen_without_room_is_refused(change: tuple[str, str], problem: str) -> None:
+    with bench(text=BENCH.replace(*change)) as robot, pytest.raises(FitError, match=problem):
+        simulated(robot)
+
+
+@pytest.mark.parametrize(
+    ("step", "answers", "told"),
+    [
+        (WALL, [""], 15.0),
+        (WALL, ["14.5"], 14.5),
+        (WALL, ["near", "-3", "nan", "s"], None),
+        (STRAIGHT, ["700", ""], 0.0),
+    ],
+)
+def test_a_place_is_confirmed_corrected_or_skipped(
+    step: Step, answers: list[str], told: float | None
+) -> None:
+    person, shown = answering(*answers)
+    assert person.place(step) == told
+    assert shown[0] == step.text
+    assert sum("expected Enter" in line for line in shown) == len(answers) - 1
+
+
+@pytest.mark.parametrize(
+    ("step", "answers", "told"),
+    [
+        (STRAIGHT, ["598.5"], 598.5),
+        (STRAIGHT, ["60", "598 mm", "601"], 601.0),
+        (STRAIGHT, ["s"], None),
+        (Step("turns"), ["4.93"], 4.93),
+        (Step("turns"), ["5 -25"], 5 - 25 / 360),
+        (Step("turns"), ["five", "5 x", "5"], 5.0),
+    ],
+)
+def test_a_measurement_is_asked_for_until_it_is_a_number(
+    step: Step, answers: list[str], told: float | None
+) -> None:
+    person, _ = answering(*answers)
+    assert person.measure(step) == told
+
+
+def test_a_person_who_has_put_everything_up_is_not_waited_for() -> None:
+    def ask(question: str) -> str:
+        raise AssertionError(question)
+
+    assert PersonAtTerminal(lambda _: None, ask, wait=False).place(WALL) == 15.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("wall-15.csv=wall@15mm\n", "expected a recording of"),
+        ("../there.csv=wall@15mm\n", "expected a recording of"),
+        ("what\n", "expected a recording of"),
+    ],
+)
+def test_words_without_a_recording_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / TESTS).write_text(text)
+    with pytest.raises(FitError, match=message):
+        Session(tmp_path)
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(FitError, match="no directory"):
+        Session(tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: steps([0.0], None, None, 15),
+        lambda: steps([10.0, 10.0], None, None, 15),
+        lambda: steps([10.0], -2.0, None, 15),
+        lambda: steps([10.0], None, 0.0, 15),
+        lambda: steps([10.0], None, 2.0, math.nan),
+    ],
+)
+def test_objects_that_no_one_has_are_refused(make: Callable[[], object]) -> None:
+    with pytest.raises(FitError, match="expected"):
+        make()
+
+
+def test_every_step_has_a_file_and_a_word_of_its_own() -> None:
+    found = steps([6.0, 12.0], 27.0, 2.0, 15.0)
+    assert len({step.file for step in found}) == len(found) == 10
+    assert [step.word(12.5) for step in found if step.kind in ("cylinder", "lamp")][::3] == [
+        "cylinder-6.csv=cylinder:27mm@12.5mm",
+        "lamp-60.csv=lamp:2W:15mm@12.5mm",
+    ]
+    assert {step.sign for step in found if step.kind == "wall"} == {1, -1}
