@@ -16,8 +16,8 @@ from khep_twin.sensing.reflection import (
     Chip,
     Lobe,
     add_upright,
-    most,
     reflected,
+    sift,
 )
 from khep_twin.units import SENSOR_HEIGHT
 
@@ -190,9 +190,27 @@ def test_the_upper_bound_is_one_in_random_scenes() -> None:
         found, count, chip = surfaces(random_things(rng, int(rng.integers(1, 7))))
         lobe = lobe_of(exponent)
         true = reflected(found, count, chip, lobe)
-        assert most(found, count, lobe) >= true
+        left, most = sift(found, count, lobe, 0.0)
+        assert (left, reflected(found, left, chip, lobe)) == (count, true)
+        assert most >= true
         seen += true > 0
     assert seen > 250
+
+
+def test_what_is_sifted_out_sends_back_less_than_it_is_sifted_by() -> None:
+    rng = np.random.default_rng(7)
+    removed = 0
+    for _ in range(300):
+        exponent, least = float(rng.uniform(0, 6)), float(10 ** rng.uniform(0, 2.7))
+        found, count, chip = surfaces(random_things(rng))
+        lobe = lobe_of(exponent)
+        true = reflected(found, count, chip, lobe)
+        left, most = sift(found, count, lobe, least)
+        rest = reflected(found, left, chip, lobe) if left else 0.0
+        assert abs(true - rest) <= (count - left) * least
+        assert most >= rest
+        removed += count - left
+    assert removed > 150
 
 
 def test_light_does_not_depend_on_the_order_of_things() -> None:
