@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.fidelity_manual import figure_11, figure_12, figure_13
 from benchmarks.infrared_fits import (
     CYLINDER_RADIUS,
     MANUAL_SURFACES,
@@ -149,6 +150,10 @@ def test_one_calibration_meets_all_of_the_manuals_figures_of_proximity(reference
     assert rms(eleven) <= 12
     assert rms([twelve]) <= 40
     assert rms(thirteen) <= 8
+    # And so they are in a scene, where sensors have a range.
+    assert figure_11(reference).figure <= 12
+    assert figure_12(reference).figure <= 40
+    assert figure_13(reference).figure <= 8
 
 
 KHEPERA2 = """
