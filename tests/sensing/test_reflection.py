@@ -182,6 +182,20 @@ def random_things(rng: np.random.Generator, most_of_them: int = 6) -> list[Thing
     return found
 
 
+def test_in_random_scenes_light_is_within_few_per_cent_of_that_of_rays() -> None:
+    rng = np.random.default_rng(1)
+    apart: list[float] = []
+    for _ in range(60):
+        things, exponent = random_things(rng, int(rng.integers(1, 5))), float(rng.uniform(1, 4))
+        expected = integral(things, exponent, 700)
+        if expected > 30:
+            apart.append(abs(light(things, exponent) / expected - 1))
+    assert len(apart) > 40
+    assert np.median(apart) < 0.003
+    assert np.percentile(apart, 90) < 0.03
+    assert max(apart) < 0.1
+
+
 def test_the_upper_bound_is_one_in_random_scenes() -> None:
     rng = np.random.default_rng(4)
     seen = 0
