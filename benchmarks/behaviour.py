@@ -60,7 +60,7 @@ def tables(folder: Path) -> dict[Thing, Samples]:
     """Return the tables of the sampled robot."""
     wall, cylinder = (Samples(each.distances, each.bearings, each.counts) for each in sampled(folder))
     distances, lamp = sampled_lamp(folder)
-    bearings = np.arctan2(lamp.positions[:, 1], lamp.positions[:, 0])
+    _, bearings = lamp.placement.seen()
     # Light falls off too steeply from one distance to the next to be smoothed along it.
     return {WALL: wall, CYLINDER: cylinder, LAMP: Samples(distances, bearings, lamp.counts, (1, 7))}
 

@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.fidelity_comparison import Comparison, Floats, Outcome, at_rest, columns, noise_variance
 from benchmarks.infrared_fits import rms
 from benchmarks.lamp_fits import COUNTS_AT_0, FAR, FILAMENT_HEIGHT, POWER, SAMPLED_LIMIT, sampled_lamp
+from khep_twin.lab.fit.lamp_fit import LampTable
 from khep_twin.playpen import Arena, Lamp, Playpen, Robot
 from khep_twin.sensing import calibration
 from khep_twin.units import BODY_HEIGHT, N_SENSORS, SENSOR_HEADINGS, SENSOR_HEIGHT, SENSOR_POSITIONS
@@ -42,9 +43,10 @@ def sampled_errors(folder: Path) -> tuple[Floats, Floats, Floats, Floats]:
     All but the distances are on the samples' scale of 1023.
     """
     distances, table = sampled_lamp(folder)
+    positions = LampTable.of(table).positions[:, :2]
     scale = SAMPLED_LIMIT / COUNTS_AT_0
-    modelled = lit(_robot("khepera1"), POWER, table.positions[:, :2], SENSOR_HEIGHT + FILAMENT_HEIGHT)
-    away = table.positions[:, None, :2] - np.array(SENSOR_POSITIONS)
+    modelled = lit(_robot("khepera1"), POWER, positions, SENSOR_HEIGHT + FILAMENT_HEIGHT)
+    away = positions[:, None] - np.array(SENSOR_POSITIONS)
     angles = np.angle(np.exp(1j * (np.arctan2(away[..., 1], away[..., 0]) - SENSOR_HEADINGS)))
     gone = np.maximum(1 - np.hypot(away[..., 0], away[..., 1]) / 0.25, 0)
     light = np.where(np.abs(angles) < np.pi / 3, np.cos(1.5 * angles) * gone * 450, 0)

@@ -10,30 +10,31 @@ import numpy as np
 
 from benchmarks.fidelity_comparison import Comparison, Floats, Outcome, at_rest, columns
 from benchmarks.fidelity_proximity import peer_curve, sensor_name
-from benchmarks.infrared_fits import khepera2_paper, materials, rms
+from benchmarks.infrared_fits import (
+    MANUAL_SURFACES,
+    OBSTACLE_REFLECTANCE,
+    Report,
+    khepera2_report,
+    materials,
+    rms,
+)
 from benchmarks.infrared_picture import PEERS
 from khep_twin.playpen import Arena, Cylinder, Playpen, Robot
+from khep_twin.playpen.surfaces import Surface
 from khep_twin.sensing import calibration
+
+_FACING = (2, 3), (5,)
+"""Sensors of a Khepera II that face what stands ahead, and what stands at its right side."""
 
 _MANUAL = "Khepera manual 5.02"
 _REPORT = "K-Team's report on the Khepera II, 2002"
 _SIDE_MM = 3000.0
+_SURFACES = {"obstacle": Surface(reflectance=OBSTACLE_REFLECTANCE, rgb=(255, 255, 255))}
 _SIX = range(6)
 """Sensors of the manual's figures: all but those at the back."""
 
-MATERIALS = {
-    "white plastic": "white",
-    "wood 2": "wood",
-    "green styropor": "styropor",
-    "copper": "copper",
-    "pink sponge": "sponge",
-    "grey plastic": "grey",
-    "black plastic": "black",
-}
-"""Materials of the manual's figure 11 that are built-in surfaces."""
-
 OBSTACLE_RADIUS_MM, OBSTACLE_MM = 3.5, 15.0
-"""The manual's obstacle of 7 mm, taken as round and white, and its distance from the sensor's face [mm]."""
+"""The manual's obstacle of 7 mm, taken as round, and its distance from the sensor's face [mm]."""
 
 
 def face_to_face(name: str, sensor: int, distances_mm: Floats, surface: str = "white") -> Floats:
@@ -52,11 +53,11 @@ def face_to_face(name: str, sensor: int, distances_mm: Floats, surface: str = "w
 
 def figure_11(folder: Path) -> Outcome:
     """Compare the materials of the manual, by the sensor that meets them best."""
-    measured = {name: curve for name, curve in materials(folder).items() if name in MATERIALS}
+    measured = {name: curve for name, curve in materials(folder).items() if name in MANUAL_SURFACES}
 
     def errors(sensor: int) -> Floats:
         each = [
-            face_to_face("khepera1-manual", sensor, distances * 1e3, MATERIALS[name]) - counts
+            face_to_face("khepera1-manual", sensor, distances * 1e3, MANUAL_SURFACES[name]) - counts
             for name, (distances, counts) in measured.items()
         ]
         return np.concatenate(each)
@@ -70,7 +71,9 @@ def figure_12(folder: Path) -> Outcome:
     measured = table["proximity_raw"].astype(float)
     calibrated, robot = calibration.read("khepera1-manual")[0], _robot("khepera1-manual")
     middle = _SIDE_MM / 2
-    obstacle = Cylinder(x_mm=middle, y_mm=middle, radius_mm=OBSTACLE_RADIUS_MM, height_mm=50)
+    obstacle = Cylinder(
+        x_mm=middle, y_mm=middle, radius_mm=OBSTACLE_RADIUS_MM, height_mm=50, surface="obstacle"
+    )
     arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
     away = OBSTACLE_MM + OBSTACLE_RADIUS_MM
 
@@ -104,11 +107,11 @@ def khepera2_facing(folder: Path) -> Outcome:
     """Compare the sensors of a Khepera II that face white paper."""
     errors: list[Floats] = []
     others: dict[str, list[Floats]] = {name: [] for name in PEERS}
-    for side, sensor in (("front", 2), ("front", 3), ("side", 5)):
-        distances, measured = khepera2_paper(folder, side, sensor)
-        errors.append(_before_target("paper", side, sensor, distances) - measured)
-        for name in PEERS:
-            others[name].append(peer_curve(name, distances) - measured)
+    for curve in khepera2_report(folder):
+        if not curve.is_robot and curve.sensor in _FACING[curve.is_aside]:
+            errors.append(_read(curve) - curve.counts)
+            for name in PEERS:
+                others[name].append(peer_curve(name, curve.distances) - curve.counts)
     return Outcome(rms(errors), None, {name: rms(each) for name, each in others.items()})
 
 
@@ -116,25 +119,23 @@ def khepera2_oblique(folder: Path) -> Outcome:
     """Compare the sensors of a Khepera II that look past white paper."""
     errors: list[Floats] = []
     notes: list[str] = []
-    for side, sensor in (("front", 1), ("front", 4), ("side", 4)):
-        distances, measured = khepera2_paper(folder, side, sensor)
-        modelled = _before_target("paper", side, sensor, distances)
-        errors.append(modelled - measured)
-        nearest = distances.argmin()
-        notes.append(f"{modelled[nearest]:.0f} for {measured[nearest]:.0f}")
-    return Outcome(rms(errors), None, note=f"at {distances[nearest] * 1e3:.0f} mm " + ", ".join(notes))
+    for curve in khepera2_report(folder):
+        if not curve.is_robot and curve.sensor not in _FACING[curve.is_aside]:
+            modelled, nearest = _read(curve), curve.distances.argmin()
+            errors.append(modelled - curve.counts)
+            notes.append(
+                f"{modelled[nearest]:.0f} for {curve.counts[nearest]:.0f} "
+                f"at {curve.distances[nearest] * 1e3:.0f} mm"
+            )
+    return Outcome(rms(errors), None, note=", ".join(notes))
 
 
 def khepera2_robot(folder: Path) -> Outcome:
     """Compare a Khepera II before another one."""
-    table = columns(folder / "manual_data" / "iran_proximity_curves.csv")
     errors: dict[bool, list[Floats]] = {True: [], False: []}
-    for side, sensors in (("front", (1, 2, 3, 4)), ("side", (4, 5))):
-        for sensor in sensors:
-            own = (table["test"] == f"A0_12_robot_{side}") & (table["sensor_fig7_number"] == sensor)
-            own &= table["kind"] == "marker"
-            modelled = _before_target("robot", side, sensor, table["distance_mm"][own] / 1e3)
-            errors[sensor in (2, 3, 5)].append(modelled - table["mean_raw"][own])
+    for curve in khepera2_report(folder):
+        if curve.is_robot:
+            errors[curve.sensor in _FACING[curve.is_aside]].append(_read(curve) - curve.counts)
     facing, oblique = (rms(errors[key]) for key in (True, False))
     return Outcome(
         rms([*errors[True], *errors[False]]), None, note=f"facing {facing:.0f}, oblique {oblique:.0f}"
@@ -163,17 +164,17 @@ def pykhepera(folder: Path) -> Outcome:
     return Outcome(rms(errors), rms(days), {name: rms(each) for name, each in others.items()})
 
 
-def _before_target(target: str, side: str, sensor: int, distances: Floats) -> Floats:
+def _read(curve: Report) -> Floats:
     """Return a Khepera II's counts before a wall of white paper or a robot, so far from its foremost face."""
-    robot = _robot("khepera2")
-    turn = 0.0 if side == "front" else 90.0
-    reach = max(-left if side == "side" else ahead for ahead, left in robot.body.sensor_positions) * 1e3
+    robot, sensor = _robot("khepera2"), curve.sensor
+    turn = 90.0 if curve.is_aside else 0.0
+    reach = max(-left if curve.is_aside else ahead for ahead, left in robot.body.sensor_positions) * 1e3
     arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
-    if target == "paper":
-        away = distances * 1e3 + reach
+    away = curve.distances * 1e3 + reach
+    if not curve.is_robot:
         own = [[_SIDE_MM - each, _SIDE_MM / 2, turn] for each in away]
         return at_rest(_playpen(arena, robot), np.array(own))[0][:, sensor]
-    away = distances * 1e3 + reach + robot.body.radius * 1e3
+    away = away + robot.body.radius * 1e3
     both = [[[1000.0, 1500.0, turn], [1000.0 + each, 1500.0, 180.0]] for each in away]
     other = robot.model_copy(update={"x_mm": 2000.0})
     return at_rest(_playpen(arena, robot, other), np.array(both))[0][:, sensor]
@@ -192,26 +193,30 @@ def _robot(name: str) -> Robot:
 
 
 def _playpen(arena: Arena, *robots: Robot, cylinders: tuple[Cylinder, ...] = ()) -> Playpen:
-    return Playpen(version=1, name="bench", arena=arena, robot=robots, cylinder=cylinders, surfaces={})
+    return Playpen(version=1, name="bench", arena=arena, robot=robots, cylinder=cylinders, surfaces=_SURFACES)
 
 
 COMPARISONS = (
     Comparison(
         "materials (figure 11)",
         _MANUAL,
-        "fitted: reflectance of each material, with another gain",
+        "fitted: optics of the sensor, reflectance of each material",
         "counts",
         figure_11,
     ),
     Comparison(
         "obstacle of 7 mm around a sensor (figure 12)",
         _MANUAL,
-        "fitted: lobe, to its middle",
+        "fitted: lobe, reflectance of the obstacle",
         "counts",
         figure_12,
     ),
     Comparison(
-        "wood before six sensors (figure 13)", _MANUAL, "fitted: gain, threshold of each", "counts", figure_13
+        "wood before six sensors (figure 13)",
+        _MANUAL,
+        "fitted: gain, threshold, offset of each",
+        "counts",
+        figure_13,
     ),
     Comparison(
         "Khepera II, white paper ahead", _REPORT, "fitted: gain, threshold, offset", "counts", khepera2_facing
@@ -223,7 +228,13 @@ COMPARISONS = (
         "counts",
         pykhepera,
     ),
-    Comparison("Khepera II, white paper aside", _REPORT, "predicted", "counts", khepera2_oblique),
+    Comparison(
+        "Khepera II, white paper aside",
+        _REPORT,
+        "fitted: gain, threshold, offset",
+        "counts",
+        khepera2_oblique,
+    ),
     Comparison(
         "Khepera II, another robot", _REPORT, "fitted: reflectance of the shell", "counts", khepera2_robot
     ),

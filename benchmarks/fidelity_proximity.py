@@ -107,7 +107,7 @@ def left_out(folder: Path, fitted: int, judged: int) -> Outcome:
         heading, optics = fit_sampled([tables[fitted]], sensor, SENSOR_HEADINGS[sensor])
         errors.append(compare(tables[judged], sensor, heading, optics).on_axis)
     floor = on_axis_of(folder, (WALL, CYLINDER)[judged]).floor
-    return Outcome(rms(errors), floor, note="offset and lobe drawn to those of a fit to both")
+    return Outcome(rms(errors), floor, note="offset and lobe drawn to 4 mm and 3, which are assumed")
 
 
 def sensor_name(sensor: int) -> str:

@@ -1,37 +1,28 @@
-"""Growth of time per simulated second with blocks, robots, rays per sensor and episodes in a batch.
+"""Growth of time per simulated second with blocks, robots and episodes in a batch.
 
 `python -m benchmarks.growth` prints these tables alone. Any number of blocks stands in the same large
 arena, in an order from the robot outwards, so that with more of them it meets the same ones first.
 """
 
-import math
 import sys
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from unittest.mock import patch
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from benchmarks.scale import bare_row, batch_row, episode_row, world_row
 from benchmarks.table import COST, LEGEND, Row, Table, measure, text
-from khep_twin import playpen, playpen_to_mjcf
+from khep_twin import playpen
 from khep_twin.playpen import Arena, Block, Playpen, Robot
 from khep_twin.rollout.episode import EpisodeSetup
 
 BLOCKS = (0, 20, 100, 1000)
 ROBOTS = (1, 2, 8)
-RAYS = (1, 3, 9, 27)
 BATCHES = (32, 128, 1024)
 
 TWENTY_BLOCKS = "twenty blocks"
 
 CELL_MM = 150.0
 """Side of the square for each block [mm]: a block of 60 x 25 mm leaves a robot room on all sides."""
-
-CONES = 'camera resolution="9 1" fovy="12.680383"'
-"""Rays of a sensor in assets/khepera.xml: nine over 90 degrees."""
 
 
 def field(n_blocks: int, n_robots: int = 1, cells: int = 32) -> Playpen:
@@ -69,33 +60,13 @@ def twenty_blocks() -> Playpen:
     return field(20, cells=6)
 
 
-@contextmanager
-def rays_per_sensor(n_rays: int) -> Generator[None]:
-    """Build scenes in this context with a number of rays over the same 90 degrees."""
-    known = playpen_to_mjcf.ROBOT_FILE.read_text()
-    if known.count(CONES) != 1:
-        raise ValueError(f"assets/khepera.xml has not {CONES!r}, which is to be changed")
-    fovy = math.degrees(2 * math.atan(1 / n_rays))
-    with TemporaryDirectory() as folder:
-        robot = Path(folder) / "khepera.xml"
-        robot.write_text(known.replace(CONES, f'camera resolution="{n_rays} 1" fovy="{fovy:.6f}"'))
-        with patch.object(playpen_to_mjcf, "ROBOT_FILE", robot):
-            yield
-
-
 def blocks_tables(seconds: float, rounds: int, numbers: Sequence[int] = BLOCKS) -> Iterator[Table]:
     """Measure an episode and the bare loop among increasing numbers of blocks."""
     setups = [(f"{number} blocks", EpisodeSetup(field(number))) for number in numbers]
-    yield from _episode_and_bare("blocks", setups, seconds, rounds)
-
-
-def rays_tables(seconds: float, rounds: int, numbers: Sequence[int] = RAYS) -> Iterator[Table]:
-    """Measure an episode and the bare loop among 20 blocks, with increasing numbers of rays."""
-    setups: list[tuple[str, EpisodeSetup]] = []
-    for number in numbers:
-        with rays_per_sensor(number):
-            setups.append((f"{number} ray{'s' * (number > 1)} per sensor", EpisodeSetup(field(20))))
-    yield from _episode_and_bare("rays", setups, seconds, rounds)
+    lives: list[Row] = [episode_row(name, setup, seconds) for name, setup in setups]
+    bare: list[Row] = [bare_row(name, setup, seconds) for name, setup in setups]
+    yield measure("blocks, compiled life", lives, rounds, unit=COST, cost=True)
+    yield measure("blocks, bare mj_step with rangefinders", bare, rounds, unit=COST, cost=True)
 
 
 def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -> Table:
@@ -124,18 +95,8 @@ def tables(part: float, rounds: int, most: int | None = None) -> Iterator[Table]
     """
     seconds = max(round(10 * part), 1)
     yield from blocks_tables(seconds, rounds, BLOCKS[:most])
-    yield from rays_tables(seconds, rounds, RAYS[:most])
     yield robots_table(seconds, rounds, ROBOTS[:most])
     yield batches_table(max(round(part, 1), 0.2), rounds, BATCHES[:most])
-
-
-def _episode_and_bare(
-    what: str, setups: Sequence[tuple[str, EpisodeSetup]], seconds: float, rounds: int
-) -> Iterator[Table]:
-    n_episodes: list[Row] = [episode_row(name, setup, seconds) for name, setup in setups]
-    bare: list[Row] = [bare_row(name, setup, seconds) for name, setup in setups]
-    yield measure(f"{what}, compiled life", n_episodes, rounds, unit=COST, cost=True)
-    yield measure(f"{what}, bare mj_step with rangefinders", bare, rounds, unit=COST, cost=True)
 
 
 def main() -> None:

@@ -38,7 +38,10 @@ MANUAL_SURFACES = {
     "grey plastic": "grey",
     "black plastic": "black",
 }
-"""Its materials that are built-in surfaces; "wood 1" is left out, one wood being enough."""
+"""Its materials that are built-in surfaces; of its two woods, one is enough."""
+
+OTHER_WOOD, OBSTACLE_REFLECTANCE = 0.82, 1.2
+"""Reflectances of the manual's "wood 1" and of the obstacle of its figure 12, as fitted."""
 
 PEAK_DEG = 6
 """Largest angle from the peak of readings that count as on axis [degrees]."""

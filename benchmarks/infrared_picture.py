@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.infrared_fits import on_axis, reference, rms, sampled
-from khep_twin.lab.fit.infrared import TANGENTS, Optics, proximity
+from khep_twin.lab.fit.infrared import Optics, proximity
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 
@@ -40,7 +40,7 @@ def draw(target: Path) -> None:
         for table, name, colour in zip(tables, ("wall", "cylinder r 27 mm"), (_INK, "#e4572e"), strict=True):
             axis, millimetres = on_axis(table, sensor), np.unique(table.distances) * 1e3
             fit_inputs = axis @ table.counts[:, sensor]
-            modelled = axis @ proximity(table.view(sensor, heading), TANGENTS, optics)
+            modelled = axis @ proximity(table.view(sensor, heading), optics)
             panel.plot(millimetres, fit_inputs, "o", ms=3.5, color=colour, label=f"{name}, robot")
             panel.plot(millimetres, modelled, color=colour, lw=1.6, label=f"{name}, twin")
             lines.append(f"{name.split()[0]} {rms([modelled - fit_inputs]):.0f}")

@@ -126,7 +126,7 @@ def twin(
     world, rng = _room(), np.random.default_rng(seed)
     sensors, simulation = world.simulation.plain.robots[0].sensors, world.simulation
     if noise is not None:
-        sensors = sensors._replace(proximity=sensors.proximity._replace(noise=noise))
+        sensors = sensors._replace(proximity=sensors.proximity._replace(noise=[noise] * units.N_SENSORS))
     found = np.zeros((len(distances_mm), N_BEARINGS, units.N_SENSORS))
     for row, distance_mm in enumerate(distances_mm):
         away_mm = units.BODY_RADIUS * 1e3 + distance_mm

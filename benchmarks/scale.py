@@ -44,7 +44,7 @@ def bare_row(name: str, setup: EpisodeSetup, seconds: float, *, sensors: bool = 
     model = setup.model
     if sensors:
         model = copy.copy(model)
-        model.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_SENSOR
+        model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     steps = setup.scene_model.timing.steps_per_tick
 
     def bare() -> None:

@@ -183,7 +183,7 @@ def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) ->
 def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
     """Run the scan before time 0, so that every register holds a conversion; return a reason as `advance`."""
     scene, timing, robots = simulated.scene, simulated.timing, simulated.robots
-    # The rangefinders' first turn comes in the second step.
+    # MuJoCo's rangefinders, where a turret needs its sensors, have their first turn in the second step.
     step(scene)
     for first in range(-units.N_SENSORS, 0, timing.conversions):
         step(scene)

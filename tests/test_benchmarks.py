@@ -19,7 +19,6 @@ from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
 from khep_twin import playpen, units
 from khep_twin.errors import KhepTwinError
 from khep_twin.rollout.episode import EpisodeSetup
-from khep_twin.sensors import proximity_optics
 
 FOLDER = Path(benchmarks.__file__).parent
 
@@ -154,23 +153,6 @@ def test_fields_grow_around_the_same_blocks() -> None:
     assert len(growth.field(20, 8).robots) == 8
     with pytest.raises(ValueError, match="expected 4 in all"):
         growth.field(4, 1, cells=2)
-
-
-@pytest.mark.parametrize("n_rays", [1, 27])
-def test_cones_have_more_or_fewer_rays_over_the_same_angle(n_rays: int) -> None:
-    with growth.rays_per_sensor(n_rays):
-        setup = EpisodeSetup(playpen.load("default"))
-    (first, *_), usual = setup.indices.rays, EpisodeSetup(playpen.load("default"))
-    assert first.stop - first.start == 4 * n_rays
-    spans = [
-        near.tangential[0][-1] * n / max(n - 1, 1)
-        for near, n in (
-            (proximity_optics(setup.model, setup.indices, setup.calibration), n_rays),
-            (proximity_optics(usual.model, usual.indices, usual.calibration), 9),
-        )
-    ]
-    assert spans[0] == pytest.approx(1 if n_rays > 1 else 0, abs=1e-6)
-    assert spans[1] == pytest.approx(1, abs=1e-6)
 
 
 def test_rows_run_what_they_name() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from khep_twin import playpen, units
 from khep_twin.board.kernel import PROXIMITY
+from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen_to_mjcf import ROBOT_FILE, to_mjcf, to_spec
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
@@ -187,9 +188,9 @@ def test_the_walls_stand_around_the_arena() -> None:
 
 def test_reflectance_and_power_travel_inside_the_mjcf() -> None:
     model = mujoco.MjModel.from_xml_string(to_mjcf(playpen.parse(SCENE, "scene")))
-    assert model.geom("block0").user == pytest.approx([0.023, 0])
-    assert model.geom("wall_left").user == pytest.approx([0.145, 0])
-    assert model.geom("khepera0/base").user == pytest.approx([0.23, 0])
+    assert model.geom("block0").user == pytest.approx([BUILT_IN_SURFACES["black"].reflectance, 0])
+    assert model.geom("wall_left").user == pytest.approx([BUILT_IN_SURFACES["grey"].reflectance, 0])
+    assert model.geom("khepera0/base").user == pytest.approx([0.33, 0])
     assert model.site("lamp0").user == pytest.approx(7)
 
 

@@ -1,1 +1,1 @@
-"""Models of the sensors: rays, optics of proximity, ambient light, calibrations."""
+"""Models of the sensors: surfaces, optics of proximity, ambient light, calibrations."""

@@ -17,6 +17,8 @@ from khep_twin.playpen import Playpen
 from khep_twin.rollout import episode as episodes
 from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, Network
 from khep_twin.rollout.episode import Episode, EpisodeSetup
+from khep_twin.sensing.optics import chip_of
+from khep_twin.sensing.reflection import N_COLUMNS
 from khep_twin.units import COUNTS_LIMIT
 from khep_twin.world import World
 
@@ -97,7 +99,7 @@ def test_a_khepera_2_never_reads_0_without_a_line_plain_and_compiled(planar: boo
 
 
 @with_numba
-def test_what_compiled_episodes_cast_is_what_rangefinders_find() -> None:
+def test_compiled_and_plain_code_find_the_same_surfaces_to_the_last_bit() -> None:
     import numba
 
     from khep_twin.sensing import scene as queries
@@ -107,33 +109,38 @@ def test_what_compiled_episodes_cast_is_what_rangefinders_find() -> None:
     register()
 
     @numba.njit(_nrt=False, error_model="numpy")
-    def rays(scene: Any, robots: Any, channel: int, level: float) -> int:
-        return queries.rays(MujocoCalls(scene[0][0], scene[1]), robots[0].sensors, channel, level)
+    def surfaces(scene: Any, robots: Any, channel: int, chip: Any, near: float) -> int:
+        return queries.surfaces(MujocoCalls(scene[0][0], scene[1]), robots[0].sensors, channel, chip, near)
 
-    world = World(
-        arena("[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n")
-    )
+    cylinder = "[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n"
+    world = World(arena(cylinder))
     plain, records = world.simulation.plain, world.simulation.records
     sensors, fast = plain.robots[0].sensors, world._forms.compiled()
-    near = sensors.proximity
     found = records["sensors"]["proximity"]["found"][0]
+    body = world.model.body("cylinder3").id
     world.robots[0].send(b"D,9,4\n")
-    near_ones = 0
+    some = several = round_the_cylinder = 0
     for step in range(3000):
         world.advance_to((step + 1) * 2_500_000)
         channel = step % 8
-        assert queries.rays(plain.scene, sensors, channel, 1.0) == len(near.found)
-        expected = list(near.found)
-        assert rays(fast, records, channel, 1.0) == len(expected)
-        assert found.tolist() == expected
-        # With a threshold it may see nothing, but never where something could be near enough.
-        if not rays(fast, records, channel, -near.threshold[channel]):
-            shortest = min((length for length in expected[::4] if length >= 0), default=np.inf)
-            reach = np.sqrt(near.gain[channel] * near.brightest / near.threshold[channel])
-            assert shortest + near.offset[channel] >= reach
-        else:
-            near_ones += 1
-    assert 100 < near_ones < 2500
+        chip = chip_of(plain.scene, sensors, channel)
+        count = queries.surfaces(plain.scene, sensors, channel, chip, chip.reach)
+        expected = sensors.proximity.found[: count * N_COLUMNS]
+        assert surfaces(fast, records, channel, chip, chip.reach) == count
+        assert found[: count * N_COLUMNS].tolist() == expected
+        some, several = some + (count > 0), several + (count > 1)
+        away = world.data.xpos[body, :2] - (chip.x, chip.y)
+        round_the_cylinder += count > 0 and bool(np.hypot(*away) < chip.reach)
+        if step % 100 == 0:
+            # It stands a little aside, and leans, before the robot.
+            x, y, heading = world.robots[0].pose
+            ahead, lean = 0.05 + step * 5e-6, step * 2e-4
+            at = world.model.jnt_qposadr[world.model.body_jntadr[body]]
+            world.data.qpos[at : at + 3] = x + ahead * np.cos(heading), y + ahead * np.sin(heading), 0.03
+            world.data.qpos[at + 3 : at + 7] = np.cos(lean / 2), np.sin(lean / 2), 0, 0
+    assert 500 < some < 2900
+    assert several > 300
+    assert round_the_cylinder > 300
 
 
 @pytest.mark.parametrize("compiled", KINDS)

@@ -14,12 +14,13 @@ from khep_twin.playpen import Playpen
 from khep_twin.rollout.batch import RolloutResult, rollout
 from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Network
 from khep_twin.rollout.episode import Episode, EpisodeSetup
-from khep_twin.rollout.planar.casting import PlaneScene, rays
+from khep_twin.rollout.planar.casting import PlaneScene, surfaces
 from khep_twin.rollout.planar.motion import step
 from khep_twin.rollout.planar.planar import PlanarScene
 from khep_twin.rollout.planar.planar_world import PlanarForms, PlanarWorld
 from khep_twin.rollout.planar.plane import TOUCHED, distance_to, nearest
-from khep_twin.sensing.optics import RobotSensors, proximity_counts
+from khep_twin.sensing.optics import RobotSensors, chip_of, proximity_counts
+from khep_twin.sensing.reflection import Chip
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
@@ -256,35 +257,47 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["arena", "looping-maze"])
-def test_rays_that_end_early_change_no_count(name: str) -> None:
+def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
     scene = arena() if name == "arena" else playpen.load(name)
     setup = EpisodeSetup(scene, planar=True)
     assert setup.planar_scene is not None
     sensors = PlanarWorld(setup.scene_model, setup.planar_scene).simulation.plain.robots[0].sensors
-    near = sensors.proximity
     backend = put(scene, units.TICK_NS, 0, 0, 0)
-    rng, floor, seen, ended = np.random.default_rng(8), scene.arena, 0, 0
+    rng, floor, seen, left_out = np.random.default_rng(8), scene.arena, 0, 0
+    near_ones: list[int] = []
 
-    class Whole(PlaneScene):
-        """A plane whose rays never end early."""
+    class Usual(PlaneScene):
+        """A plane that notes how many surfaces it has found."""
 
         def __init__(self) -> None:
             super().__init__(backend.plane)
-            self.rays = self.all_rays
+            self.surfaces = self.near_ones
 
-        def all_rays(self, sensors: RobotSensors, channel: int, level: float) -> int:
-            return rays(self.plane, sensors, channel, 0.0)
+        def near_ones(self, sensors: RobotSensors, channel: int, chip: Chip, near: float) -> int:
+            near_ones.append(surfaces(self.plane, sensors, channel, chip, near))
+            return near_ones[-1]
+
+    class Whole(PlaneScene):
+        """A plane that leaves nothing out."""
+
+        def __init__(self) -> None:
+            super().__init__(backend.plane)
+            self.surfaces = self.all_in_reach
+
+        def all_in_reach(self, sensors: RobotSensors, channel: int, chip: Chip, near: float) -> int:
+            return surfaces(self.plane, sensors, channel, chip, math.inf)
 
     for _ in range(100):
         backend.put((*rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), rng.uniform(0, 360)))
         drive(backend, 0.5, 0.5, 1)
         for channel, noise in enumerate(rng.normal(size=8).tolist()):
-            early = proximity_counts(PlaneScene(backend.plane), sensors, channel, noise, 1.0, 1.0, 0.0)
-            looked = rays(backend.plane, sensors, channel, near.noise * noise - near.threshold[channel])
-            assert proximity_counts(Whole(), sensors, channel, noise, 1.0, 1.0, 0.0) == early
-            seen, ended = seen + (early > 10), ended + (looked == 0)
+            usual = proximity_counts(Usual(), sensors, channel, noise, 1.0, 1.0, 0.0)
+            assert proximity_counts(Whole(), sensors, channel, noise, 1.0, 1.0, 0.0) == usual
+            chip = chip_of(Usual(), sensors, channel)
+            in_reach = surfaces(backend.plane, sensors, channel, chip, math.inf)
+            seen, left_out = seen + (usual > 10), left_out + (near_ones[-1] == 0 < in_reach)
     assert seen > 50
-    assert ended > 50
+    assert left_out > 50
 
 
 def test_what_is_movable_is_refused() -> None:

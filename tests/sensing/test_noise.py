@@ -20,12 +20,14 @@ def in_the_room(target: str) -> np.ndarray:
 
 @pytest.mark.parametrize("target", ["wall", "cylinder"])
 def test_in_a_twin_of_its_room_the_robots_noise_is_that_of_the_samples(target: str) -> None:
-    # Steps in what a robot without any noise reads are no noise.
+    found = [differences(in_the_room(target), order) for order in ORDERS]
+    assert found == pytest.approx(SAMPLED[target], rel=0.15)
+
+
+@pytest.mark.parametrize("target", ["wall", "cylinder"])
+def test_what_a_robot_without_any_noise_reads_is_smooth(target: str) -> None:
     quiet = twin(target, noise=0, lamp_w=0, bearing_sd_deg=0, distances_mm=DISTANCES_MM)
-    for order, expected in zip(ORDERS, SAMPLED[target], strict=True):
-        steps = differences(quiet, order)
-        found = np.sqrt(differences(in_the_room(target), order) ** 2 - steps**2)
-        assert found == pytest.approx(expected, rel=0.15)
+    assert max(differences(quiet, order) for order in ORDERS) < 5
 
 
 @pytest.mark.parametrize("target", ["wall", "cylinder"])

@@ -64,7 +64,8 @@ class View:
         low = np.where(self.bearings < 0, -edge, -1.0)[:, None]
         high = np.where(self.bearings < 0, 1.0, edge)[:, None]
         sines = (low + high) / 2 + (high - low) / 2 * _NODES
-        cosines = np.sqrt(1 - sines**2)
+        # Of a wall right behind, the arc has no length, and lies where there is no distance.
+        cosines = np.sqrt(np.maximum(1 - sines**2, 1e-12))
         lit = _WEIGHTS * (high - low) / 2
         return away[:, None] / cosines, self.bearings[:, None] + np.arcsin(sines), lit
 

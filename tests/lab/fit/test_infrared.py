@@ -5,25 +5,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.fidelity_manual import figure_11, figure_12, figure_13
 from benchmarks.infrared_fits import (
     CYLINDER_RADIUS,
-    MANUAL,
     MANUAL_SURFACES,
+    OBSTACLE_REFLECTANCE,
+    OTHER_WOOD,
     SET_UP_BEARING,
     compare,
-    facing,
-    khepera2_paper,
-    materials,
+    fit_sampled,
+    khepera2_report,
+    manual_residuals,
     peak,
     rms,
     sampled,
 )
 from khep_twin import playpen
 from khep_twin.board.kernel import PROXIMITY
-from khep_twin.lab.fit.infrared import TANGENTS, MeasuredTable, Optics, proximity
+from khep_twin.lab.fit.infrared import MeasuredTable, Optics, proximity
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.sensing import calibration
-from khep_twin.units import BODY_RADIUS
+from khep_twin.units import BODIES, BODY_RADIUS, SENSOR_HEADINGS
 from khep_twin.world import World
 
 KHEPERA1 = calibration.read("khepera1")[0]
@@ -67,10 +69,8 @@ def test_the_plane_gives_what_the_scene_gives(
         np.array([distance_mm / 1e3]), np.array([np.radians(bearing_deg)]), np.zeros((1, 8)), radius_mm / 1e3
     )
     expected = [
-        proximity(position.view(sensor, optics(sensor)[0]), TANGENTS, optics(sensor)[1])[0]
-        for sensor in SENSORS
+        proximity(position.view(sensor, optics(sensor)[0]), optics(sensor)[1])[0] for sensor in SENSORS
     ]
-    # Cylinders of a scene are round, walls are flat; what is left is rounding and a step of waiting.
     np.testing.assert_allclose(world.robots[0].registers[PROXIMITY], expected, atol=5)
 
 
@@ -89,7 +89,7 @@ WIDTH_DEG = [74, 72, 66, 54, 76, 90, 68, 92]
 def test_each_sensor_has_the_derived_figures_of_the_real_one(sensor: int) -> None:
     wall, cylinder = bench(0), bench(CYLINDER_RADIUS)
     heading, parameters = optics(sensor)
-    before_wall = proximity(wall.view(sensor, heading), TANGENTS, parameters)
+    before_wall = proximity(wall.view(sensor, heading), parameters)
     peak_deg = np.degrees(peak(wall, before_wall) - SET_UP_BEARING)
     assert (peak_deg + PEAK_DEG[sensor] + 180) % 360 - 180 == pytest.approx(0, abs=5)
 
@@ -102,7 +102,7 @@ def test_each_sensor_has_the_derived_figures_of_the_real_one(sensor: int) -> Non
     assert distance_mm(wall, before_wall, 900) == pytest.approx(NINE_HUNDRED_MM[sensor], abs=1)
     assert distance_mm(wall, before_wall, 511.5) == pytest.approx(HALF_MM[sensor], abs=1.5)
     assert distance_mm(wall, before_wall, 100) == pytest.approx(HUNDRED_MM[sensor], abs=3)
-    before_cylinder = proximity(cylinder.view(sensor, heading), TANGENTS, parameters)
+    before_cylinder = proximity(cylinder.view(sensor, heading), parameters)
     assert distance_mm(cylinder, before_cylinder, 511.5) == pytest.approx(
         HALF_OF_CYLINDER_MM[sensor], abs=1.5
     )
@@ -112,30 +112,89 @@ def test_each_sensor_has_the_derived_figures_of_the_real_one(sensor: int) -> Non
 
 def test_the_sampled_robot_is_met_at_every_bearing_and_on_axis(reference: Path) -> None:
     everywhere = []
-    for table in sampled(reference):
+    for table, on_axis in zip(sampled(reference), (20, 12), strict=True):
         found = [compare(table, sensor, *optics(sensor)) for sensor in SENSORS]
         everywhere += [each.everywhere for each in found]
-        assert rms([each.on_axis for each in found]) <= 22
-        assert max(rms([each.on_axis]) for each in found) <= 40
+        assert rms([each.on_axis for each in found]) <= on_axis
+        assert max(rms([each.on_axis]) for each in found) <= 35
         assert max(abs(each.half) for each in found) <= 1.5e-3
-        assert max(abs(np.degrees(each.peak)) for each in found) <= 5
-    assert rms(everywhere) <= 24.5
+        assert max(abs(np.degrees(each.peak)) for each in found) <= 2
+    assert rms(everywhere) <= 25
 
 
-def test_the_manuals_materials_are_met_by_one_gain_and_a_reflectance_each(reference: Path) -> None:
-    table = materials(reference)
-    errors = [
-        facing(table[name][0], MANUAL, BUILT_IN_SURFACES[surface].reflectance) - table[name][1]
-        for name, surface in MANUAL_SURFACES.items()
+def thinned(table: MeasuredTable) -> MeasuredTable:
+    """Every third bearing."""
+    kept = np.arange(len(table.distances)) % 3 == 0
+    return MeasuredTable(table.distances[kept], table.bearings[kept], table.counts[kept], table.radius)
+
+
+@pytest.mark.parametrize(("fitted", "unseen"), [(0, 1), (1, 0)], ids=["to the wall", "to the cylinder"])
+def test_a_sensor_fitted_to_one_object_meets_the_other_with_the_same_reflectance(
+    reference: Path, fitted: int, unseen: int
+) -> None:
+    tables = sampled(reference)
+    errors = []
+    for sensor in (1, 4):
+        alone = fit_sampled([thinned(tables[fitted])], sensor, SENSOR_HEADINGS[sensor])
+        errors.append(compare(tables[unseen], sensor, *alone).on_axis)
+    assert rms(errors) <= 60
+
+
+def test_one_calibration_meets_all_of_the_manuals_figures_of_proximity(reference: Path) -> None:
+    manual = calibration.read("khepera1-manual")[0].proximity
+    reflectances = {name: BUILT_IN_SURFACES[own].reflectance for name, own in MANUAL_SURFACES.items()}
+    reflectances |= {"wood 1": OTHER_WOOD, "obstacle": OBSTACLE_REFLECTANCE}
+    eleven, twelve, thirteen = manual_residuals(
+        reference, [Optics.of(manual, sensor) for sensor in range(6)], reflectances
+    )
+    assert rms(eleven) <= 12
+    assert rms([twelve]) <= 40
+    assert rms(thirteen) <= 8
+    # And so they are in a scene, where sensors have a range.
+    assert figure_11(reference).figure <= 12
+    assert figure_12(reference).figure <= 40
+    assert figure_13(reference).figure <= 8
+
+
+KHEPERA2 = """
+version = 1
+name = "two"
+[arena]
+width_mm = 2000
+height_mm = 2000
+"""
+ROBOT = """
+[[robot]]
+x_mm = {}
+y_mm = {}
+heading_deg = {}
+model = "khepera2"
+calibration = "khepera2"
+"""
+
+
+@pytest.mark.parametrize("is_robot", [False, True], ids=["paper", "robot"])
+@pytest.mark.parametrize("is_aside", [False, True], ids=["ahead", "aside"])
+def test_a_khepera_2_reads_paper_and_another_robot_as_in_the_report(
+    reference: Path, is_robot: bool, is_aside: bool
+) -> None:
+    body = BODIES["khepera2"]
+    face = -body.sensor_positions[5][1] if is_aside else body.sensor_positions[2][0]
+    others = ROBOT.format(1300, 1000, 0) if is_robot else ""
+    scene = playpen.parse(KHEPERA2 + ROBOT.format(1000, 1000, 90 if is_aside else 0) + others, "two")
+    world = World(scene, noise=False)
+    moved = world.robots[-1].indices.pose
+    curves = [
+        curve
+        for curve in khepera2_report(reference)
+        if (curve.is_robot, curve.is_aside) == (is_robot, is_aside)
     ]
-    other_wood, counts = table["wood 1"]
-    errors.append(facing(other_wood, MANUAL, 0.78) - counts)
-    assert rms(errors) <= 13
-
-
-@pytest.mark.parametrize(("side", "sensor"), [("front", 2), ("front", 3), ("side", 5)])
-def test_the_khepera_2_is_met_at_its_basic_gain(reference: Path, side: str, sensor: int) -> None:
-    khepera2 = calibration.read("khepera2")[0].proximity
-    distances, counts = khepera2_paper(reference, side, sensor)
-    modelled = facing(distances, Optics.of(khepera2, sensor), limit=khepera2.limit_counts)
-    assert rms([modelled - counts]) <= 4
+    assert sorted(curve.sensor for curve in curves) == ([4, 5] if is_aside else [1, 2, 3, 4])
+    for curve in curves:
+        read = []
+        for distance in curve.distances.tolist():
+            # The other one is put before the first, or the only one before the right wall.
+            world.data.qpos[moved] = 1 + face + distance + body.radius if is_robot else 2 - face - distance
+            world.scan()
+            read.append(int(world.robots[0].registers[PROXIMITY][curve.sensor]))
+        assert rms([np.array(read) - curve.counts]) <= 25
