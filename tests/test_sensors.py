@@ -93,7 +93,7 @@ def test_a_khepera_ii_reads_another_one_as_the_manufacturers_report_has_it() -> 
 
 def test_with_the_default_calibration_robots_see_each_other_just_before_they_touch() -> None:
     found = [pair("khepera1", 2 * BODY_RADIUS * 1e3 + gap_mm, 0)[[2, 3]].tolist() for gap_mm in (4, 7, 12)]
-    assert found == [[1023, 578], [407, 50], [0, 0]]
+    assert found == [[1023, 501], [348, 11], [0, 0]]
 
 
 def block_ahead(height_mm: float) -> str:

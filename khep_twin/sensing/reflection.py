@@ -290,7 +290,8 @@ def _face(
     light = _cumulated(lobe.table, ends[1], factors) - _cumulated(lobe.table, ends[0], factors)
     # Light comes from around a place between the axis and the foot; there, or near there, the height counts.
     sharpness = FOOT + lobe.whole + lobe.part
-    spread = min(1 / (sharpness + 1), (ends[1] - ends[0]) ** 2 / 12)
+    width = ends[1] - ends[0]
+    spread = min(1 / (sharpness + 1), width * width / 12)
     x, y = sharpness - FOOT + FOOT * c, FOOT * s
     norm = math.sqrt(x * x + y * y)
     if not ends[0] * norm < y < ends[1] * norm:
@@ -454,7 +455,8 @@ def _add_box(
         return count  # behind the sensor
     along, across = dx * c + dy * s, dy * c - dx * s
     beyond, beside = abs(along) - half[0], abs(across) - half[1]
-    if max(beyond, 0.0) ** 2 + max(beside, 0.0) ** 2 > chip.reach * chip.reach:
+    ahead, aside = max(beyond, 0.0), max(beside, 0.0)
+    if ahead * ahead + aside * aside > chip.reach * chip.reach:
         return count
     if beyond <= 0 and beside <= 0:
         return _add_around(found, count, chip, span, reflectance)
@@ -519,7 +521,8 @@ def _add_cylinder(
     """Add a cylinder."""
     dx, dy = centre[0] - chip.x, centre[1] - chip.y
     distance = math.sqrt(dx * dx + dy * dy)
-    square = max((distance - radius) ** 2, _TOUCHING * _TOUCHING)
+    away = max(distance - radius, _TOUCHING)
+    square = away * away
     strength = reflectance * _fading(square, chip.reach)
     if strength <= 0:
         return count
