@@ -87,7 +87,7 @@ def test_robots_of_the_same_make_spread_around_their_calibration_as_told() -> No
         (
             "noise_counts = 22",
             "noise_counts = -1",
-            "proximity: noise_counts = -1; expected a number from 0 to 1023, or a list of eight, one per sensor",
+            "proximity: noise_counts = -1; expected a number from 0 to 1023, or a list of eight",
         ),
         ("diffuse = 0.062", "diffuse = 2", "ambient: diffuse = 2; expected a number from 0 to 1"),
         (

@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 OBJECT_HEIGHT = 0.05
 """Height of walls and cylinders [m]: a playpen's default (not told of any that was measured)."""
 
+_TOUCHING = 1e-4
+"""Smallest distance of a surface [m]."""
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
@@ -58,7 +61,7 @@ class View:
 
     def _wall(self, offset: float) -> tuple[Floats, Floats, Floats]:
         """Return lengths and azimuths of the way to points of the wall, and their cosines' arcs."""
-        away = self.distances + offset * np.cos(self.bearings)
+        away = np.maximum(self.distances + offset * np.cos(self.bearings), _TOUCHING)
         # From one end of the wall, or of the lobe, to the other, in sines off the foot.
         edge = np.cos(self.bearings)
         low = np.where(self.bearings < 0, -edge, -1.0)[:, None]
@@ -73,7 +76,8 @@ class View:
         """Return the same of points of the cylinder."""
         x = self.distances * np.cos(self.bearings) + offset
         y = self.distances * np.sin(self.bearings)
-        away, axis = np.hypot(x, y)[:, None], np.arctan2(y, x)[:, None]
+        away = np.maximum(np.hypot(x, y), self.radius + _TOUCHING)[:, None]
+        axis = np.arctan2(y, x)[:, None]
         square = _NODES**2
         incidences = (1 - square) * np.sqrt(4 - square) / 2
         sines = _NODES * (3 - square) / 2 * self.radius / away
