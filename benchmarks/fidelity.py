@@ -15,6 +15,7 @@ from benchmarks import (
     fidelity_light,
     fidelity_manual,
     fidelity_motion,
+    fidelity_noise,
     fidelity_proximity,
 )
 from benchmarks.fidelity_comparison import Comparison, Outcome, short
@@ -26,6 +27,7 @@ PICTURE = PAGE.parent / "pictures" / "fidelity.png"
 SECTIONS: dict[str, tuple[Comparison, ...]] = {
     "Proximity": (*fidelity_proximity.COMPARISONS, *fidelity_manual.COMPARISONS),
     "Ambient light": fidelity_light.COMPARISONS,
+    "Noise": fidelity_noise.COMPARISONS,
     "Odometry": fidelity_motion.COMPARISONS,
     "Supply": fidelity_motion.SUPPLY,
     "Behaviour": fidelity_behaviour.COMPARISONS,
@@ -39,8 +41,13 @@ _INTRODUCTIONS = {
     "Ambient light": """
         Root-mean-square errors without noise. The sampled lamp is on the scale of its table, 1023 · (500 -
         counts) / 500.""",
-    "Odometry": "Deviations of the motion at constant speeds.",
-    "Supply": "Root-mean-square error of the voltage.",
+    "Noise": """
+        The twin is turned in a room with a lamp that flickers, as the robot was (`python -m
+        benchmarks.noise_fits`); differences along the bearings tell the noise from the curve.""",
+    "Odometry": """
+        Deviations of the motion at constant speeds, and of the part of 100 robots of the same make that come
+        home by odometry after 30 s of driving (`python -m benchmarks.home_test`).""",
+    "Supply": "Root-mean-square error of the voltage, and deviation of the mean current.",
     "Behaviour": """
         The same controllers run from the same poses in the twin and in a world whose sensors are read from
         the tables (`python -m benchmarks.behaviour`): root-mean-square deviations without noise. The floor
