@@ -86,9 +86,7 @@ def _apart(value: float, reference: float) -> float:
 COMPARISONS = (
     Comparison("way at a speed", _TABLE, "predicted: the manual's 0.08 mm per pulse", "%", way),
     Comparison("turn at a speed", _TABLE, "predicted: wheel base of 52 mm", "%", turn),
-    Comparison(
-        "robots at home after 30 s", _COURSES, "fitted: wheels' inequality", "% of robots", home
-    ),
+    Comparison("robots at home after 30 s", _COURSES, "fitted: wheels' inequality", "% of robots", home),
 )
 """Comparisons of odometry, in the page's order."""
 

@@ -26,7 +26,7 @@ from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
 from khep_twin.lab.fit.placement import Misplacement, Placement, Readings, Ruler
 from khep_twin.lab.fit.robot_fit import FittedValue, fit_robot
-from khep_twin.lab.fit.session import Session
+from khep_twin.lab.fit.session import CalibrationSession
 from khep_twin.lab.fit.session_people import SimulatedPerson
 from khep_twin.lab.fit.session_steps import LAMPS_MM, WALLS_MM, steps
 from khep_twin.lab.fit.wheel_fit import Drive
@@ -188,7 +188,7 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
             twin = open_twin(
                 playpen.parse(f"{BENCH}calibration = '{path}'\n", "bench"), TwinOptions(seed=number)
             )
-            session = Session(Path(folder) / "session")
+            session = CalibrationSession(Path(folder) / "session")
             with Khepera(Serial.of(twin, timeout=1.0)) as host:
                 person = SimulatedPerson(twin, Ruler(), lambda _: None)
                 todo = steps(WALLS_MM, None, POWER_W, FILAMENT * 1e3)

@@ -19,7 +19,7 @@ from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.placement import Ruler
-    from khep_twin.lab.fit.session import Session
+    from khep_twin.lab.fit.session import CalibrationSession
     from khep_twin.lab.fit.session_steps import Step
 
 
@@ -69,14 +69,14 @@ def calibrate(
     """Calibrate a robot in a guided session: what to put where, drives, measurements, fit, picture."""
     from khep_twin.lab.fit.fit_inputs import Measured, fit_inputs
     from khep_twin.lab.fit.placement import Ruler
-    from khep_twin.lab.fit.session import Session
+    from khep_twin.lab.fit.session import CalibrationSession
     from khep_twin.lab.fit.session_steps import WALLS_MM, steps
     from khep_twin.sensing import calibration
 
     ruler, before = Ruler(ruler_mm, bearing_deg), calibration.read(start)[0]
     check_outputs([], start, output, picture, force)
     todo = steps(WALLS_MM if walls is None else _distances(walls), cylinder, lamp, lamp_height)
-    session = Session(folder or output.with_name(f"{output.stem}-session"))
+    session = CalibrationSession(folder or output.with_name(f"{output.stem}-session"))
     if not all(session.done(step) for step in todo) and not _go_through(session, todo, port, ruler, yes):
         complain(f"stopped before its end; the same command goes on with what is in {session.folder}")
         raise typer.Exit(130)
@@ -93,7 +93,9 @@ def _distances(text: str) -> list[float]:
         raise FitError(f"--walls {text[:80]}: expected distances in mm, such as 6,12,17,21,25,29") from None
 
 
-def _go_through(session: "Session", todo: "list[Step]", port: str, ruler: "Ruler", yes: bool) -> bool:
+def _go_through(
+    session: "CalibrationSession", todo: "list[Step]", port: str, ruler: "Ruler", yes: bool
+) -> bool:
     """Go through a session; return False if it was stopped."""
     from khep_twin.host import Khepera
     from khep_twin.lab.fit.session_people import PersonAtTerminal, SimulatedPerson

@@ -22,7 +22,7 @@ _LIMIT = 100_000
 """Largest file of words [bytes]."""
 
 
-class Session:
+class CalibrationSession:
     """Calibration session in a folder.
 
     Args:

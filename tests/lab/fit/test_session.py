@@ -13,7 +13,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.fit.fit_inputs import fit_inputs
 from khep_twin.lab.fit.motor_fit import read_drive
 from khep_twin.lab.fit.placement import Ruler
-from khep_twin.lab.fit.session import TESTS, Session
+from khep_twin.lab.fit.session import TESTS, CalibrationSession
 from khep_twin.lab.fit.session_people import PersonAtTerminal, SimulatedPerson
 from khep_twin.lab.fit.session_steps import Step, record, steps
 from khep_twin.ports.protocol_khep import Serial
@@ -54,10 +54,10 @@ def answering(*answers: str) -> tuple[PersonAtTerminal, list[str]]:
 def test_a_session_goes_on_after_the_last_step_that_was_done(tmp_path: Path) -> None:
     folder, shown = tmp_path / "session", list[str]()
     with bench() as robot:
-        assert Session(folder).run([STRAIGHT], robot, simulated(robot), shown.append, never)
+        assert CalibrationSession(folder).run([STRAIGHT], robot, simulated(robot), shown.append, never)
         before = (folder / "straight.mcap").read_bytes()
         asked = iter([False] * 40)
-        again = Session(folder)
+        again = CalibrationSession(folder)
         assert not again.run(
             [STRAIGHT, WALL, DUTY], robot, simulated(robot), shown.append, lambda: next(asked, True)
         )
@@ -66,7 +66,7 @@ def test_a_session_goes_on_after_the_last_step_that_was_done(tmp_path: Path) -> 
         assert robot.speed() == (0, 0)
         assert sorted(each.name for each in folder.iterdir()) == ["straight.mcap", TESTS]
         assert any("done before: straight.mcap=" in line for line in shown)
-        third = Session(folder)
+        third = CalibrationSession(folder)
         assert third.run([STRAIGHT, DUTY], robot, simulated(robot), shown.append, never)
     assert (folder / "straight.mcap").read_bytes() == before
     assert (folder / TESTS).read_text().splitlines() == third.words
@@ -199,13 +199,13 @@ def test_a_person_who_has_put_everything_up_is_not_waited_for() -> None:
 def test_words_without_a_recording_are_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / TESTS).write_text(text)
     with pytest.raises(FitError, match=message):
-        Session(tmp_path)
+        CalibrationSession(tmp_path)
 
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(FitError, match="no directory"):
-        Session(tmp_path / "file")
+        CalibrationSession(tmp_path / "file")
 
 
 @pytest.mark.parametrize(
