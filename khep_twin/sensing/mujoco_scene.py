@@ -14,16 +14,13 @@ from numpy.typing import NDArray
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import view
 from khep_twin.sensing.optics import RobotSensors
-from khep_twin.sensing.reflection import Chip, add_upright
+from khep_twin.sensing.reflection import Chip, Upright, add_upright
 from khep_twin.sensing.scene import FASTEST, FEW, MANY, Triple
 
 Floats = NDArray[np.float64]
 
 PAINT = 0.0005
 """Height up to which a fixed thing is paint on the floor, which the sensors do not see [m]."""
-
-Upright = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
-"""Centre [m], cosine and sine of the angle, half of length and width [m], and heights of an upright thing."""
 
 _ROUNDING = 1e-9
 """Margin for rounding [m]."""
@@ -138,9 +135,7 @@ class MujocoScene:
                 geom = int(self._geoms[index])
                 place, matrix = data.geom_xpos[geom].tolist(), data.geom_xmat[geom].tolist()
                 shape = upright(int(model.geom_type[geom]), model.geom_size[geom].tolist(), place, matrix)
-            centre, turn, half, span = shape
-            reflectance = self._reflectances[index]
-            count = add_upright(found, count, chip, centre, turn, half, span, reflectance)
+            count = add_upright(found, count, chip, shape, self._reflectances[index])
         return count
 
     def stopped(self, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:

@@ -53,6 +53,10 @@ _NODES = (
 )
 """Nodes and weights of Gauss and Legendre's quadrature."""
 
+Upright = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
+"""Upright box or cylinder: centre [m], cosine and sine of its angle, half of its length and width [m], or its
+radius and a number below 0 for a cylinder, and the heights of bottom and top [m]."""
+
 
 class Chip(NamedTuple):
     """Place of a sensor's chip, and how far it sees.
@@ -97,10 +101,7 @@ def add_upright(
     found: Vector[float],
     count: int,
     chip: Chip,
-    centre: tuple[float, float],
-    turn: tuple[float, float],
-    half: tuple[float, float],
-    span: tuple[float, float],
+    shape: Upright,
     reflectance: float,
 ) -> int:
     """Add what a sensor may see of an upright box or cylinder; return the number of surfaces.
@@ -109,15 +110,12 @@ def add_upright(
         found: Surfaces (N_SURFACES * N_COLUMNS,).
         count: Number of surfaces in it.
         chip: Chip of the sensor.
-        centre: Centre in the world [m].
-        turn: Cosine and sine of its angle.
-        half: Half of a box's length and width [m]; radius and a number below 0 for a cylinder.
-        span: Heights of bottom and top [m].
+        shape: Shape in the world.
         reflectance: Infrared reflectance.
     """
-    if half[1] < 0:
-        return _add_cylinder(found, count, chip, centre, half[0], span, reflectance)
-    return _add_box(found, count, chip, centre, turn, half, span, reflectance)
+    if shape[2][1] < 0:
+        return _add_cylinder(found, count, chip, shape, reflectance)
+    return _add_box(found, count, chip, shape, reflectance)
 
 
 @compilable
@@ -440,13 +438,11 @@ def _add_box(
     found: Vector[float],
     count: int,
     chip: Chip,
-    centre: tuple[float, float],
-    turn: tuple[float, float],
-    half: tuple[float, float],
-    span: tuple[float, float],
+    shape: Upright,
     reflectance: float,
 ) -> int:
     """Add the faces of a box that a sensor sees."""
+    centre, turn, half, span = shape
     dx, dy = chip.x - centre[0], chip.y - centre[1]
     c, s = turn
     # Cosine and sine of the length's direction in the sensor's frame.
@@ -513,12 +509,11 @@ def _add_cylinder(
     found: Vector[float],
     count: int,
     chip: Chip,
-    centre: tuple[float, float],
-    radius: float,
-    span: tuple[float, float],
+    shape: Upright,
     reflectance: float,
 ) -> int:
     """Add a cylinder."""
+    centre, _, (radius, _), span = shape
     dx, dy = centre[0] - chip.x, centre[1] - chip.y
     distance = math.sqrt(dx * dx + dy * dy)
     away = max(distance - radius, _TOUCHING)

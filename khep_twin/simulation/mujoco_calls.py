@@ -281,13 +281,12 @@ def _surfaces(scene, sensors, channel, chip, near):
         dx, dy, limit = cx - chip.x, cy - chip.y, solid.bound + chip.reach + 1e-9
         if dx * dx + dy * dy > limit * limit:
             continue
-        centre, turn = (cx, cy), (solid.cosine, solid.sine)
-        half, span = (solid.half, solid.width), (solid.bottom, solid.top)
+        turn, half, span = (solid.cosine, solid.sine), (solid.half, solid.width), (solid.bottom, solid.top)
+        shape = (cx, cy), turn, half, span
         if not solid.fixed:
             place, turned = _three(scene.at.geom_xpos, geom), _nine(scene.at.geom_xmat, geom)
             shape = upright(solid.kind, _three(scene.at.geom_size, geom), place, turned)
-            centre, turn, half, span = shape
-        count = add_upright(found, count, chip, centre, turn, half, span, solid.reflectance)
+        count = add_upright(found, count, chip, shape, solid.reflectance)
     return count
 
 

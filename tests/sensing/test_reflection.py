@@ -54,7 +54,7 @@ def surfaces(things: Sequence[Thing], reach: float = 100.0) -> tuple[list[float]
         turn = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
         size = half / 1e3, width / 1e3 if width > 0 else -1.0
         span = bottom / 1e3, top / 1e3
-        count = add_upright(found, count, chip, (x / 1e3, y / 1e3), turn, size, span, reflectance)
+        count = add_upright(found, count, chip, ((x / 1e3, y / 1e3), turn, size, span), reflectance)
     return found, count, chip
 
 

@@ -139,16 +139,13 @@ def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, near
         thing = order[i]
         if things[thing, DISTANCE] > farthest:
             break
-        count = add_upright(
-            proximity.found,
-            count,
-            chip,
+        shape = (
             (things[thing, CENTRE_X], things[thing, CENTRE_Y]),
             (things[thing, COSINE], things[thing, SINE]),
             (things[thing, LENGTH], things[thing, WIDTH]),
             (things[thing, BOTTOM], things[thing, TOP]),
-            things[thing, REFLECTANCE],
         )
+        count = add_upright(proximity.found, count, chip, shape, things[thing, REFLECTANCE])
     return count
 
 
