@@ -108,12 +108,12 @@ def test_white_is_the_reference_and_black_hardly_reflects() -> None:
     reflectances = {name: surface.reflectance for name, surface in BUILT_IN_SURFACES.items()}
     assert reflectances == {
         "white": 1.0,
-        "grey": 0.145,
-        "black": 0.022,
-        "wood": 0.91,
-        "styropor": 0.87,
-        "sponge": 0.55,
-        "copper": 0.73,
+        "grey": 0.151,
+        "black": 0.023,
+        "wood": 0.98,
+        "styropor": 0.913,
+        "sponge": 0.575,
+        "copper": 0.769,
         "lego": 0.8,
     }
     assert parse().surface("lego") is BUILT_IN_SURFACES["lego"]
