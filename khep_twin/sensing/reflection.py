@@ -43,9 +43,6 @@ _TOUCHING = 1e-4
 _NARROW = 1e-9
 """Width of an arc that is too small to matter [sine of the azimuth]."""
 
-_WIDEST = math.pi / 2
-"""Largest ratio of an arc to the difference of its ends' sines."""
-
 _NODES = (
     (-0.9324695142031521, 0.1713244923791704),
     (-0.6612093864662645, 0.3607615730481386),
@@ -136,12 +133,16 @@ def sift(found: Vector[float], count: int, lobe: Lobe, least: float) -> tuple[in
     total, left = 0.0, 0
     for first in range(0, count * N_COLUMNS, N_COLUMNS):
         low, high = found[first + LOW], found[first + HIGH]
-        # As at its nearest point, in the lobe's strength at the azimuth nearest to the axis.
-        around = min(lobe.width, _WIDEST * (high - low) / lobe.norm) / found[first + SQUARE]
+        # All at its nearest distance: the integral of cos^n over an arc is at most the difference of its ends'
+        # sines, times the largest cosine to the power of n - 1.
+        around = lobe.width
+        if lobe.whole:
+            around = min(around, (high - low) / lobe.norm)
+        around /= found[first + SQUARE]
         if low > 0 or high < 0:
             edge = low if low > 0 else high
             ahead = 1 - edge * edge
-            for _ in range(lobe.whole >> 1):
+            for _ in range((lobe.whole - 1) >> 1):
                 around *= ahead
         # An endless wall in its place; ((1 + cos) / 2)^k is above its light, with k by the lobe.
         away = found[first + DISTANCE] - found[first + RADIUS]
