@@ -133,8 +133,8 @@ def sift(found: Vector[float], count: int, lobe: Lobe, least: float) -> tuple[in
     total, left = 0.0, 0
     for first in range(0, count * N_COLUMNS, N_COLUMNS):
         low, high = found[first + LOW], found[first + HIGH]
-        # All at its nearest distance: the integral of cos^n over an arc is at most the difference of the sines
-        # of its ends, times the largest cosine to the power of n - 1.
+        # All at its nearest distance; the integral of cos^n over an arc is at most the difference of the
+        # sines of its ends, times the largest cosine to the power of n - 1.
         around = lobe.width
         if lobe.whole:
             around = min(around, (high - low) / lobe.norm)
