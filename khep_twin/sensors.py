@@ -23,15 +23,12 @@ import mujoco
 from khep_twin.sensing import lobes
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.mujoco_scene import visible
-from khep_twin.sensing.optics import Proximity
-from khep_twin.sensing.reflection import N_COLUMNS, N_SURFACES
+from khep_twin.sensing.optics import SLIGHT, Proximity
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.seen_surfaces import N_COLUMNS, N_SURFACES
 
 _RANGE = 1.5
 """Range of a sensor, in distances at which an endless wall gives as much light as the threshold."""
-
-_SLIGHT = 4.0
-"""Least light of such a wall, for sensors without a threshold [counts]."""
 
 
 def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> Proximity:
@@ -51,7 +48,7 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
         threshold=list(numbers.threshold_counts),
         offset=[offset * 1e-3 for offset in numbers.offset_mm],
         reach=[
-            _RANGE * math.sqrt(gain * brightest / max(threshold, _SLIGHT))
+            _RANGE * math.sqrt(gain * brightest / max(threshold, SLIGHT))
             for gain, threshold in zip(gains, numbers.threshold_counts, strict=True)
         ],
         whole=[int(exponent) for exponent in exponents],

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import view
 from khep_twin.sensing.optics import RobotSensors
-from khep_twin.sensing.reflection import Chip, Upright, add_upright
 from khep_twin.sensing.scene import FASTEST, FEW, MANY, Triple
+from khep_twin.sensing.seen_surfaces import Chip, Upright, add_upright
 
 Floats = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class MujocoScene:
         self._frames: list[Floats] = list(data.cam_xmat)
         seen = visible(model)
         self._shapes = [fixed(model, geom) for geom in seen]
-        self._bodies: list[int] = model.geom_bodyid[seen].tolist()
+        self._bodies: NDArray[np.int32] = model.geom_bodyid[seen]
         self._reflectances: list[float] = model.geom_user[seen, 0].tolist()
         self._geoms = np.array(seen, np.int64)
         self._discs = [_disc(points_of_a_bulb(number)) for number in (FEW, MANY)]
@@ -125,11 +125,10 @@ class MujocoScene:
         found, count, model, data = sensors.proximity.found, 0, self._model, self._data
         ways: Floats = data.geom_xpos[self._geoms, :2] - (chip.x, chip.y)
         away: Floats = np.sqrt((ways * ways).sum(axis=1)) - model.geom_rbound[self._geoms]
+        away[self._bodies == sensors.base] = math.inf  # the robot itself
         if not (away <= near + _ROUNDING).any():
             return 0
         for index in (away <= chip.reach + _ROUNDING).nonzero()[0].tolist():
-            if self._bodies[index] == sensors.base:
-                continue
             shape = self._shapes[index]
             if shape is None:
                 geom = int(self._geoms[index])
@@ -194,13 +193,9 @@ def points_of_a_bulb(number: int) -> Floats:
 
 def visible(model: mujoco.MjModel) -> list[int]:
     """Return the geoms that sensors see: all that are drawn, but floor and paint."""
-    return [
-        geom
-        for geom in range(model.ngeom)
-        if model.geom_rgba[geom, 3] > 0
-        and model.geom_type[geom] != _PLANE
-        and not (model.geom_bodyid[geom] == 0 and model.geom_pos[geom, 2] < PAINT)
-    ]
+    paint = (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT)
+    seen = (model.geom_rgba[:, 3] > 0) & (model.geom_type != _PLANE) & ~paint
+    return np.flatnonzero(seen).tolist()
 
 
 def fixed(model: mujoco.MjModel, geom: int) -> Upright | None:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from khep_twin.compilable import compilable
-from khep_twin.sensing.reflection import Chip, Lobe, reflected, sift
+from khep_twin.sensing.reflection import Lobe, reflected, sift
 from khep_twin.sensing.scene import (
     FEW,
     MANY,
@@ -22,10 +22,11 @@ from khep_twin.sensing.scene import (
     stopped,
     surfaces,
 )
+from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.units import BULB_RADIUS
 
-_SLIGHT = 4.0
-"""Reflected light of a surface that is left out [counts]: a fifth of the noise."""
+SLIGHT = 4.0
+"""Reflected light that does not matter [counts]: a fifth of the noise."""
 
 _NOTHING = 0.5
 """Light for which no ray is cast [counts]."""
@@ -258,7 +259,7 @@ def proximity_counts(
         proximity.width[channel],
         proximity.table[channel],
     )
-    count, most = sift(found, count, lobe, _SLIGHT / gain)
+    count, most = sift(found, count, lobe, SLIGHT / gain)
     if count and gain * most > -level:
         level += gain * reflected(found, count, chip, lobe)
     limit = int(proximity.limit * range_left)

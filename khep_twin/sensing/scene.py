@@ -13,7 +13,7 @@ import numpy as np
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, Registers
 from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.reflection import Chip
+from khep_twin.sensing.seen_surfaces import Chip
 
 if TYPE_CHECKING:
     from khep_twin.sensing.optics import RobotSensors

@@ -16,8 +16,8 @@ from khep_twin.compilable import compilable
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.mujoco_scene import fixed, points_of_a_bulb, upright, visible
-from khep_twin.sensing.reflection import add_upright
 from khep_twin.sensing.scene import FASTEST, FEW, MANY
+from khep_twin.sensing.seen_surfaces import add_upright
 from khep_twin.simulation.addresses import function_address, object_address
 from khep_twin.simulation.foreign import (
     address_of,
@@ -157,21 +157,22 @@ def calls_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.voi
         few=points_of_a_bulb(FEW),
         many=points_of_a_bulb(MANY),
     )
-    drawn = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist()
-    return as_records([at], at), as_records([_solid(model, geom) for geom in drawn], Solid())
+    drawn, seen = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist(), set(visible(model))
+    solids = [_solid(model, geom, geom in seen) for geom in drawn]
+    return as_records([at], at), as_records(solids, Solid())
 
 
-def _solid(model: mujoco.MjModel, geom: int) -> Solid:
+def _solid(model: mujoco.MjModel, geom: int, seen: bool) -> Solid:
     solid = Solid(
         geom,
         int(model.geom_type[geom]),
         int(model.geom_bodyid[geom]),
-        seen=geom in visible(model),
+        seen=int(seen),
         bound=float(model.geom_rbound[geom]),
         reflectance=float(model.geom_user[geom, 0]),
     )
     shape = fixed(model, geom)
-    if shape is None or not solid.seen:
+    if shape is None or not seen:
         return solid
     (x, y), (cosine, sine), (half, width), (bottom, top) = shape
     return Solid(*solid[:4], 1, x, y, cosine, sine, half, width, bottom, top, *solid[-2:])

@@ -18,7 +18,7 @@ from khep_twin.rollout import episode as episodes
 from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, Network
 from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.sensing.optics import chip_of
-from khep_twin.sensing.reflection import N_COLUMNS
+from khep_twin.sensing.seen_surfaces import N_COLUMNS
 from khep_twin.units import COUNTS_LIMIT
 from khep_twin.world import World
 

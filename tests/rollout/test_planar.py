@@ -20,7 +20,7 @@ from khep_twin.rollout.planar.planar import PlanarScene
 from khep_twin.rollout.planar.planar_world import PlanarForms, PlanarWorld
 from khep_twin.rollout.planar.plane import TOUCHED, distance_to, nearest
 from khep_twin.sensing.optics import RobotSensors, chip_of, proximity_counts
-from khep_twin.sensing.reflection import Chip
+from khep_twin.sensing.seen_surfaces import Chip
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")

@@ -9,16 +9,8 @@ import pytest
 
 from khep_twin.sensing import lobes
 from khep_twin.sensing.mujoco_scene import upright
-from khep_twin.sensing.reflection import (
-    N_COLUMNS,
-    N_SURFACES,
-    SQUARE,
-    Chip,
-    Lobe,
-    add_upright,
-    reflected,
-    sift,
-)
+from khep_twin.sensing.reflection import Lobe, reflected, sift
+from khep_twin.sensing.seen_surfaces import N_COLUMNS, N_SURFACES, SQUARE, Chip, add_upright
 from khep_twin.units import SENSOR_HEIGHT
 
 

@@ -36,8 +36,8 @@ from khep_twin.rollout.planar.plane import (
 )
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.optics import RobotSensors
-from khep_twin.sensing.reflection import Chip, add_upright
 from khep_twin.sensing.scene import FASTEST, FEW, Triple
+from khep_twin.sensing.seen_surfaces import Chip, add_upright
 
 
 @compilable
