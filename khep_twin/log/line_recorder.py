@@ -115,10 +115,9 @@ class LineRecorder:
 
     def _write(self) -> None:
         self._transcript.write()
-        if self._host_events:
-            events = self._host_events
+        events, self._host_events = self._host_events, []
+        if events:
             self._log.add(f"/{ROBOT}/host_events", INTEGERS, events[0][0], events_message(events))
-            self._host_events.clear()
 
     def _take_setpoints(self, line: bytes) -> None:
         match parse(line):

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -112,13 +113,10 @@ class Recorder:
         self._memories = [source.data for source in sources]
         places, turns = self._state_size + 3 * moving, self._state_size + data.xpos.size + 4 * moving
         self._poses = np.hstack([np.add.outer(places, [0, 1, 2]), np.add.outer(turns, [1, 2, 3, 0])])
-        self._samples: list[bytes] = []
-        self._times_ns: list[int] = []
+        self._samples: list[_Sample] = []
         self._known_lamps, self._lamps_topic, self._lamps_sets = world.lamps, "/lamps", 1
         self._lamps = None if world.lamps.steady else _lamps_frame(world)
-        self._powers: list[tuple[float, ...]] = []
         self._answers = Answered(len(world.robots))
-        self._answered: list[int] = []
         self._host_events: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
         self._begin(settings, facts, attachments)
         # An error at the very start of a log is always raised.
@@ -143,11 +141,9 @@ class Recorder:
         elif self._lamps is None and not world.lamps.steady:  # one was switched by hand
             self.flush()
             self._lamps = _lamps_frame(world)
-        self._times_ns.append(world.time_ns)
-        self._samples.append(b"".join(self._memories))
-        self._answered += self._answers.numbers
-        if self._lamps is not None:
-            self._powers.append(tuple(world.lamps.powers))
+        # In one step: the thread that completes the log of a controller that never returns comes at any time.
+        state, answered = b"".join(self._memories), tuple(self._answers.numbers)
+        self._samples.append(_Sample(world.time_ns, state, answered, tuple(world.lamps.powers)))
         if len(self._samples) == _BATCH:
             self.flush()
 
@@ -191,29 +187,30 @@ class Recorder:
 
     def _write(self) -> None:
         """Write the samples and lines recorded so far."""
-        times_ns = np.array(self._times_ns, np.int64)
-        samples = np.frombuffer(b"".join(self._samples), np.int64).reshape(-1, self._sample_size)
+        taken, self._samples = self._samples, []
+        times_ns = np.array([sample.time_ns for sample in taken], np.int64)
+        states = b"".join(sample.state for sample in taken)
+        samples = np.frombuffer(states, np.int64).reshape(-1, self._sample_size)
         poses = np.rint(samples.view(np.float64)[:, self._poses] * _FINENESS) / _FINENESS
         transforms = self._transforms.messages(times_ns, poses)
         self._log.add_rows("/tf", "tf2_msgs/msg/TFMessage", times_ns, transforms)
         if self._lamps is not None:
-            powers = np.array(self._powers).reshape(len(times_ns), len(self._known_lamps.names))
+            shape = len(taken), len(self._known_lamps.names)
+            powers = np.array([sample.powers for sample in taken]).reshape(shape)
             self._log.add_rows(self._lamps_topic, FLOATS, times_ns, self._lamps.messages(powers))
         for channel in self._channels:
             messages = channel.frame.messages(samples[:, channel.columns])
             self._log.add_rows(channel.topic, channel.schema, times_ns, messages)
         self._transcript.write()
-        for robot, events in zip(self._world.robots, self._host_events, strict=True):
+        for index, robot in enumerate(self._world.robots):
+            events, self._host_events[index] = self._host_events[index], []
             if events:
                 self._log.add(f"/{robot.name}/host_events", INTEGERS, events[0][0], events_message(events))
-                events.clear()
         # Last, so that the part of it in a torn file can be repeated with what came before.
-        if self._times_ns:
-            answered = np.array(self._answered, np.int64).reshape(len(times_ns), -1)
-            states = hashes(answered, samples[:, : self._state_size])
-            self._log.add("/state", INTEGERS, self._times_ns[0], states_message(states))
-        for batch in (self._times_ns, self._samples, self._answered, self._powers):
-            batch.clear()
+        if taken:
+            answered = np.array([sample.answered for sample in taken], np.int64)
+            numbers = hashes(answered, samples[:, : self._state_size])
+            self._log.add("/state", INTEGERS, taken[0].time_ns, states_message(numbers))
 
     def _begin(
         self, settings: Mapping[str, object], more_facts: Mapping[str, str], more: Mapping[str, str]
@@ -270,6 +267,22 @@ def versions() -> dict[str, str]:
         "numpy": version("numpy"),
         "machine": f"{platform.system()} {platform.machine()}",
     }
+
+
+class _Sample(NamedTuple):
+    """Sample of the world.
+
+    Attributes:
+        time_ns: Time [ns].
+        state: Memory of all bodies and boards.
+        answered: Hash of the answers of each robot.
+        powers: Power of each lamp [W].
+    """
+
+    time_ns: int
+    state: bytes
+    answered: tuple[int, ...]
+    powers: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,8 @@ class Transcript:
     def write(self) -> None:
         """Write the lines that the recorded bytes complete."""
         lines: list[tuple[list[int], list[bytes]]] = [([], []) for _ in self._robots]
-        for time_ns, robot, to_robot, data in self._heard:
+        heard, self._heard = self._heard, []
+        for time_ns, robot, to_robot, data in heard:
             text = self._rests.pop((robot, to_robot), b"") + data if self._rests else data
             whole = text.splitlines()
             # A line beyond the limit is noise, or from a host that sends no line ends.
@@ -50,7 +51,6 @@ class Transcript:
                 if line:
                     times_ns.append(time_ns)
                     messages.append(_message(time_ns, to_robot, line))
-        self._heard.clear()
         for robot, (times_ns, messages) in enumerate(lines):
             if messages:
                 self._log.add_lines(f"/{self._robots[robot]}/serial", times_ns, messages)

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 
 import mujoco
 import numpy as np
@@ -25,7 +26,7 @@ from khep_twin.log.decoding import read_array
 from khep_twin.log.reader import read
 from khep_twin.log.recorder import Recorder
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.world import SAMPLE_NS
+from khep_twin.world import SAMPLE_NS, World
 
 Start = Callable[[Path], Twin]
 
@@ -49,6 +50,34 @@ def test_the_same_run_gives_the_same_bytes_under_any_name(tmp_path: Path, start:
             drive(twin)
             twin.world.log_event(None, "the end")
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+@pytest.mark.parametrize("line", range(12))
+def test_a_log_can_be_completed_by_another_thread_at_any_line_of_a_sample(line: int, tmp_path: Path) -> None:
+    world = World(playpen.load("two-lamps"))
+    recorder = Recorder(tmp_path / "run.mcap", world, {})
+    switch(world, 0, on=False)
+    for _ in range(3):
+        world.advance_to(world.time_ns + SAMPLE_NS)
+        recorder.sample(world)
+    lines = iter(range(line + 1))
+
+    def complete(frame: FrameType, event: str, argument: object) -> object:
+        if frame.f_code is not Recorder.sample.__code__:
+            return None
+        if event == "line" and next(lines, None) == line:
+            sys.settrace(None)
+            recorder.close()
+        return complete
+
+    world.advance_to(world.time_ns + SAMPLE_NS)
+    sys.settrace(complete)
+    try:
+        recorder.sample(world)
+    finally:
+        sys.settrace(None)
+    recorder.close()
+    assert len(read(tmp_path / "run.mcap").robots["khepera0"].times_ns) in (3, 4)
 
 
 def test_lamps_that_change_are_recorded_and_others_are_not(tmp_path: Path) -> None:
