@@ -25,11 +25,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from PIL import Image
 from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
+from khep_twin.host import Khepera
 from khep_twin.log.recorder import versions
 
 PAGE = Path(__file__).parents[1] / "docs" / "tutorial.md"
@@ -194,7 +196,9 @@ def reader(folder: Path, exact: bool = False) -> Iterator[Reader]:
     """Yield a reader in an empty folder with the activated environment."""
     path = os.environ["PATH"]
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
-    with contextlib.chdir(folder):
+    # A reader's machine is idle; a busy one that runs the tests may answer later than a robot would.
+    patience = patch.object(Khepera.__init__, "__defaults__", (60.0, 9600))
+    with contextlib.chdir(folder), patience:
         person = Reader(folder, exact)
         try:
             yield person
