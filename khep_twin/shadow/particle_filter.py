@@ -1,0 +1,300 @@
+"""A particle filter whose particles are planar twins: where a robot is, from commands and sensor replies.
+
+Each particle has a pose, wheels of its own (mean radius, ratio, base), and for each proximity sensor an
+estimate of its gain with a variance, which a Kalman filter updates by the readings. The likelihood of a
+reading z, where the twin predicts c = gain light - threshold, is
+
+    (1 - e) N(z; c, s^2) + e / 1024,    s^2 = noise^2 + (MODEL c)^2 + (gain light)^2 var(log gain)
+
+and where the reading is clipped, at the limit or by the noise floor, the probability of what is beyond.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import PlaypenError
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.sensing import calibration
+from khep_twin.shadow.planes import TICK_NS, Planes
+
+Floats = NDArray[np.float64]
+
+TEMPER = 0.2
+"""Power of the likelihood: errors of the model last for many replies, where noise would not (assumed)."""
+
+OUTLIERS = 0.02
+"""Part of the readings that the twins cannot explain (assumed)."""
+
+MODEL = 0.15
+"""Relative deviation of readings from the twin's, besides their gain: headings, lobes (assumed)."""
+
+GAIN_DEVIATION = 0.25
+"""Standard deviation of the logarithm of one sensor's gain, besides the common one: its own 13 %, and what a
+wrong heading does to it."""
+
+GAIN_LEAST = 0.03
+"""Standard deviation below which no gain is taken for known: the model is no better."""
+
+RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT = 2e-4, 5e-5, 2e-4
+"""Drift of the wheels' mean radius, ratio and base in a second's square root, as parts (assumed)."""
+
+PLACE_NOISE, TURN_NOISE = 1e-3, 0.015
+"""Noise of the motion in a second's square root, besides wheels [m, rad] (assumed)."""
+
+SLIP_NOISE = 3.0
+"""Factor of that noise where a tyre slips or something is touched (assumed)."""
+
+LEAST_EFFECTIVE = 0.5
+"""Part of the particles that count, below which they are drawn anew."""
+
+
+class Spread(NamedTuple):
+    """What is known of a robot at the start: standard deviations.
+
+    Attributes:
+        place: Of x and y [m]; infinite for an unknown start.
+        heading: Of the heading [rad].
+        radius: Of the wheels' mean radius, as a part.
+        ratio: Of the right wheel's radius over the left one's.
+        base: Of the wheel base, as a part.
+        gain: Of the logarithm of the sensors' common gain.
+    """
+
+    place: float = 0.01
+    heading: float = math.radians(5)
+    radius: float = calibration.RADIUS_SPREAD
+    ratio: float = calibration.INEQUALITY_SPREAD
+    base: float = calibration.BASE_SPREAD
+    gain: float = calibration.COMMON_GAIN_SPREAD
+
+
+@dataclass(slots=True)
+class Particles:
+    """Particles of a filter.
+
+    Attributes:
+        planes: Their twins.
+        logs: Logarithms of their weights (n,).
+        wheels: Wheels' mean radius, ratio and base, as parts of the calibration's (n, 3).
+        gains: Logarithms of each sensor's gain, over the calibration's (n, 8).
+        variances: Their variances (n, 8).
+    """
+
+    planes: Planes
+    logs: Floats
+    wheels: Floats
+    gains: Floats
+    variances: Floats
+
+    def taken(self, indices: NDArray[np.intp]) -> "Particles":
+        """Return copies of particles at these indices, with equal weights."""
+        logs = np.full(len(indices), -math.log(len(indices)))
+        rest = (each[indices] for each in (self.wheels, self.gains, self.variances))
+        return Particles(self.planes.taken(indices), logs, *rest)
+
+    def __len__(self) -> int:
+        return len(self.logs)
+
+
+class Estimate(NamedTuple):
+    """Estimate of a pose.
+
+    Attributes:
+        time_ns: Time [ns].
+        pose: Mean x, y [m] and heading [rad].
+        covariance: Its covariance (3, 3) [m, rad].
+    """
+
+    time_ns: int
+    pose: tuple[float, float, float]
+    covariance: Floats
+
+
+class ParticleFilter:
+    """A particle filter of one robot.
+
+    Args:
+        setup: Playpen with the robot, prepared for the plane.
+        particles: Particles to begin with.
+        rng: Random stream.
+        count: Number of particles once the pose is known.
+
+    Attributes:
+        particles: Particles.
+        evidence: Logarithm of the probability of all readings so far.
+        expected: Readings expected last, over all particles (8,).
+    """
+
+    def __init__(
+        self, setup: EpisodeSetup, particles: Particles, rng: np.random.Generator, count: int
+    ) -> None:
+        self._setup, self.particles, self._rng, self._count = setup, particles, rng, count
+        proximity: Any = particles.planes.sensors[0]["proximity"]
+        self._threshold, self._noise = proximity["threshold"], proximity["noise"]
+        self._limit, self._quantum = int(proximity["limit"]), int(proximity["quantum"])
+        self._idle = max(float(proximity["idle"]), float(proximity["floor"]))
+        self.evidence = 0.0
+        self.expected: Floats = np.zeros(8)
+        self._drifted_ticks = particles.planes.ticks
+
+    def advance_to(self, time_ns: int) -> None:
+        """Advance all twins to the last tick by a time [ns]."""
+        planes = self.particles.planes
+        if (ticks := time_ns // TICK_NS - planes.ticks) > 0:
+            planes.advance(ticks)
+
+    def see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> Floats:
+        """Weigh the particles by a reply to N; return the log likelihood of each sensor (8,).
+
+        Args:
+            readings: Proximity (8,) [counts].
+            use: Sensors to rely on (8,).
+        """
+        particles = self.particles
+        light = particles.planes.illuminate()
+        scaled = light * np.exp(particles.gains)
+        counts = scaled - self._threshold
+        apart = (MODEL * np.maximum(counts, 0)) ** 2
+        noise = self._noise**2 + self._quantum**2 / 12 + apart
+        own = scaled**2 * particles.variances
+        deviation = np.sqrt(noise + own)
+        low, high = readings <= 4 * self._idle, readings >= self._limit
+        z = (readings - counts) / deviation
+        inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(2 * math.pi))
+        beyond = _tail(np.where(high, -z, z))
+        likelihood = np.where(low | high, beyond, inside)
+        others = np.where(low | high, 1.0, 1 / (self._limit + 1))
+        total = (1 - OUTLIERS) * likelihood + OUTLIERS * others
+        logs = TEMPER * np.where(use, np.log(total), 0.0)
+        weights = np.exp(particles.logs - particles.logs.max())
+        weights /= weights.sum()
+        self.expected = np.clip(weights @ counts, 0, self._limit)
+        each = np.log(weights @ np.exp(logs))
+        particles.logs += logs.sum(axis=1)
+        most = particles.logs.max()
+        norm = most + math.log(np.exp(particles.logs - most).sum())
+        self.evidence += norm
+        particles.logs -= norm
+        # The gains, where a reading is inside of the range and explained.
+        trust = np.where((low | high) | ~use, 0.0, (1 - OUTLIERS) * likelihood / total)
+        step = trust * scaled * particles.variances / (noise + own)
+        particles.gains += step * (readings - counts)
+        particles.variances = np.maximum(particles.variances * (1 - step * scaled), GAIN_LEAST**2)
+        self._renew()
+        return each
+
+    def estimate(self, time_ns: int) -> Estimate:
+        """Return the estimate of the pose."""
+        poses, weights = self.particles.planes.poses, self.weights
+        x, y = weights @ poses[:, 0], weights @ poses[:, 1]
+        heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
+        off = poses - (x, y, heading)
+        off[:, 2] = (off[:, 2] + math.pi) % math.tau - math.pi
+        return Estimate(time_ns, (float(x), float(y), heading), (off * weights[:, None]).T @ off)
+
+    @property
+    def weights(self) -> Floats:
+        """Weights of the particles (n,)."""
+        return np.exp(self.particles.logs)
+
+    def _renew(self) -> None:
+        """Draw the particles anew by their weights, where too few count, and spread them a little."""
+        particles = self.particles
+        weights = self.weights
+        if 1 / np.square(weights).sum() > LEAST_EFFECTIVE * len(weights):
+            return
+        count = self._wanted(weights)
+        edges = (np.arange(count) + self._rng.random()) / count
+        indices = np.minimum(np.searchsorted(np.cumsum(weights), edges), len(weights) - 1)
+        self.particles = particles.taken(indices)
+        self._drift()
+
+    def _wanted(self, weights: Floats) -> int:
+        """Return the number of particles that the spread of the pose needs."""
+        if len(weights) == self._count:
+            return self._count
+        poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]
+        cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
+        return int(np.clip(10 * len(cells), self._count, len(weights)))
+
+    def _drift(self) -> None:
+        """Move the particles by the noise of the time since the last drift."""
+        particles, planes, rng = self.particles, self.particles.planes, self._rng
+        root = math.sqrt((planes.ticks - self._drifted_ticks) * TICK_NS * 1e-9)
+        self._drifted_ticks = planes.ticks
+        count = len(particles)
+        slips = planes.robots["last"][:, flat.SLIPS] != 0
+        noise = np.array([PLACE_NOISE, PLACE_NOISE, TURN_NOISE]) * root
+        moved = rng.standard_normal((count, 3)) * noise * np.where(slips, SLIP_NOISE, 1.0)[:, None]
+        planes.move(planes.poses + moved)
+        particles.wheels += rng.standard_normal((count, 3)) * (RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT) * root
+        planes.set_wheels(*particles.wheels.T)
+
+
+def begun(
+    setup: EpisodeSetup,
+    pose: tuple[float, float, float] | None,
+    spread: Spread,
+    count: int,
+    rng: np.random.Generator,
+) -> Particles:
+    """Return particles at the start.
+
+    Args:
+        setup: Playpen with the robot, prepared for the plane.
+        pose: Start x, y [m] and heading [rad]; None for an unknown one.
+        spread: What is known of it and of the robot.
+        count: Number of particles.
+        rng: Random stream.
+    """
+    planes = Planes(setup, count)
+    if pose is None:
+        planes.put(anywhere(setup, planes, rng))
+    else:
+        planes.put(pose + rng.standard_normal((count, 3)) * (spread.place, spread.place, spread.heading))
+    wheels = 1 + rng.standard_normal((count, 3)) * (spread.radius, spread.ratio, spread.base)
+    planes.set_wheels(*wheels.T)
+    gains = np.repeat(rng.standard_normal((count, 1)) * spread.gain, 8, axis=1)
+    return Particles(
+        planes, np.full(count, -math.log(count)), wheels, gains, np.full((count, 8), GAIN_DEVIATION**2)
+    )
+
+
+def anywhere(setup: EpisodeSetup, planes: Planes, rng: np.random.Generator) -> Floats:
+    """Return random poses where there is room, x, y [m] and heading [rad], for each twin (n, 3)."""
+    corners = np.array(setup.playpen.arena.corners) * 1e-3
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    poses = np.zeros((len(planes), 3))
+    wanted = np.ones(len(planes), np.bool_)
+    for _ in range(_TRIES):
+        drawn = rng.uniform((*low, 0), (*high, math.tau), poses.shape)
+        poses[wanted] = drawn[wanted]
+        planes.put(poses)
+        wanted = ~(planes.free() & _inside(corners, poses))
+        if not wanted.any():
+            return poses
+    raise PlaypenError(f"{setup.playpen.name}: no room for the robot was found; expected a start pose")
+
+
+_TRIES = 200
+
+
+def _inside(corners: Floats, poses: Floats) -> NDArray[np.bool_]:
+    """Return whether positions are inside a polygon (n,)."""
+    inside = np.zeros(len(poses), np.bool_)
+    x, y = poses[:, 0], poses[:, 1]
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if y0 == y1:
+            continue
+        inside ^= ((y0 > y) != (y1 > y)) & (x < (x1 - x0) * (y - y0) / (y1 - y0) + x0)
+    return inside
+
+
+def _tail(z: Floats) -> Floats:
+    """Return the probability of a normal number below z, to 0.01."""
+    return 1 / (1 + np.exp(-np.clip(1.702 * z, -500, 500)))

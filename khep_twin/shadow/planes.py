@@ -1,0 +1,143 @@
+"""Planar twins of one robot, side by side: each in its own plane, with its own wheels, motors and obstacles."""
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.board import battery, kernel
+from khep_twin.errors import MissingNumbaError
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.rollout.planar.planar_world import PlanarForms
+from khep_twin.sensing.buffers import as_records
+
+Floats = NDArray[np.float64]
+
+TICK_NS = units.TICK_NS
+"""Step of the twins [ns]."""
+
+N_SPARE = 1
+"""Obstacles of each plane that the playpen does not have, out of reach until they are put somewhere."""
+
+_AWAY = 1e3
+"""Position of what is not in the playpen [m]."""
+
+
+class Planes:
+    """Planar twins of one robot, without noise; all arrays have a row for each twin.
+
+    Args:
+        setup: Playpen with one robot, prepared for the plane.
+        count: Number of twins.
+
+    Attributes:
+        things: Obstacles (n, n_things + N_SPARE, flat.N_COLUMNS).
+        robots: Records of `PlanarRobot` (n,).
+        registers: States of the boards (n, N_REGISTERS).
+        processor: States of the processors (n, N_PROCESSOR).
+        strength: Parts of the motors' torque, left and right (n, 2).
+    """
+
+    def __init__(self, setup: EpisodeSetup, count: int) -> None:
+        if setup.planar_scene is None:
+            raise ValueError("the setup is not planar; expected EpisodeSetup(playpen, planar=True)")
+        try:
+            from khep_twin.shadow import compiled
+        except ImportError as error:
+            raise MissingNumbaError() from error
+        self._code: Any = compiled
+        forms = PlanarForms(setup.scene_model, setup.planar_scene)
+        forms.put(None)
+        state = forms.robot_states()[0]
+        things, order, robot = forms.compiled()
+        spare = np.zeros((N_SPARE, flat.N_COLUMNS))
+        spare[:, [flat.CENTRE_X, flat.COSINE, flat.WIDTH]] = _AWAY, 1.0, -1.0
+        self.things: Floats = np.repeat(np.concatenate([things, spare])[None], count, axis=0)
+        self._order = np.repeat(np.concatenate([order, len(order) + np.arange(N_SPARE)])[None], count, axis=0)
+        self.robots: Any = np.repeat(robot, count)
+        self.sensors = as_records([state.sensors], state.sensors)
+        self.registers: NDArray[np.int64] = np.zeros((count, kernel.N_REGISTERS), np.int64)
+        kernel.reset(self.registers[0].data)
+        self.registers[:] = self.registers[0]
+        self.processor: NDArray[np.int64] = np.zeros((count, kernel.N_PROCESSOR), np.int64)
+        self.processor[:, kernel.POWERED] = 1
+        self.strength: Floats = np.ones((count, 2))
+        drive = compiled.Drive(
+            flat.LEFT_ANGLE, flat.RIGHT_ANGLE, flat.LEFT_ANGLE, flat.RIGHT_ANGLE, state.motor_constant
+        )
+        self._drive = as_records([drive], drive)
+        self._used_min = state.used_min
+        self._own = robot[0].copy()
+        self.ticks = 0
+
+    def __len__(self) -> int:
+        return len(self.robots)
+
+    def taken(self, indices: NDArray[np.intp]) -> Self:
+        """Return copies of twins at these indices."""
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__)
+        for name in ("things", "_order", "robots", "registers", "processor", "strength"):
+            setattr(made, name, getattr(self, name)[indices])
+        return made
+
+    @property
+    def poses(self) -> Floats:
+        """Poses x, y [m] and heading [rad], which is not wrapped (n, 3)."""
+        return self.robots["joints"][:, :3].copy()
+
+    def put(self, poses: Floats) -> None:
+        """Put the twins at rest at poses x, y [m], heading [rad] (n, 3); counters are kept."""
+        self.move(poses)
+        for name in ("speeds", "ctrl", "force", "grips"):
+            self.robots[name][:] = 0
+
+    def move(self, poses: Floats) -> None:
+        """Move the twins to poses x, y [m], heading [rad] (n, 3), in motion as they are."""
+        robots = self.robots
+        robots["joints"][:, :3] = poses
+        last = robots["last"]
+        last[:, : flat.CENTRE_Y + 1] = poses[:, :2]
+        last[:, flat.HEADING_COSINE], last[:, flat.HEADING_SINE] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        self.remeasure()
+
+    def remeasure(self) -> None:
+        """Have the distances to all obstacles measured again, as after one was moved."""
+        self.robots["last"][:, flat.ANCHOR_X] = np.inf
+        self._code.measure(self.things, self._order, self.robots)
+
+    def set_wheels(self, radius: Floats, right_over_left: Floats, base: Floats) -> None:
+        """Set the wheels, as parts of those of the calibration: mean radius, ratio and base (n,)."""
+        robots, own = self.robots, self._own
+        factors = {"left": radius * 2 / (1 + right_over_left)}
+        factors["right"] = factors["left"] * right_over_left
+        for side, factor in factors.items():
+            robots[f"{side}_wheel"] = own[f"{side}_wheel"] * factor
+            robots[f"{side}_free_speed"] = own[f"{side}_free_speed"] * factor
+        robots["track"] = own["track"] * base
+
+    def advance(self, ticks: int) -> None:
+        """Advance all twins by control ticks."""
+        self.ticks += ticks
+        voltage = battery.voltage(self._used_min, self.ticks * TICK_NS)
+        state = self.things, self._order, self.robots, self.registers, self.processor, self.strength
+        self._code.advance(*state, self._drive, voltage, ticks)
+
+    def illuminate(self) -> Floats:
+        """Return the light at each sensor at the start of the last step, at the calibration's gains (n, 8)
+        [counts]."""
+        light = np.zeros((len(self), units.N_SENSORS))
+        self._code.illuminate(self.things, self._order, self.robots, self.sensors, light)
+        return light
+
+    def command(self, command: int, left: int, right: int) -> None:
+        """Execute a command of `compiled` on all boards."""
+        self._code.command(self.registers, command, left, right)
+
+    def free(self) -> NDArray[np.bool_]:
+        """Return whether each twin stands free of obstacles (n,)."""
+        free = np.zeros(len(self), np.bool_)
+        self._code.clear(self.things, self._order, self.robots, free)
+        return free
