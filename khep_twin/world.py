@@ -229,6 +229,12 @@ class World:
         self.lamps = Lamps(playpen, self._lamp_chance, self.time_ns, self.lamps.phase)
         self.simulation.set_lamps(self.lamps, playpen.lighting)
 
+    def refresh(self) -> None:
+        """Take over fixed geoms that were moved in the model, which no other world may share."""
+        self._forms.refresh()
+        self.simulation.take_scene()
+        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
+
     def compile(self) -> None:
         """Step by compiled code from now on, with the same results; the first time may take some seconds.
 
