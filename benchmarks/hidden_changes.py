@@ -168,7 +168,8 @@ def _lift(world: World, to: Start | None, rng: np.random.Generator) -> Start | N
         far = [place for place in places if math.dist(place, (x * 1e3, y * 1e3)) >= _LIFT_MM]
         if not far:
             return None
-        to = (*far[int(rng.integers(len(far)))], round(float(rng.uniform(-180, 180)), 1))
+        x_mm, y_mm = far[int(rng.integers(len(far)))]
+        to = round(x_mm, 1), round(y_mm, 1), round(float(rng.uniform(-180, 180)), 1)
     try:
         move_robot.put(world, 0, *to)
     except PlaypenError:

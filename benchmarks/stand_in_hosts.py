@@ -16,6 +16,8 @@ _NEAR = 350
 """Counts of a thing to turn away from, some 25 mm ahead (assumed)."""
 _PATIENCE = 45
 """Decisions after which a turn is given up; half a turn at 3 pulses takes about 30."""
+_MEMORY = 25
+"""Decisions for which a host remembers to which side it has turned last."""
 
 
 def avoider(seed: int) -> Host:
@@ -77,17 +79,17 @@ def wanderer(seed: int) -> Host:
         left_to_go -= 1
         back = sum(speeds) < 0
         if max(counts[6:8] if back else counts[1:5]) > _NEAR:
-            left_to_go = 0
+            speeds, left_to_go = (5, 5), 20
             away = counts[0] + counts[1] > counts[4] + counts[5]
             return turn.begin(-1 if away else 1, int(rng.integers(2, 6)), int(rng.integers(6, 20)))
         if left_to_go <= 0:
-            left_to_go = int(rng.integers(10, 60))
+            left_to_go = int(rng.integers(15, 90))
             speed, kind = int(rng.integers(4, 11)), rng.random()
             inner = int(rng.integers(2, speed + 1))
             if kind < 0.2:
-                return turn.begin(int(rng.choice((-1, 1))), int(rng.integers(2, 6)), left_to_go // 2)
+                return turn.begin(int(rng.choice((-1, 1))), int(rng.integers(2, 6)), left_to_go // 3)
             if kind < 0.35 and max(counts[6:8]) < _NEAR // 2:
-                speeds, left_to_go = (-inner, -inner), left_to_go // 2
+                speeds, left_to_go = (-inner, -inner), left_to_go // 3
             elif kind < 0.65:
                 speeds = (speed, speed)
             else:
@@ -110,17 +112,23 @@ class _Turn:
 
     def __init__(self) -> None:
         self._speeds, self._least, self._most, self._free = (0, 0), 0, 0, 0
+        self._side, self._ago = 1, 0
 
     def begin(self, side: int, speed: int, decisions: int) -> Speeds:
         """Begin a turn to the left (1) or right (-1); return the speeds."""
         if self._free > 0:  # The last one was given up: what the sensors see may not be there.
             return 4, 4
+        # Soon after another turn it goes the same way: in corners, sides take turns.
+        side = self._side = self._side if self._ago < _MEMORY else side
         self._speeds, self._least, self._most = (-side * speed, side * speed), decisions, _PATIENCE
         return self._speeds
 
     def go_on(self, counts: Sequence[int]) -> Speeds | None:
         """Return the speeds while it lasts, None then."""
         self._least, self._most, self._free = self._least - 1, self._most - 1, self._free - 1
+        self._ago += 1
+        if self._least > 0 or self._most > 0:
+            self._ago = 0
         if self._least > 0:
             return self._speeds
         if self._most > 0:
