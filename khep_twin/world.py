@@ -103,7 +103,8 @@ class World:
         self._has_turrets = any(entry.turrets for entry in self._base.robots)
         # LEDs are moved in the model.
         self._shares_model = shared
-        self.model = copy.copy(made.model) if isinstance(playpen, SceneModel) and not shared else made.model
+        own = isinstance(playpen, SceneModel) and not shared
+        self.model: mujoco.MjModel = copy.copy(made.model) if own else made.model
         self.data = mujoco.MjData(self.model)
         self._forms = MujocoForms(self._base, self.model, self.data, shared)
         self._bodies: NDArray[np.float64] = self.model.body_pos.copy()
