@@ -103,7 +103,8 @@ class World:
         self._has_turrets = any(entry.turrets for entry in self._base.robots)
         # LEDs are moved in the model.
         self._shares_model = shared
-        self.model = copy.copy(made.model) if isinstance(playpen, SceneModel) and not shared else made.model
+        own = isinstance(playpen, SceneModel) and not shared
+        self.model: mujoco.MjModel = copy.copy(made.model) if own else made.model
         self.data = mujoco.MjData(self.model)
         self._forms = MujocoForms(self._base, self.model, self.data, shared)
         self._bodies: NDArray[np.float64] = self.model.body_pos.copy()
@@ -228,6 +229,12 @@ class World:
         self.playpen = playpen
         self.lamps = Lamps(playpen, self._lamp_chance, self.time_ns, self.lamps.phase)
         self.simulation.set_lamps(self.lamps, playpen.lighting)
+
+    def refresh(self) -> None:
+        """Take over fixed geoms that were moved in the model, which no other world may share."""
+        self._forms.refresh()
+        self.simulation.take_scene()
+        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def compile(self) -> None:
         """Step by compiled code from now on, with the same results; the first time may take some seconds.

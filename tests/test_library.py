@@ -22,6 +22,7 @@ NAMES = [
     "t-maze",
     "two-lamps",
     "wall-or-cylinder",
+    "workshop",
 ]
 
 

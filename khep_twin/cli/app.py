@@ -6,7 +6,6 @@ What a command needs is imported inside it, so that `khep-twin --help` comes at 
 import errno
 import os
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,12 +15,12 @@ from khep_twin import __version__
 from khep_twin.cli.calibrate import calibrate
 from khep_twin.cli.compile import compile_all
 from khep_twin.cli.completion import complete_in_bash, missing
-from khep_twin.cli.completion import ports as known_ports
+from khep_twin.cli.conform import conform
 from khep_twin.cli.design import design
 from khep_twin.cli.drive import drive
 from khep_twin.cli.fit import fit
 from khep_twin.cli.log import recover, repeat
-from khep_twin.cli.options import Commands, Force, check_new, usage
+from khep_twin.cli.options import Commands
 from khep_twin.cli.playpen import playpen_app
 from khep_twin.cli.ports import ports
 from khep_twin.cli.report import export, report
@@ -34,7 +33,6 @@ from khep_twin.cli.streams import exit_code
 from khep_twin.cli.sweep import sweep
 from khep_twin.cli.view import view
 from khep_twin.errors import KhepTwinError
-from khep_twin.files.atomic import unusable, write_whole
 from khep_twin.signals import answered, asked_by, leave
 
 app = typer.Typer(
@@ -57,6 +55,7 @@ _MEASUREMENTS = (sense, fit, calibrate)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)
 app.command("compile")(compile_all)
+app.command()(conform)
 
 
 def main() -> None:
@@ -118,31 +117,3 @@ def common(
     ] = False,
 ) -> None:
     """A physics-based digital twin of the Khepera miniature robot."""
-
-
-@app.command()
-def conform(
-    port: Annotated[
-        str,
-        typer.Argument(help="Port of a robot or a twin, such as khep://default.", autocompletion=known_ports),
-    ],
-    move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
-    baudrate: Annotated[int, typer.Option(help="Speed of the line.")] = 9600,
-    report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
-    force: Force = False,
-) -> None:
-    """Check that the port speaks the robot's protocol; exit with 1 if it does not."""
-    from khep_twin.lab.conformance import conformance
-
-    if report is not None and (reason := unusable(report)):
-        raise usage(f"--report {report}: cannot be written: {reason}")
-    check_new(force, report)
-    if move:
-        ways = dict.fromkeys(check.moves for check in conformance.checks(True) if check.moves)
-        typer.echo(f"the robot {', '.join(ways)}", err=True)
-    outcome = conformance.conform(port, move=move, baudrate=baudrate)
-    typer.echo(outcome.text())
-    if report is not None:
-        write_whole(report, outcome.json().encode("utf-8"))
-    if not outcome.passed:
-        raise typer.Exit(1)

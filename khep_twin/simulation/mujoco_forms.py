@@ -81,10 +81,14 @@ class MujocoForms:
         self._calibrations = [calibration.read(entry.calibration)[0] for entry in playpen.robots]
         self._drawn = self._calibrations
         self._fitted: FittedRobots | None = None
-        self._plain: MujocoScene | None = None
-        self._arrays: tuple[Any, ...] | None = None
         count = len(self._playpen.robots)
         self.indices = [RobotIndices.of(self.model, f"khepera{index}") for index in range(count)]
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Take over fixed geoms that were moved in the model."""
+        self._plain: MujocoScene | None = None
+        self._arrays: tuple[Any, ...] | None = None
         # Where there are several robots no sight line is known, so one robot's are all's.
         self._lights = [LightSource(self.model, robot) for robot in self.indices[:1]]
 

@@ -131,9 +131,7 @@ class Simulation:
         rngs = [partial(stream, seed, "robot", index) for index in range(len(self.records))]
         if vary or self._is_varied:
             self._scene.vary([rng("spread") for rng in rngs] if vary else None)
-            self.plain = self.plain._replace(scene=self._scene.plain())
-            if self._compiled:
-                self._arrays = (self._scene.compiled(), *self._arrays[1:])
+            self.take_scene()
             robots = self._scene.robot_states()
             for record, robot in zip(self.records, robots, strict=True):
                 fill_record(record, robot)
@@ -147,6 +145,13 @@ class Simulation:
         if not noise and self._draws.any():
             self._draws[:] = 0
             self._list_draws()
+
+    def take_scene(self) -> None:
+        """Take the present forms of the scene, which has changed."""
+        self.plain = self.plain._replace(scene=self._scene.plain())
+        if self._compiled:
+            self._arrays = (self._scene.compiled(), *self._arrays[1:])
+        self._bind()
 
     def set_lamps(self, lamps: Lamps, lighting: Lighting) -> None:
         """Replace the lamps and the law of their light."""

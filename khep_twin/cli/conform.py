@@ -1,0 +1,51 @@
+"""The command line's part for checks of the protocol: `khep-twin conform`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from khep_twin.cli.completion import logs, ports
+from khep_twin.cli.options import Force, check_new, given, usage
+from khep_twin.files.atomic import unusable, write_whole
+
+_OF_A_PORT = {"move", "baudrate"}
+"""Options that mean nothing to a log, by the names of their parameters."""
+
+
+def conform(
+    context: typer.Context,
+    port: Annotated[
+        str,
+        typer.Argument(
+            help="Port of a robot or a twin, such as khep://default, or a log, FILE.mcap.",
+            autocompletion=lambda: ports() + logs(),
+        ),
+    ],
+    move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
+    baudrate: Annotated[int, typer.Option(help="Speed of the line.")] = 9600,
+    report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
+    force: Force = False,
+) -> None:
+    """Check that a robot at a port or in a log speaks the robot's protocol; exit with 1 if it does not."""
+    if report is not None and (reason := unusable(report)):
+        raise usage(f"--report {report}: cannot be written: {reason}")
+    check_new(force, report)
+    if "://" not in port and (port.endswith(".mcap") or Path(port).is_file()):
+        from khep_twin.lab.conformance.recording import conform_recording
+
+        if ignored := given(context) & _OF_A_PORT:
+            raise usage(f"--{min(ignored)} is for a port, not for a log")
+        outcome = conform_recording(Path(port))
+    else:
+        from khep_twin.lab.conformance import conformance
+
+        if move:
+            ways = dict.fromkeys(check.moves for check in conformance.checks(True) if check.moves)
+            typer.echo(f"the robot {', '.join(ways)}", err=True)
+        outcome = conformance.conform(port, move=move, baudrate=baudrate)
+    typer.echo(outcome.text())
+    if report is not None:
+        write_whole(report, outcome.json().encode("utf-8"))
+    if not outcome.passed:
+        raise typer.Exit(1)

@@ -1,0 +1,145 @@
+"""Checks of a recording's sensor readings, which depend on where the robot was. See `recording`."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.lab.conformance.recorded_line import RecordedLine, Step
+from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
+from khep_twin.units import COUNTS_LIMIT, N_SENSORS, STEP_NS
+
+ALL: list[RecordingCheck] = []
+"""All checks; `check` adds to them."""
+
+check = adder(ALL)
+
+_READINGS = 200
+"""Readings in a row that a working sensor cannot repeat while others change (assumed)."""
+
+_LIVELY = 0.2
+"""Share of readings that differ from the one before, from which a sensor is said to change (assumed)."""
+
+_OTHERS = 4
+"""Number of other sensors that have to change."""
+
+_DIFFERENT = 50
+"""Different values of each other sensor, of a robot that has been near things on all sides (assumed)."""
+
+_DARK = 10
+"""Proximity below which nothing is near [counts] (assumed)."""
+
+_FAR = 1000
+"""Way of a wheel in which the readings of a robot change [pulses] (assumed)."""
+
+
+def _readings(line: RecordedLine, letter: str) -> list[tuple[Step, tuple[int, ...]]]:
+    return [
+        (step, values)
+        for step in line.steps
+        if step.exchange.letter == letter
+        and (values := step.exchange.values) is not None
+        and len(values) == N_SENSORS
+    ]
+
+
+@check("readings within one scan are the same but for the sensors converted meanwhile", "3.1.5")
+def _scan(line: RecordedLine) -> Verdict:
+    seen, findings = 0, list[Finding]()
+    changes_ns = np.array(line.changes_ns, np.int64)
+    for letter in "NO":
+        before: tuple[Step, tuple[int, ...]] | None = None
+        for step, values in _readings(line, letter):
+            if before is not None:
+                from_ns, until_ns = before[0].arrived_ns, step.read_ns
+                converted = (until_ns - from_ns) // STEP_NS + 2
+                moved = np.any((changes_ns >= from_ns) & (changes_ns <= until_ns))
+                if converted < N_SENSORS and not moved:
+                    seen += 1
+                    changed = sum(now != then for then, now in zip(before[1], values, strict=True))
+                    if changed > converted:
+                        took_ms = (until_ns - from_ns) / 1e6
+                        found = f"{answered(step)}, {changed} values changed in {took_ms:.1f} ms"
+                        findings.append(finding(step, found, f"at most {converted}"))
+            before = step, values
+    return Verdict(seen, findings)
+
+
+def _windows(line: RecordedLine, letter: str) -> Iterator[tuple[list[Step], NDArray[np.int64]]]:
+    """Yield windows of readings, each with its steps and values (readings, sensors)."""
+    found = _readings(line, letter) if line.noisy else []
+    for start in range(0, len(found) - _READINGS + 1, _READINGS):
+        window = found[start : start + _READINGS]
+        yield [step for step, _ in window], np.array([values for _, values in window], np.int64)
+
+
+@check("no sensor repeats its reading while others change", "3.1.5")
+def _stuck(line: RecordedLine) -> Verdict:
+    seen, findings = 0, list[Finding]()
+    for letter, name in (("N", "proximity"), ("O", "ambient light")):
+        windows = list(_windows(line, letter))
+        for steps, values in windows:
+            seen += 1
+            share = (np.diff(values, axis=0) != 0).mean(axis=0)
+            if np.count_nonzero(share > _LIVELY) < _OTHERS:
+                continue
+            for sensor in np.flatnonzero(share == 0).tolist():
+                value = int(values[0, sensor])
+                if 0 < value < COUNTS_LIMIT:
+                    found = f"{value} of sensor {sensor}, {name}, in {len(steps)} readings"
+                    findings.append(finding(steps[0], found, "other values, as of the other sensors"))
+        findings += _dead(windows, name)
+    return Verdict(seen, findings)
+
+
+def _dead(windows: Sequence[tuple[list[Step], NDArray[np.int64]]], name: str) -> Iterator[Finding]:
+    """Yield sensors at a limit of their range in the whole log, while each other one has seen much."""
+    if len(windows) < 3:
+        return
+    values = np.concatenate([each for _, each in windows])
+    different = np.array([len(np.unique(values[:, sensor])) for sensor in range(N_SENSORS)])
+    for sensor in np.flatnonzero(different == 1).tolist():
+        value = int(values[0, sensor])
+        if value in (0, COUNTS_LIMIT) and np.count_nonzero(different >= _DIFFERENT) == N_SENSORS - 1:
+            found = f"{value} of sensor {sensor}, {name}, in all {len(values)} readings"
+            yield finding(windows[0][0][0], found, "other values, as of the other sensors")
+
+
+@check("readings change while the robot drives", "3.1.5")
+def _frozen(line: RecordedLine) -> Verdict:
+    seen, findings = 0, list[Finding]()
+    ways = _ways(line)
+    for letter in "NO":
+        for steps, values in _windows(line, letter):
+            driven = _way_between(ways, steps[0].arrived_ns, steps[-1].arrived_ns)
+            if driven < _FAR or (letter == "N" and values.max() <= _DARK):
+                continue
+            seen += 1
+            if not np.diff(values, axis=0).any():
+                found = f"{answered(steps[0])} and {len(steps) - 1} times the same, over {driven} pulses"
+                findings.append(finding(steps[0], found, "other values"))
+    return Verdict(seen, findings)
+
+
+def _ways(line: RecordedLine) -> NDArray[np.int64]:
+    """Return times [ns] and counters of the replies to H (n, 3), or else those that D's speeds would give."""
+    counters = [
+        (step.arrived_ns, *values)
+        for step in line.steps
+        if step.exchange.letter == "H" and (values := step.exchange.values) is not None and len(values) == 2
+    ]
+    if len(counters) > 1:
+        return np.array(counters, np.int64)
+    rows, left, right, last_ns, speeds = list[tuple[int, int, int]](), 0.0, 0.0, 0, (0, 0)
+    for step in line.steps:
+        ticks = (step.arrived_ns - last_ns) / 10e6
+        left, right, last_ns = left + speeds[0] * ticks, right + speeds[1] * ticks, step.arrived_ns
+        speeds = step.motion.speeds if step.motion is not None else (0, 0)
+        rows.append((last_ns, int(left), int(right)))
+    return np.array(rows, np.int64).reshape(-1, 3)
+
+
+def _way_between(ways: NDArray[np.int64], from_ns: int, until_ns: int) -> int:
+    """Return the larger of the wheels' ways between two times [pulses]."""
+    within = ways[(ways[:, 0] >= from_ns) & (ways[:, 0] <= until_ns), 1:]
+    return int(np.abs(np.diff(within, axis=0)).sum(axis=0).max()) if len(within) > 1 else 0
