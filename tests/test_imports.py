@@ -26,6 +26,7 @@ ORDER = [
     ["ports"],
     ["host"],
     ["rollout"],
+    ["shadow"],
     ["envs", "lab.conformance", "lab.experiment", "lab.sensor_test"],
     ["lab.fit", "lab.report", "sweep"],
     ["toolbox"],

@@ -71,3 +71,11 @@ def _message(time_ns: int, to_robot: bool, line: bytes) -> bytes:
 def text_of(line: bytes) -> str:
     """Return a line in printable form: control characters and noise become Python escapes."""
     return line.decode("latin-1").encode("unicode_escape").decode("ascii")
+
+
+def bytes_of(text: str) -> bytes:
+    """Return a line of a transcript as it was (`text_of`)."""
+    try:
+        return text.encode("ascii").decode("unicode_escape").encode("latin-1")
+    except UnicodeError:
+        return text.encode("utf-8")

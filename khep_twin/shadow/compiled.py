@@ -4,7 +4,7 @@ Imported only where numba is installed.
 """
 
 # numba is not typed, and its functions have no types of their own.
-# pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
+# pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false, reportArgumentType=false
 
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from khep_twin.sensing import optics, reflection, seen_surfaces
 from khep_twin.sensing.optics import SLIGHT, chip_of, light_counts
 from khep_twin.sensing.reflection import Lobe, reflected, sift
 from khep_twin.sensing.scene import surfaces
+from khep_twin.shadow.planes import DUTY, SPEED, TARGET
 from khep_twin.simulation.compiled import compiled
 
 assert planar_compiled.run  # its queries of a plane are those used here
@@ -33,9 +34,6 @@ _SOURCES = (
     plane,
     shadows,
 )
-
-SPEED, DUTY, TARGET, POSITION = 0, 1, 2, 3
-"""Commands that depend on the state of a wheel's registers."""
 
 _RIGHT = kernel.RIGHT
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.board import kernel
 from khep_twin.errors import PlaypenError
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
@@ -52,6 +53,8 @@ SLIP_NOISE = 3.0
 LEAST_EFFECTIVE = 0.5
 """Part of the particles that count, below which they are drawn anew."""
 
+_POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
+
 
 class Spread(NamedTuple):
     """What is known of a robot at the start: standard deviations.
@@ -73,6 +76,10 @@ class Spread(NamedTuple):
     gain: float = calibration.COMMON_GAIN_SPREAD
 
 
+PUBLISHED = Spread()
+"""Spread of robots of the same make, put down by hand within 10 mm and 5 degrees."""
+
+
 @dataclass(slots=True)
 class Particles:
     """Particles of a filter.
@@ -83,6 +90,7 @@ class Particles:
         wheels: Wheels' mean radius, ratio and base, as parts of the calibration's (n, 3).
         gains: Logarithms of each sensor's gain, over the calibration's (n, 8).
         variances: Their variances (n, 8).
+        counted: Counters as replied last, less the twins' own (n, 2) [pulses]; NaN before the first reply.
     """
 
     planes: Planes
@@ -90,11 +98,12 @@ class Particles:
     wheels: Floats
     gains: Floats
     variances: Floats
+    counted: Floats
 
     def taken(self, indices: NDArray[np.intp]) -> "Particles":
         """Return copies of particles at these indices, with equal weights."""
         logs = np.full(len(indices), -math.log(len(indices)))
-        rest = (each[indices] for each in (self.wheels, self.gains, self.variances))
+        rest = (each[indices] for each in (self.wheels, self.gains, self.variances, self.counted))
         return Particles(self.planes.taken(indices), logs, *rest)
 
     def __len__(self) -> int:
@@ -134,7 +143,7 @@ class ParticleFilter:
         self, setup: EpisodeSetup, particles: Particles, rng: np.random.Generator, count: int
     ) -> None:
         self._setup, self.particles, self._rng, self._count = setup, particles, rng, count
-        proximity: Any = particles.planes.sensors[0]["proximity"]
+        proximity: Any = particles.planes.proximity
         self._threshold, self._noise = proximity["threshold"], proximity["noise"]
         self._limit, self._quantum = int(proximity["limit"]), int(proximity["quantum"])
         self._idle = max(float(proximity["idle"]), float(proximity["floor"]))
@@ -188,14 +197,31 @@ class ParticleFilter:
         self._renew()
         return each
 
+    def count(self, counters: NDArray[np.int64]) -> Floats:
+        """Move the particles as the robot's counters tell; return what they tell beyond commands (2,).
+
+        Args:
+            counters: Counters of the left and the right wheel, as replied to H (2,) [pulses].
+        """
+        particles, planes = self.particles, self.particles.planes
+        off = counters - planes.registers[:, _POSITIONS].astype(np.float64)
+        beyond = off - np.where(np.isnan(particles.counted), off, particles.counted)
+        planes.roll(beyond)
+        particles.counted = off
+        return self.weights @ beyond
+
+    def forget_counters(self) -> None:
+        """Note that the counters were set."""
+        self.particles.counted[:] = np.nan
+
     def estimate(self, time_ns: int) -> Estimate:
         """Return the estimate of the pose."""
         poses, weights = self.particles.planes.poses, self.weights
-        x, y = weights @ poses[:, 0], weights @ poses[:, 1]
+        x, y = float(weights @ poses[:, 0]), float(weights @ poses[:, 1])
         heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
-        off = poses - (x, y, heading)
+        off: Floats = poses - np.array([x, y, heading])
         off[:, 2] = (off[:, 2] + math.pi) % math.tau - math.pi
-        return Estimate(time_ns, (float(x), float(y), heading), (off * weights[:, None]).T @ off)
+        return Estimate(time_ns, (x, y, heading), (off * weights[:, None]).T @ off)
 
     @property
     def weights(self) -> Floats:
@@ -261,7 +287,12 @@ def begun(
     planes.set_wheels(*wheels.T)
     gains = np.repeat(rng.standard_normal((count, 1)) * spread.gain, 8, axis=1)
     return Particles(
-        planes, np.full(count, -math.log(count)), wheels, gains, np.full((count, 8), GAIN_DEVIATION**2)
+        planes,
+        np.full(count, -math.log(count)),
+        wheels,
+        gains,
+        np.full((count, 8), GAIN_DEVIATION**2),
+        np.full((count, 2), np.nan),
     )
 
 

@@ -1,5 +1,6 @@
-"""Planar twins of one robot, side by side: each in its own plane, with its own wheels, motors and obstacles."""
+"""Planar twins of one robot, side by side, each with its own wheels, motors and obstacles."""
 
+import math
 from typing import Any, Self
 
 import numpy as np
@@ -17,6 +18,9 @@ Floats = NDArray[np.float64]
 
 TICK_NS = units.TICK_NS
 """Step of the twins [ns]."""
+
+SPEED, DUTY, TARGET, POSITION = 0, 1, 2, 3
+"""Commands whose effect depends on the state of a wheel's registers."""
 
 N_SPARE = 1
 """Obstacles of each plane that the playpen does not have, out of reach until they are put somewhere."""
@@ -57,7 +61,7 @@ class Planes:
         self.things: Floats = np.repeat(np.concatenate([things, spare])[None], count, axis=0)
         self._order = np.repeat(np.concatenate([order, len(order) + np.arange(N_SPARE)])[None], count, axis=0)
         self.robots: Any = np.repeat(robot, count)
-        self.sensors = as_records([state.sensors], state.sensors)
+        self.sensors: Any = as_records([state.sensors], state.sensors)
         self.registers: NDArray[np.int64] = np.zeros((count, kernel.N_REGISTERS), np.int64)
         kernel.reset(self.registers[0].data)
         self.registers[:] = self.registers[0]
@@ -82,6 +86,11 @@ class Planes:
         for name in ("things", "_order", "robots", "registers", "processor", "strength"):
             setattr(made, name, getattr(self, name)[indices])
         return made
+
+    @property
+    def proximity(self) -> Any:
+        """Record of `optics.Proximity`, which all twins share."""
+        return self.sensors[0]["proximity"]
 
     @property
     def poses(self) -> Floats:
@@ -126,11 +135,24 @@ class Planes:
         self._code.advance(*state, self._drive, voltage, ticks)
 
     def illuminate(self) -> Floats:
-        """Return the light at each sensor at the start of the last step, at the calibration's gains (n, 8)
-        [counts]."""
+        """Return the light at each sensor at the start of the last step (n, 8) [counts].
+
+        Gains are those of the calibration.
+        """
         light = np.zeros((len(self), units.N_SENSORS))
         self._code.illuminate(self.things, self._order, self.robots, self.sensors, light)
         return light
+
+    def roll(self, pulses: Floats) -> None:
+        """Move the twins as their wheels roll by so many pulses, left and right (n, 2)."""
+        robots, poses = self.robots, self.poses
+        angles = pulses * (math.tau / units.PULSES_PER_TURN)
+        left: Floats = angles[:, 0] * robots["left_wheel"]
+        right: Floats = angles[:, 1] * robots["right_wheel"]
+        track: Floats = robots["track"]
+        ahead, turn = (left + right) / 2, (right - left) / track
+        middle = poses[:, 2] + turn / 2
+        self.move(poses + np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1))
 
     def command(self, command: int, left: int, right: int) -> None:
         """Execute a command of `compiled` on all boards."""

@@ -1,0 +1,72 @@
+"""A shadow of a recorded robot: the bytes of its line from a log."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from khep_twin.errors import LogError
+from khep_twin.log.channels import TextLine
+from khep_twin.log.decoding import Misfit, read_line
+from khep_twin.log.reader import read_raw
+from khep_twin.log.transcript import bytes_of
+
+
+class Heard(NamedTuple):
+    """Bytes that crossed the line.
+
+    Attributes:
+        time_ns: Time [ns].
+        to_robot: True for a host's, False for the robot's.
+        data: Bytes.
+    """
+
+    time_ns: int
+    to_robot: bool
+    data: bytes
+
+
+class RecordedRobot(NamedTuple):
+    """Line of a recorded robot.
+
+    Attributes:
+        name: Name in the log.
+        baud: Speed of the line at the start [baud]; None if the log does not say.
+        heard: Bytes in order.
+    """
+
+    name: str
+    baud: int | None
+    heard: list[Heard]
+
+
+def recorded(path: Path, robot: int = 0) -> RecordedRobot:
+    """Read the line of a robot of a log.
+
+    Args:
+        path: Path of the log, of a relay or of a twin.
+        robot: Number of the robot, from 0.
+
+    Raises:
+        LogError: There is no log, it is not whole, or it has no such line.
+    """
+    label, found, _ = read_raw(path, lambda topic: topic.endswith("/serial"))
+    names = label.robots
+    if not 0 <= robot < len(names):
+        raise LogError(f"{path}: robot {robot}; expected one of 0 to {len(names) - 1}, as the log has them")
+    topic = f"/{names[robot]}/serial"
+    lines = list(_lines(path, topic, found.get(topic, [])))
+    if not lines:
+        raise LogError(f"{path}: nothing crossed the line of {names[robot]}; expected a host's commands")
+    heard = [Heard(line.time_ns, line.name == "host", bytes_of(line.text) + b"\n") for line in lines]
+    baud = label.metadata.get("baud", "")
+    known = int(baud) if re.fullmatch("[1-9][0-9]{2,6}", baud) else None
+    return RecordedRobot(names[robot], known, sorted(heard, key=lambda each: each.time_ns))
+
+
+def _lines(path: Path, topic: str, messages: list[tuple[int, bytes]]) -> Iterator[TextLine]:
+    for time_ns, data in messages:
+        try:
+            yield read_line(data)
+        except Misfit as misfit:
+            raise misfit.at(path, topic, time_ns) from None

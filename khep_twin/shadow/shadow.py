@@ -1,0 +1,259 @@
+"""A shadow: the twin beside a robot, fed by the bytes of its line alone.
+
+    shadow = Shadow(playpen, ShadowSettings(start=None))
+    for update in shadow.feed(time_ns, to_robot, data):
+        print(update.estimate.pose, update.alarms)
+
+Commands move the particles (`particle_filter`) as they move the robot, replies to N, O, E and H weigh them.
+Bytes and times alone decide: the same recording gives the same updates, bit for bit.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import firmware, units
+from khep_twin.board import kernel
+from khep_twin.board.protocol import Command, parse
+from khep_twin.board.rom import ROMS
+from khep_twin.clock import NS_PER_S
+from khep_twin.firmware import Firmware
+from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
+from khep_twin.playpen import Playpen
+from khep_twin.randomness import stream
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.particle_filter import PUBLISHED, Estimate, ParticleFilter, Spread, begun
+from khep_twin.shadow.planes import DUTY, POSITION, SPEED, TARGET
+from khep_twin.units import BITS_PER_BYTE
+
+Floats = NDArray[np.float64]
+
+ANYWHERE = 10
+"""Particles for each of those in `ShadowSettings`, while the robot may be anywhere."""
+
+COMMANDS = {"D": SPEED, "P": DUTY, "C": TARGET, "G": POSITION}
+"""Commands whose effect depends on a board's registers."""
+
+LIMITS = {
+    "D": firmware.SPEED_LIMIT_PULSES,
+    "P": units.DUTY_LIMIT,
+    "C": firmware.TARGET_LIMIT_PULSES,
+    "G": 2**31 - 1,
+}
+"""Largest arguments of these."""
+
+_LINE_END = 2
+"""Bytes that end a reply."""
+
+_KEPT_NS = 20_000_000
+"""Longest time for which an adapter keeps a command before the robot has it (assumed) [ns]."""
+
+_LONGEST_NS = 100_000_000
+"""Silence after which the pose is estimated without a reply [ns]."""
+
+_NONE: Floats = np.full(units.N_SENSORS, np.nan)
+
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ShadowSettings:
+    """Settings of a shadow.
+
+    Attributes:
+        seed: Seed of its particles.
+        particles: Number of particles once the pose is known.
+        known: Whether the start is the playpen's, to `spread`; False for anywhere.
+        spread: What is known of the start and of the robot: standard deviations.
+        baud: Speed of the robot's line [baud].
+    """
+
+    seed: int = 0
+    particles: int = 1000
+    known: bool = True
+    spread: Spread = PUBLISHED
+    baud: int = 9600
+
+
+class Residuals(NamedTuple):
+    """Deviations of the last replies from what the twins expect; NaN where nothing was asked.
+
+    Attributes:
+        proximity: Readings less expected ones (8,) [counts].
+        light: Ambient readings less expected ones (8,) [counts].
+        wheels: Counters less expected ones since they were asked last, left and right (2,) [pulses].
+        timing: Time of the reply beyond that of its bytes on the line [s].
+    """
+
+    proximity: Floats
+    light: Floats
+    wheels: Floats
+    timing: float
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """State of a shadow after a reply with values.
+
+    Attributes:
+        time_ns: Time at which the robot has read its registers, in that of the line [ns].
+        estimate: Estimated pose.
+        reckoned: Pose x, y [m], heading [rad] by commands alone, as the calibration's robot would drive.
+        particles: Poses of the particles (n, 3) [m, rad].
+        expected: Expected proximity (8,) [counts].
+        measured: Proximity as replied last (8,) [counts]; NaN before the first.
+        residuals: Deviations of the replies.
+        alarms: Alarms that last.
+        ended: Alarms that have ended with this reply.
+    """
+
+    time_ns: int
+    estimate: Estimate
+    reckoned: Pose
+    particles: Floats
+    expected: Floats
+    measured: Floats
+    residuals: Residuals
+    alarms: tuple[Alarm, ...]
+    ended: tuple[Alarm, ...]
+
+
+class Shadow:
+    """The twin beside a robot.
+
+    Args:
+        playpen: Playpen with one robot, without movable things.
+        settings: Settings.
+
+    Attributes:
+        settings: Settings.
+
+    Raises:
+        PlaypenError: The playpen has a feature that a plane does not support, or no room.
+    """
+
+    def __init__(self, playpen: Playpen, settings: ShadowSettings) -> None:
+        self.settings = settings
+        self._setup = EpisodeSetup(playpen, planar=True)
+        entry = self._setup.entry
+        rng = stream(settings.seed, "shadow")
+        x_mm, y_mm, heading_deg = self._setup.start(settings.seed)
+        pose = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
+        count = settings.particles if settings.known else ANYWHERE * settings.particles
+        start = begun(self._setup, pose if settings.known else None, settings.spread, count, rng)
+        self._filter = ParticleFilter(self._setup, start, rng, settings.particles)
+        self._reckoned = begun(self._setup, pose, Spread(0, 0, 0, 0, 0, 0), 1, rng)
+        board = self._reckoned.planes
+        self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, board.registers[0], board.processor[0])
+        self._dialogue = Dialogue(self._byte_ns)
+        self._measured: Floats = np.full(units.N_SENSORS, np.nan)
+        self._time_ns = 0
+
+    def feed(self, time_ns: int, to_robot: bool, data: bytes) -> list[Update]:
+        """Add bytes that crossed the line; return what follows from the replies that they complete.
+
+        Args:
+            time_ns: Time of the bytes [ns], not before that of earlier ones.
+            to_robot: True for a host's bytes, False for the robot's.
+            data: Bytes.
+        """
+        found = (self._take(each) for each in self._dialogue.feed(time_ns, to_robot, data))
+        return [update for update in found if update is not None]
+
+    def wait(self, time_ns: int) -> list[Update]:
+        """Advance to a time until which no more bytes came [ns]; return an update of the pose there."""
+        found = [self._take(each) for each in self._dialogue.wait(time_ns)]
+        updates = [update for update in found if update is not None]
+        if time_ns - self._time_ns > _LONGEST_NS:
+            self._advance(time_ns)
+            updates.append(self._update(Residuals(_NONE, _NONE, _NONE[:2], math.nan)))
+        return updates
+
+    @property
+    def _byte_ns(self) -> int:
+        return BITS_PER_BYTE * NS_PER_S // self.settings.baud
+
+    def _take(self, exchange: Exchange) -> Update | None:
+        """Repeat an exchange on the particles; return an update if its reply has values."""
+        if exchange.reply is not None and BANNER in exchange.reply:
+            self._restart()
+        if not exchange.command:
+            return None
+        timing = math.nan
+        time_ns = exchange.sent_ns + len(exchange.command) * self._byte_ns
+        if exchange.reply is not None:
+            # The reply began when the command was executed, unless the robot or an adapter kept it.
+            begun_ns = exchange.heard_ns - (len(exchange.reply) + _LINE_END) * self._byte_ns
+            timing = (begun_ns - time_ns) * 1e-9
+            time_ns = max(exchange.sent_ns, min(begun_ns, time_ns + _KEPT_NS))
+        self._advance(time_ns)
+        values = exchange.values
+        if exchange.reply is None or values is not None:
+            self._execute(exchange.command)
+        residuals = Residuals(_NONE, _NONE, _NONE[:2], timing)
+        match exchange.letter, values:
+            case "N", tuple() if len(values) == units.N_SENSORS:
+                readings = np.array(values)
+                self._filter.see(readings, np.ones(units.N_SENSORS, np.bool_))
+                self._measured = readings.astype(np.float64)
+                residuals = residuals._replace(proximity=readings - self._filter.expected)
+            case "H", (int(left), int(right)):
+                residuals = residuals._replace(wheels=self._filter.count(np.array([left, right])))
+            case _:
+                return None
+        return self._update(residuals)
+
+    def _advance(self, time_ns: int) -> None:
+        """Advance all twins to a time [ns]."""
+        self._time_ns = max(self._time_ns, time_ns)
+        self._filter.advance_to(self._time_ns)
+        planes = self._reckoned.planes
+        if (ticks := self._time_ns // units.TICK_NS - planes.ticks) > 0:
+            planes.advance(ticks)
+
+    def _execute(self, line: bytes) -> None:
+        """Execute a command on all boards."""
+        match parse(line):
+            case Command(letter, (int(left), int(right))) if letter in COMMANDS:
+                self._firmware.receive(line + b"\n")
+                limit = LIMITS[letter]
+                left, right = kernel.clip(left, limit), kernel.clip(right, limit)
+                self._filter.particles.planes.command(COMMANDS[letter], left, right)
+                if letter == "G":
+                    self._filter.forget_counters()
+            case Command():
+                # Gains, profiles and LEDs: registers that do not depend on any other.
+                board = self._reckoned.planes.registers[0]
+                before = board.copy()
+                self._firmware.receive(line + b"\n")
+                changed = np.flatnonzero(board != before)
+                self._filter.particles.planes.registers[:, changed] = board[changed]
+            case _:
+                pass
+
+    def _restart(self) -> None:
+        """Restart all boards, as after a banner."""
+        self._firmware.reset()
+        planes = self._filter.particles.planes
+        for board in planes.registers:
+            kernel.reset(board.data)
+        self._filter.forget_counters()
+
+    def _update(self, residuals: Residuals) -> Update:
+        """Return the present state."""
+        x, y, heading = self._reckoned.planes.poses[0].tolist()
+        return Update(
+            self._time_ns,
+            self._filter.estimate(self._time_ns),
+            (x, y, math.remainder(heading, math.tau)),
+            self._filter.particles.planes.poses,
+            self._filter.expected,
+            self._measured,
+            residuals,
+            (),
+            (),
+        )
