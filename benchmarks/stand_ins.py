@@ -65,6 +65,7 @@ class Truth:
         told: Pose at the start that the twin is told (3,).
         hidden: Faults and changes, in words (k,).
         changed_ns: Time of each (k,) [ns]; -1 if there was no room for it.
+        ended_ns: End of each (k,) [ns]; -1 if it does not end.
         noticeable_ns: Arrival of the first reply that each changes noticeably (k,) [ns]; -1 if none is.
     """
 
@@ -74,6 +75,7 @@ class Truth:
     told: NDArray[np.float64]
     hidden: NDArray[np.str_]
     changed_ns: NDArray[np.int64]
+    ended_ns: NDArray[np.int64]
     noticeable_ns: NDArray[np.int64]
 
     def save(self, path: Path) -> None:
@@ -133,7 +135,9 @@ def record(
         fewer = [fault for number, fault in enumerate(faults) if number != index]
         without = [None if number == index else each for number, each in enumerate(run.made, len(faults))]
         noticeable.append(_noticeable(exchanges, _Run(actual, seed, vary, fewer, without)))
-    starts_ns = [fault_injection.parse(fault).start_ns for fault in faults]
+    parsed = [fault_injection.parse(fault) for fault in faults]
+    starts_ns = [fault.start_ns for fault in parsed]
+    ends_ns = [fault.end_ns if fault.ends else -1 for fault in parsed]
     truth = Truth(
         np.array(run.times_ns),
         np.array(run.poses),
@@ -141,6 +145,7 @@ def record(
         np.array(_pose(told)),
         np.array([*faults, *(str(run.made[i] or each) for i, each in enumerate(changes))], np.str_),
         np.array([*starts_ns, *(-1 if each is None else to_ns(each.at_s) for each in run.made)], np.int64),
+        np.array([*ends_ns, *[-1] * len(changes)], np.int64),
         np.array(noticeable, np.int64),
     )
     truth.save(path.with_suffix(".npz"))
