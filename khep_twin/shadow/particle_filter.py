@@ -1,17 +1,12 @@
 """A particle filter whose particles are planar twins: where a robot is, from commands and sensor replies.
 
-Each particle has a pose, wheels of its own (mean radius, ratio, base), and for each proximity sensor an
-estimate of its gain with a variance, which a Kalman filter updates by the readings. The likelihood of a
-reading z, where the twin predicts c = gain light - threshold, is
-
-    (1 - e) N(z; c, s^2) + e / 1024,    s^2 = noise^2 + (MODEL c)^2 + (gain light)^2 var(log gain)
-
-and where the reading is clipped, at the limit or by the noise floor, the probability of what is beyond.
+Each particle has a pose and wheels of its own: mean radius, ratio and base, which drift a little. Replies to
+N
+weigh the particles (`sensor_model`), those to H move them; where few of them count, they are drawn anew.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +16,11 @@ from khep_twin.errors import PlaypenError
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing import calibration
+from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import TICK_NS, Planes
+from khep_twin.shadow.sensor_model import GAIN_DEVIATION, SensorModel, log_of_sum
 
 Floats = NDArray[np.float64]
-
-TEMPER = 0.2
-"""Power of the likelihood: errors of the model last for many replies, where noise would not (assumed)."""
-
-OUTLIERS = 0.02
-"""Part of the readings that the twins cannot explain (assumed)."""
-
-MODEL = 0.15
-"""Relative deviation of readings from the twin's, besides their gain: headings, lobes (assumed)."""
-
-GAIN_DEVIATION = 0.25
-"""Standard deviation of the logarithm of one sensor's gain, besides the common one: its own 13 %, and what a
-wrong heading does to it."""
-
-GAIN_LEAST = 0.03
-"""Standard deviation below which no gain is taken for known: the model is no better."""
 
 RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT = 2e-4, 5e-5, 2e-4
 """Drift of the wheels' mean radius, ratio and base in a second's square root, as parts (assumed)."""
@@ -80,36 +61,6 @@ PUBLISHED = Spread()
 """Spread of robots of the same make, put down by hand within 10 mm and 5 degrees."""
 
 
-@dataclass(slots=True)
-class Particles:
-    """Particles of a filter.
-
-    Attributes:
-        planes: Their twins.
-        logs: Logarithms of their weights (n,).
-        wheels: Wheels' mean radius, ratio and base, as parts of the calibration's (n, 3).
-        gains: Logarithms of each sensor's gain, over the calibration's (n, 8).
-        variances: Their variances (n, 8).
-        counted: Counters as replied last, less the twins' own (n, 2) [pulses]; NaN before the first reply.
-    """
-
-    planes: Planes
-    logs: Floats
-    wheels: Floats
-    gains: Floats
-    variances: Floats
-    counted: Floats
-
-    def taken(self, indices: NDArray[np.intp]) -> "Particles":
-        """Return copies of particles at these indices, with equal weights."""
-        logs = np.full(len(indices), -math.log(len(indices)))
-        rest = (each[indices] for each in (self.wheels, self.gains, self.variances, self.counted))
-        return Particles(self.planes.taken(indices), logs, *rest)
-
-    def __len__(self) -> int:
-        return len(self.logs)
-
-
 class Estimate(NamedTuple):
     """Estimate of a pose.
 
@@ -143,10 +94,7 @@ class ParticleFilter:
         self, setup: EpisodeSetup, particles: Particles, rng: np.random.Generator, count: int
     ) -> None:
         self._setup, self.particles, self._rng, self._count = setup, particles, rng, count
-        proximity: Any = particles.planes.proximity
-        self._threshold, self._noise = proximity["threshold"], proximity["noise"]
-        self._limit, self._quantum = int(proximity["limit"]), int(proximity["quantum"])
-        self._idle = max(float(proximity["idle"]), float(proximity["floor"]))
+        self._model = SensorModel(particles.planes)
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
         self._drifted_ticks = particles.planes.ticks
@@ -157,45 +105,20 @@ class ParticleFilter:
         if (ticks := time_ns // TICK_NS - planes.ticks) > 0:
             planes.advance(ticks)
 
-    def see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> Floats:
-        """Weigh the particles by a reply to N; return the log likelihood of each sensor (8,).
+    def see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> None:
+        """Weigh the particles by a reply to N.
 
         Args:
             readings: Proximity (8,) [counts].
             use: Sensors to rely on (8,).
         """
         particles = self.particles
-        light = particles.planes.illuminate()
-        scaled = light * np.exp(particles.gains)
-        counts = scaled - self._threshold
-        apart = (MODEL * np.maximum(counts, 0)) ** 2
-        noise = self._noise**2 + self._quantum**2 / 12 + apart
-        own = scaled**2 * particles.variances
-        deviation = np.sqrt(noise + own)
-        low, high = readings <= 4 * self._idle, readings >= self._limit
-        z = (readings - counts) / deviation
-        inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(2 * math.pi))
-        beyond = _tail(np.where(high, -z, z))
-        likelihood = np.where(low | high, beyond, inside)
-        others = np.where(low | high, 1.0, 1 / (self._limit + 1))
-        total = (1 - OUTLIERS) * likelihood + OUTLIERS * others
-        logs = TEMPER * np.where(use, np.log(total), 0.0)
-        weights = np.exp(particles.logs - particles.logs.max())
-        weights /= weights.sum()
-        self.expected = np.clip(weights @ counts, 0, self._limit)
-        each = np.log(weights @ np.exp(logs))
+        self.expected, logs = self._model.explain(particles, readings, use)
         particles.logs += logs.sum(axis=1)
-        most = particles.logs.max()
-        norm = most + math.log(np.exp(particles.logs - most).sum())
+        norm = log_of_sum(particles.logs)
         self.evidence += norm
         particles.logs -= norm
-        # The gains, where a reading is inside of the range and explained.
-        trust = np.where((low | high) | ~use, 0.0, (1 - OUTLIERS) * likelihood / total)
-        step = trust * scaled * particles.variances / (noise + own)
-        particles.gains += step * (readings - counts)
-        particles.variances = np.maximum(particles.variances * (1 - step * scaled), GAIN_LEAST**2)
         self._renew()
-        return each
 
     def count(self, counters: NDArray[np.int64]) -> Floats:
         """Move the particles as the robot's counters tell; return what they tell beyond commands (2,).
@@ -324,8 +247,3 @@ def _inside(corners: Floats, poses: Floats) -> NDArray[np.bool_]:
             continue
         inside ^= ((y0 > y) != (y1 > y)) & (x < (x1 - x0) * (y - y0) / (y1 - y0) + x0)
     return inside
-
-
-def _tail(z: Floats) -> Floats:
-    """Return the probability of a normal number below z, to 0.01."""
-    return 1 / (1 + np.exp(-np.clip(1.702 * z, -500, 500)))
