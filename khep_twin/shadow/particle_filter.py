@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board import kernel
 from khep_twin.errors import PlaypenError
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing import calibration
+from khep_twin.shadow.actions import Action, Counted, Seen, repeat
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import TICK_NS, Planes
 from khep_twin.shadow.sensor_model import GAIN_DEVIATION, SensorModel, log_of_sum
@@ -34,7 +34,8 @@ SLIP_NOISE = 3.0
 LEAST_EFFECTIVE = 0.5
 """Part of the particles that count, below which they are drawn anew."""
 
-_POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
+_FRESH_TICKS = 25
+"""Time for whose noise few particles are spread that become many [ticks]."""
 
 
 class Spread(NamedTuple):
@@ -88,6 +89,7 @@ class ParticleFilter:
         particles: Particles.
         evidence: Logarithm of the probability of all readings so far.
         expected: Readings expected last, over all particles (8,).
+        surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms.
     """
 
     def __init__(
@@ -97,15 +99,34 @@ class ParticleFilter:
         self._model = SensorModel(particles.planes)
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
+        self.surprise: Floats = np.zeros(8)
         self._drifted_ticks = particles.planes.ticks
 
-    def advance_to(self, time_ns: int) -> None:
-        """Advance all twins to the last tick by a time [ns]."""
-        planes = self.particles.planes
-        if (ticks := time_ns // TICK_NS - planes.ticks) > 0:
-            planes.advance(ticks)
+    def act(self, action: Action, use: NDArray[np.bool_]) -> Floats:
+        """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
 
-    def see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> None:
+        Args:
+            action: Action.
+            use: Sensors to rely on (8,).
+        """
+        repeat(action, self.particles)
+        if isinstance(action, Seen):
+            self._see(action.readings, use)
+        if isinstance(action, Counted):
+            return self.weights @ self.particles.count(action.counters)
+        return np.full(2, np.nan)
+
+    def take(self, particles: Particles) -> None:
+        """Go on with other particles of the present time."""
+        norm = log_of_sum(particles.logs)
+        particles.logs = particles.logs - norm
+        self.particles = particles
+        if len(particles) < self._count:
+            self.particles = particles.drawn(self._count, self._rng.random())
+        self._drifted_ticks = particles.planes.ticks - _FRESH_TICKS
+        self._drift()
+
+    def _see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> None:
         """Weigh the particles by a reply to N.
 
         Args:
@@ -113,29 +134,12 @@ class ParticleFilter:
             use: Sensors to rely on (8,).
         """
         particles = self.particles
-        self.expected, logs = self._model.explain(particles, readings, use)
+        self.expected, self.surprise, logs = self._model.explain(particles, readings, use)
         particles.logs += logs.sum(axis=1)
         norm = log_of_sum(particles.logs)
         self.evidence += norm
         particles.logs -= norm
         self._renew()
-
-    def count(self, counters: NDArray[np.int64]) -> Floats:
-        """Move the particles as the robot's counters tell; return what they tell beyond commands (2,).
-
-        Args:
-            counters: Counters of the left and the right wheel, as replied to H (2,) [pulses].
-        """
-        particles, planes = self.particles, self.particles.planes
-        off = counters - planes.registers[:, _POSITIONS].astype(np.float64)
-        beyond = off - np.where(np.isnan(particles.counted), off, particles.counted)
-        planes.roll(beyond)
-        particles.counted = off
-        return self.weights @ beyond
-
-    def forget_counters(self) -> None:
-        """Note that the counters were set."""
-        self.particles.counted[:] = np.nan
 
     def estimate(self, time_ns: int) -> Estimate:
         """Return the estimate of the pose."""
@@ -157,10 +161,7 @@ class ParticleFilter:
         weights = self.weights
         if 1 / np.square(weights).sum() > LEAST_EFFECTIVE * len(weights):
             return
-        count = self._wanted(weights)
-        edges = (np.arange(count) + self._rng.random()) / count
-        indices = np.minimum(np.searchsorted(np.cumsum(weights), edges), len(weights) - 1)
-        self.particles = particles.taken(indices)
+        self.particles = particles.drawn(self._wanted(weights), self._rng.random())
         self._drift()
 
     def _wanted(self, weights: Floats) -> int:
@@ -182,7 +183,7 @@ class ParticleFilter:
         moved = rng.standard_normal((count, 3)) * noise * np.where(slips, SLIP_NOISE, 1.0)[:, None]
         planes.move(planes.poses + moved)
         particles.wheels += rng.standard_normal((count, 3)) * (RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT) * root
-        planes.set_wheels(*particles.wheels.T)
+        particles.set_wheels()
 
 
 def begun(

@@ -56,8 +56,11 @@ class SensorModel:
 
     def explain(
         self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_]
-    ) -> tuple[Floats, Floats]:
-        """Learn the particles' gains from readings; return expected counts (8,) and log likelihoods (n, 8).
+    ) -> tuple[Floats, Floats, Floats]:
+        """Learn the particles' gains from readings.
+
+        Returns expected counts (8,), what each reading was less likely than an expected one (8,), and the log
+        likelihoods (n, 8).
 
         Args:
             particles: Particles.
@@ -76,14 +79,17 @@ class SensorModel:
         inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(math.tau))
         explained = (1 - OUTLIERS) * np.where(clipped, _below(np.where(high, -z, z)), inside)
         likelihood = explained + OUTLIERS * np.where(clipped, 1.0, 1 / (self.limit + 1))
-        weights = np.exp(particles.logs)
-        expected = np.clip(weights @ counts / weights.sum(), 0, self.limit)
+        weights = np.exp(particles.logs - particles.logs.max())
+        weights /= weights.sum()
+        expected = np.clip(weights @ counts, 0, self.limit)
+        best = np.where(clipped, 1.0, 1 / (weights @ deviation * math.sqrt(math.tau)))
+        surprise = np.where(use, TEMPER * np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0)
         # The gains, where a reading is inside of the range and explained.
         trust = np.where(clipped | ~use, 0.0, explained / likelihood)
         step = trust * scaled * particles.variances / total_variance
         particles.gains += step * (readings - counts)
         particles.variances = np.maximum(particles.variances * (1 - step * scaled), GAIN_LEAST**2)
-        return expected, TEMPER * np.where(use, np.log(likelihood), 0.0)
+        return expected, surprise, TEMPER * np.where(use, np.log(likelihood), 0.0)
 
 
 def log_of_sum(logs: Floats) -> float:
