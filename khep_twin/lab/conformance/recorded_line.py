@@ -67,6 +67,7 @@ class Step:
         request: Command as parsed; None for a line that came unasked.
         expected: Reply of the board's own code.
         motion: Settings of the motors after the command; None where they are unknown.
+        exact: True if the robot had the command at its arrival, as a twin's transcript says.
     """
 
     exchange: Exchange
@@ -75,10 +76,13 @@ class Step:
     request: Request | None
     expected: bytes
     motion: Motion | None
+    exact: bool
 
     @property
     def read_ns(self) -> int:
         """Latest time at which the values of the reply were read [ns]."""
+        if self.exact:
+            return self.arrived_ns
         length = len(self.exchange.reply or b"") + 2
         return max(self.exchange.heard_ns - length * self.byte_ns, self.arrived_ns)
 
@@ -215,7 +219,8 @@ def _of_a_twin(told: Sequence[TextLine], events: Sequence[HostEvent]) -> list[_T
 
     In the order of the file a command is followed by its replies, however many commands are waiting.
     """
-    dialogue, found = Dialogue(), list[Exchange]()
+    # A twin's replies have the time of their last byte, and a list of 2 kB takes its time.
+    dialogue, found = Dialogue(give_up_ns=60 * NS_PER_S), list[Exchange]()
     leaving, begun = deque[tuple[int, bytes]](), b""
     for event in events:
         if event.kind == HostEventKind.SEND:
@@ -226,7 +231,7 @@ def _of_a_twin(told: Sequence[TextLine], events: Sequence[HostEvent]) -> list[_T
     rest = b""
     for line in told:
         data, to_robot = _bytes_of(line), line.name == "host"
-        while to_robot and leaving and leaving[0][0] < line.time_ns:
+        while to_robot and leaving and _is_later(line.time_ns, data, *leaving[0]):
             # The robot forgets an unfinished line, the transcript has it before the next one.
             rest = leaving.popleft()[1] or rest
             found += dialogue.close()
@@ -235,6 +240,11 @@ def _of_a_twin(told: Sequence[TextLine], events: Sequence[HostEvent]) -> list[_T
         found += dialogue.feed(line.time_ns, to_robot, data + b"\n")
     found += dialogue.close()
     return [_Timed(each, each.sent_ns, 0) for each in found]
+
+
+def _is_later(time_ns: int, line: bytes, left_ns: int, begun: bytes) -> bool:
+    """Return whether a line is of another host than the one that left with an unfinished line."""
+    return left_ns < time_ns or (left_ns == time_ns and begun != b"" and line.startswith(begun))
 
 
 def _bauds(label: Label, notes: Sequence[TextLine]) -> list[tuple[int, int]]:
@@ -291,12 +301,13 @@ def _line(
     """Return the line with the replies of the board's own code, of the ROM that fits best."""
     simulated = "seed" in label.metadata
     unpaced = label.metadata.get("unpaced") == "True"
-    ordered = sorted(timed, key=lambda each: each.exchange.sent_ns)
+    baud = 0 if known.mode is None or unpaced else ROMS[known.rom].modes[known.mode].baud
+    ordered = sorted(timed, key=lambda each: _begun_ns(each, timed, baud or each.baud))
     numbers = None if known.turrets is None else tuple(kind.number for kind in known.turrets)
 
     def steps(rom: str) -> list[Step]:
         board = _Board(ROMS[rom], known, ordered)
-        return list(board.steps(ordered, resets_ns, 0 if unpaced or not simulated else None))
+        return list(board.steps(ordered, resets_ns, simulated, unpaced))
 
     told = {each.exchange.reply for each in timed if each.exchange.letter == "B"}
     names = (
@@ -306,6 +317,21 @@ def _line(
     rom, found = min(tried, key=lambda pair: wrong_modes(pair[1], ROMS[pair[0]]))
     noisy = label.metadata.get("noise") != "False"
     return RecordedLine(name, simulated, noisy, rom, known.mode, numbers, changes_ns, found)
+
+
+def _begun_ns(each: _Timed, timed: Sequence[_Timed], baud: int) -> int:
+    """Return when a command was sent, or when a robot that restarts by itself began with its banner [ns]."""
+    exchange = each.exchange
+    if exchange.command or BANNER not in (exchange.reply or b"") or not baud:
+        return exchange.sent_ns
+    # A twin's lines have the time of the last one.
+    lines = [
+        other.exchange.reply or b""
+        for other in timed
+        if other.exchange.heard_ns == exchange.heard_ns and not other.exchange.command
+    ]
+    length = sum(len(line) + 2 for line in lines)
+    return exchange.heard_ns - length * BITS_PER_BYTE * NS_PER_S // baud
 
 
 def _versions(rom: Rom) -> bytes:
@@ -346,13 +372,16 @@ class _Board:
         self._usual_gains = self._sure
         self._targets: tuple[int, int] | None = None
 
-    def steps(self, timed: Sequence[_Timed], resets_ns: Sequence[int], baud: int | None) -> Iterator[Step]:
+    def steps(
+        self, timed: Sequence[_Timed], resets_ns: Sequence[int], simulated: bool, unpaced: bool
+    ) -> Iterator[Step]:
         """Yield the steps.
 
         Args:
             timed: Exchanges in order of their commands.
             resets_ns: Times at which a user reset the board [ns].
-            baud: 0 to take the line's speed from the exchanges, None to take it from the board.
+            simulated: True for a twin, whose line has the board's speed.
+            unpaced: True for a line that takes no time.
         """
         resets = deque(resets_ns)
         for exchange, arrived_ns, line_baud in timed:
@@ -361,10 +390,10 @@ class _Board:
                 kernel.reset(self._firmware.register_view)
                 self._sure = self._usual_gains = True
             expected = self._answer(exchange) if exchange.command else self._notice(exchange)
-            speed = line_baud if baud is not None else self._firmware.reply_baud
+            speed = self._firmware.reply_baud if simulated and not unpaced else line_baud
             byte_ns = BITS_PER_BYTE * NS_PER_S // speed if speed else 0
             request = parse(exchange.command) if exchange.command else None
-            yield Step(exchange, arrived_ns, byte_ns, request, expected, self._motion())
+            yield Step(exchange, arrived_ns, byte_ns, request, expected, self._motion(), simulated)
 
     def _notice(self, unasked: Exchange) -> bytes:
         if BANNER in (unasked.reply or b""):

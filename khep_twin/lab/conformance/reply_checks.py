@@ -312,12 +312,13 @@ def _late(line: RecordedLine) -> Verdict:
     most_ns, busy_ns = FIRST_BYTE_NS[line.simulated], 0
     waits: dict[str, list[tuple[int, Step]]] = defaultdict(list)
     timed = {id(step) for step in _timed(line)}
-    for step in line.steps:
+    # Replies and banners wait for each other.
+    for step in sorted(line.steps, key=lambda step: step.exchange.heard_ns):
         length = len(step.exchange.reply or b"") + 2
         if id(step) in timed and not step.exchange.abandoned:
             wait_ns = step.exchange.heard_ns - max(step.arrived_ns, busy_ns) - length * step.byte_ns
             waits[step.exchange.letter].append((wait_ns, step))
-        busy_ns = max(busy_ns, step.exchange.heard_ns)
+        busy_ns = step.exchange.heard_ns
     findings: list[Finding] = []
     for of_letter in waits.values():
         late = [

@@ -4,6 +4,9 @@ A wheel's motion between two replies is not known, so counters are compared with
 more, and by half of them.
 """
 
+# NumPy's interp is partly untyped.
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -43,6 +46,9 @@ _SETTLED_NS = NS_PER_S // 2
 
 _LONGEST_NS = NS_PER_S // 2
 """Longest time between two counters over which the speeds at its ends say what was between [ns] (assumed)."""
+
+_UNSURE_NS = 30_000_000
+"""Longest time within which a value was read at some moment, of those that are compared over ways [ns]."""
 
 _PUSHED = 10
 """Most pulses by which a wheel on its target is pushed away and comes back between two replies (assumed)."""
@@ -162,6 +168,16 @@ class _Ways:
         self._since = None
 
 
+def _is_sure(step: Step) -> bool:
+    """Return whether the time at which a value was read is known well enough."""
+    return step.read_ns - step.arrived_ns < _UNSURE_NS
+
+
+def _is_way(known: _Counter, step: Step) -> bool:
+    """Return whether two counters have been counted by the wheel, at times that are known well enough."""
+    return known.source == "H" and known.until_ns - known.from_ns < _UNSURE_NS and _is_sure(step)
+
+
 def _verdict(ways: list[_Ways]) -> Verdict:
     findings = [each for way in ways for each in way.findings]
     return Verdict(sum(way.seen for way in ways), sorted(findings, key=lambda each: each.time_s))
@@ -170,18 +186,19 @@ def _verdict(ways: list[_Ways]) -> Verdict:
 @check("counters go as far as the speeds of E say", "A, commands E and H")
 def _way_by_speeds(line: RecordedLine) -> Verdict:
     ways = [_Ways(side, "by H a way", "E") for side in _SIDES]
-    speeds = [(step.arrived_ns, *values) for step, values in _read(line, "E")]
+    speeds = [(step.arrived_ns, *values) for step, values in _read(line, "E") if _is_sure(step)]
     if len(speeds) < 2:
         return Verdict(0)
-    columns: NDArray[np.int64] = np.array(speeds, np.int64).T
+    columns: NDArray[np.float64] = np.array(speeds, np.float64).T
     times_ns, of_wheels = columns[0], columns[1:]
     for known, step, values in _counted(line):
         first, last = np.searchsorted(times_ns, [known.from_ns, step.arrived_ns]).tolist()
-        if known.source != "H" or not 0 < first or last >= len(times_ns):
+        if not _is_way(known, step) or not 0 < first or last >= len(times_ns):
             continue
         if times_ns[last] - times_ns[first - 1] > _LONGEST_NS:
             continue
-        ends_ns = np.array([known.from_ns, *times_ns[first:last], step.arrived_ns])
+        inside_ns: list[float] = times_ns[first:last].tolist()
+        ends_ns: NDArray[np.float64] = np.array([known.from_ns, *inside_ns, step.arrived_ns])
         for wheel, way in enumerate(ways):
             if np.abs(of_wheels[wheel][first - 1 : last + 1]).min() >= _SLOWEST:
                 between = np.interp(ends_ns, times_ns, of_wheels[wheel])
@@ -211,7 +228,7 @@ def _way_by_setpoints(line: RecordedLine) -> Verdict:
     since = {id(step): (speeds, since_ns) for step, speeds, since_ns in _steady(line)}
     for known, step, values in _counted(line):
         speeds, since_ns = since[id(step)]
-        if known.source != "H" or known.from_ns < since_ns + _SETTLED_NS:
+        if not _is_way(known, step) or known.from_ns < since_ns + _SETTLED_NS:
             continue
         for wheel, way in enumerate(ways):
             if abs(speeds[wheel]) >= _SLOWEST:
