@@ -9,6 +9,7 @@ the first waiting command that it fits; a line that fits none is kept until the 
 import re
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from khep_twin.board.protocol import ARGUMENT_COUNTS, COMMAND_NOT_FOUND, LINE_END
 from khep_twin.clock import NS_PER_S
@@ -184,6 +185,7 @@ class Dialogue:
         return done
 
 
+@lru_cache(maxsize=1024)
 def _letter(command: bytes) -> str:
     head = command.partition(b",")[0].strip(b" \t").decode("latin-1")
     return head if head in _LETTERS else ""

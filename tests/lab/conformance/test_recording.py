@@ -257,15 +257,15 @@ def test_everything_but_scans_is_seen_in_the_tour(sound: Path) -> None:
     assert [each.name for each in robot.statements if not each.seen] == [SCAN]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_host_makes_a_sound_robot_wrong(seed: int, tmp_path: Path) -> None:
-    assert findings(seed, tmp_path, seconds=15.0) == []
+    assert findings(seed, tmp_path, seconds=8.0) == []
 
 
 @pytest.mark.parametrize("rom", ["5.02", "4.06", "khepera2"])
 def test_a_relay_finds_the_rom_by_the_replies(rom: str, tmp_path: Path) -> None:
     path = tmp_path / "relay.mcap"
-    with open_twin("gripper", TwinOptions(seed=2, mode=2, rom=rom)) as twin:
+    with open_twin("obstacles", TwinOptions(seed=2, mode=2, rom=rom)) as twin:
         relay = Relay(twin)
         tour(twin)
     relay.write(path)
