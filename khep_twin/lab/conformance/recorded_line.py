@@ -369,7 +369,7 @@ class _Board:
         self._firmware = Firmware(rom, 1 if known.mode is None else known.mode, turrets)
         # A robot that a relay finds has been on for long.
         self._sure = known.mode is not None
-        self._usual_gains = self._sure
+        self._gains_known = True
         self._targets: tuple[int, int] | None = None
 
     def steps(
@@ -388,7 +388,7 @@ class _Board:
             while resets and resets[0] <= exchange.sent_ns:
                 resets.popleft()
                 kernel.reset(self._firmware.register_view)
-                self._sure = self._usual_gains = True
+                self._sure = self._gains_known = True
             expected = self._answer(exchange) if exchange.command else self._notice(exchange)
             speed = self._firmware.reply_baud if simulated and not unpaced else line_baud
             byte_ns = BITS_PER_BYTE * NS_PER_S // speed if speed else 0
@@ -398,7 +398,7 @@ class _Board:
     def _notice(self, unasked: Exchange) -> bytes:
         if BANNER in (unasked.reply or b""):
             self._firmware.reset()
-            self._sure = self._usual_gains = True
+            self._sure = self._gains_known = True
         return b""
 
     def _answer(self, exchange: Exchange) -> bytes:
@@ -413,16 +413,19 @@ class _Board:
             firmware.registers[:] = before
             firmware.baud, firmware.running = settings
             return expected
+        answered, restarted = reply is not None, BANNER in (reply or b"")
         if isinstance(parse(exchange.command), Tool):
-            self._sure = self._usual_gains = BANNER in (reply or b"") or (self._sure and reply is not None)
-        elif exchange.letter in _SETTERS:
-            answered = reply is not None
-            if exchange.letter in "CG":
-                targets = both(firmware.register_view, Wheel.TARGET)
-                self._targets = targets if exchange.letter == "C" else None
-            moves = exchange.letter in "CDP"
-            self._sure = answered and (self._sure or moves)
-            self._usual_gains = self._usual_gains and (answered or exchange.letter != "A")
+            self._sure = restarted or (self._sure and answered)
+            self._gains_known = restarted or self._gains_known
+        elif exchange.letter == "A":
+            self._gains_known = answered
+        elif exchange.letter == "J":
+            self._sure = self._sure and answered
+        elif exchange.letter in ("C", "D", "P"):
+            self._sure = answered
+        if exchange.letter in ("C", "G"):
+            targets = both(firmware.register_view, Wheel.TARGET)
+            self._targets = targets if exchange.letter == "C" else None
         return expected
 
     def _motion(self) -> Motion | None:
@@ -436,12 +439,8 @@ class _Board:
             self._targets,
             both(view, Wheel.ON_TARGET),
             (min(both(view, Wheel.MAX_SPEED)), min(both(view, Wheel.ACCELERATION))),
-            self._usual_gains and all(view[register] == value for register, value in _GAINS.items()),
+            self._gains_known and all(view[register] == value for register, value in _GAINS.items()),
         )
-
-
-_SETTERS = "ACDFGJP"
-"""Commands that leave the motors' settings unknown when it is not known whether they arrived."""
 
 
 def both(registers: kernel.Registers, register: Wheel) -> tuple[int, int]:
