@@ -6,7 +6,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.lab.conformance.recorded_line import RecordedLine, Step
+from khep_twin.lab.conformance.board_model import Step
+from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS, STEP_NS
 
