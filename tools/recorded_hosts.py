@@ -282,12 +282,13 @@ def findings(seed: int, folder: Path, seconds: float = 30.0) -> list[str]:
 def main() -> None:
     """Check as many logs as wanted; exit with 1 after a finding."""
     count, first = int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
-    found: list[str] = []
+    found = 0
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(first, first + count):
-            found += findings(seed, Path(folder))
-    print("\n\n".join(found))
-    print(f"{count} logs, {len(found)} with findings")
+            for text in findings(seed, Path(folder)):
+                found += 1
+                print(f"{text}\n", flush=True)
+    print(f"{count} logs, {found} reports with findings")
     sys.exit(bool(found))
 
 
