@@ -41,7 +41,10 @@ _APART = 0.5
 _SETTLED_NS = NS_PER_S // 2
 """Time after a change of D until a wheel has its speed [ns] (docs/protocol.md: 120 ms on the floor)."""
 
-_LONGEST_NS = NS_PER_S // 2
+_STEADY = 0.2
+"""Largest difference of the speeds around a way, as a share of them (assumed)."""
+
+_LONGEST_NS = NS_PER_S // 5
 """Longest time between two counters over which the speeds at its ends say what was between [ns] (assumed)."""
 
 _UNSURE_NS = 30_000_000
@@ -183,7 +186,9 @@ def _way_by_speeds(line: RecordedLine) -> Verdict:
         inside_ns: list[float] = times_ns[first:last].tolist()
         ends_ns: NDArray[np.float64] = np.array([known.from_ns, *inside_ns, step.arrived_ns])
         for wheel, way in enumerate(ways):
-            if np.abs(of_wheels[wheel][first - 1 : last + 1]).min() >= _SLOWEST:
+            speeds_around = of_wheels[wheel][first - 1 : last + 1]
+            least = float(np.abs(speeds_around).min())
+            if least >= _SLOWEST and np.ptp(speeds_around) <= max(_STEADY * least, 2):
                 between = np.interp(ends_ns, times_ns, of_wheels[wheel])
                 by_speeds = float(np.trapezoid(between, ends_ns / TICK_NS))
                 way.add(step, by_speeds, wrap(values[wheel] - known.values[wheel]))
