@@ -264,8 +264,11 @@ def _output(line: RecordedLine, place: int) -> Iterator[bytes]:
     first = line.steps[place].exchange
     source = first.command or first.reply
     yield first.reply or b""
-    later = (each.exchange for each in line.steps[place + 1 :] if not each.exchange.command)
-    for each in later:
-        if each.output_of != source:
+    # Outputs of tools before it may be between, as steps are in order of the commands.
+    for step in line.steps[place + 1 :]:
+        each = step.exchange
+        if each.command == b"restart" and each.reply is not None:
             return
+        if each.command or each.output_of != source or each.heard_ns < first.heard_ns:
+            continue
         yield each.reply or b""
