@@ -101,7 +101,7 @@ def _lamplight(things, order, planes, sensors, law, bulbs, hidden, powers, least
         for channel in range(units.N_SENSORS):
             for lamp in range(len(bulbs)):
                 bulb, ambient = bulbs[lamp], sensors[0].ambient
-                x, y, z = position(scene, sensors[0], channel)
+                x, y, _ = position(scene, sensors[0], channel)
                 away = (bulb.x - x) * (bulb.x - x) + (bulb.y - y) * (bulb.y - y)
                 if powers[lamp] * received(ambient, channel, math.sqrt(away), 1.0) < least:
                     continue
