@@ -23,7 +23,7 @@ from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited, r
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, SlippingWheel, Unexpected
 from khep_twin.shadow.lamp_watch import LampWatch
-from khep_twin.shadow.line_watch import LineWatch
+from khep_twin.shadow.line_watch import LOSING, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter, anywhere
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
@@ -231,6 +231,8 @@ class Diagnosis:
             return
         alarm = Alarm("", "", since_ns, time_ns, min(sureness, 0.999))
         if hypothesis is None:
+            # Of a robot whose commands are lost the twins know as little.
+            self._searches = self._searches or any(each.fault == LOSING for each in self._line.alarms)
             if not self._others and not self._searches:
                 self._others.append(replace(alarm, fault=LIFTED, channel="proximity"))
         elif begins:
