@@ -14,13 +14,14 @@ so that it changes nothing else in a run; every occurrence is logged.
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import to_ns
 from khep_twin.errors import FaultError, choices
+from khep_twin.randomness import StreamState, position, resume
 from khep_twin.units import N_SENSORS
 
 _NUMBER = re.compile(r"[0-9]{1,6}(\.[0-9]{1,9})?")
@@ -65,6 +66,18 @@ def parse(text: str) -> Fault:
         raise FaultError(f"fault {text!r}: expected {wanted}, with @SECONDS appended if wanted") from None
 
 
+class InjectorState(NamedTuple):
+    """State of the faults of a robot.
+
+    Attributes:
+        streams: Position in the random stream of each fault, by its text.
+        waiting: Texts of the deterministic faults that have not begun.
+    """
+
+    streams: dict[str, StreamState]
+    waiting: tuple[str, ...]
+
+
 class Injector:
     """Injector of faults into one robot.
 
@@ -87,8 +100,33 @@ class Injector:
         self._rng = {fault.text: rng(fault.text) for fault in self._faults}
         self._log_event = log_event
         lasting = (fault for fault in self._faults if fault.kind in ("stuck", "dead", "brown-out"))
-        self._waiting = list(dict.fromkeys(lasting))
+        self._lasting = tuple(dict.fromkeys(lasting))
+        self._waiting = list(self._lasting)
         self.next_starts_ns = [fault.start_ns for fault in self._waiting]
+
+    def state(self) -> InjectorState:
+        """Return the state."""
+        streams = {text: position(rng) for text, rng in self._rng.items()}
+        return InjectorState(streams, tuple(fault.text for fault in self._waiting))
+
+    def set_state(self, state: InjectorState) -> None:
+        """Take over a state; faults that it does not have stay as they are.
+
+        Raises:
+            ValueError: It has a fault that is not injected here.
+        """
+        if unknown := [text for text in state.streams if text not in self._rng]:
+            raise ValueError(f"fault {unknown[0]!r}; {choices(unknown[0], self._rng)}")
+        for text, at in state.streams.items():
+            resume(self._rng[text], at)
+        known, waiting = state.streams.keys(), set(state.waiting)
+        waiting |= {each.text for each in self._waiting if each.text not in known}
+        self._waiting = [each for each in self._lasting if each.text in waiting]
+        self.next_starts_ns = [fault.start_ns for fault in self._waiting]
+
+    def reseed(self, rng: Callable[[str], np.random.Generator]) -> None:
+        """Draw from other random streams from now on."""
+        self._rng = {text: rng(text) for text in self._rng}
 
     def over_the_line(self, data: bytes, time_ns: int) -> bytes:
         """Return the bytes as a bad cable delivers them."""
