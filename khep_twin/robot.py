@@ -236,12 +236,12 @@ class Robot:
             Warning of a different speed; empty if the speeds agree or the warning was given before. The
             robot accepts one stop bit as well as two.
         """
-        if host is not self._host and host != self._host:
+        is_new, self._host, baud = host is not self._host and host != self._host, host, self._baud
+        differs = host is not None and host.baud != baud and (host.baud, baud) not in self._warned
+        warns = differs and len(self._warned) < _MOST_WARNINGS
+        if is_new or warns:
             self._context.on_host_event(self.index, HostEvent(HostEventKind.SET, self._context.time_ns, host))
-        self._host, baud = host, self._baud
-        if host is None or host.baud == baud or (host.baud, baud) in self._warned:
-            return ""
-        if len(self._warned) == _MOST_WARNINGS:
+        if not warns or host is None:
             return ""
         self._warned.add((host.baud, baud))
         outcome = "taken all the same" if self._line_noise is None else "garbled"

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from khep_twin import step, units
 from khep_twin.board.fault_injection import Fault
-from khep_twin.board.uart import HostEvent
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NEVER_NS
 from khep_twin.errors import DivergedError, MissingNumbaError, SnapshotError
 from khep_twin.playpen import Lamp, Lighting, Playpen
@@ -175,6 +175,7 @@ class World:
         self._untold: list[tuple[int | None, str]] = []
         self._failure: DivergedError | None = None
         self.time_ns = 0
+        self._scene = ""
         if not self._shares_model:
             self.model.body_pos[:] = self._bodies
         simulation.reset(seed, noise=noise, vary=vary)
@@ -206,8 +207,12 @@ class World:
         """Copy of the positions of all joints."""
         return self.data.qpos.copy()
 
-    def add_observer(self, observer: Observer) -> None:
-        """Add an observer; it receives the current state at once.
+    def add_observer(self, observer: Observer, *, at_once: bool = True) -> None:
+        """Add an observer.
+
+        Args:
+            observer: Observer.
+            at_once: Whether it receives the current state, with what it missed; or has it already.
 
         Raises:
             ValueError: The world shares its model.
@@ -215,6 +220,8 @@ class World:
         if self._shares_model:
             raise ValueError("the world shares its model; expected one of its own, as of an observed Episode")
         self.observers.append(observer)
+        if not at_once:
+            return
         for robot, text in self._untold:
             observer.on_event(self.time_ns, robot, text)
         mujoco.mj_kinematics(self.model, self.data)
@@ -277,7 +284,14 @@ class World:
     @property
     def scene(self) -> str:
         """Fingerprint of the compiled scene with its robots, in hexadecimal digits."""
-        return fingerprint(self.model, self.timing, self._forms.calibrations)
+        if not self._scene:
+            self._scene = fingerprint(self.model, self.timing, self._forms.calibrations)
+        return self._scene
+
+    @property
+    def is_between_steps(self) -> bool:
+        """Whether no step has begun without having ended, so that the state is whole."""
+        return bool(self.simulation.counters[step.PHASE] == step.DONE)
 
     def state(self, since_ns: int = -1) -> WorldState:
         """Return the whole state, with the replies that reach a host after a time [ns].
@@ -285,7 +299,7 @@ class World:
         Raises:
             ValueError: A step has begun and not ended.
         """
-        if self.simulation.counters[step.PHASE] != step.DONE and self._failure is None:
+        if not self.is_between_steps and self._failure is None:
             raise ValueError("no state amid a step; expected it between steps, as observers sample them")
         return WorldState(
             self.time_ns,
@@ -381,6 +395,12 @@ class World:
             self._untold.append((robot, text))
         for observer in self.observers:
             observer.on_event(self.time_ns, robot, text)
+
+    def note(self, robot: int | None, text: str) -> None:
+        """Log an event that does not follow from the state, as what the host did, so that logs repeat it."""
+        data = bytes([robot is None]) + text.encode("utf-8")
+        self.on_host_event(robot or 0, HostEvent(HostEventKind.NOTE, self.time_ns, None, data))
+        self.log_event(robot, text)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Send bytes that crossed a robot's line to the observers."""

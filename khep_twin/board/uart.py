@@ -46,6 +46,7 @@ class HostEventKind(IntEnum):
     SWITCH = 5
     SCAN = 6
     RELIGHT = 7
+    NOTE = 8
 
 
 class HostEvent(NamedTuple):
@@ -56,7 +57,7 @@ class HostEvent(NamedTuple):
         at_ns: Time of effect, now or later [ns].
         host: Settings of the host's end of the line; None for the robot's own.
         data: Bytes as the host sent them; new pose of the robot, switched lamp or new lamps, encoded by
-            `khep_twin.interventions`.
+            `khep_twin.interventions`; text of an event, after a byte that is 1 if it is about no robot.
     """
 
     kind: HostEventKind

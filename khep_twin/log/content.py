@@ -7,6 +7,7 @@ The parts named by the index lie in the file and do not overlap, so that no byte
 import os
 import struct
 import zlib
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import BinaryIO
@@ -62,13 +63,37 @@ class Content:
 
     def messages(self) -> Iterator[Entry]:
         """Yield the messages in the order of the file, in which chunks are in order of time."""
-        return chain.from_iterable(entries for _, entries in self._pieces())
+        return chain.from_iterable(entries for _, entries in self.chunks())
+
+    def since(self, topic: str, time_ns: int) -> Iterator[Entry | None]:
+        """Yield the last message of a topic up to a time [ns], and those after it in the order of the file.
+
+        Without such a message, yield None and all messages.
+        """
+        if not self._indexed:
+            held = list(self._unindexed())
+            place = _last(held, topic, time_ns)
+            yield None if place is None else held[place]
+            yield from held[0 if place is None else place + 1 :]
+            return
+        first = 0
+        there = bisect_right(self._chunks, (time_ns, self._size, 0)) if self._reader.knows(topic) else 0
+        for number in range(there - 1, -1, -1):
+            held = [each for _, piece in self.chunks(self._chunks[number : number + 1]) for each in piece]
+            if (place := _last(held, topic, time_ns)) is not None:
+                yield from held[place:]
+                first = number + 1
+                break
+        else:
+            yield None
+        for _, entries in self.chunks(self._chunks[first:]):
+            yield from entries
 
     def first_messages(self) -> Iterator[Entry]:
         """Yield the first message of each channel, from the chunks that have them by the index."""
         seen: set[str] = set()
         chunks = sorted(set(self._first.values())) or self._chunks
-        for _, entries in self._pieces(chunks):
+        for _, entries in self.chunks(chunks):
             for entry in sorted(entries, key=lambda each: each.time_ns):
                 if entry.topic not in seen:
                     seen.add(entry.topic)
@@ -81,7 +106,7 @@ class Content:
         """
         held: list[Entry] = []
         size, count, split_ns = 0, 0, 0
-        for number, (start_ns, entries) in enumerate(self._pieces()):
+        for number, (start_ns, entries) in enumerate(self.chunks()):
             if size > length and start_ns > split_ns:
                 split_ns, size = start_ns, 0
                 yield number / len(self._chunks), [each for each in held if each.time_ns < split_ns]
@@ -172,7 +197,7 @@ class Content:
         self._chunks.sort()
         return bool(self._chunks)
 
-    def _pieces(
+    def chunks(
         self, chunks: Sequence[tuple[int, int, int]] | None = None
     ) -> Iterator[tuple[int, Iterator[Entry]]]:
         """Yield the messages of each chunk, and the time from which on no earlier chunk has any."""
@@ -251,6 +276,12 @@ class Content:
         if len(data) < size:
             raise Misfit(f"end of the file at byte {offset + len(data)}", f"{size} bytes at {offset}")
         return data
+
+
+def _last(entries: Sequence[Entry], topic: str, time_ns: int) -> int | None:
+    """Return the place of the last message of a topic up to a time [ns]; None without one."""
+    places = [place for place, each in enumerate(entries) if each.topic == topic and each.time_ns <= time_ns]
+    return places[-1] if places else None
 
 
 def _numbers(layout: struct.Struct, content: bytes, offset: int) -> tuple[int, ...]:

@@ -13,13 +13,14 @@ from log_rewriting import rewritten
 
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
-from khep_twin.lab.experiment.repeat import read_recorded, repeat
+from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.lab.report.report import report
 from khep_twin.log.attached import shapes_of
 from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, TextLine, line_message
 from khep_twin.log.host_events import events_message
 from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
+from khep_twin.log.recorded import read_recorded
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports.twin import TwinOptions, open_twin
 
