@@ -65,29 +65,24 @@ class Content:
         """Yield the messages in the order of the file, in which chunks are in order of time."""
         return chain.from_iterable(entries for _, entries in self.chunks())
 
-    def since(self, topic: str, time_ns: int) -> Iterator[Entry | None]:
-        """Yield the last message of a topic up to a time [ns], and those after it in the order of the file.
+    def since(self, topic: str, time_ns: int) -> Iterator[list[Entry]]:
+        """Yield the last message of a topic up to a time [ns], then those after it, chunk by chunk.
 
-        Without such a message, yield None and all messages.
+        Without such a message, yield none, and then all messages.
         """
-        if not self._indexed:
-            held = list(self._unindexed())
-            place = _last(held, topic, time_ns)
-            yield None if place is None else held[place]
-            yield from held[0 if place is None else place + 1 :]
-            return
-        first = 0
-        there = bisect_right(self._chunks, (time_ns, self._size, 0)) if self._reader.knows(topic) else 0
+        pieces = self._chunks if self._indexed else [(0, 0, 0)]
+        there = bisect_right(pieces, (time_ns, self._size, 0)) if self._reader.knows(topic) else 0
         for number in range(there - 1, -1, -1):
-            held = [each for _, piece in self.chunks(self._chunks[number : number + 1]) for each in piece]
+            held = [each for _, piece in self.chunks(pieces[number : number + 1]) for each in piece]
             if (place := _last(held, topic, time_ns)) is not None:
-                yield from held[place:]
-                first = number + 1
+                yield [held[place]]
+                yield held[place + 1 :]
                 break
         else:
-            yield None
-        for _, entries in self.chunks(self._chunks[first:]):
-            yield from entries
+            yield []
+            number = -1
+        for _, entries in self.chunks(pieces[number + 1 :]):
+            yield list(entries)
 
     def first_messages(self) -> Iterator[Entry]:
         """Yield the first message of each channel, from the chunks that have them by the index."""
@@ -202,7 +197,9 @@ class Content:
     ) -> Iterator[tuple[int, Iterator[Entry]]]:
         """Yield the messages of each chunk, and the time from which on no earlier chunk has any."""
         if not self._indexed:
-            yield 0, self._unindexed()
+            if chunks is None or chunks:
+                yield 0, self._unindexed()
+            return
         for start_ns, offset, length in self._chunks if chunks is None else chunks:
             yield start_ns, self._reader.entries(self._chunk(offset, length), offset, start_ns)
 

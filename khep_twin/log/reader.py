@@ -189,10 +189,10 @@ def read_raw(
     return label, found, recovered
 
 
-def read_since(path: Path, topic: str, time_ns: int) -> Generator[Entry | None]:
-    """Yield the last message of a topic up to a time [ns], and those after it in the order of the file.
+def read_since(path: Path, topic: str, time_ns: int) -> Generator[list[Entry]]:
+    """Yield the last message of a topic up to a time [ns], then those after it, chunk by chunk.
 
-    Without such a message, yield None and all messages. With an index, what lies before is not read.
+    Without such a message, yield none, and then all messages. With an index, what lies before is not read.
     """
     with _opened(path) as content:
         yield from content.since(topic, time_ns)

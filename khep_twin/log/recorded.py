@@ -3,14 +3,14 @@
 A run that was branched off another one begins as that one; its attachment branch.json has what changed when.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from khep_twin.board.uart import HostEvent
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log.channels import TextLine
@@ -173,25 +173,26 @@ def changes_text(changes: Sequence[Change]) -> str:
 _CHANGES = TypeAdapter(tuple[Change, ...])
 
 
-def events_in(path: Path, entries: Iterator[Entry], robots: Sequence[str]) -> Iterator[RecordedEvent]:
-    """Yield the host events of messages in the order of a log's file, those of a piece in order of time.
+def events_in(
+    path: Path, pieces: Iterable[Sequence[Entry]], robots: Sequence[str]
+) -> Iterator[RecordedEvent]:
+    """Yield the host events of a log's pieces, each in order of time.
 
     Raises:
         LogError: A message is invalid.
     """
     topics = {f"/{name}/host_events": index for index, name in enumerate(robots)}
-    held: list[RecordedEvent] = []
-    for entry in entries:
-        if (index := topics.get(entry.topic)) is not None:
-            try:
-                held += [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
-            except Misfit as misfit:
-                raise misfit.at(path, entry.topic, entry.time_ns) from None
-        elif entry.topic in _ENDS:
-            yield from sorted(held, key=lambda each: each[0])
-            held.clear()
-    yield from sorted(held, key=lambda each: each[0])
+    for piece in pieces:
+        held: list[RecordedEvent] = []
+        for entry in piece:
+            if (index := topics.get(entry.topic)) is not None:
+                try:
+                    held += [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
+                except Misfit as misfit:
+                    raise misfit.at(path, entry.topic, entry.time_ns) from None
+        # What logs an event has ended its piece, so it was the last of those at the same time.
+        yield from sorted(held, key=lambda each: (each[0], each[2].kind in _LOGGED))
 
 
-_ENDS = ("/state", "/snapshot")
-"""Channels whose messages end a piece of a log, behind the host events of all robots."""
+_LOGGED = (HostEventKind.PUT, HostEventKind.SWITCH, HostEventKind.RELIGHT, HostEventKind.NOTE)
+"""Kinds of host events that log an event."""

@@ -99,8 +99,9 @@ class RecordedHosts:
 
     def advance_to(self, time_ns: int) -> None:
         """Advance the world to `time_ns`, with what was done up to then."""
-        self.repeat(lambda event_ns: event_ns <= time_ns)
+        self.repeat(lambda event_ns: event_ns < time_ns)
         self.twin.world.advance_to(max(time_ns, self.twin.world.time_ns))
+        self.repeat(lambda event_ns: event_ns <= time_ns)
 
     def attend(self) -> None:
         """Do nothing: what is due is done as time passes."""
@@ -110,7 +111,9 @@ class RecordedHosts:
         while self._next is not None and due(self._next[0]):
             (time_ns, index, event), self._next = self._next, next(self._events, None)
             world = self.twin.world
-            world.advance_to(max(time_ns, world.time_ns))
+            # Without time on the line, what was sent at this time would already be read.
+            if time_ns > world.time_ns:
+                world.advance_to(time_ns)
             try:
                 repeat_event(self.twin, index, event)
             except PlaypenError as error:  # in another playpen there may be no room

@@ -8,6 +8,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -95,8 +96,8 @@ def take_up(
     """
     label = read_label(path)
     check_line(path, label)
-    setup, entries = Setup(path, label), read_since(path, TOPIC, at_ns)
-    changes, last = changes_of(path, label), next(entries)
+    setup, pieces = Setup(path, label), read_since(path, TOPIC, at_ns)
+    changes, last = changes_of(path, label), next(iter(next(pieces)), None)
     try:
         state = None if last is None else _logged(path, last, None)
         from_ns = 0 if state is None else state.world.time_ns
@@ -107,10 +108,9 @@ def take_up(
         if state is not None and last is not None:
             twin.world.set_state(_logged(path, last, twin.world.scene).world)
         if start is not None:
-            pieces = () if last is None else read_until(path, last)
-            start(twin, label, Beginning(pieces, state and state.recorder))
-        followed = (entry for entry in entries if entry is not None)
-        taken = TakenUp(setup, done, twin, RecordedHosts(twin, events_in(path, followed, label.robots)))
+            begun = () if last is None else read_until(path, last)
+            start(twin, label, Beginning(begun, state and state.recorder))
+        taken = TakenUp(setup, done, twin, RecordedHosts(twin, events_in(path, pieces, label.robots)))
         moments = [*(change for change in changes[len(done) :] if change.at_ns < at_ns), None]
         for change in moments:
             end_ns = at_ns if change is None else change.at_ns
@@ -237,17 +237,15 @@ def end_of(path: Path) -> int:
     Raises:
         LogError: The log cannot be read.
     """
-    entries = read_since(path, TOPIC, LATEST_NS)
-    last = next(entries)
-    rest = [entry for entry in entries if entry is not None]
-    end_ns = 0 if last is None else last.time_ns
+    last, *rest = read_since(path, TOPIC, LATEST_NS)
+    end_ns = max((entry.time_ns for entry in last), default=0)
     try:
-        for entry in rest:
+        for entry in chain(*rest):
             if entry.topic == "/state":
                 end_ns = max(end_ns, entry.time_ns + (len(read_states(entry.data)) - 1) * SAMPLE_NS)
     except Misfit as misfit:
         raise misfit.at(path, "/state") from None
-    events = events_in(path, iter(rest), read_label(path).robots)
+    events = events_in(path, rest, read_label(path).robots)
     return max([end_ns, *(time_ns for time_ns, _, _ in events)])
 
 

@@ -135,7 +135,7 @@ def _go_on(
         taken.hosts.advance_to(min(now_ns + _STEP_NS, end_ns))
         if progress is not None:
             progress((taken.twin.world.time_ns - start_ns) / (end_ns - start_ns))
-    taken.hosts.advance_to(taken.twin.world.time_ns)
+    taken.hosts.repeat(lambda time_ns: time_ns <= end_ns)
 
 
 def _take_over(

@@ -9,7 +9,6 @@ import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
@@ -27,14 +26,11 @@ _PANEL = 3.6
 """Width of the panel of the spread [inch]."""
 
 _MOMENTS = 4
-"""Number of times at which the spread is drawn on the playpen."""
-
-_COVERS_95 = 2.45
-"""Radius of the circle that holds 95 % of a normal distribution in the plane, in standard deviations."""
+"""Number of times at which the places of all runs are marked."""
 
 
 def draw_fan(plan: Plan, ways: Sequence[Way]) -> Figure:
-    """Draw branches of one run: before the moment a dark line, then each run; ellipses hold 95 % of them."""
+    """Draw branches of one run: a dark line up to the moment, then each run, and how far they spread."""
     run = read(plan.log)
     at_s = plan.change.at_ns / NS_PER_S
     setup = Setup.of(plan.log)
@@ -50,17 +46,15 @@ def draw_fan(plan: Plan, ways: Sequence[Way]) -> Figure:
             for way in ways:
                 x, y = 1e3 * way.poses[:, index, :2].T
                 axes.plot(x, y, color=colour, lw=0.8, alpha=strength, zorder=4)
-            ends = 1e3 * np.array([way.poses[-1, index, :2] for way in ways])
-            axes.plot(*ends.T, "o", color=colour, ms=2.5, zorder=5)
             axes.plot(*(1e3 * before[-1, :2]), "o", ms=4.5, mfc="white", mec=INK, zorder=7)
         panel = _panel_beside(figure)
         for index, name in enumerate(run.robots):
-            _draw_spread(axes, panel, ways, index, _COLOURS[index % len(_COLOURS)], name, at_s)
+            _draw_spread(panel, ways, index, _COLOURS[index % len(_COLOURS)], name)
+        _mark_moments(axes, panel, ways)
         panel.set(xlabel="time [s]", ylabel="distance from the runs' mean [mm]")
         panel.set_ylim(bottom=0)
         panel.grid(color=INK, alpha=0.1, lw=0.5)
-        if len(ways) > 1:
-            panel.legend(frameon=False, fontsize=8, loc="upper left")
+        panel.legend(frameon=False, fontsize=8, loc="upper left")
     return figure
 
 
@@ -93,22 +87,20 @@ def _panel_beside(figure: Figure) -> Axes:
     return figure.add_axes((left, lowest.y0, 1 - left - 0.15 / (width + _PANEL), lowest.height))
 
 
-def _draw_spread(
-    axes: Axes, panel: Axes, ways: Sequence[Way], robot: int, colour: str, name: str, at_s: float
-) -> None:
-    if len(ways) < 2:
-        return
-    times_s, mean, rms, most = spread(ways, robot)
+def _draw_spread(panel: Axes, ways: Sequence[Way], robot: int, colour: str, name: str) -> None:
+    """Draw how far ways spread over time."""
+    times_s, _, rms, most = spread(ways, robot)
     panel.plot(times_s, 1e3 * rms, color=colour, lw=1.4, label=f"{name}, root mean square")
     panel.plot(times_s, 1e3 * most, color=colour, lw=0.9, ls="--", label="95 % of the runs")
-    panel.axvline(at_s, color=INK, lw=0.6)
-    length = len(times_s)
-    for moment in np.linspace(length / _MOMENTS, length - 1, _MOMENTS).astype(int).tolist():
-        places = np.stack([way.poses[moment, robot, :2] for way in ways])
-        values, axes_of = np.linalg.eigh(np.cov(places.T))
-        minor, major = 2e3 * _COVERS_95 * np.sqrt(np.maximum(values, 0))
-        turn = np.degrees(np.arctan2(axes_of[1, 1], axes_of[0, 1]))
-        x, y = (1e3 * mean[moment]).tolist()
-        look = {"fill": False, "edgecolor": INK, "lw": 0.8, "ls": "--", "zorder": 6}
-        axes.add_patch(Ellipse((x, y), major, minor, angle=turn, **look))
-        axes.annotate(f"{times_s[moment]:.0f} s", (x, y), fontsize=7, color=INK, zorder=8, ha="center")
+
+
+def _mark_moments(axes: Axes, panel: Axes, ways: Sequence[Way]) -> None:
+    """Mark where all runs are at some moments, in a colour each."""
+    length = min(len(way.times_s) for way in ways)
+    moments = np.linspace(length / _MOMENTS, length - 1, _MOMENTS).astype(int).tolist()
+    colours = matplotlib.colormaps["plasma"](np.linspace(0, 0.8, _MOMENTS))
+    for moment, colour in zip(moments, colours, strict=True):
+        x, y = 1e3 * np.concatenate([way.poses[moment, :, :2] for way in ways]).T
+        axes.plot(x, y, "o", color=colour, ms=4, mec="white", mew=0.5, zorder=6)
+        time_s = float(ways[0].times_s[moment])
+        panel.axvline(time_s, color=colour, lw=1.0, ls=":", label=f"dots at {time_s:.1f} s")
