@@ -2,53 +2,17 @@
 
 import zlib
 from collections.abc import Callable
-from contextlib import suppress
 
 import numpy as np
 import pytest
+from branches import LAMPS, PUSHED, ROBOTS, arena, drive
 
 from khep_twin import playpen
 from khep_twin.board.fault_injection import parse
-from khep_twin.board.uart import HostEvent, LineSettings
-from khep_twin.errors import DivergedError, PlaypenError, SnapshotError
-from khep_twin.interventions.move_robot import put
-from khep_twin.interventions.switching import relight, switch
-from khep_twin.playpen import Lamp, Lighting, Playpen
+from khep_twin.board.uart import HostEvent
+from khep_twin.errors import DivergedError, SnapshotError
+from khep_twin.playpen import Lighting, Playpen
 from khep_twin.world import World
-
-LAMPS = """
-[[lamp]]
-x_mm = 620
-y_mm = 80
-power_w = 9
-blink_period_s = 0.7
-fade_s = 0.2
-flicker = 0.4
-"""
-
-ROBOTS = """
-[[robot]]
-x_mm = 330
-y_mm = 300
-heading_deg = 90
-[[robot]]
-x_mm = 250
-y_mm = 320
-heading_deg = -20
-model = "khepera2"
-"""
-
-PUSHED = "".join(
-    f"\n[[block]]\nx_mm = {x_mm}\ny_mm = 500\nlength_mm = 30\nwidth_mm = 30\nheight_mm = 30\nmovable = true\n"
-    for x_mm in (100, 200, 300, 400, 500, 600)
-)
-
-
-def arena(more: str = "", **changes: object) -> Playpen:
-    """The shipped obstacles, with more, and with changes of its robot."""
-    found = playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena")
-    robots = (found.robots[0].model_copy(update=changes), *found.robots[1:])
-    return found.model_copy(update={"robots": robots})
 
 
 class Events:
@@ -68,48 +32,6 @@ class Events:
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         self.seen.append((time_ns, robot, text))
-
-
-WORDS = "D,9,4 N O D,-3,8 L,0,2 H D,10,10 K C,900,500 B D,20,19 E".split()
-ARM = "T,1,E,255 T,1,D,1 T,1,E,152 T,1,D,0 T,1,G T,1,H,1 T,1,F".split()
-
-
-def drive(world: World, seed: int, end_ns: int) -> None:
-    """Let hosts do at random what they may, from the present on; the same for the same time and seed."""
-    while world.time_ns < end_ns:
-        rng = np.random.default_rng([seed, world.time_ns])
-        for robot in world.robots:
-            words = WORDS + ARM * bool(robot.firmware.turrets)
-            robot.uart.tx.read(world.time_ns)
-            robot.send(f"{rng.choice(words)}\n".encode() * int(rng.integers(1, 3)))
-            match int(rng.integers(30)):
-                case 0:
-                    robot.send(b"N\nD,5", world.time_ns + 3_000_000)
-                case 1:
-                    robot.disconnect()
-                case 2:
-                    robot.compare_line(LineSettings(int(rng.choice([9600, 19200])), 2))
-                case 3:
-                    robot.flush()
-                case 4:
-                    robot.send(b"restart\n")
-                case _:
-                    pass
-        match int(rng.integers(60)):
-            case 0 if world.lamps.names:
-                switch(world, 0, on=bool(rng.integers(2)))
-            case 1 if world.lamps.names:
-                relight(world, [Lamp(x_mm=200, y_mm=100, power_w=3, flicker=0.2)], Lighting())
-            case 2:
-                world.scan()
-            case 3:
-                x_mm, y_mm, heading = world.robots[0].pose
-                with suppress(PlaypenError):  # no room
-                    put(world, 0, x_mm * 1e3, y_mm * 1e3, heading + 10, afresh=True)
-            case _:
-                pass
-        # Also between steps.
-        world.advance_to(min(world.time_ns + int(rng.integers(1, 300_000_000)), end_ns))
 
 
 Case = tuple[Callable[[], Playpen], dict[str, object]]

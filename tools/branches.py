@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from khep_twin import playpen
 from khep_twin.board.uart import LineSettings
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import KhepTwinError, PlaypenError, ProtocolError
+from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, PortError, ProtocolError
 from khep_twin.interventions.move_robot import put, scan
 from khep_twin.interventions.switching import relight, switch
 from khep_twin.lab.experiment.branch import Plan, branch
@@ -198,8 +198,10 @@ def check(number: int, folder: Path) -> list[str]:
     controller = BUILT_IN["braitenberg"] if takes_over else None
     try:
         branch(Plan(parent, change, controller, 0 if takes_over else None, seconds=4.0), other)
-    except ProtocolError:
-        pass  # a controller gives up on a bad line, or on a board that has another program
+    except (ProtocolError, ControllerError, PortError):
+        pass  # a controller gives up on a bad line, on one without time, or on a board with another program
+    except PlaypenError:
+        return findings  # no room, or a lamp that is no longer there
     except KhepTwinError as error:
         return [*findings, f"with {change.text or 'a controller'}: {error}"]
     if before(other, at_ns) != before(parent, at_ns):

@@ -32,7 +32,7 @@ from khep_twin.ports.replay import RecordedHosts, Setup
 from khep_twin.ports.twin import Twin
 from khep_twin.simulation.carrying_over import carry_over, place
 from khep_twin.simulation.physics_state import physics_state
-from khep_twin.units import metres
+from khep_twin.units import STEP_NS, metres
 from khep_twin.world import SAMPLE_NS, World
 
 
@@ -45,12 +45,43 @@ class TakenUp:
         changes: Changes of the run so far.
         twin: Twin at the moment.
         hosts: Recorded hosts, which go on with it.
+        later: Changes of the recorded run that are still to come.
     """
 
     setup: Setup
     changes: tuple[Change, ...]
     twin: Twin
     hosts: RecordedHosts
+    later: list[Change]
+
+    def run_to(
+        self,
+        end_ns: int,
+        progress: Callable[[float], None] | None = None,
+        stop: Callable[[], bool] | None = None,
+    ) -> None:
+        """Let the run go on as recorded to a time [ns], before what was done at that very time.
+
+        Args:
+            end_ns: Time [ns].
+            progress: Function that takes the part of the way that is done, 0 to 1.
+            stop: Function that returns whether to end early.
+        """
+        start_ns = self.twin.world.time_ns
+        while True:
+            now_ns = self.twin.world.time_ns
+            while self.later and (self.later[0].at_ns <= now_ns or not self.later[0].text):
+                self.change(self.later.pop(0))
+            if now_ns >= end_ns or (stop is not None and stop()):
+                return
+            # A stop at a whole second, between two steps, leaves no trace; amid a step, in times of events.
+            moments = [each.at_ns for each in self.later]
+            goal_ns = min((now_ns // NS_PER_S + 1) * NS_PER_S, end_ns, *moments)
+            self.hosts.repeat(lambda time_ns, goal_ns=goal_ns: time_ns < goal_ns)
+            if goal_ns > self.twin.world.time_ns:
+                self.twin.world.advance_to(goal_ns)
+            if progress is not None:
+                progress((self.twin.world.time_ns - start_ns) / (end_ns - start_ns))
 
     def change(self, change: Change) -> None:
         """Change the run from now on.
@@ -81,7 +112,6 @@ def take_up(
     path: Path,
     at_ns: int,
     start: Callable[[Twin, Label, Beginning], None] | None = None,
-    progress: Callable[[float], None] | None = None,
 ) -> TakenUp:
     """Take up the run of a log at a moment, before what was done at that very moment.
 
@@ -89,7 +119,6 @@ def take_up(
         path: Path of the log.
         at_ns: Moment [ns].
         start: Function called with the twin before the rest up to the moment, to record it.
-        progress: Function that takes the part of the way that is done, 0 to 1.
 
     Raises:
         LogError: The log lacks what that needs, or ends before.
@@ -110,17 +139,9 @@ def take_up(
         if start is not None:
             begun = () if last is None else read_until(path, last)
             start(twin, label, Beginning(begun, state and state.recorder))
-        taken = TakenUp(setup, done, twin, RecordedHosts(twin, events_in(path, pieces, label.robots)))
-        moments = [*(change for change in changes[len(done) :] if change.at_ns < at_ns), None]
-        for change in moments:
-            end_ns = at_ns if change is None else change.at_ns
-            taken.hosts.repeat(lambda time_ns, end_ns=end_ns: time_ns < end_ns)
-            while taken.twin.world.time_ns < end_ns:
-                taken.twin.world.advance_to(min(end_ns, taken.twin.world.time_ns + NS_PER_S))
-                if progress is not None:
-                    progress((taken.twin.world.time_ns - from_ns) / max(at_ns - from_ns, 1))
-            if change is not None:
-                taken.change(change)
+        hosts = RecordedHosts(twin, events_in(path, pieces, label.robots))
+        taken = TakenUp(setup, done, twin, hosts, [*changes[len(done) :]])
+        taken.run_to(at_ns)
         return taken
     except LogError:
         raise
@@ -144,12 +165,15 @@ def branch_off(
     log: Path | None = None,
     more: Described = _NOTHING,
     on_failure: Callable[[str], None] | None = None,
+    *,
+    same: bool = False,
 ) -> TakenUp:
     """Take up the run of a log, and change it; the recorded hosts are still there.
 
     Args:
         path: Path of the log.
         change: Moment, and what is different from then on.
+        same: True if nothing is, so that the recorded run goes on with its own later changes.
         log: Path of a new log, which begins as the old one; None for none.
         more: More facts and attachments of the new log.
         on_failure: Function that takes the line about a log that cannot be written any more; None to end.
@@ -176,15 +200,21 @@ def branch_off(
             "parent_sha256": told.sha256,
             "branched_at_s": f"{told.at_ns / NS_PER_S:.9g}",
         }
-        text = changes_text((*changes_of(path, label), told))
+        before = [each for each in changes_of(path, label) if each.at_ns < told.at_ns]
+        later = [each for each in changes_of(path, label) if same and each.at_ns >= told.at_ns]
+        text = changes_text([*before, told, *later])
         attachments = {**label.attachments, BRANCH: text, **more.attachments}
         begun.append(twin)
         if log is not None:
             twin.record(log, facts=facts, attachments=attachments, beginning=beginning, on_failure=on_failure)
 
     try:
-        taken = take_up(path, change.at_ns, None if log is None else start)
-        taken.change(change)
+        # A run that stays the same need not stop amid a step.
+        at_ns = change.at_ns // STEP_NS * STEP_NS if same else change.at_ns
+        taken = take_up(path, at_ns, None if log is None else start)
+        if not same:
+            taken.later.clear()
+            taken.change(change)
     except BaseException:
         for recorder in filter(None, [twin.recorder for twin in begun]):
             recorder.discard()

@@ -27,8 +27,6 @@ from khep_twin.world import World
 
 Floats = NDArray[np.float64]
 
-_STEP_NS = NS_PER_S // 10
-
 
 @dataclass(frozen=True, slots=True)
 class Plan:
@@ -88,12 +86,15 @@ def branch(
     end_ns = ends_at(plan) if plan.cycles is None else None
     source = plan.controller and source_of(plan.controller)
     more = Described(source.facts, source.attachments) if source else Described()
-    taken = branch_off(plan.log, plan.change, path, more, on_failure)
+    same = plan.controller is None and not plan.change.text
+    taken = branch_off(plan.log, plan.change, path, more, on_failure, same=same)
     way = _Observed(taken.twin.world)
     # As of any run that fails, the log has what came before.
     with taken.twin:
         if plan.controller is None:
-            _go_on(taken, end_ns or plan.change.at_ns, progress, stop)
+            last_ns = end_ns or plan.change.at_ns
+            taken.run_to(last_ns, progress, stop)
+            taken.hosts.repeat(lambda time_ns: time_ns <= last_ns)
         else:
             _take_over(taken, plan, plan.controller, end_ns, progress, stop)
     return way.way()
@@ -121,21 +122,6 @@ def ends_at(plan: Plan) -> int:
     if plan.seconds is not None:
         return plan.change.at_ns + round(plan.seconds * NS_PER_S)
     return end_of(plan.log)
-
-
-def _go_on(
-    taken: TakenUp,
-    end_ns: int,
-    progress: Callable[[float], None] | None,
-    stop: Callable[[], bool] | None,
-) -> None:
-    """Let the recorded hosts go on."""
-    start_ns = taken.twin.world.time_ns
-    while (now_ns := taken.twin.world.time_ns) < end_ns and not (stop is not None and stop()):
-        taken.hosts.advance_to(min(now_ns + _STEP_NS, end_ns))
-        if progress is not None:
-            progress((taken.twin.world.time_ns - start_ns) / (end_ns - start_ns))
-    taken.hosts.repeat(lambda time_ns: time_ns <= end_ns)
 
 
 def _take_over(
