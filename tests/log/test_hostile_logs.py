@@ -72,7 +72,7 @@ ACTS = {
     "half an event": ((0, 0, 0, -1, -1), "5 numbers at 0; expected 6 that begin an event"),
     "no byte": ((0, 0, 0, -1, -1, 1, 256), "byte = 256 after number 5; expected 0 to 255"),
     "a negative byte": ((0, 0, 0, -1, -1, 1, -1), "byte = -1 after number 5; expected 0 to 255"),
-    "an unknown kind": ((0, 8, 0, -1, -1, 0), "kind = 8 at number 0; expected 0 to 7"),
+    "an unknown kind": ((0, 9, 0, -1, -1, 0), "kind = 9 at number 0; expected 0 to 8"),
     "a time before the run": ((-1, 0, 0, -1, -1, 0), "time = -1 at number 0; expected 0 to"),
     "a place of two bytes": ((0, 4, 0, -1, -1, 2, 1, 2), "size = 2 of kind 4 at number 0; expected 24 or 25"),
     "a switch of a byte": ((0, 5, 0, -1, -1, 1, 1), "size = 1 of kind 5 at number 0; expected 5 bytes"),

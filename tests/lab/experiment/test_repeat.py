@@ -144,6 +144,7 @@ def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path:
         HostEventKind.DISCONNECT,
         HostEventKind.FLUSH,
         HostEventKind.SET,
+        HostEventKind.NOTE,
     }
     assert repeat(recorded) is None
 
