@@ -1,0 +1,110 @@
+"""A robot that a shadow follows, on the command line: its alarms as lines, and a summary."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.invocation import command
+
+if TYPE_CHECKING:
+    from khep_twin.playpen import Playpen
+    from khep_twin.shadow.following import Change
+    from khep_twin.shadow.recording import Heard
+    from khep_twin.shadow.shadow import ShadowSettings, Update
+
+ALARM_CODE = 4
+"""Exit code of `--exit-on alarm`; 3 is that of a log that failed, or of a run that differs."""
+
+_TWO_SIDED = 1.96
+"""Standard deviations in half of a 95 % interval."""
+
+
+class Followed:
+    """A robot that is followed.
+
+    Args:
+        playpen: Playpen with the robot.
+        settings: Settings of the shadow.
+        ends_on_alarm: Whether to end at the first alarm.
+        output: Log of the shadow to write.
+    """
+
+    def __init__(
+        self, playpen: "Playpen", settings: "ShadowSettings", ends_on_alarm: bool, output: Path | None
+    ) -> None:
+        from khep_twin.sensing import calibration
+        from khep_twin.shadow.following import Follower
+        from khep_twin.shadow.shadow import Shadow
+
+        self._calibration = calibration.read(playpen.robots[0].calibration)[0]
+        self._shadow = Shadow(playpen, settings)
+        self._follower = Follower(self._shadow)
+        self._ends_on_alarm = ends_on_alarm
+        self._output = output
+
+    def follow(self, heard: "Iterable[Heard]", stop: Callable[[], bool]) -> int:
+        """Follow a line until its end, an alarm or a signal; return the exit code."""
+        for each in heard:
+            for update in self._follower.feed(each):
+                for change in self._follower.changes(update):
+                    typer.echo(alarm_line(change))
+                if self._ends_on_alarm and update.alarms:
+                    return ALARM_CODE
+            if stop():
+                return 130
+        return 0
+
+    def close(self, took_s: float | None = None) -> None:
+        """Complete the log; print where the robot is, what was learned of it, and how fast.
+
+        Args:
+            took_s: Time that it took; None where it took the robot's time.
+        """
+        last = self._follower.last
+        if last is None:
+            typer.echo("khep-twin: no reply with values was heard; expected replies to N or H", err=True)
+        else:
+            for line in self._summary(last):
+                typer.echo(line)
+            took = "" if took_s is None else f" in {took_s:.1f} s"
+            seconds, replies = last.time_ns / NS_PER_S, self._follower.replies
+            typer.echo(f"{seconds:.1f} s followed{took}, {replies} replies", err=True)
+        if self._output is not None:
+            look = command("view", self._output)
+            typer.echo(f"log        {self._output}      look at it: {look}", err=True)
+
+    def _summary(self, last: "Update") -> Iterator[str]:
+        """Yield lines about the pose, dead reckoning and the wheels, with 95 % intervals."""
+        from khep_twin.shadow.learned import learned
+
+        (x, y, heading), covariance = last.estimate.pose, last.estimate.covariance
+        dx, dy, turn = (_TWO_SIDED * math.sqrt(covariance[i, i]) for i in range(3))
+        yield (
+            f"pose       {x * 1e3:.1f} mm +- {dx * 1e3:.1f}, {y * 1e3:.1f} mm +- {dy * 1e3:.1f}, "
+            f"{math.degrees(heading):.1f} degrees +- {math.degrees(turn):.1f} (95 %)"
+        )
+        away = math.hypot(last.reckoned[0] - x, last.reckoned[1] - y) * 1e3
+        turned = math.degrees(math.remainder(last.reckoned[2] - heading, math.tau))
+        yield f"reckoning  {away:.0f} mm and {turned:+.1f} degrees off, by commands alone"
+        found, own = learned(self._shadow), self._calibration.wheels
+        (radius, ratio, base), deviations = (
+            found.wheels.tolist(),
+            (_TWO_SIDED * found.wheel_deviations).tolist(),
+        )
+        yield (
+            f"wheels     radius {own.radius_mm * radius:.3f} mm +- {own.radius_mm * deviations[0]:.3f}, "
+            f"right over left {own.right_over_left * ratio:.4f} +- {deviations[1]:.4f}, "
+            f"base {own.base_mm * base:.2f} mm +- {own.base_mm * deviations[2]:.2f} (95 %)"
+        )
+
+
+def alarm_line(change: "Change") -> str:
+    """Return a line about an alarm that has begun or ended."""
+    alarm = change.alarm
+    how = f"{alarm.sureness:.0%} sure" if alarm.ended_ns is None else "over"
+    since = f"{alarm.channel}, since {alarm.since_ns / NS_PER_S:.2f} s, {how}"
+    return f"{change.time_ns / NS_PER_S:9.2f} s  {alarm.fault}: {since}"
