@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,8 @@ ALARM_CODE = 4
 
 _TWO_SIDED = 1.96
 """Standard deviations in half of a 95 % interval."""
+
+_WARM_UP = (b"D,1,1\n", b"d\r\n"), (b"N\n", b"n,0,0,0,0,0,0,0,0\r\n"), (b"H\n", b"h,0,0\r\n")
 
 
 class Followed:
@@ -45,15 +48,29 @@ class Followed:
         self._follower = Follower(self._shadow)
         self._ends_on_alarm = ends_on_alarm
         self._output = output
+        self._warm_up(playpen, settings)
 
-    def follow(self, heard: "Iterable[Heard]", stop: Callable[[], bool]) -> int:
-        """Follow a line until its end, an alarm or a signal; return the exit code."""
+    def follow(
+        self,
+        heard: "Iterable[Heard]",
+        stop: Callable[[], bool],
+        show: Callable[[str], None] | None = None,
+    ) -> int:
+        """Follow a line until its end, an alarm or a signal; return the exit code.
+
+        Args:
+            heard: Bytes that crossed the line.
+            stop: Function that returns whether to end.
+            show: Function that takes the pose, as text, after each reply.
+        """
         for each in heard:
             for update in self._follower.feed(each):
                 for change in self._follower.changes(update):
                     typer.echo(alarm_line(change))
                 if self._ends_on_alarm and update.alarms:
                     return ALARM_CODE
+                if show is not None:
+                    show(_told(update))
             if stop():
                 return 130
         return 0
@@ -76,6 +93,16 @@ class Followed:
         if self._output is not None:
             look = command("view", self._output)
             typer.echo(f"log        {self._output}      look at it: {look}", err=True)
+
+    @staticmethod
+    def _warm_up(playpen: "Playpen", settings: "ShadowSettings") -> None:
+        """Load all compiled code, so that a line that has begun does not wait for it."""
+        from khep_twin.shadow.shadow import Shadow
+
+        other = Shadow(playpen, replace(settings, particles=10))
+        for time_ns, (asked, answered) in enumerate(_WARM_UP, 1):
+            other.feed(time_ns * NS_PER_S // 10, True, asked)
+            other.feed(time_ns * NS_PER_S // 10 + NS_PER_S // 20, False, answered)
 
     def _summary(self, last: "Update") -> Iterator[str]:
         """Yield lines about the pose, dead reckoning and the wheels, with 95 % intervals."""
@@ -100,6 +127,16 @@ class Followed:
             f"right over left {own.right_over_left * ratio:.4f} +- {deviations[1]:.4f}, "
             f"base {own.base_mm * base:.2f} mm +- {own.base_mm * deviations[2]:.2f} (95 %)"
         )
+
+
+def _told(update: "Update") -> str:
+    (x, y, heading), covariance = update.estimate.pose, update.estimate.covariance
+    place = 1e3 * math.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)
+    faults = ", ".join(alarm.fault for alarm in update.alarms) or "no alarm"
+    return (
+        f"{update.time_ns / NS_PER_S:.1f} s  {x * 1e3:.0f}, {y * 1e3:.0f} mm +- {_TWO_SIDED * place:.0f}, "
+        f"{math.degrees(heading):.0f} degrees  {faults}"
+    )
 
 
 def alarm_line(change: "Change") -> str:

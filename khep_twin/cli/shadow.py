@@ -1,30 +1,46 @@
 """`khep-twin shadow`: the twin beside a robot, live or from a log."""
 
 import math
+import os
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli.completion import logs
+from khep_twin.cli.completion import logs, ports
+from khep_twin.cli.endpoints import EndpointOptions
 from khep_twin.cli.followed import ALARM_CODE, Followed
-from khep_twin.cli.option_groups import grouped
-from khep_twin.cli.options import Force, check_apart, check_new, check_writable, usage
+from khep_twin.cli.option_groups import LogOptions, grouped, option_names
+from khep_twin.cli.options import (
+    check_apart,
+    check_new,
+    check_writable,
+    complain,
+    given,
+    running_mode,
+    usage,
+)
 from khep_twin.cli.playpen import PlaypenName
 from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.cli.relayed import line_baud, relay_robot
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PlaypenError
 from khep_twin.signals import stopping
+from khep_twin.status_line import status_line
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
     from khep_twin.shadow.recording import Heard
     from khep_twin.shadow.shadow import ShadowSettings
+    from khep_twin.shadow.tap import TappedLine
+
+_BEHIND_S = 2.0
+"""Delay of the estimate from which on it is told (assumed) [s]."""
 
 _NUMBER = r"-?\d{1,6}(?:\.\d{1,6})?"
 _POSE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER})")
@@ -52,6 +68,10 @@ class ShadowOptions:
     particles: Annotated[
         int, typer.Option(min=10, max=100_000, help="Number of particles, once the pose is known.")
     ] = 1000
+
+    def words(self) -> list[str]:
+        """Return these options as words of a command line."""
+        return [f"--{field.name}={getattr(self, field.name)}" for field in fields(self)]
 
     def load(self, name: str, robot: int = 0) -> "Playpen":
         """Return the playpen with the robot alone, at its start."""
@@ -82,15 +102,31 @@ class ShadowOptions:
         return ShadowSettings(self.seed, self.particles, self.start != "unknown", spread, baud)
 
 
+_OF_A_ROBOT = option_names(EndpointOptions) | {"mode", "poll", "log", "ignore_log_errors"}
+"""Options of a robot at --relay that mean nothing to a log, by the names of their parameters."""
+
+
 @grouped
 def shadow(
+    context: typer.Context,
     *,
     playpen: PlaypenName,
-    log: Annotated[
-        Path,
-        typer.Argument(metavar="LOG", help="Log of a relay, or of a twin, FILE.mcap.", autocompletion=logs),
-    ],
-    robot: Annotated[int, typer.Option(min=0, help="Number of the robot in the log, from 0.")] = 0,
+    recording: Annotated[
+        Path | None,
+        typer.Argument(metavar="[LOG]", help="Log of a relay, or of a twin, FILE.mcap.", autocompletion=logs),
+    ] = None,
+    relay: Annotated[
+        str | None,
+        typer.Option(
+            help="Follow the robot at this port, and pass all on to its host.", autocompletion=ports
+        ),
+    ] = None,
+    endpoint: EndpointOptions,
+    mode: Annotated[
+        str | None, typer.Option(help="Running mode of the robot: the speed of its line.")
+    ] = None,
+    poll: Annotated[bool, typer.Option("--poll", help="Ask the robot while no host does.")] = False,
+    robot: Annotated[int, typer.Option(min=0, help="Number of the robot in playpen and log, from 0.")] = 0,
     options: ShadowOptions,
     until: Annotated[float | None, typer.Option(min=0, help="End at this time of the log [s].")] = None,
     exit_on: Annotated[
@@ -100,27 +136,110 @@ def shadow(
         Path | None,
         typer.Option("--output", "-o", help="Log of poses, residuals and alarms to write, FILE.mcap."),
     ] = None,
-    force: Force = False,
+    logging: LogOptions,
+    line_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Follow a robot by its line: where it is, and what is wrong with it.
+    """Follow a robot by its line, live or from a log: where it is, and what is wrong with it.
 
-    Standard output has a line for each alarm that begins or ends.
+    Standard output has a line for each alarm that begins or ends, with --relay after what a host opens.
     """
+    settings = options.settings(line_baud(running_mode(mode)))
+    check_writable(output)
+    check_apart([playpen, *([] if recording is None else [recording])], output, logging.log)
+    check_new(logging.force, output, logging.log)
+    if relay is not None:
+        if recording is not None or until is not None:
+            raise usage("--relay follows a robot, not a log; expected either, and --until with a log only")
+        endpoint.check()
+        words = [playpen, f"--robot={robot}", *options.words(), *(["--mode", mode] if mode else [])]
+        words += [*(["--exit-on", exit_on.value] if exit_on else []), *(["--force"] if logging.force else [])]
+        words += ["--output", str(output)] if output is not None else []
+        from khep_twin.host.opening import numbered
+
+        _beside_robot(numbered(relay), settings.baud, words, endpoint, logging, poll)
+        return
+    found = options.load(playpen, robot)
+    if line_fd is not None:
+        _follow_line(line_fd, Followed(found, settings, exit_on is not None, output))
+        return
+    if ignored := given(context) & _OF_A_ROBOT:
+        raise usage(f"--{min(ignored).replace('_', '-')} is for a robot at --relay, not for a log")
+    if recording is None:
+        raise usage("nothing to follow; expected a log, FILE.mcap, or a robot's port, --relay PORT")
+    _follow_log(recording, robot, until, found, settings, exit_on is not None, output)
+
+
+def _follow_log(
+    path: Path,
+    robot: int,
+    until: float | None,
+    playpen: "Playpen",
+    settings: "ShadowSettings",
+    ends_on_alarm: bool,
+    output: Path | None,
+) -> None:
+    """Follow a recorded robot."""
     from khep_twin.shadow.recording import recorded
 
-    settings = options.settings(9600)
-    _check_output(playpen, log, output, force)
-    line = recorded(log, robot)
-    found = options.load(playpen)
+    line = recorded(path, robot)
     if line.baud is not None:
         settings = replace(settings, baud=line.baud)
     end_ns = line.heard[-1].time_ns if until is None else min(int(until * NS_PER_S), line.heard[-1].time_ns)
     with stopping() as stop:
-        followed = Followed(found, settings, exit_on is not None, output)
+        followed = Followed(playpen, settings, ends_on_alarm, output)
         begun = time.monotonic()
         with progress_bar() as show:
             code = followed.follow(_until(line.heard, end_ns, show), stop)
         followed.close(time.monotonic() - begun)
+    if code:
+        raise typer.Exit(code)
+
+
+def _follow_line(descriptor: int, followed: Followed) -> None:
+    """Follow the line of a tap, as the process of `cli.beside`."""
+    from khep_twin.cli.beside import READY
+    from khep_twin.shadow.tap import TappedLine
+
+    with stopping(None) as stop, status_line() as status:
+        os.write(descriptor, READY)
+        line = TappedLine(descriptor, stop)
+        code = followed.follow(_on_time(line), stop, None if status is None else status.show)
+    followed.close()
+    if code:
+        raise typer.Exit(code)
+
+
+def _on_time(line: "TappedLine") -> "Iterator[Heard]":
+    """Yield what crosses the line; tell where the shadow falls behind."""
+    told = False
+    for each in line:
+        yield each
+        behind_s = line.behind_s(each.time_ns)
+        if not told and behind_s > _BEHIND_S:
+            complain(f"the shadow is {behind_s:.1f} s behind its robot; nothing is lost, its alarms are late")
+            told = True
+        elif told and behind_s < _BEHIND_S / 2:
+            complain("the shadow has caught up with its robot")
+            told = False
+
+
+def _beside_robot(
+    port: str, baud: int, words: list[str], endpoint: EndpointOptions, logging: LogOptions, poll: bool
+) -> None:
+    """Relay a robot's line, with a shadow in a process of its own."""
+    from khep_twin.cli.beside import beside
+
+    with stopping() as stop, beside(words, stop) as other:
+
+        def ends() -> bool:
+            return stop() or other.raised()
+
+        try:
+            relay_robot(port, baud, endpoint, logging, other.tap, poll=poll, stop=ends)
+        except Exception:
+            other.finish()
+            raise
+        code = other.finish()
     if code:
         raise typer.Exit(code)
 
@@ -138,10 +257,3 @@ def _until(
         if progress is not None:
             progress(each.time_ns / end_ns)
     yield Heard(end_ns, True, b"")
-
-
-def _check_output(playpen: str, log: Path, output: Path | None, force: bool) -> None:
-    """Refuse a log that could not be written, or would replace what is read."""
-    check_writable(output)
-    check_apart([playpen, log], output)
-    check_new(force, output)
