@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from khep_twin.cli.options import tell_kept
 from khep_twin.clock import NS_PER_S
 from khep_twin.invocation import command
 
@@ -34,10 +35,16 @@ class Followed:
         settings: Settings of the shadow.
         ends_on_alarm: Whether to end at the first alarm.
         output: Log of the shadow to write.
+        parent: Log that is followed; None for a robot.
     """
 
     def __init__(
-        self, playpen: "Playpen", settings: "ShadowSettings", ends_on_alarm: bool, output: Path | None
+        self,
+        playpen: "Playpen",
+        settings: "ShadowSettings",
+        ends_on_alarm: bool,
+        output: Path | None,
+        parent: Path | None = None,
     ) -> None:
         from khep_twin.sensing import calibration
         from khep_twin.shadow.following import Follower
@@ -47,8 +54,16 @@ class Followed:
         self._shadow = Shadow(playpen, settings)
         self._follower = Follower(self._shadow)
         self._ends_on_alarm = ends_on_alarm
-        self._output = output
         self._warm_up(playpen, settings)
+        self._log = None
+        if output is not None:
+            from khep_twin.log.recorder import FLUSH_NS
+            from khep_twin.shadow.shadow_log import LIVE_FLUSH_NS, ShadowLog
+
+            flush_ns = FLUSH_NS if parent else LIVE_FLUSH_NS
+            self._log = ShadowLog(output, playpen, settings, parent=parent, flush_ns=flush_ns)
+        self._output = output
+        tell_kept(self._log)
 
     def follow(
         self,
@@ -65,6 +80,8 @@ class Followed:
         """
         for each in heard:
             for update in self._follower.feed(each):
+                if self._log is not None:
+                    self._log.write(update)
                 for change in self._follower.changes(update):
                     typer.echo(alarm_line(change))
                 if self._ends_on_alarm and update.alarms:
@@ -75,8 +92,13 @@ class Followed:
                 return 130
         return 0
 
-    def close(self, took_s: float | None = None) -> None:
-        """Complete the log; print where the robot is, what was learned of it, and how fast.
+    def close(self) -> None:
+        """Complete the log."""
+        if self._log is not None:
+            self._log.close()
+
+    def tell(self, took_s: float | None = None) -> None:
+        """Print where the robot is, what was learned of it, how fast, and where the log is.
 
         Args:
             took_s: Time that it took; None where it took the robot's time.

@@ -5,6 +5,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
@@ -185,12 +186,12 @@ def _follow_log(
     if line.baud is not None:
         settings = replace(settings, baud=line.baud)
     end_ns = line.heard[-1].time_ns if until is None else min(int(until * NS_PER_S), line.heard[-1].time_ns)
-    with stopping() as stop:
-        followed = Followed(playpen, settings, ends_on_alarm, output)
+    with stopping() as stop, closing(Followed(playpen, settings, ends_on_alarm, output, path)) as followed:
         begun = time.monotonic()
         with progress_bar() as show:
             code = followed.follow(_until(line.heard, end_ns, show), stop)
-        followed.close(time.monotonic() - begun)
+        took_s = time.monotonic() - begun
+    followed.tell(took_s)
     if code:
         raise typer.Exit(code)
 
@@ -200,11 +201,11 @@ def _follow_line(descriptor: int, followed: Followed) -> None:
     from khep_twin.cli.beside import READY
     from khep_twin.shadow.tap import TappedLine
 
-    with stopping(None) as stop, status_line() as status:
+    with stopping(None) as stop, status_line() as status, closing(followed):
         os.write(descriptor, READY)
         line = TappedLine(descriptor, stop)
         code = followed.follow(_on_time(line), stop, None if status is None else status.show)
-    followed.close()
+    followed.tell()
     if code:
         raise typer.Exit(code)
 
