@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from khep_twin import step, units
 from khep_twin.board import kernel
-from khep_twin.board.fault_injection import Fault, Injector
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
@@ -19,6 +19,7 @@ from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import Firmware
 from khep_twin.playpen import Playpen
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.faulty_wheels import FaultyWheels
 
 REPLY_LIMIT = 256
 """Bytes of replies queued before the firmware takes no more commands (assumed)."""
@@ -112,6 +113,9 @@ class Robot:
         self._shown = [0] * len(_LEDS)
         self._line_noise = rng("line") if settings.strict_line else None
         self._faults = Injector(settings.faults, partial(rng, "fault"), partial(context.log_event, index))
+        self._wheels = None
+        if any(fault.device == WHEEL for fault in settings.faults):
+            self._wheels = FaultyWheels(model, data, indices)
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -226,12 +230,12 @@ class Robot:
         """Do what the stepping core has returned for.
 
         Args:
-            reason: `step.STEPPED` to begin faults of conversions, TICKED to run the turrets and begin other
-                faults, STOPPED to complete the stop of a processor whose supply is too low.
+            reason: `step.STEPPED` for faults of conversions, TICKED to run the turrets and for other faults,
+                STOPPED to complete the stop of a processor whose supply is too low.
         """
         if reason == step.STEPPED:
-            for fault in self._faults.begin("stuck", self._context.time_ns):
-                self._state["stuck"][fault.which] = 1
+            if self._faults.update((SENSOR,), self._context.time_ns):
+                self.apply_faults()
         elif reason == step.TICKED:
             self._run_turrets()
             self._fail()
@@ -247,8 +251,25 @@ class Robot:
 
     @property
     def next_faults_ns(self) -> list[int]:
-        """Starts of the faults that begin by themselves and have not begun [ns]."""
-        return self._faults.next_starts_ns
+        """Times at which faults begin or end by themselves [ns]."""
+        return self._faults.next_changes_ns
+
+    def apply_faults(self) -> None:
+        """Make sensors, motors and wheels as the present faults have them; sound without any."""
+        sensors, strengths, wheels = self._state["sensor_states"], self._state["strengths"], self._wheels
+        sensors[:], strengths[:] = step.SOUND, 1
+        if wheels is not None:
+            wheels.mend()
+        for fault in self._faults.active:
+            if fault.device == SENSOR:
+                state = step.DEAD if fault.kind == "dead" else step.STUCK
+                sensors[fault.which] = max(sensors[fault.which], state)
+            elif fault.device == MOTOR:
+                strengths[fault.which] = min(strengths[fault.which], fault.part)
+            elif wheels is not None and fault.kind == "slip":
+                wheels.slip(fault.which, fault.part)
+            elif wheels is not None and fault.device == WHEEL:
+                wheels.block(fault.which)
 
     @property
     def leds_differ(self) -> bool:
@@ -309,14 +330,21 @@ class Robot:
             body.drive()
 
     def _fail(self) -> None:
-        """Begin the faults of a control period."""
-        time_ns, data = self._context.time_ns, self._context.data
-        for fault in self._faults.begin("dead", time_ns):
-            self._state["dead"][fault.which] = 1
+        """Begin and end the faults of a control period."""
+        time_ns, data, state = self._context.time_ns, self._context.data, self._state
+        changed = self._faults.update((MOTOR, WHEEL, ""), time_ns)
+        if changed:
+            self.apply_faults()
+        for which in {fault.which for fault in changed if fault.device == MOTOR}:
             # From the next control period on the stepping core does this.
-            speed = data.qvel[self.indices.wheel_speeds[fault.which]]
-            data.ctrl[self.indices.motors[fault.which]] = self._state["motor_constant"] * speed
-        if self._faults.begin("brown-out", time_ns) and (banner := self.firmware.reset()):
+            voltage = units.duty_voltage(self.registers[kernel.DUTIES[which]], state["voltage"][0])
+            if state["strengths"][which] != 1:
+                speed = data.qvel[self.indices.wheel_speeds[which]]
+                constant = float(state["motor_constant"])
+                voltage = step.weak_voltage(state["strengths"][which], voltage, constant, speed)
+            data.ctrl[self.indices.motors[which]] = voltage
+        brown_out = any(fault.kind == "brown-out" for fault in changed)
+        if brown_out and (banner := self.firmware.reset()):
             self._take_speed(self.firmware.reply_baud)
             self._reply(banner, time_ns)
 

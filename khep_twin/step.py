@@ -42,6 +42,9 @@ STEPS, PHASE, FIRST, DRAWS = 0, 1, 2, 3
 of the first row of `StepInputs.powers`, and conversions for which random numbers have been used."""
 N_COUNTERS = 4
 
+SOUND, STUCK, DEAD = 0, 1, 2
+"""States of a sensor: it repeats its last reading, or its receiver passes no current."""
+
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
 _LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
@@ -83,8 +86,8 @@ class RobotState(NamedTuple):
         sensors: Sensors of the robot.
         registers: State of the board (N_REGISTERS,).
         processor: State of the processor (N_PROCESSOR,).
-        stuck: Whether each sensor repeats its last reading (8,).
-        dead: Whether the left and the right motor get no current (2,).
+        sensor_states: State of each sensor, SOUND, STUCK or DEAD (8,).
+        strengths: Part of its torque that the left and the right motor give (2,).
         voltage: Supply voltage as measured last (1,) [V].
     """
 
@@ -102,8 +105,8 @@ class RobotState(NamedTuple):
     sensors: RobotSensors
     registers: kernel.Registers
     processor: Vector[int]
-    stuck: Vector[int]
-    dead: Vector[int]
+    sensor_states: Vector[int]
+    strengths: Vector[float]
     voltage: Vector[float]
 
 
@@ -220,8 +223,10 @@ def convert_sensor(
     proximity, ambient = convert(
         simulated.scene, state.sensors, simulated.light, inputs.powers[row], time_ns, channel, noise
     )
-    if state.stuck[channel]:
+    if state.sensor_states[channel] == STUCK:
         proximity, ambient = registers[_PROXIMITY + channel], registers[_AMBIENT + channel]
+    elif state.sensor_states[channel] == DEAD:
+        proximity, ambient = 0, state.sensors.ambient.ceiling
     kernel.convert(registers, proximity, ambient)
 
 
@@ -252,6 +257,21 @@ def update_supply(scene: Scene, robot: RobotState, time_ns: int) -> bool:
 
 
 @compilable
+def weak_voltage(strength: float, voltage: float, constant: float, speed: float) -> float:
+    """Return the voltage [V] at which a motor gives a part of its torque.
+
+    A motor without current has the voltage that it generates, and no torque.
+
+    Args:
+        strength: Part of the torque.
+        voltage: Voltage of its duty [V].
+        constant: Torque per current [N m/A], or voltage per speed.
+        speed: Speed of the wheel [rad/s].
+    """
+    return strength * voltage + (1 - strength) * (constant * speed)
+
+
+@compilable
 def _scan(simulated: Simulated, inputs: StepInputs, first: int) -> None:
     """Convert the sensors of one step, of each robot, from a conversion on."""
     counters, conversions = simulated.counters, simulated.timing.conversions
@@ -272,10 +292,11 @@ def _tick(scene: Scene, robot: RobotState) -> None:
     kernel.run(registers, robot.processor, left, right)
     left_voltage = units.duty_voltage(registers[_LEFT_DUTY], robot.voltage[0])
     right_voltage = units.duty_voltage(registers[_RIGHT_DUTY], robot.voltage[0])
-    # A motor without current has the voltage that it generates, and no torque.
-    if robot.dead[0]:
-        left_voltage = robot.motor_constant * joint_speed(scene, robot.left_speed)
-    if robot.dead[1]:
-        right_voltage = robot.motor_constant * joint_speed(scene, robot.right_speed)
+    if robot.strengths[0] != 1:
+        speed = joint_speed(scene, robot.left_speed)
+        left_voltage = weak_voltage(robot.strengths[0], left_voltage, robot.motor_constant, speed)
+    if robot.strengths[1] != 1:
+        speed = joint_speed(scene, robot.right_speed)
+        right_voltage = weak_voltage(robot.strengths[1], right_voltage, robot.motor_constant, speed)
     set_motor(scene, robot.left_motor, left_voltage)
     set_motor(scene, robot.right_motor, right_voltage)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import step, units
-from khep_twin.board.fault_injection import Fault
+from khep_twin.board.fault_injection import WHEEL, Fault
 from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NEVER_NS
 from khep_twin.errors import DivergedError, MissingNumbaError
@@ -23,6 +23,7 @@ from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
 from khep_twin.robot import Robot, RobotSettings
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.simulation import faulty_wheels
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.simulation.simulation import Advance, Simulation
@@ -67,7 +68,7 @@ class World:
         compiled: Whether to step by compiled code, with the same results; None to change over to it in a long
             run, once it is compiled.
         shared: True to share the model of a `SceneModel` with other worlds, until a run with `vary`; LEDs are
-            not shown then, and there are no observers.
+            not shown then, and there are no observers. With faults of wheels it has a model of its own.
 
     Attributes:
         time_ns: Current time [ns].
@@ -101,13 +102,15 @@ class World:
         made = playpen if isinstance(playpen, SceneModel) else SceneModel.of(at_spots(playpen, seed))
         self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
         self._has_turrets = any(entry.turrets for entry in self._base.robots)
-        # LEDs are moved in the model.
-        self._shares_model = shared
+        # LEDs and faulty wheels change the model.
+        self._shares_model = shared = shared and not any(fault.device == WHEEL for fault in faults)
         own = isinstance(playpen, SceneModel) and not shared
         self.model: mujoco.MjModel = copy.copy(made.model) if own else made.model
         self.data = mujoco.MjData(self.model)
         self._forms = MujocoForms(self._base, self.model, self.data, shared)
-        self._bodies: NDArray[np.float64] = self.model.body_pos.copy()
+        self._compiled: dict[str, NDArray[np.float64]] = {
+            name: getattr(self.model, name).copy() for name in ("body_pos", *faulty_wheels.FIELDS)
+        }
         self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
         self.robots: tuple[Robot, ...] = ()
         self.simulation = Simulation(self._forms, self.timing)
@@ -146,7 +149,8 @@ class World:
         self._failure: DivergedError | None = None
         self.time_ns = 0
         if not self._shares_model:
-            self.model.body_pos[:] = self._bodies
+            for name, array in self._compiled.items():
+                getattr(self.model, name)[:] = array
         simulation.reset(seed, noise=noise, vary=vary)
         self.model = forms.model
         mujoco.mj_resetData(self.model, self.data)
@@ -324,9 +328,9 @@ class World:
         return end
 
     def _find_faults(self) -> None:
-        """Note when the next fault begins by itself."""
-        starts_ns = [fault_ns for robot in self.robots for fault_ns in robot.next_faults_ns]
-        self._fault_ns = min(starts_ns, default=NEVER_NS)
+        """Note when the next fault begins or ends by itself."""
+        changes_ns = [fault_ns for robot in self.robots for fault_ns in robot.next_faults_ns]
+        self._fault_ns = min(changes_ns, default=NEVER_NS)
 
     def _run(self, run: Callable[..., int], *arguments: int) -> int:
         """Run the stepping core and do what it returns for; return the reason."""

@@ -1,28 +1,38 @@
-"""Injected faults: a bad cable, a stuck sensor, a dead motor, a supply that drops out.
+"""Injected faults: a bad cable, faulty sensors, motors and wheels, a supply that drops out.
 
     drop:0.01            each byte on the line is lost with this probability
     garble:0.01          each byte has one bit flipped with this probability
     late:0.1:60          a reply begins 60 ms late with this probability
-    stuck:2              the sensor with this number (order of N) repeats its last reading for ever
+    stuck:2              the sensor with this number (order of N) repeats its last reading
+    dead:2               this sensor's receiver passes no current (assumed: proximity 0, ambient highest)
     dead:left            this motor gets no current: left or right
+    weak:left:0.5        this motor gives this part of its torque
+    slip:left:0.1        this wheel's tyre has this part of its friction on the floor
+    blocked:left         this wheel cannot turn, while its motor gets current
     brown-out            the processor is reset once by low voltage and restarts
 
-A suffix `@5` delays any of them to 5 simulated seconds after the start. Each fault has its own random stream,
-so that it changes nothing else in a run; every occurrence is logged.
+A suffix `@5` delays any of them to 5 simulated seconds after the start; with `@5-9` it ends 9 seconds after
+the start, and what it changed is as before. Each fault has its own random stream, so that it changes nothing
+else in a run; every occurrence is logged.
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.clock import to_ns
+from khep_twin.clock import NEVER_NS, to_ns
 from khep_twin.errors import FaultError, choices
 from khep_twin.units import N_SENSORS
 
+SENSOR, MOTOR, WHEEL = "sensor", "motor", "wheel"
+"""Devices that can be faulty."""
+
+_BROWN_OUT = "brown-out"
+_SIDES = ("left", "right")
 _NUMBER = re.compile(r"[0-9]{1,6}(\.[0-9]{1,9})?")
 
 
@@ -35,16 +45,27 @@ class Fault:
         text: The whole fault as written.
         probability: Probability of each occurrence; 1 for a deterministic fault.
         delay_ns: Delay of a late reply [ns].
-        which: Number of the sensor, or 0 for the left and 1 for the right motor.
+        device: SENSOR, MOTOR or WHEEL; empty for a fault of line or processor.
+        which: Number of the sensor, or 0 for the left and 1 for the right motor or wheel.
+        part: Part of a motor's torque or a tyre's friction that is left.
         start_ns: Start of the fault [ns].
+        end_ns: End of the fault [ns].
     """
 
     kind: str
     text: str
     probability: float = 1.0
     delay_ns: int = 0
+    device: str = ""
     which: int = 0
+    part: float = 0.0
     start_ns: int = 0
+    end_ns: int = NEVER_NS
+
+    @property
+    def ends(self) -> bool:
+        """Whether it ends by itself."""
+        return self.end_ns < NEVER_NS
 
 
 def parse(text: str) -> Fault:
@@ -53,16 +74,21 @@ def parse(text: str) -> Fault:
     Raises:
         FaultError: The fault is unknown or malformed.
     """
-    what, at, start = text.partition("@")
+    what, at, times = text.partition("@")
+    start, until, end = times.partition("-")
     kind, *values = what.split(":")
     if kind not in _KINDS:
         raise FaultError(f"fault {text!r}: unknown; {choices(kind, _KINDS)}")
     read, wanted = _KINDS[kind]
     try:
         start_ns = to_ns(_number(start, 0, 1e6)) if at else 0
-        return Fault(kind, text, start_ns=start_ns, **read(*values))
+        end_ns = to_ns(_number(end, 0, 1e6)) if until else NEVER_NS
+        if end_ns <= start_ns or (until and kind == _BROWN_OUT):
+            raise ValueError(text)
+        return Fault(kind, text, start_ns=start_ns, end_ns=end_ns, **read(*values))
     except (TypeError, ValueError):
-        raise FaultError(f"fault {text!r}: expected {wanted}, with @SECONDS appended if wanted") from None
+        times = "@SECONDS" if kind == _BROWN_OUT else "@SECONDS or @FROM-TO"
+        raise FaultError(f"fault {text!r}: expected {wanted}, with {times} appended if wanted") from None
 
 
 class Injector:
@@ -74,7 +100,7 @@ class Injector:
         log_event: Callback that logs a message.
 
     Attributes:
-        next_starts_ns: Starts of the deterministic faults that have not begun [ns].
+        active: Faults of devices that have begun and not ended, and those of the line that will end.
     """
 
     def __init__(
@@ -86,20 +112,26 @@ class Injector:
         self._faults = tuple(faults)
         self._rng = {fault.text: rng(fault.text) for fault in self._faults}
         self._log_event = log_event
-        lasting = (fault for fault in self._faults if fault.kind in ("stuck", "dead", "brown-out"))
-        self._waiting = list(dict.fromkeys(lasting))
-        self.next_starts_ns = [fault.start_ns for fault in self._waiting]
+        timed = (each for each in self._faults if each.device or each.kind == _BROWN_OUT or each.ends)
+        self._waiting = list(dict.fromkeys(timed))
+        self.active: list[Fault] = []
+
+    @property
+    def next_changes_ns(self) -> list[int]:
+        """Times at which faults begin or end by themselves [ns]."""
+        ends_ns = [fault.end_ns for fault in self.active if fault.ends]
+        return [fault.start_ns for fault in self._waiting] + ends_ns
 
     def over_the_line(self, data: bytes, time_ns: int) -> bytes:
         """Return the bytes as a bad cable delivers them."""
         if not self._faults:
             return data
-        for fault in self._active("drop", time_ns):
+        for fault in self._present("drop", time_ns):
             hit = self._draw(fault, len(data))
             if hit.any():
                 self._log_event(f"fault {fault.text}: {int(hit.sum())} of {data!r} dropped")
                 data = bytes(byte for byte, lost in zip(data, hit, strict=True) if not lost)
-        for fault in self._active("garble", time_ns):
+        for fault in self._present("garble", time_ns):
             hit = self._draw(fault, len(data))
             if hit.any():
                 bits = self._rng[fault.text].integers(0, 8, len(data)).tolist()
@@ -113,28 +145,33 @@ class Injector:
     def delay_ns(self, time_ns: int) -> int:
         """Return the delay of a reply [ns]."""
         delay_ns = 0
-        for fault in self._active("late", time_ns):
+        for fault in self._present("late", time_ns):
             if self._draw(fault, 1).any():
                 self._log_event(f"fault {fault.text}: a reply is late")
                 delay_ns += fault.delay_ns
         return delay_ns
 
-    def begin(self, kind: str, time_ns: int) -> list[Fault]:
-        """Return the deterministic faults of a kind that begin now; each begins once and is logged."""
-        begun = [fault for fault in self._active(kind, time_ns) if fault in self._waiting]
+    def update(self, devices: Collection[str], time_ns: int) -> list[Fault]:
+        """Begin and end the faults of some devices that are due, and log it; return those that changed."""
+        over = [each for each in self.active if each.device in devices and each.end_ns <= time_ns]
+        begun = [each for each in self._waiting if each.device in devices and each.start_ns <= time_ns]
+        for fault in over:
+            self.active.remove(fault)
+            self._log_event(f"fault {fault.text} ends")
         for fault in begun:
             self._waiting.remove(fault)
+            if fault.kind != _BROWN_OUT:
+                self.active.append(fault)
             self._log_event(f"fault {fault.text} begins")
-        self.next_starts_ns = [fault.start_ns for fault in self._waiting]
-        return begun
+        return over + begun
 
     def next_brown_out_ns(self) -> int | None:
         """Return the start of the next supply drop-out [ns], None if there is none."""
-        starts = (fault.start_ns for fault in self._waiting if fault.kind == "brown-out")
+        starts = (fault.start_ns for fault in self._waiting if fault.kind == _BROWN_OUT)
         return min(starts, default=None)
 
-    def _active(self, kind: str, time_ns: int) -> list[Fault]:
-        return [fault for fault in self._faults if fault.kind == kind and time_ns >= fault.start_ns]
+    def _present(self, kind: str, time_ns: int) -> list[Fault]:
+        return [each for each in self._faults if each.kind == kind and each.start_ns <= time_ns < each.end_ns]
 
     def _draw(self, fault: Fault, count: int) -> NDArray[np.bool_]:
         return self._rng[fault.text].random(count) < fault.probability
@@ -152,7 +189,9 @@ class _Values(TypedDict, total=False):
 
     probability: float
     delay_ns: int
+    device: str
     which: int
+    part: float
 
 
 def _by_chance(probability: str) -> _Values:
@@ -164,11 +203,23 @@ def _late(probability: str, delay_ms: str) -> _Values:
 
 
 def _stuck(sensor: str) -> _Values:
-    return {"which": [str(number) for number in range(N_SENSORS)].index(sensor)}
+    return {"device": SENSOR, "which": [str(number) for number in range(N_SENSORS)].index(sensor)}
 
 
-def _dead(side: str) -> _Values:
-    return {"which": ("left", "right").index(side)}
+def _dead(which: str) -> _Values:
+    return {"device": MOTOR, "which": _SIDES.index(which)} if which in _SIDES else _stuck(which)
+
+
+def _weak(side: str, part: str) -> _Values:
+    return {"device": MOTOR, "which": _SIDES.index(side), "part": _number(part, 0, 1)}
+
+
+def _slip(side: str, part: str) -> _Values:
+    return {"device": WHEEL, "which": _SIDES.index(side), "part": _number(part, 0, 1)}
+
+
+def _blocked(side: str) -> _Values:
+    return {"device": WHEEL, "which": _SIDES.index(side)}
 
 
 def _plain() -> _Values:
@@ -180,6 +231,9 @@ _KINDS: Mapping[str, tuple[Callable[..., _Values], str]] = {
     "garble": (_by_chance, "garble:PROBABILITY, such as garble:0.01"),
     "late": (_late, "late:PROBABILITY:MILLISECONDS, such as late:0.1:60"),
     "stuck": (_stuck, f"stuck:SENSOR, 0 to {N_SENSORS - 1}"),
-    "dead": (_dead, "dead:left or dead:right"),
-    "brown-out": (_plain, "brown-out alone"),
+    "dead": (_dead, f"dead:SENSOR, 0 to {N_SENSORS - 1}, dead:left or dead:right"),
+    "weak": (_weak, "weak:SIDE:PART, such as weak:left:0.5"),
+    "slip": (_slip, "slip:SIDE:PART, such as slip:left:0.1"),
+    "blocked": (_blocked, "blocked:left or blocked:right"),
+    _BROWN_OUT: (_plain, "brown-out alone"),
 }

@@ -40,8 +40,9 @@ Faults = Annotated[
     list[str] | None,
     typer.Option(
         "--fault",
-        help="Inject this fault, as often as wanted: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SIDE or "
-        "brown-out, with @SECONDS to begin later.",
+        help="Inject this fault, as often as wanted: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SENSOR, "
+        "dead:SIDE, weak:SIDE:PART, slip:SIDE:PART, blocked:SIDE or brown-out, with @SECONDS to begin later "
+        "or @FROM-TO to end as well.",
     ),
 ]
 Force = Annotated[

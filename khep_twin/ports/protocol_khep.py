@@ -298,7 +298,7 @@ _OPTIONS: dict[str, tuple[Callable[[str], object], str]] = {
     "strict_line": (_ON_OFF, "on or off"),
     "fault": (
         lambda text: tuple(text.split(",")),
-        "faults with commas between them, such as drop:0.01,stuck:2@5",
+        "faults with commas between them, such as drop:0.01,stuck:2@5-9",
     ),
     "log": (str, "the name of the log to write"),
 }

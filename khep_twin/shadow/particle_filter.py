@@ -1,45 +1,26 @@
 """A particle filter whose particles are planar twins: where a robot is, from commands and sensor replies.
 
-Each particle has a pose, wheels of its own (mean radius, ratio, base), and for each proximity sensor an
-estimate of its gain with a variance, which a Kalman filter updates by the readings. The likelihood of a
-reading z, where the twin predicts c = gain light - threshold, is
-
-    (1 - e) N(z; c, s^2) + e / 1024,    s^2 = noise^2 + (MODEL c)^2 + (gain light)^2 var(log gain)
-
-and where the reading is clipped, at the limit or by the noise floor, the probability of what is beyond.
+Each particle has a pose and wheels of its own: mean radius, ratio and base, which drift a little. Replies to
+N
+weigh the particles (`sensor_model`), those to H move them; where few of them count, they are drawn anew.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board import kernel
 from khep_twin.errors import PlaypenError
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing import calibration
+from khep_twin.shadow.actions import Action, Counted, Seen, repeat
+from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import TICK_NS, Planes
+from khep_twin.shadow.sensor_model import GAIN_DEVIATION, SensorModel, log_of_sum
 
 Floats = NDArray[np.float64]
-
-TEMPER = 0.2
-"""Power of the likelihood: errors of the model last for many replies, where noise would not (assumed)."""
-
-OUTLIERS = 0.02
-"""Part of the readings that the twins cannot explain (assumed)."""
-
-MODEL = 0.15
-"""Relative deviation of readings from the twin's, besides their gain: headings, lobes (assumed)."""
-
-GAIN_DEVIATION = 0.25
-"""Standard deviation of the logarithm of one sensor's gain, besides the common one: its own 13 %, and what a
-wrong heading does to it."""
-
-GAIN_LEAST = 0.03
-"""Standard deviation below which no gain is taken for known: the model is no better."""
 
 RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT = 2e-4, 5e-5, 2e-4
 """Drift of the wheels' mean radius, ratio and base in a second's square root, as parts (assumed)."""
@@ -53,7 +34,8 @@ SLIP_NOISE = 3.0
 LEAST_EFFECTIVE = 0.5
 """Part of the particles that count, below which they are drawn anew."""
 
-_POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
+_FRESH_TICKS = 25
+"""Time for whose noise few particles are spread that become many [ticks]."""
 
 
 class Spread(NamedTuple):
@@ -78,36 +60,6 @@ class Spread(NamedTuple):
 
 PUBLISHED = Spread()
 """Spread of robots of the same make, put down by hand within 10 mm and 5 degrees."""
-
-
-@dataclass(slots=True)
-class Particles:
-    """Particles of a filter.
-
-    Attributes:
-        planes: Their twins.
-        logs: Logarithms of their weights (n,).
-        wheels: Wheels' mean radius, ratio and base, as parts of the calibration's (n, 3).
-        gains: Logarithms of each sensor's gain, over the calibration's (n, 8).
-        variances: Their variances (n, 8).
-        counted: Counters as replied last, less the twins' own (n, 2) [pulses]; NaN before the first reply.
-    """
-
-    planes: Planes
-    logs: Floats
-    wheels: Floats
-    gains: Floats
-    variances: Floats
-    counted: Floats
-
-    def taken(self, indices: NDArray[np.intp]) -> "Particles":
-        """Return copies of particles at these indices, with equal weights."""
-        logs = np.full(len(indices), -math.log(len(indices)))
-        rest = (each[indices] for each in (self.wheels, self.gains, self.variances, self.counted))
-        return Particles(self.planes.taken(indices), logs, *rest)
-
-    def __len__(self) -> int:
-        return len(self.logs)
 
 
 class Estimate(NamedTuple):
@@ -137,82 +89,57 @@ class ParticleFilter:
         particles: Particles.
         evidence: Logarithm of the probability of all readings so far.
         expected: Readings expected last, over all particles (8,).
+        surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms.
     """
 
     def __init__(
         self, setup: EpisodeSetup, particles: Particles, rng: np.random.Generator, count: int
     ) -> None:
         self._setup, self.particles, self._rng, self._count = setup, particles, rng, count
-        proximity: Any = particles.planes.proximity
-        self._threshold, self._noise = proximity["threshold"], proximity["noise"]
-        self._limit, self._quantum = int(proximity["limit"]), int(proximity["quantum"])
-        self._idle = max(float(proximity["idle"]), float(proximity["floor"]))
+        self._model = SensorModel(particles.planes)
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
+        self.surprise: Floats = np.zeros(8)
         self._drifted_ticks = particles.planes.ticks
 
-    def advance_to(self, time_ns: int) -> None:
-        """Advance all twins to the last tick by a time [ns]."""
-        planes = self.particles.planes
-        if (ticks := time_ns // TICK_NS - planes.ticks) > 0:
-            planes.advance(ticks)
+    def act(self, action: Action, use: NDArray[np.bool_]) -> Floats:
+        """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
 
-    def see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> Floats:
-        """Weigh the particles by a reply to N; return the log likelihood of each sensor (8,).
+        Args:
+            action: Action.
+            use: Sensors to rely on (8,).
+        """
+        repeat(action, self.particles)
+        if isinstance(action, Seen):
+            self._see(action.readings, use)
+        if isinstance(action, Counted):
+            return self.weights @ self.particles.count(action.counters)
+        return np.full(2, np.nan)
+
+    def take(self, particles: Particles) -> None:
+        """Go on with other particles of the present time."""
+        norm = log_of_sum(particles.logs)
+        particles.logs = particles.logs - norm
+        self.particles = particles
+        if len(particles) < self._count:
+            self.particles = particles.drawn(self._count, self._rng.random())
+        self._drifted_ticks = particles.planes.ticks - _FRESH_TICKS
+        self._drift()
+
+    def _see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> None:
+        """Weigh the particles by a reply to N.
 
         Args:
             readings: Proximity (8,) [counts].
             use: Sensors to rely on (8,).
         """
         particles = self.particles
-        light = particles.planes.illuminate()
-        scaled = light * np.exp(particles.gains)
-        counts = scaled - self._threshold
-        apart = (MODEL * np.maximum(counts, 0)) ** 2
-        noise = self._noise**2 + self._quantum**2 / 12 + apart
-        own = scaled**2 * particles.variances
-        deviation = np.sqrt(noise + own)
-        low, high = readings <= 4 * self._idle, readings >= self._limit
-        z = (readings - counts) / deviation
-        inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(2 * math.pi))
-        beyond = _tail(np.where(high, -z, z))
-        likelihood = np.where(low | high, beyond, inside)
-        others = np.where(low | high, 1.0, 1 / (self._limit + 1))
-        total = (1 - OUTLIERS) * likelihood + OUTLIERS * others
-        logs = TEMPER * np.where(use, np.log(total), 0.0)
-        weights = np.exp(particles.logs - particles.logs.max())
-        weights /= weights.sum()
-        self.expected = np.clip(weights @ counts, 0, self._limit)
-        each = np.log(weights @ np.exp(logs))
+        self.expected, self.surprise, logs = self._model.explain(particles, readings, use)
         particles.logs += logs.sum(axis=1)
-        most = particles.logs.max()
-        norm = most + math.log(np.exp(particles.logs - most).sum())
+        norm = log_of_sum(particles.logs)
         self.evidence += norm
         particles.logs -= norm
-        # The gains, where a reading is inside of the range and explained.
-        trust = np.where((low | high) | ~use, 0.0, (1 - OUTLIERS) * likelihood / total)
-        step = trust * scaled * particles.variances / (noise + own)
-        particles.gains += step * (readings - counts)
-        particles.variances = np.maximum(particles.variances * (1 - step * scaled), GAIN_LEAST**2)
         self._renew()
-        return each
-
-    def count(self, counters: NDArray[np.int64]) -> Floats:
-        """Move the particles as the robot's counters tell; return what they tell beyond commands (2,).
-
-        Args:
-            counters: Counters of the left and the right wheel, as replied to H (2,) [pulses].
-        """
-        particles, planes = self.particles, self.particles.planes
-        off = counters - planes.registers[:, _POSITIONS].astype(np.float64)
-        beyond = off - np.where(np.isnan(particles.counted), off, particles.counted)
-        planes.roll(beyond)
-        particles.counted = off
-        return self.weights @ beyond
-
-    def forget_counters(self) -> None:
-        """Note that the counters were set."""
-        self.particles.counted[:] = np.nan
 
     def estimate(self, time_ns: int) -> Estimate:
         """Return the estimate of the pose."""
@@ -234,10 +161,7 @@ class ParticleFilter:
         weights = self.weights
         if 1 / np.square(weights).sum() > LEAST_EFFECTIVE * len(weights):
             return
-        count = self._wanted(weights)
-        edges = (np.arange(count) + self._rng.random()) / count
-        indices = np.minimum(np.searchsorted(np.cumsum(weights), edges), len(weights) - 1)
-        self.particles = particles.taken(indices)
+        self.particles = particles.drawn(self._wanted(weights), self._rng.random())
         self._drift()
 
     def _wanted(self, weights: Floats) -> int:
@@ -259,7 +183,7 @@ class ParticleFilter:
         moved = rng.standard_normal((count, 3)) * noise * np.where(slips, SLIP_NOISE, 1.0)[:, None]
         planes.move(planes.poses + moved)
         particles.wheels += rng.standard_normal((count, 3)) * (RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT) * root
-        planes.set_wheels(*particles.wheels.T)
+        particles.set_wheels()
 
 
 def begun(
@@ -324,8 +248,3 @@ def _inside(corners: Floats, poses: Floats) -> NDArray[np.bool_]:
             continue
         inside ^= ((y0 > y) != (y1 > y)) & (x < (x1 - x0) * (y - y0) / (y1 - y0) + x0)
     return inside
-
-
-def _tail(z: Floats) -> Floats:
-    """Return the probability of a normal number below z, to 0.01."""
-    return 1 / (1 + np.exp(-np.clip(1.702 * z, -500, 500)))

@@ -1,6 +1,7 @@
 """Planar twins of one robot, side by side, each with its own wheels, motors and obstacles."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -25,7 +26,7 @@ SPEED, DUTY, TARGET, POSITION = 0, 1, 2, 3
 N_SPARE = 1
 """Obstacles of each plane that the playpen does not have, out of reach until they are put somewhere."""
 
-_AWAY = 1e3
+AWAY = 1e3
 """Position of what is not in the playpen [m]."""
 
 
@@ -42,6 +43,7 @@ class Planes:
         registers: States of the boards (n, N_REGISTERS).
         processor: States of the processors (n, N_PROCESSOR).
         strength: Parts of the motors' torque, left and right (n, 2).
+        traction: Parts of the wheels' way that the tyres go, left and right (n, 2), for `set_wheels`.
     """
 
     def __init__(self, setup: EpisodeSetup, count: int) -> None:
@@ -57,8 +59,9 @@ class Planes:
         state = forms.robot_states()[0]
         things, order, robot = forms.compiled()
         spare = np.zeros((N_SPARE, flat.N_COLUMNS))
-        spare[:, [flat.CENTRE_X, flat.COSINE, flat.WIDTH]] = _AWAY, 1.0, -1.0
-        self.things: Floats = np.repeat(np.concatenate([things, spare])[None], count, axis=0)
+        spare[:, [flat.CENTRE_X, flat.COSINE, flat.WIDTH]] = AWAY, 1.0, -1.0
+        self._scene: Floats = np.concatenate([things, spare])
+        self.things: Floats = np.repeat(self._scene[None], count, axis=0)
         self._order = np.repeat(np.concatenate([order, len(order) + np.arange(N_SPARE)])[None], count, axis=0)
         self.robots: Any = np.repeat(robot, count)
         self.sensors: Any = as_records([state.sensors], state.sensors)
@@ -68,6 +71,7 @@ class Planes:
         self.processor: NDArray[np.int64] = np.zeros((count, kernel.N_PROCESSOR), np.int64)
         self.processor[:, kernel.POWERED] = 1
         self.strength: Floats = np.ones((count, 2))
+        self.traction: Floats = np.ones((count, 2))
         drive = compiled.Drive(
             flat.LEFT_ANGLE, flat.RIGHT_ANGLE, flat.LEFT_ANGLE, flat.RIGHT_ANGLE, state.motor_constant
         )
@@ -79,11 +83,11 @@ class Planes:
     def __len__(self) -> int:
         return len(self.robots)
 
-    def taken(self, indices: NDArray[np.intp]) -> Self:
-        """Return copies of twins at these indices."""
+    def taken(self, indices: NDArray[np.intp] | slice) -> Self:
+        """Return copies of twins at these indices, or the twins of a slice themselves."""
         made = object.__new__(type(self))
         made.__dict__.update(self.__dict__)
-        for name in ("things", "_order", "robots", "registers", "processor", "strength"):
+        for name in ("things", "_order", "robots", "registers", "processor", "strength", "traction"):
             setattr(made, name, getattr(self, name)[indices])
         return made
 
@@ -117,12 +121,18 @@ class Planes:
         self.robots["last"][:, flat.ANCHOR_X] = np.inf
         self._code.measure(self.things, self._order, self.robots)
 
+    def restore(self, rows: Sequence[int]) -> None:
+        """Put things back to where the playpen has them."""
+        self.things[:, rows, : flat.REFLECTANCE + 1] = self._scene[rows, : flat.REFLECTANCE + 1]
+        self.remeasure()
+
     def set_wheels(self, radius: Floats, right_over_left: Floats, base: Floats) -> None:
         """Set the wheels, as parts of those of the calibration: mean radius, ratio and base (n,)."""
         robots, own = self.robots, self._own
         factors = {"left": radius * 2 / (1 + right_over_left)}
         factors["right"] = factors["left"] * right_over_left
-        for side, factor in factors.items():
+        for index, (side, whole) in enumerate(factors.items()):
+            factor = whole * self.traction[:, index]
             robots[f"{side}_wheel"] = own[f"{side}_wheel"] * factor
             robots[f"{side}_free_speed"] = own[f"{side}_free_speed"] * factor
         robots["track"] = own["track"] * base

@@ -9,6 +9,7 @@ Bytes and times alone decide: the same recording gives the same updates, bit for
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,7 +26,9 @@ from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import PUBLISHED, Estimate, ParticleFilter, Spread, begun
 from khep_twin.shadow.planes import DUTY, POSITION, SPEED, TARGET
 from khep_twin.units import BITS_PER_BYTE
@@ -145,7 +148,8 @@ class Shadow:
         pose = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
         count = settings.particles if settings.known else ANYWHERE * settings.particles
         start = begun(self._setup, pose if settings.known else None, settings.spread, count, rng)
-        self._filter = ParticleFilter(self._setup, start, rng, settings.particles)
+        tracker = ParticleFilter(self._setup, start, rng, settings.particles)
+        self._diagnosis = Diagnosis(self._setup, tracker, stream(settings.seed, "shadow", "hypotheses"))
         self._reckoned = begun(self._setup, pose, Spread(0, 0, 0, 0, 0, 0), 1, rng)
         board = self._reckoned.planes
         self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, board.registers[0], board.processor[0])
@@ -169,7 +173,8 @@ class Shadow:
         found = [self._take(each) for each in self._dialogue.wait(time_ns)]
         updates = [update for update in found if update is not None]
         if time_ns - self._time_ns > _LONGEST_NS:
-            self._advance(time_ns)
+            self._time_ns = time_ns
+            self._follow(Waited(time_ns))
             updates.append(self._update(Residuals(_NONE, _NONE, _NONE[:2], math.nan)))
         return updates
 
@@ -180,7 +185,8 @@ class Shadow:
     def _take(self, exchange: Exchange) -> Update | None:
         """Repeat an exchange on the particles; return an update if its reply has values."""
         if exchange.reply is not None and BANNER in exchange.reply:
-            self._restart()
+            self._firmware.reset()
+            self._follow(Restarted(exchange.heard_ns))
         if not exchange.command:
             return None
         timing = math.nan
@@ -190,70 +196,67 @@ class Shadow:
             begun_ns = exchange.heard_ns - (len(exchange.reply) + _LINE_END) * self._byte_ns
             timing = (begun_ns - time_ns) * 1e-9
             time_ns = max(exchange.sent_ns, min(begun_ns, time_ns + _KEPT_NS))
-        self._advance(time_ns)
+        time_ns = self._time_ns = max(time_ns, self._time_ns)
         values = exchange.values
         if exchange.reply is None or values is not None:
-            self._execute(exchange.command)
+            for action in self._executed(time_ns, exchange.command):
+                self._follow(action)
         residuals = Residuals(_NONE, _NONE, _NONE[:2], timing)
         match exchange.letter, values:
             case "N", tuple() if len(values) == units.N_SENSORS:
                 readings = np.array(values)
-                self._filter.see(readings, np.ones(units.N_SENSORS, np.bool_))
+                self._follow(Seen(time_ns, readings))
                 self._measured = readings.astype(np.float64)
-                residuals = residuals._replace(proximity=readings - self._filter.expected)
+                residuals = residuals._replace(proximity=readings - self._diagnosis.filter.expected)
             case "H", (int(left), int(right)):
-                residuals = residuals._replace(wheels=self._filter.count(np.array([left, right])))
+                beyond = self._follow(Counted(time_ns, np.array([left, right])))
+                residuals = residuals._replace(wheels=beyond)
             case _:
                 return None
         return self._update(residuals)
 
-    def _advance(self, time_ns: int) -> None:
-        """Advance all twins to a time [ns]."""
-        self._time_ns = max(self._time_ns, time_ns)
-        self._filter.advance_to(self._time_ns)
+    def _follow(self, action: Action) -> Floats:
+        """Repeat an action on all twins; return what counters tell beyond commands (2,)."""
+        self._reckon(action)
+        return self._diagnosis.follow(action)
+
+    def _reckon(self, action: Action) -> None:
+        """Repeat an action on the twin of dead reckoning, whose board the firmware has set already."""
         planes = self._reckoned.planes
-        if (ticks := self._time_ns // units.TICK_NS - planes.ticks) > 0:
+        if (ticks := action.time_ns // units.TICK_NS - planes.ticks) > 0:
             planes.advance(ticks)
 
-    def _execute(self, line: bytes) -> None:
-        """Execute a command on all boards."""
+    def _executed(self, time_ns: int, line: bytes) -> Iterator[Action]:
+        """Execute a command on the board of dead reckoning; yield what it is for all others."""
+        self._reckon(Waited(time_ns))
+        board = self._reckoned.planes.registers[0]
+        before = board.copy()
         match parse(line):
             case Command(letter, (int(left), int(right))) if letter in COMMANDS:
                 self._firmware.receive(line + b"\n")
                 limit = LIMITS[letter]
-                left, right = kernel.clip(left, limit), kernel.clip(right, limit)
-                self._filter.particles.planes.command(COMMANDS[letter], left, right)
-                if letter == "G":
-                    self._filter.forget_counters()
+                yield Commanded(
+                    time_ns, COMMANDS[letter], kernel.clip(left, limit), kernel.clip(right, limit)
+                )
             case Command():
                 # Gains, profiles and LEDs: registers that do not depend on any other.
-                board = self._reckoned.planes.registers[0]
-                before = board.copy()
                 self._firmware.receive(line + b"\n")
-                changed = np.flatnonzero(board != before)
-                self._filter.particles.planes.registers[:, changed] = board[changed]
+                if len(changed := np.flatnonzero(board != before)):
+                    yield Configured(time_ns, changed, board[changed])
             case _:
                 pass
-
-    def _restart(self) -> None:
-        """Restart all boards, as after a banner."""
-        self._firmware.reset()
-        planes = self._filter.particles.planes
-        for board in planes.registers:
-            kernel.reset(board.data)
-        self._filter.forget_counters()
 
     def _update(self, residuals: Residuals) -> Update:
         """Return the present state."""
         x, y, heading = self._reckoned.planes.poses[0].tolist()
         return Update(
             self._time_ns,
-            self._filter.estimate(self._time_ns),
+            self._diagnosis.filter.estimate(self._time_ns),
             (x, y, math.remainder(heading, math.tau)),
-            self._filter.particles.planes.poses,
-            self._filter.expected,
+            self._diagnosis.filter.particles.planes.poses,
+            self._diagnosis.filter.expected,
             self._measured,
             residuals,
-            (),
-            (),
+            self._diagnosis.alarms,
+            self._diagnosis.ended,
         )

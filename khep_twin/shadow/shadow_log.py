@@ -23,7 +23,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.log import channels, foxglove_scene
-from khep_twin.log.channels import FLOATS, POSE, UNSURE_POSE, ArrayFrame, TransformFrame
+from khep_twin.log.channels import FLOATS, POSE, UNSURE_POSE, ArrayFrame, TextLine, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import FLUSH_NS, versions
@@ -157,17 +157,17 @@ class ShadowLog:
         self._log.add(f"/shadow/{name}", FLOATS, self._time_ns, message)
 
     def _write_alarms(self, update: Update) -> None:
-        """Write what has begun and ended; an alarm that ends in the update that raises it is written, too."""
+        """Write which alarms have begun and ended."""
+        lasting = {(alarm.fault, alarm.raised_ns) for alarm in update.alarms}
         for alarm in (*update.alarms, *update.ended):
-            key = alarm.fault, alarm.raised_ns
-            if key not in self._lasting:
-                self._lasting[key] = alarm
-                line = begin_line(update.time_ns, _logged(alarm))
-                self._log.add("/shadow/alarms", _LINE, update.time_ns, channels.line_message(line))
-        for alarm in update.ended:
-            del self._lasting[alarm.fault, alarm.raised_ns]
-            line = end_line(update.time_ns, _logged(alarm))
-            self._log.add("/shadow/alarms", _LINE, update.time_ns, channels.line_message(line))
+            if (alarm.fault, alarm.raised_ns) not in self._lasting:
+                self._lasting[alarm.fault, alarm.raised_ns] = alarm
+                self._add_line(begin_line(update.time_ns, _logged(alarm)))
+        for key in [key for key in self._lasting if key not in lasting]:
+            self._add_line(end_line(update.time_ns, _logged(self._lasting.pop(key))))
+
+    def _add_line(self, line: TextLine) -> None:
+        self._log.add("/shadow/alarms", _LINE, line.time_ns, channels.line_message(line))
 
     def _begin(self, playpen: Playpen, settings: ShadowSettings, named: Mapping[str, str]) -> None:
         attachments = {

@@ -214,7 +214,7 @@ def robot_state(
         ),
         registers=cast(Any, np.zeros(N_REGISTERS, np.int64)),
         processor=np.zeros(N_PROCESSOR, np.int64),
-        stuck=np.zeros(units.N_SENSORS, np.int64),
-        dead=np.zeros(2, np.int64),
+        sensor_states=np.zeros(units.N_SENSORS, np.int64),
+        strengths=np.ones(2),
         voltage=np.zeros(1),
     )

@@ -137,8 +137,10 @@ class Simulation:
                 fill_record(record, robot)
             self._show_plain(robots)
         self._is_varied = vary
-        for name in ("registers", "processor", "stuck", "dead", "voltage") if len(self.records) else ():
+        for name in ("registers", "processor", "sensor_states", "voltage") if len(self.records) else ():
             self.records[name] = 0
+        if len(self.records):
+            self.records["strengths"] = 1
         self.counters[:] = 0
         self.counters[step.DRAWS] = self._n_draws
         self._streams, self._enough = [_draws(rng) for rng in rngs] if noise else (), 0

@@ -7,8 +7,9 @@ import serial
 from notes import Notes
 
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
-from khep_twin.board.fault_injection import parse
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, parse
 from khep_twin.errors import FaultError
+from khep_twin.interventions.move_robot import put
 
 
 def open_with(fault: str, seed: int = 1) -> tuple[Any, Notes]:
@@ -28,20 +29,30 @@ def test_a_fault_is_read_from_its_words() -> None:
     assert (fault.kind, fault.probability, fault.delay_ns) == ("late", 0.1, 60_000_000)
     assert fault.start_ns == 2_500_000_000
     assert parse("dead:right").which == 1
+    fault = parse("slip:right:0.25@1-2.5")
+    assert (fault.device, fault.which, fault.part, fault.end_ns) == (WHEEL, 1, 0.25, 2_500_000_000)
+    assert (parse("dead:1").device, parse("dead:right").device) == (SENSOR, MOTOR)
 
 
 @pytest.mark.parametrize(
     ("text", "line"),
     [
         ("drob:0.1", "fault 'drob:0.1': unknown; did you mean 'drop'? (choices: drop, garble, late, stuck, "),
-        ("drop", "fault 'drop': expected drop:PROBABILITY, such as drop:0.01, with @SECONDS appended"),
+        ("drop", "fault 'drop': expected drop:PROBABILITY, such as drop:0.01, with @SECONDS or @FROM-TO"),
         ("drop:2", "fault 'drop:2': expected drop:PROBABILITY"),
         ("drop:nan", "fault 'drop:nan': expected drop:PROBABILITY"),
         ("late:0.1", "fault 'late:0.1': expected late:PROBABILITY:MILLISECONDS"),
         ("stuck:8", "fault 'stuck:8': expected stuck:SENSOR, 0 to 7"),
         ("stuck:1.5", "fault 'stuck:1.5': expected stuck:SENSOR, 0 to 7"),
-        ("dead:both", "fault 'dead:both': expected dead:left or dead:right"),
+        ("dead:both", "fault 'dead:both': expected dead:SENSOR, 0 to 7, dead:left or dead:right"),
+        ("weak:left", "fault 'weak:left': expected weak:SIDE:PART, such as weak:left:0.5"),
+        ("weak:2:0.5", "fault 'weak:2:0.5': expected weak:SIDE:PART"),
+        ("slip:left:1.5", "fault 'slip:left:1.5': expected slip:SIDE:PART"),
+        ("blocked:1", "fault 'blocked:1': expected blocked:left or blocked:right"),
+        ("stuck:1@5-5", "fault 'stuck:1@5-5': expected stuck:SENSOR, 0 to 7, with @SECONDS or @FROM-TO"),
+        ("stuck:1@5-", "fault 'stuck:1@5-': expected stuck:SENSOR"),
         ("brown-out:1", "fault 'brown-out:1': expected brown-out alone"),
+        ("brown-out@1-2", "fault 'brown-out@1-2': expected brown-out alone, with @SECONDS appended"),
         ("brown-out@-1", "fault 'brown-out@-1': expected brown-out alone"),
         ("", "fault '': unknown"),
     ],
@@ -87,6 +98,48 @@ def test_a_stuck_sensor_reads_what_it_read_last() -> None:
     assert len({counts[2] for counts in seen}) == 1
     assert len({counts[3] for counts in seen}) > 5
     assert notes.told == ["fault stuck:2@1 begins"]
+
+
+def test_a_dead_sensor_reads_nothing_and_the_highest_ambient_counts() -> None:
+    port, notes = open_with("dead:2@0.5-1")
+    put(port.twin.world, 0, 570, 250, 0)
+    port.sleep(0.1)
+    notes.told.clear()
+    counts = []
+    for _ in range(3):
+        near, light = (ask(port, command).split(b",")[1:] for command in (b"N", b"O"))
+        counts.append((int(near[2]), int(near[3]), int(light[2])))
+        port.sleep(0.5)
+    before, during, after = counts
+    assert during[0] == 0 < min(before[0], after[0], during[1])
+    assert during[2] == 500
+    assert notes.told == ["fault dead:2@0.5-1 begins", "fault dead:2@0.5-1 ends"]
+
+
+@pytest.mark.parametrize("kind", ["dead:2", "stuck:2"])
+def test_a_sensor_whose_fault_has_ended_reads_as_if_it_had_never_been(kind: str) -> None:
+    registers = []
+    for fault in ("drop:0", f"{kind}@0.2-0.4"):
+        port, _ = open_with(fault)
+        port.sleep(0.3)
+        registers.append(port.twin.robot.registers.tolist())
+        port.sleep(0.2)
+        registers.append(port.twin.robot.registers.tolist())
+    assert registers[0] != registers[2]
+    assert registers[1] == registers[3]
+
+
+def test_a_fault_of_the_line_ends() -> None:
+    port, notes = open_with("drop:1@0.1-0.2")
+    replies = []
+    for _ in range(3):
+        replies.append(ask(port, b"B"))
+        port.sleep(max(0.0, 0.11 - port.time_ns / 1e9))
+    assert replies == [b"b,5.02,5.01\r\n", b"", b"b,5.02,5.01\r\n"]
+    assert [text for text in notes.told if "dropped" not in text] == [
+        "fault drop:1@0.1-0.2 begins",
+        "fault drop:1@0.1-0.2 ends",
+    ]
 
 
 def test_a_dead_motor_turns_freely_and_the_other_drives() -> None:

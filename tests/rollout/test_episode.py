@@ -348,6 +348,7 @@ heading_deg = -20
         pytest.param(playpen.load("two-lamps"), (), id="lamps by turns"),
         pytest.param(playpen.load("gripper"), (), id="a turret"),
         pytest.param(arena(), ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7"), id="faults"),
+        pytest.param(arena(), ("dead:3", "slip:left:0.1@0.4-1", "blocked:right@1.2-1.5"), id="wheels"),
     ],
 )
 def test_robots_turrets_lamps_and_faults_are_the_worlds(

@@ -99,6 +99,16 @@ CASES = {
         arena(ROBOTS),
         {"faults": [*map(parse, ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7", "garble:0.01"))]},
     ),
+    "faults that end": (
+        arena(),
+        {
+            "faults": [
+                *map(parse, ("dead:3@0.1-0.8", "weak:left:0.5@0.3-0.9", "weak:right:0.7")),
+                *map(parse, ("slip:left:0.1@0.501-1.2", "blocked:right@1.3-1.6", "drop:0.01@0.2-1")),
+            ],
+            "vary": True,
+        },
+    ),
     "cells that run out": (
         arena().model_copy(
             update={"robots": (arena().robots[0].model_copy(update={"battery_used_min": 41.06}),)}

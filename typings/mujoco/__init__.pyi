@@ -77,6 +77,7 @@ class MjModel:
     dof_bodyid: NDArray[np.int32]
     dof_armature: NDArray[np.float64]
     dof_frictionloss: NDArray[np.float64]
+    dof_invweight0: NDArray[np.float64]
     qpos0: NDArray[np.float64]
     cam_pos: NDArray[np.float64]
     cam_quat: NDArray[np.float64]

@@ -1,0 +1,101 @@
+"""What crossed the line, as particles repeat it: commands, settings of the board, replies with values."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.board import kernel
+from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.planes import POSITION, TICK_NS
+
+Integers = NDArray[np.int64]
+
+
+class Commanded(NamedTuple):
+    """A command whose effect depends on a board's registers.
+
+    Attributes:
+        time_ns: Time at which the robot executed it [ns].
+        command: SPEED, DUTY, TARGET or POSITION of `planes`.
+        left: Argument for the left wheel.
+        right: Argument for the right wheel.
+    """
+
+    time_ns: int
+    command: int
+    left: int
+    right: int
+
+
+class Configured(NamedTuple):
+    """A command that sets registers to values, whatever they were.
+
+    Attributes:
+        time_ns: Time at which the robot executed it [ns].
+        registers: Indices of the registers (n,).
+        values: Their values (n,).
+    """
+
+    time_ns: int
+    registers: Integers
+    values: Integers
+
+
+class Restarted(NamedTuple):
+    """A restart of the processor, by its time [ns]."""
+
+    time_ns: int
+
+
+class Waited(NamedTuple):
+    """Nothing but time until `time_ns` [ns]."""
+
+    time_ns: int
+
+
+class Seen(NamedTuple):
+    """A reply to N.
+
+    Attributes:
+        time_ns: Time of the reading [ns].
+        readings: Proximity (8,) [counts].
+    """
+
+    time_ns: int
+    readings: Integers
+
+
+class Counted(NamedTuple):
+    """A reply to H.
+
+    Attributes:
+        time_ns: Time of the reading [ns].
+        counters: Counters of the left and the right wheel (2,) [pulses].
+    """
+
+    time_ns: int
+    counters: Integers
+
+
+Action = Commanded | Configured | Restarted | Waited | Seen | Counted
+
+
+def repeat(action: Action, particles: Particles) -> None:
+    """Advance particles to an action and, unless it is a reply, do it to them."""
+    planes = particles.planes
+    if (ticks := action.time_ns // TICK_NS - planes.ticks) > 0:
+        planes.advance(ticks)
+    match action:
+        case Commanded(_, command, left, right):
+            planes.command(command, left, right)
+        case Configured(_, registers, values):
+            planes.registers[:, registers] = values
+        case Restarted():
+            for board in planes.registers:
+                kernel.reset(board.data)
+            particles.counted[:] = np.nan
+        case _:
+            pass
+    if isinstance(action, Commanded) and action.command == POSITION:
+        particles.counted[:] = np.nan

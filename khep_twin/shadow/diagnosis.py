@@ -1,0 +1,245 @@
+"""Diagnosis: which fault explains a robot's replies better than a sound robot does.
+
+While replies surprise the filter, the last seconds are repeated from snapshots of its particles with twins of
+each hypothesis (`hypotheses`), beside sound ones of the same particles. A fault is raised when its twins make
+the replies more probable by far; the filter goes on with these twins. It ends when sound ones do better.
+Sensors are watched on their own (`sensor_watch`): a stuck one repeats itself.
+"""
+
+import math
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.shadow import hypotheses
+from khep_twin.shadow.actions import Action, Counted, Seen, repeat
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, Unexpected
+from khep_twin.shadow.particle_filter import ParticleFilter, anywhere
+from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
+from khep_twin.shadow.sensor_watch import SensorWatch
+
+Floats = NDArray[np.float64]
+
+GROUP = 120
+"""Particles of each hypothesis."""
+
+LOST = 3000
+"""Particles of a robot that was put anywhere."""
+
+SNAPSHOT_NS = 500_000_000
+"""Interval of the snapshots [ns]."""
+
+WINDOWS_NS = 1_000_000_000, 2_500_000_000
+"""Ages of the snapshots from which hypotheses are tried [ns]."""
+
+SURPRISE_S = 0.7
+"""Time constant over which surprise is summed [s]."""
+
+SURPRISED = 2.0
+"""Surprise of one sensor from which on hypotheses are tried."""
+
+TRIED_NS = 400_000_000
+"""Interval at which hypotheses are tried [ns]."""
+
+RAISED = 9.0
+"""Logarithm of the odds from which on a fault is raised."""
+
+ENDED = 4.0
+"""Logarithm of the odds from which on it ends."""
+
+RARE = 6.0
+"""Logarithm of the odds against a robot that is put elsewhere, beside a fault."""
+
+NEAR = 0.09
+"""Farthest distance of a thing from the robot's centre, to be seen or missed [m]."""
+
+LIFTED = "robot lifted"
+
+
+class Diagnosis:
+    """Filter of a robot, with the faults that it has.
+
+    Args:
+        setup: Playpen with the robot, prepared for the plane.
+        tracker: Filter.
+        rng: Random stream.
+
+    Attributes:
+        filter: Filter, whose particles have the present faults.
+        alarms: Alarms that last.
+        ended: Alarms that the last action has ended.
+    """
+
+    def __init__(self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator) -> None:
+        self._setup, self.filter, self._rng = setup, tracker, rng
+        self._model = SensorModel(tracker.particles.planes)
+        self._sensors = SensorWatch(self._model.quiet, self._model.limit)
+        self._things = hypotheses.things_of(setup)
+        self._present: list[tuple[Hypothesis, Alarm]] = []
+        self._others: list[Alarm] = []
+        self._snapshots: deque[tuple[int, Particles, float]] = deque()
+        self._actions: deque[Action] = deque()
+        self._surprise: Floats = np.zeros(8)
+        self._seen_ns = self._tried_ns = 0
+        self.ended: tuple[Alarm, ...] = ()
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """Alarms that last, in the order of their begin."""
+        found = [alarm for _, alarm in self._present] + self._others + self._sensors.alarms
+        return tuple(sorted(found, key=lambda alarm: alarm.raised_ns))
+
+    def follow(self, action: Action) -> Floats:
+        """Follow an action; return what counters tell beyond commands (2,)."""
+        self.ended = ()
+        if isinstance(action, Seen):
+            self.ended = self._sensors.see(action, self.filter.expected)
+        told = self.filter.act(action, self._sensors.sound)
+        self._actions.append(action)
+        if isinstance(action, Seen):
+            self._see(action)
+        return told
+
+    def _see(self, action: Seen) -> None:
+        """Take a reply to N: keep a snapshot, and try hypotheses while it surprises."""
+        time_ns = action.time_ns
+        passed_s = (time_ns - self._seen_ns) * 1e-9
+        self._seen_ns = time_ns
+        self._surprise = self._surprise * math.exp(-passed_s / SURPRISE_S)
+        self._surprise += np.maximum(self.filter.surprise - _USUAL, 0)
+        self._end_lifted(time_ns)
+        if self._surprise.max() > SURPRISED and time_ns - self._tried_ns >= TRIED_NS and self._known:
+            self._tried_ns = time_ns
+            self._try(time_ns)
+        if not self._snapshots or time_ns - self._snapshots[-1][0] >= SNAPSHOT_NS:
+            small = self.filter.particles.drawn(GROUP, self._rng.random())
+            self._snapshots.append((time_ns, small, self.filter.evidence))
+            while self._snapshots[0][0] < time_ns - WINDOWS_NS[-1] - SNAPSHOT_NS:
+                self._snapshots.popleft()
+            while self._actions[0].time_ns < self._snapshots[0][0]:
+                self._actions.popleft()
+
+    @property
+    def _known(self) -> bool:
+        """Whether the pose is known."""
+        covariance = self.filter.estimate(0).covariance
+        return covariance[0, 0] + covariance[1, 1] < _KNOWN * _KNOWN
+
+    def _try(self, time_ns: int) -> None:
+        """Try all hypotheses from snapshots of different ages; adopt the best if it is better by far."""
+        tried: list[tuple[float, Hypothesis | None, bool, int, Particles]] = []
+        for age_ns in WINDOWS_NS:
+            older = [each for each in self._snapshots if each[0] <= time_ns - age_ns]
+            if not older:
+                continue
+            since_ns, start, evidence = older[-1]
+            tried += self._compared(since_ns, start, self.filter.evidence - evidence, time_ns)
+        if not tried:
+            return
+        tried.sort(key=lambda each: -each[0])
+        odds, hypothesis, begins, since_ns, particles = tried[0]
+        if odds < (RAISED if begins else ENDED):
+            return
+        total = 1 + sum(math.exp(min(each[0] - odds, 0)) for each in tried[1:])
+        alarm = Alarm("", "", since_ns, time_ns, min(1 / (total + math.exp(-odds) - 0.0), 0.999))
+        if hypothesis is None:
+            self._others.append(replace(alarm, fault=LIFTED, channel="proximity"))
+        elif begins:
+            named = replace(alarm, fault=hypothesis.name, channel=hypothesis.channel)
+            self._present.append((hypothesis, named))
+        else:
+            self.ended += tuple(
+                replace(each, ended_ns=time_ns) for fault, each in self._present if fault is hypothesis
+            )
+            self._present = [each for each in self._present if each[0] is not hypothesis]
+        self.filter.take(particles)
+        self._snapshots.clear()
+        self._surprise[:] = 0
+
+    def _compared(
+        self, since_ns: int, start: Particles, sound: float, time_ns: int
+    ) -> list[tuple[float, Hypothesis | None, bool, int, Particles]]:
+        """Return the odds of each hypothesis against no change, whether it begins, since when, and its twins.
+
+        Args:
+            since_ns: Time of the snapshot [ns].
+            start: Particles of the snapshot.
+            sound: Evidence of the filter since then.
+            time_ns: Present time [ns].
+        """
+        changes = [(fault, True) for fault in self._candidates(start)]
+        changes += [(fault, False) for fault, _ in self._present]
+        groups = 1 + len(changes)
+        all_of_them = start.taken(np.tile(np.arange(GROUP), groups))
+        parts = [all_of_them.taken(slice(i * GROUP, (i + 1) * GROUP)) for i in range(groups)]
+        for (fault, begins), part in zip(changes, parts[1:], strict=True):
+            if begins:
+                fault.begin(part, self._rng)
+            else:
+                fault.end(part)
+        actions = [action for action in self._actions if action.time_ns > since_ns]
+        for action in actions:
+            repeat(action, all_of_them)
+            if isinstance(action, Seen):
+                _, _, logs = self._model.explain(all_of_them, action.readings, self._sensors.sound)
+                all_of_them.logs += logs.sum(axis=1)
+            elif isinstance(action, Counted):
+                all_of_them.count(action.counters)
+        evidence = [log_of_sum(part.logs) for part in parts]
+        none = max(evidence[0], sound)
+        found: list[tuple[float, Hypothesis | None, bool, int, Particles]] = [
+            (each - none, fault, begins, since_ns, part)
+            for each, (fault, begins), part in zip(evidence[1:], changes, parts[1:], strict=True)
+        ]
+        if max([each[0] for each in found], default=0.0) < RAISED:
+            lost = self._lost(start)
+            for action in actions:
+                lost.act(action, self._sensors.sound)
+            found.append((lost.evidence - none - RARE, None, True, since_ns, lost.particles))
+        return found
+
+    def _candidates(self, start: Particles) -> list[Hypothesis]:
+        """Return the faults that may begin."""
+        present = {fault.name for fault, _ in self._present}
+        found = [*hypotheses.of_wheels()]
+        x, y = start.planes.poses[:, :2].mean(axis=0)
+        things = start.planes.things[0]
+        for name, rows in self._things.items():
+            reach = [
+                math.hypot(x - things[row, flat.CENTRE_X], y - things[row, flat.CENTRE_Y])
+                - things[row, flat.LENGTH]
+                for row in rows
+            ]
+            if min(reach) < NEAR:
+                found += [Missing(name, rows), Moved(name, rows)]
+        sensor = int(np.argmax(self._surprise))
+        found.append(Unexpected(sensor))
+        return [fault for fault in found if fault.name not in present]
+
+    def _lost(self, start: Particles) -> ParticleFilter:
+        """Return a filter of a robot that may be anywhere, with the gains and faults that are known."""
+        particles = start.drawn(LOST, 0.5)
+        particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
+        return ParticleFilter(self._setup, particles, self._rng, len(self.filter.particles))
+
+    def _end_lifted(self, time_ns: int) -> None:
+        """End the alarm of a robot that was put elsewhere, once its pose is known."""
+        for alarm in self._others:
+            if alarm.fault == LIFTED and self._known and time_ns - alarm.raised_ns > NS_PER_S:
+                self._others.remove(alarm)
+                self.ended += (replace(alarm, ended_ns=time_ns),)
+                return
+
+
+_KNOWN = 0.03
+"""Standard deviation of a known position [m]."""
+
+_USUAL = 0.15
+"""Surprise of one reading that is usual."""

@@ -1,0 +1,223 @@
+"""What may be wrong: each hypothesis makes twins with that fault of sound ones, and sound ones of those."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.sensing.mujoco_scene import visible
+from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.planes import AWAY, N_SPARE
+
+SIDES = ("left", "right")
+
+WEAKEST, STRONGEST = 0.06, 0.3
+"""Parts of its torque that a weak motor gives: below, the gear holds it; above, the controller makes up for
+it, so that nothing shows at the speeds that hosts drive."""
+
+SLOWEST_SLIP, FASTEST_SLIP = -0.3, 0.7
+"""Parts of its wheel's way that a slipping tyre goes (assumed); below 0 the other wheel turns the robot."""
+
+MOVED_BY = 0.025
+"""Standard deviation of x and y of a thing that was moved [m] (assumed)."""
+
+ADDED_RADII = 0.004, 0.03
+"""Radii of a thing that is not in the playpen [m] (assumed)."""
+
+ADDED_REACH = 0.03
+"""Farthest that it stands from a sensor that sees it [m] (assumed)."""
+
+_HEIGHT = 0.05
+
+
+class Hypothesis(Protocol):
+    """One fault."""
+
+    @property
+    def name(self) -> str:
+        """Name of the fault."""
+        ...
+
+    @property
+    def channel(self) -> str:
+        """Channel in which it shows."""
+        ...
+
+    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Give particles the fault."""
+        ...
+
+    def end(self, particles: Particles) -> None:
+        """Take it from them."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class StandingWheel:
+    """A wheel that stands: without current its gear holds a motor as a block does; 0 is left, 1 right."""
+
+    side: int
+    channel: str = "wheels"
+
+    @property
+    def name(self) -> str:
+        """Name of the fault."""
+        return f"dead motor or blocked wheel {SIDES[self.side]}"
+
+    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Take the current from the motor."""
+        particles.planes.strength[:, self.side] = 0
+
+    def end(self, particles: Particles) -> None:
+        """Give it back."""
+        particles.planes.strength[:, self.side] = 1
+
+
+@dataclass(frozen=True, slots=True)
+class WeakMotor:
+    """A motor that gives a part of its torque; 0 is left, 1 right."""
+
+    side: int
+    channel: str = "wheels"
+
+    @property
+    def name(self) -> str:
+        """Name of the fault."""
+        return f"weak motor {SIDES[self.side]}"
+
+    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Weaken the motor."""
+        particles.planes.strength[:, self.side] = rng.uniform(WEAKEST, STRONGEST, len(particles))
+
+    def end(self, particles: Particles) -> None:
+        """Strengthen it."""
+        particles.planes.strength[:, self.side] = 1
+
+
+@dataclass(frozen=True, slots=True)
+class SlippingWheel:
+    """A wheel whose tyre slips on the floor; 0 is left, 1 right."""
+
+    side: int
+    channel: str = "wheels"
+
+    @property
+    def name(self) -> str:
+        """Name of the fault."""
+        return f"slipping wheel {SIDES[self.side]}"
+
+    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Make the tyre slip."""
+        slip = rng.uniform(SLOWEST_SLIP, FASTEST_SLIP, len(particles))
+        particles.planes.traction[:, self.side] = slip
+        particles.set_wheels()
+
+    def end(self, particles: Particles) -> None:
+        """Make it grip."""
+        particles.planes.traction[:, self.side] = 1
+        particles.set_wheels()
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """A thing that is not in the playpen any more: its name, and its rows among those of the plane."""
+
+    thing: str
+    rows: tuple[int, ...]
+    channel: str = "proximity"
+
+    @property
+    def name(self) -> str:
+        """Name of the fault."""
+        return f"missing {self.thing}"
+
+    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Take the thing away."""
+        particles.planes.things[:, self.rows, flat.CENTRE_X] += AWAY
+        particles.planes.remeasure()
+
+    def end(self, particles: Particles) -> None:
+        """Put it back."""
+        particles.planes.restore(self.rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A thing that is not where the playpen says: its name, and its rows among those of the plane."""
+
+    thing: str
+    rows: tuple[int, ...]
+    channel: str = "proximity"
+
+    @property
+    def name(self) -> str:
+        """Name of the fault."""
+        return f"moved {self.thing}"
+
+    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Move the thing."""
+        by = rng.standard_normal((len(particles), 1, 2)) * MOVED_BY
+        particles.planes.things[:, self.rows, flat.CENTRE_X : flat.CENTRE_Y + 1] += by
+        particles.planes.remeasure()
+
+    def end(self, particles: Particles) -> None:
+        """Put it back."""
+        particles.planes.restore(self.rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Unexpected:
+    """A thing that is not in the playpen, seen by a sensor."""
+
+    sensor: int
+    channel: str = "proximity"
+    name: str = "unexpected thing"
+
+    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Put a cylinder in front of the sensor."""
+        planes, count = particles.planes, len(particles)
+        poses, mount = planes.poses, planes.robots["mounts"][:, self.sensor]
+        radius = rng.uniform(*ADDED_RADII, count)
+        off = rng.uniform(0.001, ADDED_REACH, count) + radius
+        aside = rng.standard_normal(count) * math.radians(20)
+        bearing = poses[:, 2] + np.arctan2(mount[:, 3], mount[:, 2])
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        row = planes.things[:, -N_SPARE]
+        row[:, flat.CENTRE_X] = (
+            poses[:, 0] + c * mount[:, 0] - s * mount[:, 1] + off * np.cos(bearing + aside)
+        )
+        row[:, flat.CENTRE_Y] = (
+            poses[:, 1] + s * mount[:, 0] + c * mount[:, 1] + off * np.sin(bearing + aside)
+        )
+        row[:, flat.LENGTH], row[:, flat.WIDTH] = radius, -1
+        row[:, flat.BOTTOM], row[:, flat.TOP] = 0, _HEIGHT
+        row[:, flat.TOUCHED] = row[:, flat.REFLECTANCE] = 1
+        planes.remeasure()
+
+    def end(self, particles: Particles) -> None:
+        """Take it away."""
+        particles.planes.restore((-N_SPARE,))
+
+
+def of_wheels() -> Iterator[Hypothesis]:
+    """Yield the faults of motors and wheels."""
+    for side in range(len(SIDES)):
+        yield StandingWheel(side)
+        yield WeakMotor(side)
+        yield SlippingWheel(side)
+
+
+def things_of(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
+    """Return the rows of each thing of a playpen among those of its plane; the arena's walls are none."""
+    model = setup.model
+    rows: dict[str, tuple[int, ...]] = {}
+    upright = [geom for geom in visible(model) if model.geom_bodyid[geom] == 0]
+    for row, geom in enumerate(upright):
+        name = str(model.geom(int(geom)).name).partition("_")[0]
+        if name != "wall":
+            rows[name] = (*rows.get(name, ()), row)
+    return rows

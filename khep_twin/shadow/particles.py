@@ -1,0 +1,68 @@
+"""Particles of a filter: planar twins with weights, wheels and gains of their own."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.board import kernel
+from khep_twin.shadow.planes import Planes
+
+Floats = NDArray[np.float64]
+
+_POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
+
+
+@dataclass(slots=True)
+class Particles:
+    """Particles of a filter.
+
+    Attributes:
+        planes: Their twins.
+        logs: Logarithms of their weights (n,).
+        wheels: Wheels' mean radius, ratio and base, as parts of the calibration's (n, 3).
+        gains: Logarithms of each sensor's gain, over the calibration's (n, 8).
+        variances: Their variances (n, 8).
+        counted: Counters as replied last, less the twins' own (n, 2) [pulses]; NaN before the first reply.
+    """
+
+    planes: Planes
+    logs: Floats
+    wheels: Floats
+    gains: Floats
+    variances: Floats
+    counted: Floats
+
+    def taken(self, indices: NDArray[np.intp] | slice) -> "Particles":
+        """Return copies of particles at these indices, or those of a slice themselves."""
+        rest = (each[indices] for each in (self.logs, self.wheels, self.gains, self.variances, self.counted))
+        return Particles(self.planes.taken(indices), *rest)
+
+    def drawn(self, count: int, offset: float) -> "Particles":
+        """Return copies drawn by the weights, at equal distances from an offset of 0 to 1."""
+        weights = np.exp(self.logs - self.logs.max())
+        edges: Floats = (np.arange(count) + offset) / count * weights.sum()
+        indices = np.minimum(np.searchsorted(np.cumsum(weights), edges), len(weights) - 1)
+        made = self.taken(indices)
+        made.logs = np.full(count, -math.log(count))
+        return made
+
+    def count(self, counters: NDArray[np.int64]) -> Floats:
+        """Move the particles as the robot's counters tell; return what they tell beyond commands (n, 2).
+
+        Args:
+            counters: Counters of the left and the right wheel, as replied to H (2,) [pulses].
+        """
+        off = counters - self.planes.registers[:, _POSITIONS].astype(np.float64)
+        beyond = off - np.where(np.isnan(self.counted), off, self.counted)
+        self.planes.roll(beyond)
+        self.counted[:] = off
+        return beyond
+
+    def set_wheels(self) -> None:
+        """Give the twins these wheels."""
+        self.planes.set_wheels(*self.wheels.T)
+
+    def __len__(self) -> int:
+        return len(self.logs)

@@ -1,0 +1,54 @@
+"""Faulty wheels of a robot in a compiled scene: tyres that slip, and wheels that cannot turn."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.fitted_robots import pairs_of
+
+FIELDS = ("dof_armature", "dof_frictionloss", "dof_invweight0", "pair_friction")
+"""Arrays of a model that faulty wheels change."""
+
+_INERTIA = 1.0
+"""Inertia of a blocked wheel [kg m^2], a million times that of a motor's rotor behind its gear: the friction
+creeps by 0.3 nm/s only (measured)."""
+
+_FRICTION_TORQUE = 1.0
+"""Dry friction of a blocked wheel [N m], a hundred times a motor's torque."""
+
+
+class FaultyWheels:
+    """Wheels of a robot, in a model that no other world may use.
+
+    Args:
+        model: Model of the scene, with sound wheels.
+        data: State of the scene.
+        robot: Indices of the robot.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotIndices) -> None:
+        self._model, self._data, self._dofs = model, data, list(robot.wheel_speeds)
+        self._pairs = [pairs_of(model, [tyre]) for tyre in robot.tyres]
+        self._sound: list[tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]] = []
+        for name in FIELDS:
+            array = getattr(model, name)
+            at = np.concatenate(self._pairs) if name == "pair_friction" else np.array(self._dofs)
+            self._sound.append((array, at, array[at].copy()))
+
+    def mend(self) -> None:
+        """Make all sound, to the last bit."""
+        for array, at, values in self._sound:
+            array[at] = values
+
+    def slip(self, side: int, part: float) -> None:
+        """Leave a tyre (0 left, 1 right) a part of its friction on the floor."""
+        self._model.pair_friction[self._pairs[side], :2] *= part
+
+    def block(self, side: int) -> None:
+        """Stop a wheel (0 left, 1 right)."""
+        dof, model = self._dofs[side], self._model
+        model.dof_armature[dof], model.dof_frictionloss[dof] = _INERTIA, _FRICTION_TORQUE
+        # The inverse inertia scales the softness of its friction.
+        model.dof_invweight0[dof] = 1 / _INERTIA
+        self._data.qvel[dof] = 0
