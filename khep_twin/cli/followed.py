@@ -15,14 +15,19 @@ from khep_twin.invocation import command
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
     from khep_twin.shadow.following import Change
+    from khep_twin.shadow.learned import Learned
     from khep_twin.shadow.recording import Heard
     from khep_twin.shadow.shadow import ShadowSettings, Update
+    from khep_twin.shadow.shadow_log import ShadowLog
 
 ALARM_CODE = 4
 """Exit code of `--exit-on alarm`; 3 is that of a log that failed, or of a run that differs."""
 
 _TWO_SIDED = 1.96
 """Standard deviations in half of a 95 % interval."""
+
+_LEARNED_NS = 10 * NS_PER_S
+"""Time between two notes in the log of what was learned [ns]."""
 
 _WARM_UP = (b"D,1,1\n", b"d\r\n"), (b"N\n", b"n,0,0,0,0,0,0,0,0\r\n"), (b"H\n", b"h,0,0\r\n")
 
@@ -62,7 +67,7 @@ class Followed:
 
             flush_ns = FLUSH_NS if parent else LIVE_FLUSH_NS
             self._log = ShadowLog(output, playpen, settings, parent=parent, flush_ns=flush_ns)
-        self._output = output
+        self._output, self._learned_ns = output, 0
         tell_kept(self._log)
 
     def follow(
@@ -81,7 +86,7 @@ class Followed:
         for each in heard:
             for update in self._follower.feed(each):
                 if self._log is not None:
-                    self._log.write(update)
+                    self._write(self._log, update)
                 for change in self._follower.changes(update):
                     typer.echo(alarm_line(change))
                 if self._ends_on_alarm and update.alarms:
@@ -95,6 +100,7 @@ class Followed:
     def close(self) -> None:
         """Complete the log."""
         if self._log is not None:
+            self._log.write_learned(self._learned())
             self._log.close()
 
     def tell(self, took_s: float | None = None) -> None:
@@ -116,6 +122,17 @@ class Followed:
             look = command("view", self._output)
             typer.echo(f"log        {self._output}      look at it: {look}", err=True)
 
+    def _write(self, log: "ShadowLog", update: "Update") -> None:
+        log.write(update)
+        if update.time_ns - self._learned_ns >= _LEARNED_NS:
+            self._learned_ns = update.time_ns
+            log.write_learned(self._learned())
+
+    def _learned(self) -> "Learned":
+        from khep_twin.shadow.learned import learned
+
+        return learned(self._shadow)
+
     @staticmethod
     def _warm_up(playpen: "Playpen", settings: "ShadowSettings") -> None:
         """Load all compiled code, so that a line that has begun does not wait for it."""
@@ -128,8 +145,6 @@ class Followed:
 
     def _summary(self, last: "Update") -> Iterator[str]:
         """Yield lines about the pose, dead reckoning and the wheels, with 95 % intervals."""
-        from khep_twin.shadow.learned import learned
-
         (x, y, heading), covariance = last.estimate.pose, last.estimate.covariance
         dx, dy, turn = (_TWO_SIDED * math.sqrt(covariance[i, i]) for i in range(3))
         yield (
@@ -139,7 +154,7 @@ class Followed:
         away = math.hypot(last.reckoned[0] - x, last.reckoned[1] - y) * 1e3
         turned = math.degrees(math.remainder(last.reckoned[2] - heading, math.tau))
         yield f"reckoning  {away:.0f} mm and {turned:+.1f} degrees off, by commands alone"
-        found, own = learned(self._shadow), self._calibration.wheels
+        found, own = self._learned(), self._calibration.wheels
         (radius, ratio, base), deviations = (
             found.wheels.tolist(),
             (_TWO_SIDED * found.wheel_deviations).tolist(),

@@ -6,6 +6,7 @@
     /shadow/expected    std_msgs/Float64MultiArray               proximity as the twins expect it
     /shadow/measured    std_msgs/Float64MultiArray               proximity as replied last
     /shadow/residuals   std_msgs/Float64MultiArray               deviations of the replies (`RESIDUALS`)
+    /shadow/learned     std_msgs/Float64MultiArray               wheels and gains, as parts, now and then
     /shadow/alarms      rcl_interfaces/Log                       alarms: WARN at the begin, INFO at the end
 
 /tf has the robot at the estimate, so that every viewer draws it there.

@@ -1,14 +1,24 @@
 """What a shadow has learned of its robot: wheels and the gains of its sensors, with their deviations."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.shadow.particle_filter import Particles
+from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.shadow import Shadow
+from khep_twin.units import N_SENSORS, Sensor
 
 Floats = NDArray[np.float64]
+
+
+_SENSORS = [sensor.name.lower().replace("_", " ") for sensor in Sensor]
+
+LEARNED = [
+    *(f"{part}{name}" for part in ("", "deviation of ") for name in ("radius", "right over left", "base")),
+    *(f"{part}gain {name}" for part in ("", "deviation of log ") for name in _SENSORS),
+]
+"""Numbers of a row, in this order, as parts of the calibration's values."""
 
 
 class Learned(NamedTuple):
@@ -26,10 +36,20 @@ class Learned(NamedTuple):
     gains: Floats
     gain_deviations: Floats
 
+    @property
+    def row(self) -> Floats:
+        """All of it (22,), as `LEARNED` names it."""
+        return np.concatenate(self)
+
+    @classmethod
+    def of_row(cls, row: Floats) -> Self:
+        """Return what a row has."""
+        return cls(*np.split(row, np.cumsum([3, 3, N_SENSORS])))
+
 
 def learned(shadow: Shadow) -> Learned:
     """Return what a shadow has learned so far."""
-    return of_particles(shadow._filter.particles)  # pyright: ignore[reportPrivateUsage]
+    return of_particles(shadow._diagnosis.filter.particles)  # pyright: ignore[reportPrivateUsage]
 
 
 def of_particles(particles: Particles) -> Learned:

@@ -39,6 +39,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
 from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.learned import LEARNED, Learned
 from khep_twin.shadow.shadow import ShadowSettings, Update
 
 ROBOT = "khepera0"
@@ -94,6 +95,7 @@ class ShadowLog:
         label = f"{', '.join(SENSORS)} [counts]"
         self._proximity = ArrayFrame(len(SENSORS), "f8", label)
         self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
+        self._learned = ArrayFrame(len(LEARNED), "f8", ", ".join(LEARNED))
         self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
         self._log = LogFile(path, lambda: self._time_ns)
         self.kept = self._log.kept
@@ -132,6 +134,11 @@ class ShadowLog:
         if time_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = time_ns
             self._log.flush()
+
+    def write_learned(self, found: Learned) -> None:
+        """Write what was learned of the robot, at the time of the last update."""
+        if self._log.open:
+            self._add("learned", self._learned, found.row)
 
     def on_event(self, text: str) -> None:
         """Write an event at the time of the last update."""
