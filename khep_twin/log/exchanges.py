@@ -9,6 +9,7 @@ the first waiting command that it fits; a line that fits none is kept until the 
 import re
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from khep_twin.board.protocol import ARGUMENT_COUNTS, COMMAND_NOT_FOUND, LINE_END
 from khep_twin.clock import NS_PER_S
@@ -80,10 +81,12 @@ class Dialogue:
 
     Args:
         byte_ns: Time of a byte on the line [ns]; 0 if it is not known.
+        give_up_ns: Silence of the robot after which a command counts as unanswered [ns].
     """
 
-    def __init__(self, byte_ns: int = 0) -> None:
+    def __init__(self, byte_ns: int = 0, give_up_ns: int = GIVE_UP_NS) -> None:
         self.byte_ns = byte_ns
+        self._give_up_ns = give_up_ns
         self._begun = {True: b"", False: b""}
         self._open: deque[Exchange] = deque()
         self._held: deque[tuple[int, bytes]] = deque()
@@ -112,10 +115,9 @@ class Dialogue:
 
     def wait(self, time_ns: int) -> list[Exchange]:
         """Return the exchanges that are given up by a time until which no more bytes came."""
-        if self._open and time_ns - max(self._open[0].sent_ns, self._heard_ns) > GIVE_UP_NS:
-            late = sum(time_ns - max(each.sent_ns, self._heard_ns) > GIVE_UP_NS for each in self._open)
-            return self._settle(late, time_ns)
-        return []
+        since_ns = time_ns - self._give_up_ns
+        count = sum(max(each.sent_ns, self._heard_ns) < since_ns for each in self._open)
+        return self._settle(count, time_ns) if count else []
 
     def disconnect(self) -> None:
         """Note that the host has left: nobody waits for the open replies or ends its unfinished line."""
@@ -183,6 +185,7 @@ class Dialogue:
         return done
 
 
+@lru_cache(maxsize=1024)
 def _letter(command: bytes) -> str:
     head = command.partition(b",")[0].strip(b" \t").decode("latin-1")
     return head if head in _LETTERS else ""

@@ -194,7 +194,9 @@ def relay(
         if received.left:
             # What was held back is of a host that has left, too.
             on_bytes(True, received.last)
-            waiting, next_host = dialogue.end(waiting + next_host + received.last), b""
+            unsent = waiting + next_host + received.last
+            waiting, next_host = dialogue.end(unsent), b""
+            on_bytes(True, waiting[len(unsent) :])
         if received.data:
             settings = port.settings()
             if settings is not None and (notice := device.follow(settings)):

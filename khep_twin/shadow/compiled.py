@@ -6,6 +6,7 @@ Imported only where numba is installed.
 # numba is not typed, and its functions have no types of their own.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false, reportArgumentType=false
 
+import math
 from typing import Any, NamedTuple
 
 from khep_twin import units
@@ -14,9 +15,9 @@ from khep_twin.rollout.planar import casting, contact_solver, motion, plane, sha
 from khep_twin.rollout.planar import compiled as planar_compiled
 from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing import optics, reflection, seen_surfaces
-from khep_twin.sensing.optics import SLIGHT, chip_of, light_counts
+from khep_twin.sensing.optics import SLIGHT, Light, chip_of, light_counts, received
 from khep_twin.sensing.reflection import Lobe, reflected, sift
-from khep_twin.sensing.scene import surfaces
+from khep_twin.sensing.scene import position, surfaces
 from khep_twin.shadow.planes import DUTY, SPEED, TARGET
 from khep_twin.simulation.compiled import compiled
 
@@ -94,15 +95,20 @@ def _illuminate(things, order, planes, sensors, light):
             light[twin, channel] = gain * reflected(found, count, chip, lobe) if count else 0.0
 
 
-def _lamplight(things, order, planes, sensors, law, bulbs, hidden, powers, counts):
+def _lamplight(things, order, planes, sensors, law, bulbs, hidden, powers, least, light):
     for twin in range(len(planes)):
         scene = Plane(things[twin], order[twin], planes[twin])
         for channel in range(units.N_SENSORS):
             for lamp in range(len(bulbs)):
-                total, _ = light_counts(
-                    scene, sensors[0], optics.Light(law[0], bulbs[lamp : lamp + 1], hidden), powers, channel
+                bulb, ambient = bulbs[lamp], sensors[0].ambient
+                x, y, _ = position(scene, sensors[0], channel)
+                away = (bulb.x - x) * (bulb.x - x) + (bulb.y - y) * (bulb.y - y)
+                if powers[lamp] * received(ambient, channel, math.sqrt(away), 1.0) < least:
+                    continue
+                lit = Light(law[0], bulbs[lamp : lamp + 1], hidden)
+                light[twin, channel, lamp], _ = light_counts(
+                    scene, sensors[0], lit, powers[lamp : lamp + 1], channel
                 )
-                counts[twin, channel, lamp] = total
 
 
 def _command(registers, command, left, right):
@@ -122,13 +128,12 @@ def _command(registers, command, left, right):
             kernel.set_position(board, _RIGHT, right)
 
 
-def _clear(things, order, planes, free):
+def _clear(things, planes, poses, free):
     for twin in range(len(planes)):
-        x, y = planes[twin].joints[plane.X], planes[twin].joints[plane.Y]
         free[twin] = True
         for thing in range(things.shape[1]):
-            near = plane.distance_to(things[twin], thing, x, y) < planes[twin].radius
-            if things[twin, thing, plane.TOUCHED] and near:
+            away = plane.distance_to(things[twin], thing, poses[twin, 0], poses[twin, 1])
+            if things[twin, thing, plane.TOUCHED] and away < planes[twin].radius:
                 free[twin] = False
                 break
 
@@ -145,7 +150,10 @@ illuminate: Any = compiled(_illuminate, _SOURCES)
 """Compute the light at each sensor, at the gains of the shared calibration (n, 8) [counts]."""
 
 lamplight: Any = compiled(_lamplight, _SOURCES)
-"""Compute the light of each lamp at each receiver, below its dark level (n, 8, n_lamps) [counts/W]."""
+"""Compute the light of each lamp at each receiver, below its dark level (n, 8, n_lamps) [counts].
+
+What cannot reach `least`, even in full sight, counts as 0.
+"""
 
 command: Any = compiled(_command, _SOURCES)
 """Execute a command on all boards."""

@@ -9,6 +9,7 @@ Sensors are watched on their own (`sensor_watch`): a stuck one repeats itself.
 import math
 from collections import deque
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,26 +31,44 @@ Floats = NDArray[np.float64]
 GROUP = 120
 """Particles of each hypothesis."""
 
-LOST = 3000
-"""Particles of a robot that was put anywhere."""
+LOST, TRIED = 20_000, 2500
+"""Particles of a robot that was put anywhere, and of one that may have been."""
 
 SNAPSHOT_NS = 500_000_000
 """Interval of the snapshots [ns]."""
 
-WINDOWS_NS = 1_000_000_000, 2_500_000_000
+WINDOWS_NS = 1_300_000_000, 3_000_000_000, 6_000_000_000
 """Ages of the snapshots from which hypotheses are tried [ns]."""
+
+MANY = 1500
+"""Particles that go through a fault once it is raised."""
+
+ONSETS_LATER = 30
+"""Times within a window at which it may have begun, for these."""
+
+ONSETS = 6
+"""Times within a window at which a fault may begin or end, in equal parts of each hypothesis' particles."""
 
 SURPRISE_S = 0.7
 """Time constant over which surprise is summed [s]."""
 
-SURPRISED = 2.0
+SURPRISED = 3.0
 """Surprise of one sensor from which on hypotheses are tried."""
+
+WAITED_NS = 1_000_000_000
+"""Time for which replies surprise before hypotheses are tried: enough to tell one from another [ns]."""
+
+SETTLED_NS = 1_500_000_000
+"""Time after a fault has been raised before another one is looked for [ns]."""
 
 TRIED_NS = 400_000_000
 """Interval at which hypotheses are tried [ns]."""
 
 RAISED = 9.0
 """Logarithm of the odds from which on a fault is raised."""
+
+SURE = 0.95
+"""Probability, among all that are tried, from which on it has a name."""
 
 ENDED = 4.0
 """Logarithm of the odds from which on it ends."""
@@ -61,6 +80,24 @@ NEAR = 0.09
 """Farthest distance of a thing from the robot's centre, to be seen or missed [m]."""
 
 LIFTED = "robot lifted"
+
+
+class _Tried(NamedTuple):
+    """A hypothesis that was tried.
+
+    Attributes:
+        odds: Logarithm of its odds against no change.
+        hypothesis: Fault; None for a robot that was put elsewhere.
+        begins: Whether it begins, or ends.
+        since_ns: Begin of the window [ns].
+        start: Particles then.
+    """
+
+    odds: float
+    hypothesis: Hypothesis | None
+    begins: bool
+    since_ns: int
+    start: Particles
 
 
 class Diagnosis:
@@ -88,6 +125,8 @@ class Diagnosis:
         self._actions: deque[Action] = deque()
         self._surprise: Floats = np.zeros(8)
         self._seen_ns = self._tried_ns = 0
+        self._changed_ns = -SETTLED_NS
+        self._surprised_ns: int | None = None
         self.ended: tuple[Alarm, ...] = ()
 
     @property
@@ -99,9 +138,9 @@ class Diagnosis:
     def follow(self, action: Action) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,)."""
         self.ended = ()
-        if isinstance(action, Seen):
-            self.ended = self._sensors.see(action, self.filter.expected)
         told = self.filter.act(action, self._sensors.sound)
+        if isinstance(action, Seen):
+            self.ended = self._sensors.see(action, self.filter.readable)
         self._actions.append(action)
         if isinstance(action, Seen):
             self._see(action)
@@ -115,7 +154,16 @@ class Diagnosis:
         self._surprise = self._surprise * math.exp(-passed_s / SURPRISE_S)
         self._surprise += np.maximum(self.filter.surprise - _USUAL, 0)
         self._end_lifted(time_ns)
-        if self._surprise.max() > SURPRISED and time_ns - self._tried_ns >= TRIED_NS and self._known:
+        if self._surprise.max() <= SURPRISED:
+            self._surprised_ns = None
+        elif self._surprised_ns is None:
+            self._surprised_ns = time_ns
+        elif (
+            time_ns - max(self._tried_ns, self._surprised_ns) >= TRIED_NS
+            and time_ns - self._surprised_ns >= WAITED_NS
+            and time_ns - self._changed_ns >= SETTLED_NS
+            and self._known
+        ):
             self._tried_ns = time_ns
             self._try(time_ns)
         if not self._snapshots or time_ns - self._snapshots[-1][0] >= SNAPSHOT_NS:
@@ -134,7 +182,7 @@ class Diagnosis:
 
     def _try(self, time_ns: int) -> None:
         """Try all hypotheses from snapshots of different ages; adopt the best if it is better by far."""
-        tried: list[tuple[float, Hypothesis | None, bool, int, Particles]] = []
+        tried: list[_Tried] = []
         for age_ns in WINDOWS_NS:
             older = [each for each in self._snapshots if each[0] <= time_ns - age_ns]
             if not older:
@@ -143,12 +191,15 @@ class Diagnosis:
             tried += self._compared(since_ns, start, self.filter.evidence - evidence, time_ns)
         if not tried:
             return
-        tried.sort(key=lambda each: -each[0])
-        odds, hypothesis, begins, since_ns, particles = tried[0]
-        if odds < (RAISED if begins else ENDED):
+        names: dict[tuple[str, bool], float] = {}
+        for each in tried:
+            key = "" if each.hypothesis is None else each.hypothesis.name, each.begins
+            names[key] = max(names.get(key, -math.inf), each.odds)
+        odds, hypothesis, begins, since_ns, start = max(tried, key=lambda each: each.odds)
+        sureness = 1 / sum(math.exp(min(each - odds, 0)) for each in (0.0, *names.values()))
+        if odds < (RAISED if begins else ENDED) or sureness < SURE:
             return
-        total = 1 + sum(math.exp(min(each[0] - odds, 0)) for each in tried[1:])
-        alarm = Alarm("", "", since_ns, time_ns, min(1 / (total + math.exp(-odds) - 0.0), 0.999))
+        alarm = Alarm("", "", since_ns, time_ns, min(sureness, 0.999))
         if hypothesis is None:
             self._others.append(replace(alarm, fault=LIFTED, channel="proximity"))
         elif begins:
@@ -159,13 +210,41 @@ class Diagnosis:
                 replace(each, ended_ns=time_ns) for fault, each in self._present if fault is hypothesis
             )
             self._present = [each for each in self._present if each[0] is not hypothesis]
-        self.filter.take(particles)
+        self.filter.take(self._refined(since_ns, start, hypothesis, begins))
+        self._changed_ns = time_ns
         self._snapshots.clear()
         self._surprise[:] = 0
 
-    def _compared(
-        self, since_ns: int, start: Particles, sound: float, time_ns: int
-    ) -> list[tuple[float, Hypothesis | None, bool, int, Particles]]:
+    def _refined(
+        self, since_ns: int, start: Particles, hypothesis: Hypothesis | None, begins: bool
+    ) -> Particles:
+        """Return many particles that have gone through a hypothesis since a snapshot."""
+        if hypothesis is None:
+            particles = self._anywhere(start, LOST)
+        else:
+            particles = start.drawn(MANY, self._rng.random())
+        tracker = ParticleFilter(self._setup, particles, self._rng, MANY)
+        tracker.spread()
+        actions = [action for action in self._actions if action.time_ns > since_ns]
+        end_ns = actions[-1].time_ns
+        onsets = deque(
+            since_ns + (end_ns - since_ns) * onset // ONSETS_LATER for onset in range(ONSETS_LATER)
+        )
+        size, turn = MANY // ONSETS_LATER, 0
+        for action in actions:
+            while hypothesis is not None and onsets and onsets[0] <= action.time_ns:
+                # In any order: the particles may have been drawn anew meanwhile.
+                part = tracker.particles.taken(slice(turn * size, (turn + 1) * size))
+                if begins:
+                    hypothesis.begin(part, self._rng)
+                else:
+                    hypothesis.end(part)
+                turn += 1
+                onsets.popleft()
+            tracker.act(action, self._sensors.sound, renew=not onsets or hypothesis is None)
+        return tracker.particles
+
+    def _compared(self, since_ns: int, start: Particles, sound: float, time_ns: int) -> list[_Tried]:
         """Return the odds of each hypothesis against no change, whether it begins, since when, and its twins.
 
         Args:
@@ -179,13 +258,19 @@ class Diagnosis:
         groups = 1 + len(changes)
         all_of_them = start.taken(np.tile(np.arange(GROUP), groups))
         parts = [all_of_them.taken(slice(i * GROUP, (i + 1) * GROUP)) for i in range(groups)]
-        for (fault, begins), part in zip(changes, parts[1:], strict=True):
-            if begins:
-                fault.begin(part, self._rng)
-            else:
-                fault.end(part)
         actions = [action for action in self._actions if action.time_ns > since_ns]
+        onsets = [since_ns + (time_ns - since_ns) * onset // ONSETS for onset in range(ONSETS)]
         for action in actions:
+            while onsets and onsets[0] <= action.time_ns:
+                turn = slice(
+                    (ONSETS - len(onsets)) * GROUP // ONSETS, (ONSETS + 1 - len(onsets)) * GROUP // ONSETS
+                )
+                for (fault, begins), part in zip(changes, parts[1:], strict=True):
+                    if begins:
+                        fault.begin(part.taken(turn), self._rng)
+                    else:
+                        fault.end(part.taken(turn))
+                del onsets[0]
             repeat(action, all_of_them)
             if isinstance(action, Seen):
                 _, _, logs = self._model.explain(all_of_them, action.readings, self._sensors.sound)
@@ -194,22 +279,24 @@ class Diagnosis:
                 all_of_them.count(action.counters)
         evidence = [log_of_sum(part.logs) for part in parts]
         none = max(evidence[0], sound)
-        found: list[tuple[float, Hypothesis | None, bool, int, Particles]] = [
-            (each - none, fault, begins, since_ns, part)
-            for each, (fault, begins), part in zip(evidence[1:], changes, parts[1:], strict=True)
+        found = [
+            _Tried(each - none - (fault.rare if begins else 0.0), fault, begins, since_ns, start)
+            for each, (fault, begins) in zip(evidence[1:], changes, strict=True)
         ]
-        if max([each[0] for each in found], default=0.0) < RAISED:
-            lost = self._lost(start)
+        short = time_ns - since_ns < WINDOWS_NS[1]
+        if short and none < -(RAISED + RARE):
+            lost = ParticleFilter(self._setup, self._anywhere(start, TRIED), self._rng, TRIED)
             for action in actions:
                 lost.act(action, self._sensors.sound)
-            found.append((lost.evidence - none - RARE, None, True, since_ns, lost.particles))
+            found.append(_Tried(lost.evidence - none - RARE, None, True, since_ns, start))
         return found
 
     def _candidates(self, start: Particles) -> list[Hypothesis]:
         """Return the faults that may begin."""
         present = {fault.name for fault, _ in self._present}
-        found = [*hypotheses.of_wheels()]
-        x, y = start.planes.poses[:, :2].mean(axis=0)
+        wheels = any(fault.channel == "wheels" for fault, _ in self._present)
+        found: list[Hypothesis] = [] if wheels else [*hypotheses.of_wheels()]
+        x, y, _ = self.filter.estimate(0).pose
         things = start.planes.things[0]
         for name, rows in self._things.items():
             reach = [
@@ -220,14 +307,14 @@ class Diagnosis:
             if min(reach) < NEAR:
                 found += [Missing(name, rows), Moved(name, rows)]
         sensor = int(np.argmax(self._surprise))
-        found.append(Unexpected(sensor))
+        found.append(Unexpected(sensor, self.filter.estimate(0).pose))
         return [fault for fault in found if fault.name not in present]
 
-    def _lost(self, start: Particles) -> ParticleFilter:
-        """Return a filter of a robot that may be anywhere, with the gains and faults that are known."""
-        particles = start.drawn(LOST, 0.5)
+    def _anywhere(self, start: Particles, count: int) -> Particles:
+        """Return particles of a robot that may be anywhere, with the gains and faults that are known."""
+        particles = start.drawn(count, 0.5)
         particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
-        return ParticleFilter(self._setup, particles, self._rng, len(self.filter.particles))
+        return particles
 
     def _end_lifted(self, time_ns: int) -> None:
         """End the alarm of a robot that was put elsewhere, once its pose is known."""

@@ -47,6 +47,11 @@ class Hypothesis(Protocol):
         """Channel in which it shows."""
         ...
 
+    @property
+    def rare(self) -> float:
+        """Logarithm of the odds against it, beside the others."""
+        ...
+
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Give particles the fault."""
         ...
@@ -62,6 +67,7 @@ class StandingWheel:
 
     side: int
     channel: str = "wheels"
+    rare: float = 0.0
 
     @property
     def name(self) -> str:
@@ -83,6 +89,7 @@ class WeakMotor:
 
     side: int
     channel: str = "wheels"
+    rare: float = 0.0
 
     @property
     def name(self) -> str:
@@ -104,6 +111,7 @@ class SlippingWheel:
 
     side: int
     channel: str = "wheels"
+    rare: float = 0.0
 
     @property
     def name(self) -> str:
@@ -129,6 +137,7 @@ class Missing:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -152,6 +161,7 @@ class Moved:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -171,28 +181,27 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Unexpected:
-    """A thing that is not in the playpen, seen by a sensor."""
+    """A thing that is not in the playpen, seen by a sensor of a robot at a pose [m, rad]."""
 
     sensor: int
+    pose: tuple[float, float, float]
     channel: str = "proximity"
+    rare: float = 6.0
     name: str = "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Put a cylinder in front of the sensor."""
         planes, count = particles.planes, len(particles)
-        poses, mount = planes.poses, planes.robots["mounts"][:, self.sensor]
+        x, y, heading = self.pose
+        ahead, left, cosine, sine, _ = planes.robots["mounts"][0, self.sensor].tolist()
         radius = rng.uniform(*ADDED_RADII, count)
         off = rng.uniform(0.001, ADDED_REACH, count) + radius
         aside = rng.standard_normal(count) * math.radians(20)
-        bearing = poses[:, 2] + np.arctan2(mount[:, 3], mount[:, 2])
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        way = heading + math.atan2(sine, cosine) + aside
+        c, s = math.cos(heading), math.sin(heading)
         row = planes.things[:, -N_SPARE]
-        row[:, flat.CENTRE_X] = (
-            poses[:, 0] + c * mount[:, 0] - s * mount[:, 1] + off * np.cos(bearing + aside)
-        )
-        row[:, flat.CENTRE_Y] = (
-            poses[:, 1] + s * mount[:, 0] + c * mount[:, 1] + off * np.sin(bearing + aside)
-        )
+        row[:, flat.CENTRE_X] = x + c * ahead - s * left + off * np.cos(way)
+        row[:, flat.CENTRE_Y] = y + s * ahead + c * left + off * np.sin(way)
         row[:, flat.LENGTH], row[:, flat.WIDTH] = radius, -1
         row[:, flat.BOTTOM], row[:, flat.TOP] = 0, _HEIGHT
         row[:, flat.TOUCHED] = row[:, flat.REFLECTANCE] = 1

@@ -102,19 +102,27 @@ class ParticleFilter:
         self.surprise: Floats = np.zeros(8)
         self._drifted_ticks = particles.planes.ticks
 
-    def act(self, action: Action, use: NDArray[np.bool_]) -> Floats:
+    def act(self, action: Action, use: NDArray[np.bool_], renew: bool = True) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
 
         Args:
             action: Action.
             use: Sensors to rely on (8,).
+            renew: Whether to draw the particles anew where too few count.
         """
         repeat(action, self.particles)
         if isinstance(action, Seen):
             self._see(action.readings, use)
+            if renew:
+                self._renew()
         if isinstance(action, Counted):
             return self.weights @ self.particles.count(action.counters)
         return np.full(2, np.nan)
+
+    @property
+    def readable(self) -> NDArray[np.bool_]:
+        """Whether lamps left enough of each sensor's range at the last reply (8,)."""
+        return self._model.readable
 
     def take(self, particles: Particles) -> None:
         """Go on with other particles of the present time."""
@@ -123,7 +131,11 @@ class ParticleFilter:
         self.particles = particles
         if len(particles) < self._count:
             self.particles = particles.drawn(self._count, self._rng.random())
-        self._drifted_ticks = particles.planes.ticks - _FRESH_TICKS
+        self.spread()
+
+    def spread(self) -> None:
+        """Spread the particles a little, as many were drawn of few."""
+        self._drifted_ticks = self.particles.planes.ticks - _FRESH_TICKS
         self._drift()
 
     def _see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> None:
@@ -139,7 +151,6 @@ class ParticleFilter:
         norm = log_of_sum(particles.logs)
         self.evidence += norm
         particles.logs -= norm
-        self._renew()
 
     def estimate(self, time_ns: int) -> Estimate:
         """Return the estimate of the pose."""
@@ -229,8 +240,7 @@ def anywhere(setup: EpisodeSetup, planes: Planes, rng: np.random.Generator) -> F
     for _ in range(_TRIES):
         drawn = rng.uniform((*low, 0), (*high, math.tau), poses.shape)
         poses[wanted] = drawn[wanted]
-        planes.put(poses)
-        wanted = ~(planes.free() & _inside(corners, poses))
+        wanted = ~(planes.free(poses) & _inside(corners, poses))
         if not wanted.any():
             return poses
     raise PlaypenError(f"{setup.playpen.name}: no room for the robot was found; expected a start pose")

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -10,10 +11,13 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board import battery, kernel
 from khep_twin.errors import MissingNumbaError
+from khep_twin.randomness import stream
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar.planar_world import PlanarForms
 from khep_twin.sensing.buffers import as_records
+from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.optics import Bulb, Hidden
 
 Floats = NDArray[np.float64]
 
@@ -42,6 +46,7 @@ class Planes:
         robots: Records of `PlanarRobot` (n,).
         registers: States of the boards (n, N_REGISTERS).
         processor: States of the processors (n, N_PROCESSOR).
+        lamps: Lamps of the playpen.
         strength: Parts of the motors' torque, left and right (n, 2).
         traction: Parts of the wheels' way that the tyres go, left and right (n, 2), for `set_wheels`.
     """
@@ -72,6 +77,13 @@ class Planes:
         self.processor[:, kernel.POWERED] = 1
         self.strength: Floats = np.ones((count, 2))
         self.traction: Floats = np.ones((count, 2))
+        self.lamps = Lamps(setup.playpen, partial(stream, 0, "lamps"))
+        light = forms.light(self.lamps, setup.playpen.lighting)
+        self._light = (
+            as_records([light.law], light.law),
+            as_records(light.bulbs, Bulb()),
+            as_records(light.hidden, Hidden()),
+        )
         drive = compiled.Drive(
             flat.LEFT_ANGLE, flat.RIGHT_ANGLE, flat.LEFT_ANGLE, flat.RIGHT_ANGLE, state.motor_constant
         )
@@ -90,6 +102,11 @@ class Planes:
         for name in ("things", "_order", "robots", "registers", "processor", "strength", "traction"):
             setattr(made, name, getattr(self, name)[indices])
         return made
+
+    @property
+    def ambient(self) -> Any:
+        """Record of `optics.Ambient`, which all twins share."""
+        return self.sensors[0]["ambient"]
 
     @property
     def proximity(self) -> Any:
@@ -164,12 +181,29 @@ class Planes:
         middle = poses[:, 2] + turn / 2
         self.move(poses + np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1))
 
+    def lamplight(self, least: float) -> Floats:
+        """Return the light of each lamp at each sensor, below the dark level (n, 8, n_lamps) [counts].
+
+        It holds at the start of the last step; lamps that take turns are as at time 0.
+
+        Args:
+            least: Light that matters, at the least [counts].
+        """
+        if self.lamps.lit is None and not self.lamps.steady:
+            self.lamps.update(self.ticks * TICK_NS, ())
+        powers = np.array(self.lamps.powers)
+        light = np.zeros((len(self), units.N_SENSORS, len(powers)))
+        if powers.any():
+            state = self.things, self._order, self.robots, self.sensors
+            self._code.lamplight(*state, *self._light, powers, least, light)
+        return light
+
     def command(self, command: int, left: int, right: int) -> None:
         """Execute a command of `compiled` on all boards."""
         self._code.command(self.registers, command, left, right)
 
-    def free(self) -> NDArray[np.bool_]:
-        """Return whether each twin stands free of obstacles (n,)."""
+    def free(self, poses: Floats) -> NDArray[np.bool_]:
+        """Return whether a robot would stand free of each twin's obstacles at a pose (n,)."""
         free = np.zeros(len(self), np.bool_)
-        self._code.clear(self.things, self._order, self.robots, free)
+        self._code.clear(self.things, self.robots, poses, free)
         return free

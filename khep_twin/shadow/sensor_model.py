@@ -18,9 +18,6 @@ from khep_twin.shadow.planes import Planes
 
 Floats = NDArray[np.float64]
 
-TEMPER = 0.2
-"""Power of the likelihood: errors of the model last for many replies, where noise would not (assumed)."""
-
 OUTLIERS = 0.02
 """Part of the readings that the twins cannot explain (assumed)."""
 
@@ -44,6 +41,7 @@ class SensorModel:
     Attributes:
         quiet: Highest reading with nothing in reach [counts].
         limit: Highest reading [counts].
+        readable: Whether lamps left enough of each sensor's range at the last reply (8,).
     """
 
     def __init__(self, planes: Planes) -> None:
@@ -52,6 +50,7 @@ class SensorModel:
         self._noise: Floats = proximity["noise"]
         self._quantum = int(proximity["quantum"])
         self.limit = int(proximity["limit"])
+        self.readable: NDArray[np.bool_] = np.ones(8, np.bool_)
         self.quiet = 4 * max(float(proximity["idle"]), float(proximity["floor"]))
 
     def explain(
@@ -68,7 +67,8 @@ class SensorModel:
             use: Sensors to rely on (8,); the others have likelihood 1.
         """
         scaled = particles.planes.illuminate() * np.exp(particles.gains)
-        counts = scaled - self._threshold
+        range_left = self._range_left(particles)
+        counts = np.minimum(scaled - self._threshold, self.limit * range_left)
         apart = MODEL * np.maximum(counts, 0)
         noise = self._noise * self._noise + self._quantum * self._quantum / 12 + apart * apart
         total_variance = noise + scaled * scaled * particles.variances
@@ -82,14 +82,25 @@ class SensorModel:
         weights = np.exp(particles.logs - particles.logs.max())
         weights /= weights.sum()
         expected = np.clip(weights @ counts, 0, self.limit)
+        self.readable = weights @ range_left > _READABLE
         best = np.where(clipped, 1.0, 1 / (weights @ deviation * math.sqrt(math.tau)))
-        surprise = np.where(use, TEMPER * np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0)
+        surprise = np.where(
+            use, particles.temper * np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0
+        )
         # The gains, where a reading is inside of the range and explained.
-        trust = np.where(clipped | ~use, 0.0, explained / likelihood)
+        trust = np.where(clipped | ~use | (range_left < 1), 0.0, explained / likelihood)
         step = trust * scaled * particles.variances / total_variance
         particles.gains += step * (readings - counts)
         particles.variances = np.maximum(particles.variances * (1 - step * scaled), GAIN_LEAST**2)
-        return expected, surprise, TEMPER * np.where(use, np.log(likelihood), 0.0)
+        return expected, surprise, particles.temper * np.where(use, np.log(likelihood), 0.0)
+
+    def _range_left(self, particles: Particles) -> Floats:
+        """Return the part of each sensor's range that the lamps leave (n, 8)."""
+        if not particles.planes.lamps.names:
+            return np.ones(particles.gains.shape)
+        ambient = particles.planes.ambient
+        reach = float(ambient["dark"] - ambient["floor"])
+        return np.clip(1 - particles.planes.lamplight(_BRIGHT * reach).sum(axis=2) / reach, 0, 1)
 
 
 def log_of_sum(logs: Floats) -> float:
@@ -101,3 +112,10 @@ def log_of_sum(logs: Floats) -> float:
 def _below(z: Floats) -> Floats:
     """Return the probability of a normal number below z, to 0.01."""
     return 1 / (1 + np.exp(-np.clip(1.702 * z, -500, 500)))
+
+
+_BRIGHT = 0.2
+"""Part of the range from which on a lamp's light matters."""
+
+_READABLE = 0.7
+"""Part of the range below which a sensor's readings say little: lamps may leave none (assumed)."""

@@ -51,12 +51,12 @@ class SensorWatch:
         """Whether each sensor is neither stuck nor dead (8,)."""
         return np.array([sensor not in self._alarms for sensor in range(N_SENSORS)])
 
-    def see(self, action: Seen, expected: NDArray[np.float64]) -> tuple[Alarm, ...]:
+    def see(self, action: Seen, readable: NDArray[np.bool_]) -> tuple[Alarm, ...]:
         """Take a reply to N; return the alarms that it ends.
 
         Args:
             action: Reply.
-            expected: Readings that the twins expect (8,) [counts].
+            readable: Whether lamps leave enough of each sensor's range (8,).
         """
         before, self._last = self._last, action.readings
         ended: list[Alarm] = []
@@ -68,7 +68,7 @@ class SensorWatch:
                 self._since_ns[sensor] = action.time_ns
                 if alarm := self._alarms.pop(sensor, None):
                     ended.append(replace(alarm, ended_ns=action.time_ns))
-            if last >= self._limit:
+            if last >= self._limit or not readable[sensor]:
                 continue
             kind = int(last > self._quiet)
             others = np.delete(self._repeats[kind], sensor, axis=0).sum(axis=0)

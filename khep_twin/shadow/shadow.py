@@ -35,7 +35,7 @@ from khep_twin.units import BITS_PER_BYTE
 
 Floats = NDArray[np.float64]
 
-ANYWHERE = 10
+ANYWHERE = 20
 """Particles for each of those in `ShadowSettings`, while the robot may be anywhere."""
 
 COMMANDS = {"D": SPEED, "P": DUTY, "C": TARGET, "G": POSITION}

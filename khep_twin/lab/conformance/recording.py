@@ -1,8 +1,8 @@
 """Check of a recording: the replies of a robot or an emulator in a log, held against the board's model.
 
 Nothing is sent: what the hosts of the log did not ask is not seen. Each check is a function of a
-`RecordedLine`, which returns what it has seen and where that deviates; `reply_checks`, `wheel_checks` and
-`sensor_checks` have them.
+`RecordedLine`, which returns what it has seen and where that deviates; `reply_checks`,
+`time_checks`, `wheel_checks`, `status_checks` and `sensor_checks` have them.
 """
 
 import json
@@ -11,7 +11,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.recorded_line import RecordedLine, Step, recorded_lines
+from khep_twin.lab.conformance.board_model import Step
+from khep_twin.lab.conformance.recorded_line import RecordedLine, recorded_lines
 from khep_twin.log.decoding import shown
 from khep_twin.log.transcript import text_of
 
@@ -162,10 +163,17 @@ def answered(step: Step) -> str:
 
 
 def _checked(line: RecordedLine) -> CheckedRobot:
-    from khep_twin.lab.conformance import reply_checks, sensor_checks, wheel_checks
+    from khep_twin.lab.conformance import (
+        reply_checks,
+        sensor_checks,
+        status_checks,
+        time_checks,
+        wheel_checks,
+    )
 
+    modules = (reply_checks, time_checks, wheel_checks, status_checks, sensor_checks)
     statements: list[CheckedStatement] = []
-    for check in (*reply_checks.ALL, *wheel_checks.ALL, *sensor_checks.ALL):
+    for check in (check for module in modules for check in module.ALL):
         verdict = check.body(line)
         statements.append(
             CheckedStatement(check.name, check.section, verdict.seen, tuple(verdict.findings), verdict.note)

@@ -1,10 +1,7 @@
-"""Checks of a recording's replies: their form, errors and times. See `recording`."""
+"""Checks of a recording's replies: their form, errors, and restarts. See `recording`."""
 
 import re
-from collections import defaultdict
 from collections.abc import Callable, Iterator
-
-import numpy as np
 
 from khep_twin.board.protocol import (
     COMMAND_NOT_FOUND,
@@ -16,7 +13,8 @@ from khep_twin.board.protocol import (
 )
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.recorded_line import RecordedLine, Step, is_error
+from khep_twin.lab.conformance.board_model import Step, is_error
+from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import (
     Finding,
     RecordingCheck,
@@ -53,6 +51,17 @@ _END = b"\r\n"
 _REFUSED = b"z,"
 
 
+_COUNTS = {"E": 2, "H": 2, "K": 6}
+
+
+def read(line: RecordedLine, letters: str) -> Iterator[tuple[Step, tuple[int, ...]]]:
+    """Yield the steps of these commands whose replies have their number of values."""
+    for step in line.steps:
+        values = step.exchange.values if step.exchange.letter in letters else None
+        if values is not None and len(values) == _COUNTS[step.exchange.letter]:
+            yield step, values
+
+
 def _with_replies(
     line: RecordedLine, kind: type[Command] | type[Malformed] | type[Tool] | type[TurretMessage]
 ) -> Iterator[Step]:
@@ -68,7 +77,7 @@ def _accepted(line: RecordedLine) -> Iterator[tuple[Step, bytes]]:
             yield step, reply
 
 
-def _over(steps: Iterator[Step], deviation: Callable[[Step], Finding | None]) -> Verdict:
+def over(steps: Iterator[Step], deviation: Callable[[Step], Finding | None]) -> Verdict:
     """Return the verdict over steps of which each may deviate."""
     found = [deviation(step) for step in steps]
     return Verdict(len(found), [each for each in found if each is not None])
@@ -80,9 +89,7 @@ def _over(steps: Iterator[Step], deviation: Callable[[Step], Finding | None]) ->
 @check("every command is answered", "3.2")
 def _answers(line: RecordedLine) -> Verdict:
     asked = (step for step in line.steps if step.exchange.command and not step.exchange.abandoned)
-    return _over(
-        asked, lambda step: finding(step, "no reply", "one") if step.exchange.reply is None else None
-    )
+    return over(asked, lambda step: finding(step, "no reply", "one") if step.exchange.reply is None else None)
 
 
 @check("the robot sends nothing unasked", "3.2")
@@ -109,7 +116,7 @@ def _letters(line: RecordedLine) -> Verdict:
         head = (step.exchange.reply or b"").partition(b",")[0]
         return None if head == letter.encode() else finding(step, answered(step), f"{letter!r} first")
 
-    return _over((step for step, _ in _accepted(line)), deviation)
+    return over((step for step, _ in _accepted(line)), deviation)
 
 
 @check("a reply has as many plain integers as its command asks for", "A")
@@ -123,7 +130,7 @@ def _values(line: RecordedLine) -> Verdict:
             step, answered(step), f"{wanted} plain integer{'s' * (wanted != 1)}" if wanted else "none"
         )
 
-    return _over((step for step, _ in _accepted(line) if step.exchange.letter != "B"), deviation)
+    return over((step for step, _ in _accepted(line) if step.exchange.letter != "B"), deviation)
 
 
 @check("values are in the range of their command", "A")
@@ -134,7 +141,7 @@ def _ranges(line: RecordedLine) -> Verdict:
         return None if wrong is None else finding(step, f"{wrong} in {answered(step)}", f"{low} to {high}")
 
     valued = (step for step, _ in _accepted(line) if step.exchange.letter in _RANGES)
-    return _over((step for step in valued if step.exchange.values), deviation)
+    return over((step for step in valued if step.exchange.values), deviation)
 
 
 @check("a valid command is not refused", "A")
@@ -144,7 +151,7 @@ def _refusals(line: RecordedLine) -> Verdict:
         return finding(step, answered(step), f"{text_of(step.expected[:-2])}") if is_error(reply) else None
 
     valid = (step for step in _with_replies(line, Command) if not is_error(step.expected))
-    return _over(valid, deviation)
+    return over(valid, deviation)
 
 
 def _exactly(step: Step) -> Finding | None:
@@ -155,7 +162,7 @@ def _exactly(step: Step) -> Finding | None:
 
 @check("missing, surplus or wrong parameters are a protocol error", "A")
 def _wrong_parameters(line: RecordedLine) -> Verdict:
-    return _over(
+    return over(
         (step for step in _with_replies(line, Malformed) if step.expected == PROTOCOL_ERROR), _exactly
     )
 
@@ -163,7 +170,7 @@ def _wrong_parameters(line: RecordedLine) -> Verdict:
 @check("an unknown word is answered with Command not found", "3.2")
 def _unknown_words(line: RecordedLine) -> Verdict:
     unknown = (step for step in line.steps if step.exchange.reply is not None and step.request is not None)
-    return _over((step for step in unknown if step.expected == COMMAND_NOT_FOUND), _exactly)
+    return over((step for step in unknown if step.expected == COMMAND_NOT_FOUND), _exactly)
 
 
 @check("an LED, channel or address that does not exist is refused", "A")
@@ -176,7 +183,7 @@ def _nothing_there(line: RecordedLine) -> Verdict:
             else finding(step, answered(step), "a line that starts with 'z,'")
         )
 
-    return _over((step for step in _with_replies(line, Command) if is_error(step.expected)), deviation)
+    return over((step for step in _with_replies(line, Command) if is_error(step.expected)), deviation)
 
 
 @check("a turret answers under its number, an absent one is refused", "A, command T")
@@ -195,15 +202,13 @@ def _turrets(line: RecordedLine) -> Verdict:
         alike = own and reply.count(b",") == step.expected.count(b",")
         return None if alike else finding(step, answered(step), f"one such as {text_of(step.expected[:-2])}")
 
-    return _over(_with_replies(line, TurretMessage), deviation)
+    return over(_with_replies(line, TurretMessage), deviation)
 
 
 @check("a tool is answered in lines", "3.2.1")
 def _tools(line: RecordedLine) -> Verdict:
     known = (step for step in _with_replies(line, Tool) if step.expected != COMMAND_NOT_FOUND)
-    return _over(
-        known, lambda step: _exactly(step) if step.exchange.reply == COMMAND_NOT_FOUND[:-2] else None
-    )
+    return over(known, lambda step: _exactly(step) if step.exchange.reply == COMMAND_NOT_FOUND[:-2] else None)
 
 
 # Versions and restarts -----------------------------------------------------------------------------------
@@ -222,7 +227,7 @@ def _versions(line: RecordedLine) -> Verdict:
             return finding(step, answered(step), "one such as b,5.02,5.01")
         return None if reply == told[0] else finding(step, answered(step), f"{text_of(told[0])} as before")
 
-    verdict = _over((step for step, _ in _accepted(line) if step.exchange.letter == "B"), deviation)
+    verdict = over((step for step, _ in _accepted(line) if step.exchange.letter == "B"), deviation)
     return Verdict(verdict.seen, verdict.findings, text_of(told[0]) if told else "")
 
 
@@ -259,77 +264,11 @@ def _output(line: RecordedLine, place: int) -> Iterator[bytes]:
     first = line.steps[place].exchange
     source = first.command or first.reply
     yield first.reply or b""
-    later = (each.exchange for each in line.steps[place + 1 :] if not each.exchange.command)
-    for each in later:
-        if each.output_of != source:
+    # Outputs of tools before it may be between, as steps are in order of the commands.
+    for step in line.steps[place + 1 :]:
+        each = step.exchange
+        if each.command == b"restart" and each.reply is not None:
             return
+        if each.command or each.output_of != source or each.heard_ns < first.heard_ns:
+            continue
         yield each.reply or b""
-
-
-# Time ----------------------------------------------------------------------------------------------------
-
-_SHORTEST = 10 / 11
-"""Shortest time of a byte, with one stop bit, by that with two."""
-
-_WALL_CLOCK_NS = 3_000_000
-"""Error of a relay's times (assumed; they are those of its own reads and writes) [ns]."""
-
-FIRST_BYTE_NS = {True: 10_000_000, False: 30_000_000}
-"""Longest wait for a reply beyond its time on the line [ns]: of a twin, and of a relay, with the delays of an
-adapter (16 ms) and a scheduler (assumed; hosts bear 50 ms)."""
-
-_LATE_SHARE = 0.05
-"""Share of a command's late replies that a relay's machine may have caused (assumed)."""
-
-
-def _timed(line: RecordedLine) -> Iterator[Step]:
-    """Yield the steps whose reply is one line, of which the line's speed is known."""
-    for step in line.steps:
-        asked = isinstance(step.request, (Command, Malformed, TurretMessage))
-        if asked and step.exchange.reply is not None and step.byte_ns:
-            yield step
-
-
-@check("no reply ends before command and reply have crossed the line", "3.2")
-def _early(line: RecordedLine) -> Verdict:
-    slack_ns = 0 if line.simulated else _WALL_CLOCK_NS
-
-    def deviation(step: Step) -> Finding | None:
-        length = len(step.exchange.reply or b"") + 2
-        least_ns = (step.arrived_ns - step.exchange.sent_ns + length * step.byte_ns) * _SHORTEST
-        took_ns = step.exchange.heard_ns - step.exchange.sent_ns
-        if took_ns + slack_ns >= int(least_ns):
-            return None
-        return finding(
-            step, f"{answered(step)} after {took_ns / 1e6:.1f} ms", f"at least {least_ns / 1e6:.1f} ms"
-        )
-
-    return _over(_timed(line), deviation)
-
-
-@check("replies begin within 10 ms", "3.2")
-def _late(line: RecordedLine) -> Verdict:
-    most_ns, busy_ns = FIRST_BYTE_NS[line.simulated], 0
-    waits: dict[str, list[tuple[int, Step]]] = defaultdict(list)
-    timed = {id(step) for step in _timed(line)}
-    for step in line.steps:
-        length = len(step.exchange.reply or b"") + 2
-        if id(step) in timed and not step.exchange.abandoned:
-            wait_ns = step.exchange.heard_ns - max(step.arrived_ns, busy_ns) - length * step.byte_ns
-            waits[step.exchange.letter].append((wait_ns, step))
-        busy_ns = max(busy_ns, step.exchange.heard_ns)
-    findings: list[Finding] = []
-    for of_letter in waits.values():
-        late = [
-            finding(step, f"{answered(step)} {wait_ns / 1e6:.0f} ms late", f"at most {most_ns / 1e6:.0f} ms")
-            for wait_ns, step in of_letter
-            if wait_ns > most_ns
-        ]
-        if line.simulated or len(late) > max(_LATE_SHARE * len(of_letter), 2):
-            findings += late
-    every = [wait_ns / 1e6 for of_letter in waits.values() for wait_ns, _ in of_letter]
-    if not every:
-        return Verdict(0)
-    middle, most, last = np.quantile(every, [0.5, 0.95, 1.0]).clip(0).tolist()
-    note = f"half within {middle:.1f} ms, 95 % within {most:.1f} ms, all within {last:.1f} ms"
-    return Verdict(len(every), sorted(findings, key=lambda each: each.time_s), note)

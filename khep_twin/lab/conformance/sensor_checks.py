@@ -1,11 +1,13 @@
 """Checks of a recording's sensor readings, which depend on where the robot was. See `recording`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.lab.conformance.recorded_line import RecordedLine, Step
+from khep_twin.lab.conformance.board_model import Step
+from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS, STEP_NS
 
@@ -65,44 +67,51 @@ def _scan(line: RecordedLine) -> Verdict:
     return Verdict(seen, findings)
 
 
+@check("no sensor repeats its reading while others change", "3.1.5")
+def _stuck(line: RecordedLine) -> Verdict:
+    seen, findings = 0, list[Finding]()
+    for letter, name in (("N", "proximity"), ("O", "ambient light")):
+        found = _readings(line, letter) if line.noisy else []
+        seen += len(found) // _READINGS
+        if len(found) < _READINGS:
+            continue
+        values: NDArray[np.int64] = np.array([each for _, each in found], np.int64)
+        changed = np.diff(values, axis=0) != 0
+        for sensor in range(N_SENSORS):
+            span = (0, len(found)) if _is_dead(values, sensor) else _repeated(values, changed, sensor)
+            if span is not None:
+                first, last = span
+                text = f"{values[first, sensor]} of sensor {sensor}, {name}, in {last - first} readings"
+                findings.append(finding(found[first][0], text, "other values, as of the other sensors"))
+    return Verdict(seen, findings)
+
+
+def _repeated(values: NDArray[np.int64], changed: NDArray[np.bool_], sensor: int) -> tuple[int, int] | None:
+    """Return the first span in which a sensor repeats its reading while others change; None without."""
+    places: list[int] = np.flatnonzero(changed[:, sensor]).tolist()
+    ends = [0, *(place + 1 for place in places), len(values)]
+    for first, last in pairwise(ends):
+        if last - first < _READINGS or not 0 < values[first, sensor] < COUNTS_LIMIT:
+            continue
+        if np.count_nonzero(changed[first : last - 1].mean(axis=0) > _LIVELY) >= _OTHERS:
+            return first, last
+    return None
+
+
+def _is_dead(values: NDArray[np.int64], sensor: int) -> bool:
+    """Return whether a sensor is at a limit of its range in the whole log, while each other has seen much."""
+    if len(values) < 3 * _READINGS or values[0, sensor] not in (0, COUNTS_LIMIT):
+        return False
+    different = [len(np.unique(values[:, other])) for other in range(N_SENSORS)]
+    return different.pop(sensor) == 1 and min(different) >= _DIFFERENT
+
+
 def _windows(line: RecordedLine, letter: str) -> Iterator[tuple[list[Step], NDArray[np.int64]]]:
     """Yield windows of readings, each with its steps and values (readings, sensors)."""
     found = _readings(line, letter) if line.noisy else []
     for start in range(0, len(found) - _READINGS + 1, _READINGS):
         window = found[start : start + _READINGS]
         yield [step for step, _ in window], np.array([values for _, values in window], np.int64)
-
-
-@check("no sensor repeats its reading while others change", "3.1.5")
-def _stuck(line: RecordedLine) -> Verdict:
-    seen, findings = 0, list[Finding]()
-    for letter, name in (("N", "proximity"), ("O", "ambient light")):
-        windows = list(_windows(line, letter))
-        for steps, values in windows:
-            seen += 1
-            share = (np.diff(values, axis=0) != 0).mean(axis=0)
-            if np.count_nonzero(share > _LIVELY) < _OTHERS:
-                continue
-            for sensor in np.flatnonzero(share == 0).tolist():
-                value = int(values[0, sensor])
-                if 0 < value < COUNTS_LIMIT:
-                    found = f"{value} of sensor {sensor}, {name}, in {len(steps)} readings"
-                    findings.append(finding(steps[0], found, "other values, as of the other sensors"))
-        findings += _dead(windows, name)
-    return Verdict(seen, findings)
-
-
-def _dead(windows: Sequence[tuple[list[Step], NDArray[np.int64]]], name: str) -> Iterator[Finding]:
-    """Yield sensors at a limit of their range in the whole log, while each other one has seen much."""
-    if len(windows) < 3:
-        return
-    values = np.concatenate([each for _, each in windows])
-    different = np.array([len(np.unique(values[:, sensor])) for sensor in range(N_SENSORS)])
-    for sensor in np.flatnonzero(different == 1).tolist():
-        value = int(values[0, sensor])
-        if value in (0, COUNTS_LIMIT) and np.count_nonzero(different >= _DIFFERENT) == N_SENSORS - 1:
-            found = f"{value} of sensor {sensor}, {name}, in all {len(values)} readings"
-            yield finding(windows[0][0][0], found, "other values, as of the other sensors")
 
 
 @check("readings change while the robot drives", "3.1.5")

@@ -1,0 +1,330 @@
+"""Recordings of sound robots have no finding; those of wrong ones are caught, and what is wrong is named."""
+
+import itertools
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command_line import khep_twin
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from recorded_hosts import Relay, findings, tour
+
+from khep_twin.lab.conformance.recording import CheckedRobot, conform_recording
+from khep_twin.lab.experiment.controllers import BUILT_IN
+from khep_twin.log.channels import Level, LineFrame, TextLine
+from khep_twin.log.decoding import read_line
+from khep_twin.playpen import Playpen
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+Change = Callable[[list[TextLine]], list[TextLine]]
+"""From the transcript of a sound robot to that of a wrong one."""
+
+MS = 1_000_000
+
+SCAN = "readings within one scan are the same but for the sensors converted meanwhile"
+
+
+def recorded(path: Path, playpen: str = "obstacles", **chosen: object) -> Path:
+    """Log of a twin that was asked for everything."""
+    options = {"seed": 4, "mode": 3, "log": str(path), **chosen}
+    with open_twin(playpen, TwinOptions(**options)) as twin:  # type: ignore[arg-type]
+        tour(twin)
+    return path
+
+
+@pytest.fixture(scope="session")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("sound") / "run.mcap")
+
+
+def changed(path: Path, target: Path, change: Change) -> Path:
+    """A copy of a log with another transcript."""
+    topic = "/khepera0/serial"
+    with path.open("rb") as file, target.open("wb") as copy:
+        reader, writer = make_reader(file), Writer(copy)
+        writer.start()
+        for each in reader.iter_attachments():
+            writer.add_attachment(0, 0, each.name, each.media_type, each.data)
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        channels: dict[str, int] = {}
+        told: list[TextLine] = []
+        wanted = [topic, "/khepera0/host_events"]
+        for schema, channel, each in reader.iter_messages(wanted, log_time_order=False):
+            assert schema is not None
+            if channel.topic not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
+            if channel.topic == topic:
+                told.append(read_line(each.data))
+            else:
+                writer.add_message(channels[channel.topic], each.log_time, each.data, each.log_time)
+        for line in change(told):
+            message = LineFrame(line.name, Level.INFO).message(line.time_ns, line.text.encode())
+            writer.add_message(channels[topic], line.time_ns, message, line.time_ns)
+        writer.finish()
+    return target
+
+
+def checked(path: Path) -> CheckedRobot:
+    (robot,) = conform_recording(path).robots
+    return robot
+
+
+def failed(robot: CheckedRobot) -> list[str]:
+    return [each.name for each in robot.statements if each.findings]
+
+
+# Wrong robots --------------------------------------------------------------------------------------------
+
+
+def replies(pattern: str, replacement: str | Callable[[re.Match[str]], str]) -> Change:
+    """Every reply that matches is changed."""
+    return each_reply(lambda command, reply: re.sub(pattern, replacement, reply))
+
+
+def to(command: str, replacement: str) -> Change:
+    """Replies to a command are changed."""
+    return each_reply(lambda asked, reply: replacement if re.fullmatch(command, asked) else reply)
+
+
+def each_reply(answer: Callable[[str, str], str]) -> Change:
+    """Replies are changed by what was asked; "" is silence."""
+
+    def change(lines: list[TextLine]) -> list[TextLine]:
+        asked, found = "", list[TextLine]()
+        for line in lines:
+            if line.name == "host":
+                asked = line.text
+                found.append(line)
+            elif text := answer(asked, line.text):
+                found.append(TextLine(line.time_ns, line.level, line.name, text))
+        return found
+
+    return change
+
+
+def shifted(pattern: str, by_ms: float) -> Change:
+    """Replies that match come earlier or later."""
+    return lambda lines: [
+        TextLine(line.time_ns + round(by_ms * MS), line.level, line.name, line.text)
+        if line.name == "robot" and re.match(pattern, line.text)
+        else line
+        for line in lines
+    ]
+
+
+def echo(lines: list[TextLine]) -> list[TextLine]:
+    return [
+        each
+        for line in lines
+        for each in (
+            [line, TextLine(line.time_ns, line.level, "robot", line.text)] if line.name == "host" else [line]
+        )
+    ]
+
+
+def every(count: int, answer: Callable[[str], str]) -> Change:
+    """Of the replies every n-th is changed."""
+    numbers = itertools.count(1)
+    return each_reply(lambda command, reply: reply if next(numbers) % count else answer(reply))
+
+
+def each_of(letter: str, change: Change) -> Change:
+    """Only replies of a letter are changed."""
+
+    def of(lines: list[TextLine]) -> list[TextLine]:
+        wanted = [line.name == "robot" and line.text.startswith(letter) for line in lines]
+        answers = iter(change([line for line, is_wanted in zip(lines, wanted, strict=True) if is_wanted]))
+        return [next(answers) if is_wanted else line for line, is_wanted in zip(lines, wanted, strict=True)]
+
+    return of
+
+
+def at_the_end(change: Change) -> Change:
+    """Replies after the last restart are changed."""
+    return lambda lines: lines[:-10] + change(lines[-10:])
+
+
+def exchanged(status: re.Match[str]) -> str:
+    """A reply to K with the codes of speed and position mode exchanged."""
+    fields = status[0].split(",")
+    fields[2], fields[5] = ("102"[int(fields[place])] for place in (2, 5))
+    return ",".join(fields)
+
+
+def negated(field: int) -> Callable[[re.Match[str]], str]:
+    def of(match: re.Match[str]) -> str:
+        fields = match[0].split(",")
+        fields[field] = str(-int(fields[field]))
+        return ",".join(fields)
+
+    return of
+
+
+WRONG: dict[str, tuple[Change, str]] = {
+    "E answers with h": (replies("^e,", "h,"), "a reply begins with its command's letter"),
+    "upper-case replies": (replies("^e,", "E,"), "a reply begins with its command's letter"),
+    "seven sensors": (replies("^(n(,\\d+){7}),\\d+$", r"\1"), "a reply has as many plain integers"),
+    "nine sensors": (replies("^n(.*)$", r"n\1,0"), "a reply has as many plain integers"),
+    "leading zeros": (replies(r"^(h),(\d)", r"\1,0\2"), "a reply has as many plain integers"),
+    "decimals": (replies(r"^e,(-?\d+),(-?\d+)", r"e,\1.0,\2.0"), "a reply has as many plain integers"),
+    "a value behind an order": (to("D,5,5", "d,5,5"), "a reply has as many plain integers"),
+    "eleven bits": (replies(r"^n,\d+", "n,1024"), "values are in the range"),
+    "negative light": (replies(r"^o,\d+", "o,-5"), "values are in the range"),
+    "speeds without end": (replies(r"^e,1\d,", "e,400,"), "values are in the range"),
+    "H of 33 bits": (to("H", "h,2147483648,0"), "values are in the range"),
+    "refuses channel 0": (to("I,0", "z,Protocol error"), "a valid command is not refused"),
+    "takes any parameters": (to("D,1,2,3", "d"), "missing, surplus or wrong parameters"),
+    "errors with a dot": (replies("^z,P.*", "z,Protocol error."), "missing, surplus or wrong"),
+    "unknown words with z": (replies("^Command", "z,Command"), "an unknown word"),
+    "Q is a command": (to("Q", "q"), "an unknown word"),
+    "LED 5": (to("L,5,0", "l"), "an LED, channel or address"),
+    "turret without number": (to("T,1,B", "t,b,1,2"), "a turret answers under its number"),
+    "no help": (to("help", "Command not found"), "a tool is answered"),
+    "another version at the end": (at_the_end(replies("^b,5.02", "b,5.03")), "B reads the versions"),
+    "no banner": (to("restart", "ok"), "a restart shows the banner"),
+    "the banner of another": (replies("Rev. 5.01", "Rev. 4.06"), "a restart shows the banner"),
+    "silent at times": (every(50, lambda reply: ""), "every command is answered"),
+    "silent at E": (to("E", ""), "every command is answered"),
+    "echo": (echo, "the robot sends nothing unasked"),
+    "a line of its own": (every(50, lambda reply: f"{reply}\nready"), "the robot sends nothing unasked"),
+    "answers at once": (shifted("n,", -3), "no reply ends before"),
+    "thinks for 40 ms": (shifted("h,", 40), "replies begin within 10 ms"),
+    "counts backwards": (replies("^h,.*", negated(1)), "counters go as far as the speeds of E"),
+    "E with the wrong sign": (replies("^e,.*", negated(2)), "speeds of E are those of D"),
+    "E is always 0": (replies("^e,.*", "e,0,0"), "speeds of E are those of D"),
+    "counters stand still": (replies("^h,.*", "h,0,0"), "counters go as far as the speeds of D"),
+    "counters leap": (every(71, lambda reply: re.sub("^h,", "h,1", reply)), "counters go on"),
+    "G is not obeyed": (replies(r"^h,70\d*,-\d*", "h,0,0"), "G sets the counters"),
+    "counters of 16 bits": (replies(r"^h,70\d*,-\d*", "h,4464,-4464"), "G sets the counters"),
+    "counters outlive a restart": (at_the_end(replies("^h,.*", "h,69000,-69000")), "a restart sets the"),
+    "modes of ROM 4.06": (replies(r"^k,.*", exchanged), "K has the mode"),
+    "on target at rest": (replies(r"^k,\d,0,", "k,1,0,"), "K's target flag"),
+    "an error in PWM mode": (replies(r"^k,0,2,0", "k,0,2,7"), "K's error"),
+    "an error on the target": (replies(r"^k,1,1,-?\d+", "k,1,1,40"), "K's error"),
+    "on target at once": (replies(r"^k,0,1,-?\d+", "k,1,1,0"), "a wheel that K says is on its target"),
+    "never there": (replies(r"^k,1,1,", "k,0,1,"), "K says that a wheel is on its target"),
+    "a stuck sensor": (replies(r"^(n(,\d+){3}),\d+", r"\1,77"), "no sensor repeats its reading"),
+    "a table of readings": (replies(r"^n.*", "n,9,8,7,6,500,400,3,200"), "readings change while"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_robot_is_caught_and_what_is_wrong_is_named(name: str, sound: Path, tmp_path: Path) -> None:
+    change, statement = WRONG[name]
+    names = failed(checked(changed(sound, tmp_path / "wrong.mcap", change)))
+    assert any(each.startswith(statement) for each in names), names
+
+
+def test_a_copy_that_changes_nothing_has_no_finding(sound: Path, tmp_path: Path) -> None:
+    assert failed(checked(changed(sound, tmp_path / "copy.mcap", lambda lines: lines))) == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "statement"),
+    [
+        ("stuck:2@1", "no sensor repeats its reading"),
+        ("dead:left@2", "counters go as far as the speeds of D"),
+        ("late:0.1:60", "replies begin within 10 ms"),
+        ("drop:0.01", "a reply has as many plain integers"),
+        ("garble:0.01", "a reply has as many plain integers"),
+    ],
+)
+def test_a_faulty_robot_is_caught(fault: str, statement: str, tmp_path: Path) -> None:
+    names = failed(checked(recorded(tmp_path / "run.mcap", faults=(fault,))))
+    assert any(each.startswith(statement) for each in names), names
+
+
+def test_values_that_change_within_a_scan_are_caught(tmp_path: Path) -> None:
+    log = recorded(tmp_path / "run.mcap", unpaced=True)
+    robot = checked(log)
+    assert robot.passed
+    assert {each.name: each.seen for each in robot.statements}[SCAN] > 100
+    new = every(2, lambda reply: re.sub(r"(?<=,)\d+", lambda value: str(int(value[0]) ^ 1), reply))
+    assert failed(checked(changed(log, tmp_path / "wrong.mcap", each_of("n", new)))) == [SCAN]
+
+
+# Sound robots --------------------------------------------------------------------------------------------
+
+
+def test_everything_but_scans_is_seen_in_the_tour(sound: Path) -> None:
+    robot = checked(sound)
+    assert robot.passed, conform_recording(sound).text()
+    assert [each.name for each in robot.statements if not each.seen] == [SCAN]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_host_makes_a_sound_robot_wrong(seed: int, tmp_path: Path) -> None:
+    assert findings(seed, tmp_path, seconds=8.0) == []
+
+
+@pytest.mark.parametrize("rom", ["5.02", "4.06", "khepera2"])
+def test_a_relay_finds_the_rom_by_the_replies(rom: str, tmp_path: Path) -> None:
+    path = tmp_path / "relay.mcap"
+    with open_twin("obstacles", TwinOptions(seed=2, mode=2, rom=rom)) as twin:
+        relay = Relay(twin)
+        tour(twin)
+    relay.write(path)
+    robot = checked(path)
+    assert robot.passed, conform_recording(path).text()
+    assert f"a robot, held against ROM {rom}" in robot.text
+
+
+@pytest.mark.parametrize("controller", BUILT_IN)
+def test_built_in_controllers_meet_a_sound_robot(controller: str, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    khep_twin("run", controller, "--playpen", "obstacles", "--seconds", "5", "--log", str(log))
+    assert checked(log).passed
+
+
+def test_a_brown_out_is_told_and_what_follows_is_as_at_power_up(tmp_path: Path) -> None:
+    robot = checked(recorded(tmp_path / "run.mcap", faults=("brown-out@3",)))
+    assert robot.passed
+    (banner,) = [each for each in robot.statements if each.name.startswith("a restart shows")]
+    assert (banner.seen, banner.note) == (2, "by itself at 3.04 s")
+
+
+def test_each_robot_of_a_log_is_checked(field: Playpen, tmp_path: Path) -> None:
+    log, (robot,) = tmp_path / "run.mcap", field.robots
+    robots = (robot, robot.model_copy(update={"x_mm": 3000, "rom": "4.06"}))
+    with open_twin(
+        field.model_copy(update={"robots": robots}), TwinOptions(robot=None, log=str(log))
+    ) as twin:
+        twin.robots[0].send(b"D,5,5\nK\n")
+        twin.robots[1].send(b"D,5,5\nK\nB\n")
+        twin.advance_to(200 * MS)
+    report = conform_recording(log)
+    assert report.passed
+    assert [robot.text for robot in report.robots] == [
+        "khepera0: a twin in mode 1, held against ROM 5.02: 2 commands",
+        "khepera1: a twin in mode 1, held against ROM 4.06: 3 commands",
+    ]
+
+
+# The command ---------------------------------------------------------------------------------------------
+
+
+def test_the_command_reports_each_robot_of_a_log(sound: Path, tmp_path: Path) -> None:
+    ended = khep_twin("conform", str(sound), "--report", str(tmp_path / "report.json"))
+    assert ended.returncode == 0
+    assert ended.stdout.endswith("khepera0: 28 passed, 0 failed, 1 not seen\n")
+    assert json.loads((tmp_path / "report.json").read_text())["robots"][0]["passed"]
+
+
+def test_a_finding_has_time_command_what_was_given_and_what_was_expected(sound: Path, tmp_path: Path) -> None:
+    wrong = changed(sound, tmp_path / "wrong.mcap", replies("^i,.*", "i,1024"))
+    ended = khep_twin("conform", str(wrong))
+    assert ended.returncode == 1
+    assert "s  I,0: 1024 in the reply i,1024; expected 0 to 1023\n" in ended.stdout
+
+
+def test_options_of_a_port_and_logs_without_a_line_are_refused(sound: Path, tmp_path: Path) -> None:
+    assert "--move is for a port, not for a log" in khep_twin("conform", str(sound), "--move").stderr
+    log = tmp_path / "run.mcap"
+    with open_twin("default", TwinOptions(log=str(log))) as twin:
+        twin.advance_to(MS)
+    assert "nothing crossed a line" in khep_twin("conform", str(log)).stderr
