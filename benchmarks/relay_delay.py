@@ -1,8 +1,9 @@
 """Delay of a relay with and without a shadow beside it: `python -m benchmarks.relay_delay`.
 
-Two served twins at 9600 baud stand in for robots, one behind `serve --relay`, one behind `shadow --relay`. A
-host asks `N` and sets speeds at each of them in turn. A round trip's delay is what it takes beside the time of
-its bytes on the line. Printed is also the processor time of the shadow, in parts of the time it followed.
+Three served twins at 9600 baud stand in for robots, two behind `serve --relay`, one behind `shadow --relay`.
+A host asks `N` and sets speeds at each of them in turn; what the two relays differ by is the noise of the
+measurement. A round trip's delay is what it takes beside the time
+of its bytes on the line. Printed is also the processor time of the shadow, in parts of the time it followed.
 """
 
 import argparse
@@ -29,10 +30,11 @@ def main() -> None:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         twins = [
             stack.enter_context(_command("serve", PLAYPEN, "--link", str(folder / f"robot{seed}")))
-            for seed in range(2)
+            for seed in range(3)
         ]
         ways = {
             "relay": stack.enter_context(_command("serve", "--relay", twins[0][1])),
+            "another relay": stack.enter_context(_command("serve", "--relay", twins[2][1])),
             "relay and shadow": stack.enter_context(
                 _command("shadow", PLAYPEN, "--relay", twins[1][1], f"--particles={given.particles}")
             ),

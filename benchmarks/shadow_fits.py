@@ -2,8 +2,8 @@
 
 Stand-in robots of the same make drive for five minutes, and a shadow follows the recordings. Printed is how
 often the robot's own values lie in the 95 % intervals that `khep-twin fit --from` tells, and the errors in
-standard deviations of these. The robots are sound, and faults are not looked for. A gain is compared as the counts that it means: what a sensor's heading, lobe
-and threshold do to the counts, the shadow takes for gain.
+standard deviations of these. The robots are sound, and faults are not looked for. A gain is compared as it
+is: what a sensor's heading, lobe and threshold do to its counts, the shadow takes for gain.
 """
 
 import argparse

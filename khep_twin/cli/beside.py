@@ -1,10 +1,8 @@
 """A shadow in a process of its own, so that its work never delays the line that it listens to."""
 
-import os
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from select import select
@@ -30,14 +28,17 @@ class Beside:
     """A shadow's process.
 
     Args:
-        process: Process, which listens.
+        process: Process.
         line: Its line.
+
+    Attributes:
+        code: Its exit code, once it has told that; None before.
     """
 
     def __init__(self, process: "subprocess.Popen[bytes]", line: socket.socket) -> None:
         self._process, self._line = process, line
         self._tap: Tap | None = None
-        self._told = False
+        self.code: int | None = None
 
     def tap(self, now: Callable[[], int]) -> Tap:
         """Return the tap on a line with this clock [ns]."""
@@ -45,24 +46,30 @@ class Beside:
         return self._tap
 
     def raised(self) -> bool:
-        """Return whether it has ended by an alarm; complain if it has ended otherwise."""
-        if self._tap is None or not self._tap.broken or self._told:
-            return False
-        code = self._process.wait()
-        if code == ALARM_CODE:
-            return True
-        self._told = True
-        complain(f"the shadow has ended with code {code}; the relay goes on without it")
-        return False
+        """Return whether it has ended by an alarm; complain once if it has ended otherwise."""
+        if self.code is None and self._tap is not None and self._tap.broken:
+            self.code = self._told()
+            if self.code != ALARM_CODE:
+                complain(f"the shadow has ended with code {self.code}; the relay goes on without it")
+        return self.code == ALARM_CODE
 
     def finish(self) -> int:
-        """Close the line and wait until it has followed the rest; return the exit code."""
+        """End the line and wait until the shadow has followed the rest; return the exit code."""
         if self._tap is not None:
             self._tap.close()
-        self._line.close()
-        while (code := self._process.poll()) is None:
-            time.sleep(_TURN_S)
-        return code
+        if self.code is None:
+            self._line.shutdown(socket.SHUT_WR)
+            self.code = self._told()
+        return self.code
+
+    def _told(self) -> int:
+        """Wait for the exit code; what the process still has to clear up nobody waits for."""
+        self._line.setblocking(True)
+        try:
+            told = self._line.recv(1)
+        except ConnectionResetError:
+            told = b""
+        return told[0] if told else self._process.wait() or 1
 
 
 @contextmanager
@@ -75,19 +82,22 @@ def beside(words: Sequence[str], stop: Callable[[], bool]) -> Generator[Beside]:
     """
     here, there = socket.socketpair()
     arguments = [sys.executable, "-m", "khep_twin", "shadow", *words, "--line-fd", str(there.fileno())]
-    with here, undisturbed():
+    with undisturbed():
         # Ctrl-C is for the relay alone; the shadow ends with its line, and completes its log.
         process = subprocess.Popen(arguments, pass_fds=[there.fileno()], start_new_session=True)
         forget = clear_at_end(lambda: _end(process))
         there.close()
+    other = Beside(process, here)
+    with here:
         try:
             while not select([here], [], [], _TURN_S)[0] and not stop():
                 pass
-            if not stop() and os.read(here.fileno(), 1) != READY:
+            if not stop() and here.recv(1) != READY:
                 raise typer.Exit(process.wait() or 1)
-            yield Beside(process, here)
+            yield other
         finally:
-            _end(process)
+            if other.code is None:
+                _end(process)
             forget()
 
 

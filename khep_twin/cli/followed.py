@@ -1,7 +1,8 @@
 """A robot that a shadow follows, on the command line: its alarms as lines, and a summary."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,6 +68,8 @@ class Followed:
 
             flush_ns = FLUSH_NS if parent else LIVE_FLUSH_NS
             self._log = ShadowLog(output, playpen, settings, parent=parent, flush_ns=flush_ns)
+        self._playpen = playpen
+        self._shown: Callable[[Update], None] | None = None
         self._output, self._learned_ns = output, 0
         tell_kept(self._log)
 
@@ -87,6 +90,8 @@ class Followed:
             for update in self._follower.feed(each):
                 if self._log is not None:
                     self._write(self._log, update)
+                if self._shown is not None:
+                    self._shown(update)
                 for change in self._follower.changes(update):
                     typer.echo(alarm_line(change))
                 if self._ends_on_alarm and update.alarms:
@@ -96,6 +101,15 @@ class Followed:
             if stop():
                 return 130
         return 0
+
+    @contextmanager
+    def viewed(self, *, web: bool) -> Generator[None]:
+        """Show all updates in rerun, in a window or in a browser."""
+        from khep_twin.shadow.shadow_viewer import ShadowViewer
+
+        with ShadowViewer(self._playpen, self._shadow.settings, self._output, web=web) as viewer:
+            self._shown = viewer.show
+            yield
 
     def close(self) -> None:
         """Complete the log."""

@@ -5,7 +5,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 
 _BEHIND_S = 2.0
 """Delay of the estimate from which on it is told (assumed) [s]."""
+
+_NICE = 5
+"""What a shadow beside a relay adds to its niceness (assumed)."""
 
 _NUMBER = r"-?\d{1,6}(?:\.\d{1,6})?"
 _POSE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER})")
@@ -103,7 +106,7 @@ class ShadowOptions:
         return ShadowSettings(self.seed, self.particles, self.start != "unknown", spread, baud)
 
 
-_OF_A_ROBOT = option_names(EndpointOptions) | {"mode", "poll", "log", "ignore_log_errors"}
+_OF_A_ROBOT = option_names(EndpointOptions) | {"mode", "poll", "view", "web", "log", "ignore_log_errors"}
 """Options of a robot at --relay that mean nothing to a log, by the names of their parameters."""
 
 
@@ -114,7 +117,7 @@ def shadow(
     playpen: PlaypenName,
     recording: Annotated[
         Path | None,
-        typer.Argument(metavar="[LOG]", help="Log of a relay, or of a twin, FILE.mcap.", autocompletion=logs),
+        typer.Argument(metavar="LOG", help="Log of a relay, or of a twin, FILE.mcap.", autocompletion=logs),
     ] = None,
     relay: Annotated[
         str | None,
@@ -137,6 +140,8 @@ def shadow(
         Path | None,
         typer.Option("--output", "-o", help="Log of poses, residuals and alarms to write, FILE.mcap."),
     ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Show it in rerun while it goes on.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="With --view: in a browser, not in a window.")] = False,
     logging: LogOptions,
     line_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
@@ -155,13 +160,15 @@ def shadow(
         words = [playpen, f"--robot={robot}", *options.words(), *(["--mode", mode] if mode else [])]
         words += [*(["--exit-on", exit_on.value] if exit_on else []), *(["--force"] if logging.force else [])]
         words += ["--output", str(output)] if output is not None else []
+        words += [*(["--view"] if view else []), *(["--web"] if web else [])]
         from khep_twin.host.opening import numbered
 
         _beside_robot(numbered(relay), settings.baud, words, endpoint, logging, poll)
         return
     found = options.load(playpen, robot)
     if line_fd is not None:
-        _follow_line(line_fd, Followed(found, settings, exit_on is not None, output))
+        followed = Followed(found, settings, exit_on is not None, output)
+        _follow_line(line_fd, followed, followed.viewed(web=web) if view else nullcontext())
         return
     if ignored := given(context) & _OF_A_ROBOT:
         raise usage(f"--{min(ignored).replace('_', '-')} is for a robot at --relay, not for a log")
@@ -196,16 +203,21 @@ def _follow_log(
         raise typer.Exit(code)
 
 
-def _follow_line(descriptor: int, followed: Followed) -> None:
+def _follow_line(descriptor: int, followed: Followed, viewer: AbstractContextManager[None]) -> None:
     """Follow the line of a tap, as the process of `cli.beside`."""
     from khep_twin.cli.beside import READY
     from khep_twin.shadow.tap import TappedLine
 
-    with stopping(None) as stop, status_line() as status, closing(followed):
-        os.write(descriptor, READY)
-        line = TappedLine(descriptor, stop)
-        code = followed.follow(_on_time(line), stop, None if status is None else status.show)
-    followed.tell()
+    # Where cores are few, the relay and the host come first.
+    os.nice(_NICE)
+    with viewer, stopping(None) as stop:
+        with closing(followed), status_line() as status:
+            os.write(descriptor, READY)
+            line = TappedLine(descriptor, stop)
+            code = followed.follow(_on_time(line), stop, None if status is None else status.show)
+        followed.tell()
+        os.write(descriptor, bytes([code]))
+        os.close(descriptor)
     if code:
         raise typer.Exit(code)
 

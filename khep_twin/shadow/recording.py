@@ -52,9 +52,10 @@ def recorded(path: Path, robot: int = 0) -> RecordedRobot:
     """
     label, found, _ = read_raw(path, lambda topic: topic.endswith("/serial"))
     names = label.robots
-    if len(names) > 1 and not 0 <= robot < len(names):
+    index = robot if len(names) > 1 else 0
+    if not 0 <= index < len(names):
         raise LogError(f"{path}: robot {robot}; expected one of 0 to {len(names) - 1}, as the log has them")
-    name = names[robot] if len(names) > 1 else names[0]
+    name = names[index]
     topic = f"/{name}/serial"
     lines = list(_lines(path, topic, found.get(topic, [])))
     if not lines:
