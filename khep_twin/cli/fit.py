@@ -107,6 +107,8 @@ def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bo
         with progress_bar() as show:
             found = follow_all(path, playpen, show)
     fit = fit_learned(*found)
+    if not fit.values:
+        raise FitError(f"{path}: determines nothing better than it was known; expected minutes near walls")
     for line in fit.lines:
         typer.echo(line)
     if output is not None:
