@@ -21,8 +21,12 @@ from PIL import Image, ImageDraw
 from typer.testing import CliRunner
 
 from benchmarks import library_picture
+from khep_twin import playpen as playpens
 from khep_twin.cli.app import app
 from khep_twin.host import Gripper, Khepera
+from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.shadow import Shadow, ShadowSettings
+from khep_twin.shadow.shadow_log import ShadowLog
 from khep_twin.world import World
 
 SOLID = [
@@ -64,6 +68,20 @@ def draw_branches() -> None:
     change = ["--controller", "braitenberg", "--seconds", "10", "--runs", "20"]
     _type("branch", "run.mcap", "--at", "33", *change, "-o", "fan.mcap")
     _keep(tutorial.shrunk(Path("fan.png"), 1280), "branches")
+
+
+def draw_shadow() -> None:
+    """Draw the log of a shadow of a varied robot with a stuck sensor, for docs/logs.md."""
+    fault = ["--vary", "on", "--seed", "5", "--fault", "stuck:5@25"]
+    _type("run", "--playpen", "workshop", *fault, "--seconds", "60", "--log", "robot.mcap")
+    settings, playpen, parent = ShadowSettings(), playpens.load("workshop"), Path("robot.mcap")
+    shadow, log = Shadow(playpen, settings), ShadowLog(Path("shadow.mcap"), playpen, settings, parent=parent)
+    for heard in recorded(parent).heard:
+        for update in shadow.feed(*heard):
+            log.write(update)
+    log.close()
+    _type("view", "shadow.mcap", "--at", "40", "--png", "shadow.png")
+    _keep(tutorial.shrunk(Path("shadow.png"), 1280), "shadow")
 
 
 def draw_import() -> None:
@@ -143,3 +161,4 @@ if __name__ == "__main__":
         draw_sensor_tests()
         draw_side_by_side()
         draw_branches()
+        draw_shadow()

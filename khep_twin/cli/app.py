@@ -30,6 +30,7 @@ from khep_twin.cli.run import run
 from khep_twin.cli.sense import sense
 from khep_twin.cli.series import new, series
 from khep_twin.cli.serve import serve
+from khep_twin.cli.shadow import shadow
 from khep_twin.cli.streams import exit_code
 from khep_twin.cli.sweep import sweep
 from khep_twin.cli.view import view
@@ -48,6 +49,7 @@ app.add_typer(playpen_app, name="playpen")
 _RUNS = (run, rollout, series, sweep, new, design)
 _PORTS = (
     serve,
+    shadow,
     ports,
     drive,
 )

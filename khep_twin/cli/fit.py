@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli.completion import calibrations
-from khep_twin.cli.options import Force, check_apart, check_new, check_writable
+from khep_twin.cli.completion import calibrations, logs, playpens
+from khep_twin.cli.options import Force, check_apart, check_new, check_writable, given, usage
+from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_whole
 
@@ -22,9 +23,16 @@ BearingDeg = Annotated[
 ]
 
 
+_OF_TESTS = {"tests", "check", "start", "ruler_mm", "bearing_deg", "picture"}
+"""Parameters of recorded tests, which mean nothing to what a shadow has learned."""
+
+_NOTHING = "nothing to fit; expected tests such as straight.mcap=998mm, or --from LOG with a shadow's log"
+
+
 def fit(
+    context: typer.Context,
     tests: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
             metavar="FILE=MEASURED...",
             help="Recorded tests, each with the measured value: straight.mcap=998mm, "
@@ -32,7 +40,20 @@ def fit(
             "`khep-twin sense` that began with an object straight ahead: run.csv=wall@22mm, "
             "run.csv=cylinder:27mm@15mm (its radius), run.csv=lamp:2W@150mm or, so high, lamp:2W:60mm@150mm.",
         ),
-    ],
+    ] = None,
+    learned: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="LOG",
+            help="Take what a shadow has learned instead: its log, or a relay's with --playpen.",
+            autocompletion=logs,
+        ),
+    ] = None,
+    playpen: Annotated[
+        str | None,
+        typer.Option(help="Playpen in which a shadow follows a relay's log.", autocompletion=playpens),
+    ] = None,
     check: Annotated[
         list[str] | None,
         typer.Option(help="Test like these that is not fitted; print how well the fit meets it."),
@@ -53,6 +74,13 @@ def fit(
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.sensing import calibration
 
+    if learned is not None:
+        if ignored := given(context) & _OF_TESTS:
+            raise usage(f"--{min(ignored).replace('_', '-')} is for recorded tests, not for --from")
+        _fit_learned(learned, playpen, output, force)
+        return
+    if not tests or playpen is not None:
+        raise usage(_NOTHING)
     ruler = Ruler(ruler_mm, bearing_deg)
     recorded = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
     check_outputs(recorded, start, output, picture, force)
@@ -61,6 +89,32 @@ def fit(
         wanted = "expected a sensor test or steps of duty, too"
         raise FitError(f"{picture}: measured drives give no picture; {wanted}")
     fit_and_write(data, unused, calibration.read(start)[0], ruler, output, picture, len(tests))
+
+
+def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bool) -> None:
+    """Take a calibration from what a shadow has learned; follow a relay's line first."""
+    from khep_twin.files.toml_files import dump
+    from khep_twin.lab.fit.robot_fit import named
+    from khep_twin.lab.fit.shadow_fit import fit_learned, follow_all, read_learned
+
+    check_writable(output)
+    check_apart([path, *([] if playpen is None else [playpen])], output)
+    check_new(force, output)
+    found = read_learned(path)
+    if found is None:
+        if playpen is None:
+            raise usage(f"{path}: no shadow's log; expected one, or --playpen with a relay's log")
+        with progress_bar() as show:
+            found = follow_all(path, playpen, show)
+    fit = fit_learned(*found)
+    if not fit.values:
+        raise FitError(f"{path}: determines nothing better than it was known; expected minutes near walls")
+    for line in fit.lines:
+        typer.echo(line)
+    if output is not None:
+        after = named(fit.calibration, output.stem, f"learned by a shadow in {path.name}")
+        write_whole(output, dump(after).encode("utf-8"))
+        typer.echo(f"calibration   {output}")
 
 
 def check_outputs(
@@ -100,7 +154,7 @@ def fit_and_write(
     for line in met(unused, found, ruler):
         typer.echo(f"{line} off, not used for the fit")
     if output is not None:
-        after = named(found.calibration, output.stem, count)
+        after = named(found.calibration, output.stem, f"fitted to {count} tests")
         write_whole(output, dump(after).encode("utf-8"))
         typer.echo(f"calibration   {output}")
     if picture is not None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.log.recorder import Recorder
     from khep_twin.playpen.parts import Robot
+    from khep_twin.shadow.shadow_log import ShadowLog
 
 
 class Switch(StrEnum):
@@ -110,7 +111,7 @@ def check_body(rom: str | None, robots: Iterable["Robot"]) -> None:
         )
 
 
-def tell_kept(recorder: "Recorder | LineRecorder | None") -> None:
+def tell_kept(recorder: "Recorder | LineRecorder | ShadowLog | None") -> None:
     """Print where an unfinished log of an earlier run that was found is now."""
     if recorder is not None and recorder.kept is not None:
         remedy = command("recover", recorder.kept)

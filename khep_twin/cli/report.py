@@ -74,8 +74,10 @@ def report(
     _check_outputs(log, output)
     from khep_twin.lab.report.report import report as report_on
     from khep_twin.log.reader import read_series
+    from khep_twin.log.shadow_channels import is_shadow, read_shadow
 
-    found = report_on(read_series(log), str(log))
+    recording = read_series(log)
+    found = report_on(recording, str(log), read_shadow(log) if is_shadow(recording.label) else None)
     if kind == ".html":
         from khep_twin.lab.report.pages import html as pages
     else:

@@ -26,12 +26,10 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.cli.playpen import PlaypenName
-from khep_twin.invocation import command
+from khep_twin.cli.relayed import line_baud, relay_robot, tell_end
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
-    from khep_twin.log.line_recorder import LineRecorder
-    from khep_twin.log.recorder import Recorder
     from khep_twin.ports.twin import Twin, TwinOptions
 
 
@@ -123,7 +121,8 @@ def serve(
             option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
             option = option.removesuffix("-log") if option == "--from-log" else option
             raise usage(f"{option} is for a twin, not for a robot at --relay")
-        _serve_robot(numbered(relay), running_mode(twin.mode), endpoint, logging)
+        with stopping() as stop:
+            relay_robot(numbered(relay), line_baud(running_mode(twin.mode)), endpoint, logging, stop=stop)
         return
     factor, faults = timing.factor(), tuple(fault or ())
     if from_log is not None:
@@ -213,45 +212,4 @@ def _serve_twin(
         dropped = sum(port.dropped for port in ports)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
-    _finish(twin.world.time_ns, dropped, logging, twin.recorder)
-
-
-def _serve_robot(port: str, mode: int | None, endpoint: EndpointOptions, logging: LogOptions) -> None:
-    """Serve the robot at a port."""
-    from khep_twin.board.rom import ROMS
-    from khep_twin.log.line_recorder import LineRecorder
-    from khep_twin.ports.relay import Device, relay, since_now
-
-    number, modes = 1 if mode is None else mode, ROMS["khepera2"]
-    if reason := modes.refused(number):
-        raise usage(f"--mode {number:X}: {reason}")
-    baud = modes.modes[number].baud
-    with (
-        stopping() as stop,
-        closing(Device(port, baud)) as device,
-        endpoint.open({0: baud}) as ports,
-        ExitStack() as stack,
-    ):
-        now = since_now()
-        recorder = None
-        if logging.log is not None:
-            settings = {"relay": port, "baud": baud}
-            recorder = LineRecorder(logging.log, settings, now, on_failure=logging.on_failure)
-            stack.enter_context(closing(recorder))
-        tell_kept(recorder)
-        stack.enter_context(endpoint.announced(ports, f"robot at {port}"))
-        relay(device, ports[0], recorder, stop=stop, notify=complain)
-        duration_ns, dropped = now(), ports[0].dropped
-    _finish(duration_ns, dropped, logging, recorder)
-
-
-def _finish(
-    duration_ns: int, dropped: int, logging: LogOptions, recorder: "Recorder | LineRecorder | None"
-) -> None:
-    """Print a summary at the end of serving, and where the log is; end the command if that has failed."""
-    typer.echo(f"{duration_ns / 1e9:.1f} s served", err=True)
-    if dropped:
-        typer.echo(f"{dropped} bytes dropped that no host took", err=True)
-    logging.check(recorder)
-    if logging.log is not None:
-        typer.echo(f"log      {logging.log}      look at it: {command('view', logging.log)}", err=True)
+    tell_end(twin.world.time_ns, dropped, logging, twin.recorder)

@@ -19,12 +19,14 @@
     /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change; of
                                                 other lamps set up meanwhile /lamps_2 and so on
     /events                     rcl_interfaces/Log          events
+    /shadow/...                 several                     a shadow's estimate and alarms (`shadow_channels`)
 
 CDR here is little-endian: a header of four bytes, then each value at a multiple of its size, counted from the
 header's end; strings and sequences are preceded by their length. Frequent messages have a fixed size: many
 copies of a prepared frame are filled in at once.
 """
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -51,15 +53,48 @@ string label
 uint32 size
 uint32 stride"""
 
+_HEADER = f"""{_RULE}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_RULE}
+{_TIME}"""
+_POSE = f"""{_RULE}
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{_RULE}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+{_RULE}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w"""
+
 FLOATS = "std_msgs/msg/Float64MultiArray"
 INTEGERS = "std_msgs/msg/Int64MultiArray"
 BYTES = "std_msgs/msg/UInt8MultiArray"
+POSE = "geometry_msgs/msg/PoseStamped"
+UNSURE_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 SCHEMAS = {
     "std_msgs/msg/String": "string data",
     FLOATS: _ARRAY.format(type="float64", rule=_RULE),
     INTEGERS: _ARRAY.format(type="int64", rule=_RULE),
     BYTES: _ARRAY.format(type="uint8", rule=_RULE),
+    POSE: f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_HEADER}\n{_POSE}",
+    UNSURE_POSE: f"""std_msgs/Header header
+geometry_msgs/PoseWithCovariance pose
+{_HEADER}
+{_RULE}
+MSG: geometry_msgs/PoseWithCovariance
+geometry_msgs/Pose pose
+float64[36] covariance
+{_POSE}""",
     "tf2_msgs/msg/TFMessage": f"""geometry_msgs/TransformStamped[] transforms
 {_RULE}
 MSG: geometry_msgs/TransformStamped
@@ -239,6 +274,30 @@ def _layout(size: int, fields: dict[str, tuple[str, int, int]]) -> np.dtype[np.v
 def _copies(frame: bytes, count: int, layout: np.dtype[np.void]) -> NDArray[np.void]:
     """Return `count` copies of a message, to be filled in."""
     return np.frombuffer(bytearray(frame * count), layout)
+
+
+def pose_message(
+    time_ns: int, pose: tuple[float, float, float], covariance: NDArray[np.float64] | None = None
+) -> bytes:
+    """Return a geometry_msgs/PoseStamped on the floor, or a PoseWithCovarianceStamped.
+
+    Args:
+        time_ns: Time [ns].
+        pose: x, y [m] and heading [rad].
+        covariance: Covariance of these (3, 3).
+    """
+    x, y, heading = pose
+    frame = Encoder().time(time_ns).text("world")
+    frame.put("d", x, y, 0.0, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
+    if covariance is not None:
+        whole = np.zeros((6, 6))
+        whole[np.ix_(PLANAR, PLANAR)] = covariance
+        frame.put("d", *whole.ravel().tolist())
+    return frame.message()
+
+
+PLANAR = [0, 1, 5]
+"""Rows of x, y and heading in the covariance of a pose in space."""
 
 
 def text_message(text: str) -> bytes:

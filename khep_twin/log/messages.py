@@ -131,8 +131,8 @@ def check_time(path: Path, topic: str, time_ns: int) -> None:
 
 
 def line_topics(robots: Iterable[str]) -> set[str]:
-    """Return the topics of the events and the transcripts."""
-    return {"/events", *(f"/{robot}/serial" for robot in robots)}
+    """Return the topics of the events, the transcripts and a shadow's alarms."""
+    return {"/events", "/shadow/alarms", *(f"/{robot}/serial" for robot in robots)}
 
 
 def read_samples(messages: Sequence[bytes], name: str) -> _Values:

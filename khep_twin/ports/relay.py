@@ -11,16 +11,16 @@ import os
 import re
 import select
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import serial
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
-from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.host_port import HostPort
+from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.ration import Ration
 from khep_twin.ports.serve import LONGEST_WAIT, Flush
 from khep_twin.units import BITS_PER_BYTE
@@ -45,6 +45,22 @@ _SPOIL = b"?\n"
 
 _KEPT = _CHUNK - len(_SPOIL)
 """Bytes of a host that has left for which the next one waits; a second's worth at 9600 baud."""
+
+
+class LineListener(Protocol):
+    """A listener on a line, such as a log's `LineRecorder`; none may delay the line."""
+
+    def on_bytes(self, to_robot: bool, data: bytes) -> None:
+        """Take bytes that cross the line now."""
+        ...
+
+    def on_event(self, text: str) -> None:
+        """Take an event of the line."""
+        ...
+
+    def flush(self) -> None:
+        """Pass on everything so far; called twice a second."""
+        ...
 
 
 class Device:
@@ -137,7 +153,8 @@ class Device:
 def relay(
     device: Device,
     port: HostPort,
-    recorder: LineRecorder | None,
+    listeners: Sequence[LineListener] = (),
+    polls: IdlePolls | None = None,
     *,
     stop: Callable[[], bool],
     notify: Callable[[str], None],
@@ -147,7 +164,8 @@ def relay(
     Args:
         device: Port of the robot.
         port: Cable to the host.
-        recorder: Recorder of the bytes of both.
+        listeners: Listeners on the bytes of both, such as a log.
+        polls: Polls of the relay's own; None for none.
         stop: Callback that is called once per cycle; True ends it.
         notify: Callback that takes notices for the user.
 
@@ -157,18 +175,19 @@ def relay(
 
     def note(text: str) -> None:
         notify(f"{port.path}: {text}")
-        if recorder is not None:
-            recorder.on_event(text)
+        for each in listeners:
+            each.on_event(text)
 
     def on_bytes(to_robot: bool, data: bytes) -> None:
-        if recorder is not None and data:
-            recorder.on_bytes(to_robot, data)
+        for each in listeners if data else ():
+            each.on_bytes(to_robot, data)
 
-    flush = Flush(recorder)
+    flushes = [Flush(each) for each in listeners]
     dialogue, ration = _Dialogue(device), Ration()
     waiting, next_host = b"", b""
+    held_s = 0.0
     while not stop():
-        _wait(device, port, room := not waiting and not next_host, bool(waiting))
+        _wait(device, port, room := not waiting and not next_host, bool(waiting), held_s)
         received = port.receive(_CHUNK if room else 0, room and dialogue.answered)
         for notice in received.notices:
             note(notice)
@@ -190,14 +209,20 @@ def relay(
             waiting = dialogue.end(waiting[:_KEPT])
         if not dialogue.settling(waiting):
             waiting, next_host = waiting + next_host, b""
-        if waiting:
+        if polls is not None:
+            held_s = polls.hold_s(waiting)
+            if not next_host and not waiting and dialogue.idle:
+                on_bytes(True, waiting := polls.due(device.baud))
+        if waiting and not held_s:
             waiting = dialogue.send(waiting)
         if reply := device.read():
             on_bytes(False, reply)
             dialogue.heard(reply)
-            if port.occupied and not dialogue.ended:
-                port.write(reply)
-        flush()
+            passed = reply if polls is None else polls.passed(reply)
+            if passed and port.occupied and not dialogue.ended:
+                port.write(passed)
+        for flush in flushes:
+            flush()
 
 
 class _Dialogue:
@@ -240,6 +265,11 @@ class _Dialogue:
             self._quiet_since = max(self._quiet_since, now)
         return now - self._quiet_since > (_SILENCE_S if self._due else _PAUSE_S)
 
+    @property
+    def idle(self) -> bool:
+        """Return whether no command is begun or waits for its reply."""
+        return not self.ended and not self._due and not self._asked.begun and self.answered
+
     def settling(self, waiting: bytes) -> bool:
         """Return whether replies to a host that has left may still come; `waiting` was not sent yet."""
         if self.ended and not waiting and self.answered:
@@ -260,14 +290,14 @@ class _Lines:
         return sum(map(bool, lines))
 
 
-def _wait(device: Device, port: HostPort, room: bool, waiting: bool) -> None:
-    """Wait until there is something to pass on, and room for it."""
+def _wait(device: Device, port: HostPort, room: bool, waiting: bool, held_s: float) -> None:
+    """Wait until there is something to pass on, and room for it; what waits is held for a while."""
     descriptors = list(port.descriptors(room))
     if device.descriptor is None:
         select.select(descriptors, [], [], _POLL)
     else:
-        full = [device.descriptor] if waiting else []
-        select.select([*descriptors, device.descriptor], full, [], LONGEST_WAIT)
+        full = [device.descriptor] if waiting and not held_s else []
+        select.select([*descriptors, device.descriptor], full, [], min(held_s or LONGEST_WAIT, LONGEST_WAIT))
 
 
 def since_now() -> Callable[[], int]:

@@ -4,10 +4,9 @@ import math
 import select
 import time
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from khep_twin.clock import NEVER_NS, NS_PER_S, Pacer
-from khep_twin.log.line_recorder import LineRecorder
-from khep_twin.log.recorder import Recorder
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.event_sources import exact_timeouts
 from khep_twin.ports.host_port import HostPort
@@ -149,10 +148,18 @@ class _Waiting:
         return True
 
 
+class Flushed(Protocol):
+    """What is flushed: a log, or a listener on a line."""
+
+    def flush(self) -> None:
+        """Pass on everything so far."""
+        ...
+
+
 class Flush:
     """Flush of a log, if there is one, to the file system each FLUSH_NS of wall time."""
 
-    def __init__(self, log: Recorder | LineRecorder | None) -> None:
+    def __init__(self, log: Flushed | None) -> None:
         self._log = log
         self._flushed_ns = time.monotonic_ns()
 

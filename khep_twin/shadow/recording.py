@@ -45,23 +45,25 @@ def recorded(path: Path, robot: int = 0) -> RecordedRobot:
 
     Args:
         path: Path of the log, of a relay or of a twin.
-        robot: Number of the robot, from 0.
+        robot: Number of the robot, from 0; a relay's log has one, which is any.
 
     Raises:
         LogError: There is no log, it is not whole, or it has no such line.
     """
     label, found, _ = read_raw(path, lambda topic: topic.endswith("/serial"))
     names = label.robots
-    if not 0 <= robot < len(names):
+    index = robot if len(names) > 1 else 0
+    if not 0 <= index < len(names):
         raise LogError(f"{path}: robot {robot}; expected one of 0 to {len(names) - 1}, as the log has them")
-    topic = f"/{names[robot]}/serial"
+    name = names[index]
+    topic = f"/{name}/serial"
     lines = list(_lines(path, topic, found.get(topic, [])))
     if not lines:
-        raise LogError(f"{path}: nothing crossed the line of {names[robot]}; expected a host's commands")
+        raise LogError(f"{path}: nothing crossed the line of {name}; expected a host's commands")
     heard = [Heard(line.time_ns, line.name == "host", bytes_of(line.text) + b"\n") for line in lines]
     baud = label.metadata.get("baud", "")
     known = int(baud) if re.fullmatch("[1-9][0-9]{2,6}", baud) else None
-    return RecordedRobot(names[robot], known, sorted(heard, key=lambda each: each.time_ns))
+    return RecordedRobot(name, known, sorted(heard, key=lambda each: each.time_ns))
 
 
 def _lines(path: Path, topic: str, messages: list[tuple[int, bytes]]) -> Iterator[TextLine]:

@@ -66,7 +66,6 @@ def test_the_next_host_waits_for_no_more_than_a_second_of_one_that_has_left(
     relay(
         cast(Device, robot),
         hosts,
-        None,
         stop=lambda: robot.heard.endswith(b"B\n") or time.monotonic() > end,
         notify=told.append,
     )
@@ -85,7 +84,7 @@ def test_a_relay_reports_to_its_cable_when_all_is_answered(monkeypatch: pytest.M
     def stop() -> bool:
         return (len(robot.heard) == 120 and hosts.answered[-1]) or time.monotonic() > end
 
-    relay(cast(Device, robot), hosts, None, stop=stop, notify=lambda text: None)
+    relay(cast(Device, robot), hosts, stop=stop, notify=lambda text: None)
     # It was so before, and was not while the robot had something to answer.
     assert hosts.answered[0]
     assert not all(hosts.answered)

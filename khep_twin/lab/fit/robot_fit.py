@@ -247,7 +247,7 @@ def modelled(data: SensorData, found: Calibration, moved: Misplacement = IN_PLAC
     return expected(levels(test.placement, found, moved), np.array(near.noise_counts), near.limit_counts)
 
 
-def named(found: Calibration, stem: str, tests: int) -> Calibration:
-    """Return a calibration with a name made of a file's and with its source."""
+def named(found: Calibration, stem: str, how: str) -> Calibration:
+    """Return a calibration with a name made of a file's, and with how it was found in its source."""
     name = re.sub("[^A-Za-z0-9_-]", "-", stem)[:64] or "robot"
-    return found.model_copy(update={"name": name, "source": f"{found.source}; fitted to {tests} tests"})
+    return found.model_copy(update={"name": name, "source": f"{found.source}; {how}"})

@@ -41,7 +41,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
         ("proximity", robot.proximity, _PROXIMITY, (0, COUNTS_LIMIT)),
         ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _highest(robot.ambient)))),
     )
-    grid = _within(figure, corner, SENSOR_HEIGHT, left=0.98, right=0.1)
+    grid = within(figure, corner, SENSOR_HEIGHT, left=0.98, right=0.1)
     cells = figure.add_gridspec(8, 2, hspace=0.22, wspace=0.14, **grid)
     for column, (name, series, colour, limits) in enumerate(kinds):
         panels = [figure.add_subplot(cells[sensor, column]) for sensor in range(8)]
@@ -67,15 +67,15 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
 
 def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
     """Draw both wheels' speeds with their setpoints; the corner is the lower left [inch]."""
-    grid = _within(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
+    grid = within(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
     cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
     for side, name in enumerate(("left", "right")):
         axes = figure.add_subplot(cells[side, 0])
         if robot.speed is not None:
             times_s, values = robot.speed.times_ns / 1e9, robot.speed.values
             look: Look = {"lw": 0.9, "drawstyle": "steps-post"}
-            axes.plot(*_thinned(times_s, values[:, side]), color=_SPEED, label="speed", **look)
-            setpoint = _thinned(times_s, values[:, 2 + side])
+            axes.plot(*thinned(times_s, values[:, side]), color=_SPEED, label="speed", **look)
+            setpoint = thinned(times_s, values[:, 2 + side])
             axes.plot(*setpoint, color=_SETPOINT, ls=(0, (4, 2)), label="setpoint", **look)
         _mark_contact(axes, robot)
         axes.set_xlim(_times(robot))
@@ -98,7 +98,7 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] 
             axes.set_xlabel("time [s]", fontsize=8)
 
 
-def _within(
+def within(
     figure: Figure, corner: tuple[float, float], height: float, *, left: float, right: float
 ) -> dict[str, float]:
     """Return the edges of axes on a figure, with margins for labels [inch]."""
@@ -114,14 +114,14 @@ def _within(
 
 def _draw_strip(axes: Axes, series: TimeSeries, sensor: int, colour: str, dark: float | None) -> None:
     """Draw one sensor: proximity filled from below, ambient light from the dark level."""
-    times_s, values = _thinned(series.times_ns / 1e9, series.values[:, sensor])
+    times_s, values = thinned(series.times_ns / 1e9, series.values[:, sensor])
     level = 0.0 if dark is None else dark
     axes.fill_between(times_s, values, level, color=colour, alpha=0.4, lw=0)
     axes.plot(times_s, values, color=colour, lw=0.7)
     axes.axhline(NEAR_COUNTS if dark is None else dark, color=INK, alpha=0.4, lw=0.5, ls=":")
 
 
-def _thinned(times_s: Floats, values: Values) -> tuple[Floats, Values]:
+def thinned(times_s: Floats, values: Values) -> tuple[Floats, Values]:
     """Return a curve of many points as one of fewer points that looks the same."""
     if len(values) <= 2 * POINT_LIMIT:
         return times_s, values

@@ -10,16 +10,20 @@ from base64 import b64encode
 from collections.abc import Callable, Sequence
 from html import escape
 from string import Template
+from typing import TypeVar
 
 import matplotlib.style
 from matplotlib.figure import Figure
 
 from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import STYLE
+from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import SENSOR_HEIGHT, WHEEL_HEIGHT, WIDTH, draw_sensors, draw_wheels
 from khep_twin.lab.report.report import Report, RobotReport
 from khep_twin.lab.report.rows import DEFINITIONS, Row
 from khep_twin.lab.sensor_test.sensor_figure import sheet
+
+_T = TypeVar("_T")
 
 Draw = Callable[[Figure, RobotReport, tuple[float, float]], None]
 """Function that draws a robot's picture onto a figure; the corner is the lower left [inch]."""
@@ -69,10 +73,21 @@ def html(report: Report) -> bytes:
             parts.append(f'<p class="missing">{escape(robot.missing)}</p>')
         for draw, height, name in pictures(robot):
             parts.append(_image(_drawn(draw, height, robot), f"{name} of {robot.name} over time"))
+    definitions = DEFINITIONS
+    if report.shadow is not None:
+        definitions = shadow_section.DEFINITIONS
+        parts += [
+            "<h2>The robot as its shadow follows it</h2>",
+            _table(tuple(shadow_section.rows(report.shadow))),
+        ]
+        for draw, height, name in shadow_section.pictures():
+            parts.append(_image(_drawn(draw, height, report.shadow), f"{name} over time"))
+        alarms = listed(shadow_section.alarm_rows(report.shadow))
+        parts += ["<h2>Alarms</h2>", _table(alarms) if alarms else "<p>None.</p>"]
     events = _table(listed(report.events)) if report.events else "<p>None.</p>"
     parts += ["<h2>Faults and events</h2>", events]
     parts += ["<h2>Versions and settings</h2>", _table(report.settings, "small")]
-    parts += ["<h2>What the numbers mean</h2>", _table(DEFINITIONS, "small")]
+    parts += ["<h2>What the numbers mean</h2>", _table(definitions, "small")]
     return _PAGE.substitute(title=escape(report.title), body="\n".join(parts)).encode("utf-8")
 
 
@@ -84,6 +99,8 @@ def draw_map(report: Report) -> Figure:
     """
     if report.playpen is None:
         raise ValueError("a report without a playpen has no map")
+    if report.shadow is not None:
+        return shadow_section.draw_map(report.playpen, report.shadow)
     return drawing.draw(report.playpen, report.tracks)
 
 
@@ -104,10 +121,10 @@ def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
     return found
 
 
-def _drawn(draw: Draw, height: float, robot: RobotReport) -> Figure:
+def _drawn(draw: Callable[[Figure, _T, tuple[float, float]], None], height: float, subject: _T) -> Figure:
     with matplotlib.style.context(STYLE):
         figure = sheet(WIDTH, height)
-        draw(figure, robot, (0.0, 0.0))
+        draw(figure, subject, (0.0, 0.0))
     return figure
 
 

@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import METADATA, STYLE
 from khep_twin.drawing.symbols import INK
+from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import WIDTH
 from khep_twin.lab.report.pages import DPI, draw_map, listed, pictures
 from khep_twin.lab.report.report import Report
@@ -52,12 +53,23 @@ def pdf(report: Report) -> bytes:
             for draw, height, _ in pictures(robot):
                 bottom = pages.room(height)
                 draw(pages.figures[-1], robot, (_SIDE, bottom))
+        definitions = DEFINITIONS
+        if report.shadow is not None:
+            definitions = shadow_section.DEFINITIONS
+            shadow_rows = tuple(shadow_section.rows(report.shadow))
+            pages.heading("The robot as its shadow follows it", 0.25 * len(shadow_rows))
+            pages.table(shadow_rows, _TEXT)
+            for paint, height, _ in shadow_section.pictures():
+                bottom = pages.room(height)
+                paint(pages.figures[-1], report.shadow, (_SIDE, bottom))
+            pages.heading("Alarms", 1)
+            pages.table(listed(shadow_section.alarm_rows(report.shadow)) or [("none", "")], _TEXT)
         pages.heading("Faults and events", 1)
         pages.table(listed(report.events) or [("none", "")], _TEXT)
         pages.heading("Versions and settings", 2.5)
         pages.table(report.settings, _SMALL)
         pages.heading("What the numbers mean", 2.5)
-        pages.table(DEFINITIONS, _SMALL)
+        pages.table(definitions, _SMALL)
         data = BytesIO()
         with PdfPages(data, metadata=METADATA["pdf"]) as file:
             for figure in pages.figures:

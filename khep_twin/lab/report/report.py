@@ -23,6 +23,7 @@ from khep_twin.lab.report.rows import (
 )
 from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.reader import Recording, TimeSeries
+from khep_twin.log.shadow_channels import ShadowTrack
 from khep_twin.playpen import Playpen
 from khep_twin.units import BODY_RADIUS
 
@@ -68,6 +69,7 @@ class Report:
         robots: Parts on each robot.
         events: Faults and notes: time and robot, and text.
         settings: Versions, seed and other settings.
+        shadow: Updates and alarms, if the log is a shadow's, which has no robot of its own.
     """
 
     title: str
@@ -76,10 +78,16 @@ class Report:
     robots: tuple[RobotReport, ...]
     events: tuple[Row, ...]
     settings: tuple[Row, ...]
+    shadow: ShadowTrack | None = None
 
 
-def report(recording: Recording, source: str) -> Report:
-    """Return the report on a log, whose file is `source` in messages.
+def report(recording: Recording, source: str, shadow: ShadowTrack | None = None) -> Report:
+    """Return the report on a log.
+
+    Args:
+        recording: Log.
+        source: Its file in messages.
+        shadow: Log as that of a shadow, None for others.
 
     Raises:
         LogError: An attachment of the log cannot be used.
@@ -88,10 +96,10 @@ def report(recording: Recording, source: str) -> Report:
     attachments = recording.label.attachments
     playpen = playpen_of(attachments, source) if "playpen.toml" in attachments else None
     if playpen is not None:
-        title = f"Run in the playpen {playpen.name}"
+        title = f"{'Run' if shadow is None else 'Shadow'} in the playpen {playpen.name}"
     else:
         title = f"Run of the robot at {facts['relay']}" if "relay" in facts else "Run"
-    names = recording.label.robots
+    names = recording.label.robots if shadow is None else ()
     poses = {name: _series(recording, f"/{name}/pose", 3) for name in names}
     events = recording.lines.get("/events", [])
     tracks = tuple(
@@ -106,6 +114,7 @@ def report(recording: Recording, source: str) -> Report:
         tuple(_robot(recording, source, playpen, index, name) for index, name in enumerate(names)),
         tuple((f"{line.time_ns / 1e9:.2f} s, {line.name}", line.text) for line in events),
         tuple((key.replace("_", " "), value) for key, value in facts.items() if value not in _UNSET),
+        shadow,
     )
 
 

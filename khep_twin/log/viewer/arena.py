@@ -96,7 +96,7 @@ class Rays:
         times = time_column(track.times_ns)
         place = f"/obstacles/{robot}_sensors"
         moving = Chunk.from_columns(place, [times], lines.partition([len(Sensor) * _RAYS] * n))
-        return [_in_frame(place, f"{robot}/base"), moving]
+        return [in_frame(place, f"{robot}/base"), moving]
 
     def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the ends of rays in the robot's frame (n, 8, rays, 3) [m], and which of them hit."""
@@ -140,10 +140,27 @@ def trail_chunks(robot: str, poses: Poses, before: Floats | None = None) -> list
         before: Last position in the piece before, of a log that comes in pieces.
     """
     found = poses.bodies.get(f"{robot}/base")
-    if found is None:
-        return []
-    thin = slice(None, None, -(-len(found) // TRAIL_POINTS))
-    points, times_ns = np.array(found[thin, :3]), poses.times_ns[thin]
+    return [] if found is None else path_chunks(trail(robot), poses.times_ns, found[:, :3], _TRAIL, before)
+
+
+def path_chunks(
+    place: str,
+    times_ns: NDArray[np.int64],
+    points: Floats,
+    colour: tuple[int, int, int],
+    before: Floats | None = None,
+) -> list[Chunk]:
+    """Return a path as one short line for each time, on the floor.
+
+    Args:
+        place: Entity path.
+        times_ns: Times of its points (n,) [ns].
+        points: Points (n, 3) [m]; their heights do not count.
+        colour: Colour.
+        before: Last position in the piece before, of a log that comes in pieces.
+    """
+    thin = slice(None, None, -(-len(points) // TRAIL_POINTS) or 1)
+    points, times_ns = np.array(points[thin]), times_ns[thin]
     points[:, 2] = 0.0015  # just above the patches painted on the floor
     if before is not None:
         points, times_ns = np.vstack((before[:3] * (1, 1, 0) + (0, 0, 0.0015), points)), times_ns
@@ -154,14 +171,10 @@ def trail_chunks(robot: str, poses: Poses, before: Floats | None = None) -> list
     n = len(points) - 1
     lines = rr.LineStrips3D.columns(
         strips=np.stack((points[:-1], points[1:]), axis=1).astype(np.float32),
-        colors=np.tile(np.array([_TRAIL], np.uint8), (n, 1)),
+        colors=np.tile(np.array([colour], np.uint8), (n, 1)),
         radii=np.full(n, 0.0015, np.float32),
     )
-    times = time_column(times_ns)
-    return [
-        _in_frame(trail(robot), "world"),
-        Chunk.from_columns(trail(robot), [times], lines),
-    ]
+    return [in_frame(place, "world"), Chunk.from_columns(place, [time_column(times_ns)], lines)]
 
 
 def trail(robot: str) -> str:
@@ -194,7 +207,7 @@ def event_chunks(label: Label, gathered: Gatherer) -> list[Chunk]:
         labels=texts,
         show_labels=[len(texts) <= LABELS] * len(texts),
     )
-    return [*chunks, _in_frame(EVENTS, "world"), Chunk.from_columns(EVENTS, [times], points)]
+    return [*chunks, in_frame(EVENTS, "world"), Chunk.from_columns(EVENTS, [times], points)]
 
 
 class FloorLight:
@@ -232,7 +245,7 @@ class FloorLight:
             state = tuple(map(bool, row))
             if state not in self._states and len(self._states) < _STATES:
                 place = self._states[state] = f"/light/{len(self._states)}"
-                yield _in_frame(place, "world")
+                yield in_frame(place, "world")
                 yield Chunk.from_columns(place, [], _lit_floor(self._playpen, state))
             # If lamps are switched in more combinations than that, the first one is shown.
             shown.append(self._states.get(state, "/light/0"))
@@ -274,6 +287,6 @@ def _subject(text: str, robots: Sequence[str]) -> str:
     return found[1] if found is not None and found[1] in robots else robots[0]
 
 
-def _in_frame(place: str, frame: str) -> Chunk:
+def in_frame(place: str, frame: str) -> Chunk:
     """Return the static coordinate frame of an entity."""
     return Chunk.from_columns(place, [], rr.CoordinateFrame.columns(frame=[frame]))

@@ -61,7 +61,36 @@ class Poses:
         return rows
 
 
+@dataclass(frozen=True, slots=True)
+class ShadowSamples:
+    """Updates of a shadow.
+
+    Attributes:
+        times_ns: Times of the updates (n,) [ns].
+        poses: Position [m], quaternion x, y, z, w, and covariance of the estimate (n, 43).
+        reckoned: Position [m] and quaternion x, y, z, w by commands alone (n, 7).
+        expected: Expected proximity (n, 8) [counts].
+        measured: Measured proximity (n, 8) [counts].
+        residuals: Deviations (n, 19).
+        particles_ns: Times of the particles (m,) [ns].
+        particles: x, y [m] and heading [rad] of each (m, 300).
+    """
+
+    times_ns: NDArray[np.int64]
+    poses: Floats
+    reckoned: Floats
+    expected: Floats
+    measured: Floats
+    residuals: Floats
+    particles_ns: NDArray[np.int64]
+    particles: Floats
+
+
 _POSE = ("Transform3D:child_frame", "Transform3D:translation", "Transform3D:quaternion")
+_STAMPED = ("InstancePoses3D:translations", "InstancePoses3D:quaternions")
+_UNSURE = "geometry_msgs.msg.PoseWithCovarianceStamped:message"
+_TEXTS = ("/events", "/shadow/alarms")
+_SHADOW = ("pose", "reckoned", "expected", "measured", "residuals")
 
 
 class Gatherer:
@@ -103,14 +132,28 @@ class Gatherer:
         parts = self._rows.get("/lamps")
         return _joined(parts) if parts else (np.zeros(0, np.int64), None)
 
+    def shadow(self) -> ShadowSamples | None:
+        """Return the updates of a shadow; None if there are none, or not for each time."""
+        parts = [self._rows.get(f"/shadow/{topic}", []) for topic in _SHADOW]
+        if not all(parts):
+            return None
+        series = [_joined(part) for part in parts]
+        if not all(np.array_equal(series[0][0], times_ns) for times_ns, _ in series[1:]):
+            return None
+        seldom = self._rows.get("/shadow/particles")
+        particles = _joined(seldom) if seldom else (np.zeros(0, np.int64), np.zeros((0, 0)))
+        poses, reckoned, expected, measured, residuals = (values for _, values in series)
+        return ShadowSamples(series[0][0], poses, reckoned, expected, measured, residuals, *particles)
+
     def events(self) -> tuple[NDArray[np.int64], list[str]]:
-        """Return times [ns] and texts of the events."""
+        """Return times [ns] and texts of the events, and of a shadow's alarms."""
         found = sorted(self._events, key=lambda event: event[0])
         return np.array([time_ns for time_ns, _ in found], np.int64), [text for _, text in found]
 
     def _note(self, chunk: Chunk) -> None:
         path = chunk.entity_path
-        if not (path in ("/tf", "/lamps", "/events") or path.endswith(("/proximity", "/ambient", "/speed"))):
+        known = path in ("/tf", "/lamps", "/events") or path.startswith("/shadow/")
+        if not known and not path.endswith(("/proximity", "/ambient", "/speed")):
             return
         batch: Any = chunk.to_record_batch()
         names = batch.schema.names
@@ -122,8 +165,15 @@ class Gatherer:
         if "Scalars:scalars" in names:
             scalars: Floats = column("Scalars:scalars").flatten().to_numpy(zero_copy_only=False)
             self._rows.setdefault(path, []).append((at, scalars.reshape(len(at), -1)))
-        elif path == "/events" and "TextLog:text" in names:
+        elif path in _TEXTS and "TextLog:text" in names:
             self._events += zip(at.tolist(), column("TextLog:text").flatten().to_pylist(), strict=True)
+        elif _UNSURE in names:
+            self._rows.setdefault(path, []).append((at, _unsure(column(_UNSURE).flatten())))
+        elif path == "/shadow/reckoned" and set(_STAMPED) <= set(names):
+            values = (column(name).flatten().flatten() for name in _STAMPED)
+            place, turn = (each.to_numpy(zero_copy_only=False) for each in values)
+            rows = np.column_stack((place.reshape(-1, 3), turn.reshape(-1, 4))).astype(np.float64)
+            self._rows.setdefault(path, []).append((at, rows))
         elif path == "/tf" and set(_POSE) <= set(names):
             frames = np.array(column(_POSE[0]).flatten().to_pylist())
             values = (column(name).flatten().flatten() for name in _POSE[1:])
@@ -132,6 +182,17 @@ class Gatherer:
             for name in dict.fromkeys(frames.tolist()):
                 own = frames == name
                 self._poses.setdefault(name, []).append((at[own], rows[own]))
+
+
+def _unsure(messages: Any) -> Floats:
+    """Return position, quaternion and covariance (n, 43) of poses, as rerun reflects them."""
+    found = messages.field("pose")
+    pose = found.field("pose")
+    point, turn = pose.field("position"), pose.field("orientation")
+    columns = [point.field(name) for name in "xyz"] + [turn.field(name) for name in "xyzw"]
+    covariance = found.field("covariance").flatten().to_numpy(zero_copy_only=False)
+    values = [each.to_numpy(zero_copy_only=False) for each in columns]
+    return np.column_stack([*values, covariance.reshape(len(values[0]), -1)]).astype(np.float64)
 
 
 def times_of(batch: Any) -> NDArray[np.int64]:

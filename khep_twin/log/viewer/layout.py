@@ -11,8 +11,10 @@ import rerun.blueprint as rrb
 
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
+from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import EVENTS, trail
 from khep_twin.log.viewer.gathered import TIMELINE
+from khep_twin.log.viewer.ghost import RECKONED, TRUTH
 from khep_twin.log.viewer.robot_panel import panel
 from khep_twin.units import Sensor
 
@@ -36,6 +38,9 @@ _WHEELS: dict[str, Colour] = {
     "setpoint right": _SETPOINT,
 }
 _EVENT: Colour = (255, 80, 160)
+_DRIVEN = {"left": _WARM[0], "right": _COLD[1]}
+
+_SOLID = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
 
 _LEGEND_SHARE, _END_SHARE = 0.16, 0.02
 """Parts of the time axis before the start, where the legend covers no curve, and after the end."""
@@ -97,7 +102,8 @@ def _arena(log: Shown) -> list[rrb.Spatial3DView]:
         start=rr.TimeRangeBoundary.infinite(),
         end=rr.TimeRangeBoundary.cursor_relative(),
     )
-    growing = [f"{log.place}{each}" for each in (EVENTS, *map(trail, log.label.robots))]
+    paths = (*log.label.robots, *((RECKONED, TRUTH) if is_shadow(log.label) else ()))
+    growing = [f"{log.place}{each}" for each in (EVENTS, *map(trail, paths))]
     frame = rrb.archetypes.SpatialInformation(target_frame=log.frame) if log.frame else None
     return [
         rrb.Spatial3DView(
@@ -111,17 +117,16 @@ def _arena(log: Shown) -> list[rrb.Spatial3DView]:
             eye_controls=_eye(log.label),
             line_grid=False,
             spatial_information=frame,
-            defaults=[
-                shape.from_fields(fill_mode="solid")
-                for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)
-            ],
+            defaults=_SOLID,
         )
     ]
 
 
-def _bases(log: Shown) -> list[rrb.Spatial2DView]:
+def _bases(log: Shown) -> Sequence[rrb.View]:
     if "playpen.toml" not in log.label.attachments:
         return []
+    if is_shadow(log.label):
+        return [_near(log)]
     bounds = rrb.VisualBounds2D(x_range=(-0.045, 0.045), y_range=(-0.052, 0.068))
     return [
         rrb.Spatial2DView(
@@ -131,11 +136,29 @@ def _bases(log: Shown) -> list[rrb.Spatial2DView]:
     ]
 
 
+def _near(log: Shown) -> rrb.Spatial3DView:
+    """Return the surroundings of a shadow's estimate from above, ahead of it upwards."""
+    frame = f"{log.name}/" if log.frame else ""
+    return rrb.Spatial3DView(
+        origin=log.place or "/",
+        name="around the estimate",
+        contents=[f"{log.place}/**", f"- {log.place}{EVENTS}"],
+        eye_controls=rrb.EyeControls3D(
+            position=(0.0, 0.0, 0.22), look_target=(0.0, 0.0, 0.0), eye_up=(1.0, 0.0, 0.0)
+        ),
+        line_grid=False,
+        spatial_information=rrb.archetypes.SpatialInformation(
+            target_frame=f"{frame}{log.label.robots[0]}/base"
+        ),
+        defaults=_SOLID,
+    )
+
+
 def _transcripts(log: Shown) -> list[rrb.TextLogView]:
     return [
         rrb.TextLogView(
-            name=f"{robot}: serial line and events",
-            contents=[f"{log.place}/{robot}/serial", f"{log.place}/events"],
+            name="alarms and events" if is_shadow(log.label) else f"{robot}: serial line and events",
+            contents=[f"{log.place}{each}" for each in (f"/{robot}/serial", "/shadow/alarms", "/events")],
             columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["body"]),
             format_options=rrb.TextLogFormat(monospace_body=True),
         )
@@ -144,6 +167,8 @@ def _transcripts(log: Shown) -> list[rrb.TextLogView]:
 
 
 def _curves(log: Shown) -> list[rrb.Vertical]:
+    if is_shadow(log.label):
+        return _residuals(log, log.label.robots[0])
     return [
         rrb.Vertical(
             _plot(log, robot, "proximity", "proximity [counts]", _SENSORS),
@@ -159,16 +184,38 @@ def _curves(log: Shown) -> list[rrb.Vertical]:
     ]
 
 
+def _residuals(log: Shown, robot: str) -> list[rrb.Vertical]:
+    """Return the curves of a shadow: deviations of the replies, and what they deviate from."""
+    shares = "residual_proximity", "residual_light", "residual_wheels", "residual_timing"
+    names = (
+        "proximity: measured less expected [counts]",
+        "light: measured less expected [counts]",
+        "wheels: pulses beyond the expected ones",
+        "timing: delay of replies [ms]",
+    )
+    curves = _SENSORS, _SENSORS, _DRIVEN, {"delay": _COLD[1]}
+    plots = [_plot(log, robot, *each) for each in zip(shares, names, curves, strict=True)]
+    proximity = [
+        _plot(log, "shadow", name, f"{name} proximity [counts]", _SENSORS)
+        for name in ("measured", "expected")
+    ]
+    return [
+        rrb.Vertical(*plots, name="residuals", row_shares=[3, 2, 2, 2]),
+        rrb.Vertical(*proximity, name="proximity"),
+    ]
+
+
 def _plot(
     log: Shown, robot: str, topic: str, name: str, curves: dict[str, Colour], only: str = ""
 ) -> rrb.TimeSeriesView:
     """Return a plot of a channel, or of those of its curves that have `only` in their name."""
-    origin, events = (f"{log.place}/{robot}/{each}" for each in (topic, "events"))
+    origin = f"{log.place}/{robot}/{topic}"
+    events = f"{log.place}/{log.label.robots[0] if is_shadow(log.label) else robot}/events"
     lines = rr.SeriesLines.from_fields(
         names=list(curves),
         colors=list(curves.values()),
         # The speed of a wheel is a band, its setpoint a thin white line on it.
-        widths=[4.0 if curve in ("left", "right") else 1.0 for curve in curves],
+        widths=[4.0 if topic == "speed" and curve in ("left", "right") else 1.0 for curve in curves],
         visible_series=[only in curve for curve in curves],
     )
     marks = rr.SeriesPoints.from_fields(

@@ -117,7 +117,7 @@ def open_viewer(
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
             )
-            forget = clear_at_end(partial(_end, process))
+            forget = clear_at_end(partial(end_process, process))
         viewer = Viewer(subject, process, said, port)
         try:
             if web is not None:
@@ -130,7 +130,7 @@ def open_viewer(
                 viewer.wait_for(port, stop)
             yield viewer
         finally:
-            _end(process)
+            end_process(process)
             forget()
 
 
@@ -143,8 +143,8 @@ def free_ports(count: int) -> Sequence[int]:
     return ports
 
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End the viewer and its child processes: rerun's command is a script around its program."""
+def end_process(process: "subprocess.Popen[bytes]") -> None:
+    """End a viewer and its child processes: rerun's command is a script around its program."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, number)

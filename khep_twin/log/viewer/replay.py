@@ -24,8 +24,10 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, part_file
 from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.reader import Label, read_end_ns, read_with_messages
+from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chunks
 from khep_twin.log.viewer.gathered import Floats, Gatherer, Samples, times_of
+from khep_twin.log.viewer.ghost import Ghost
 from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
 from khep_twin.log.viewer.robot_panel import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
@@ -94,7 +96,8 @@ def view_still(
 
 def standing_chunks(label: Label) -> list[Chunk]:
     """Return the static chunks that are added to a log's own."""
-    robots = label.robots if "playpen.toml" in label.attachments else ()
+    panels = "playpen.toml" in label.attachments and not is_shadow(label)
+    robots = label.robots if panels else ()
     return [chunk for robot in robots for chunk in outline_chunks(robot)]
 
 
@@ -212,14 +215,15 @@ class Additions:
 
     Args:
         label: Label of the log.
-        source: Name of the log in messages.
+        source: Path of the log.
     """
 
-    def __init__(self, label: Label, source: object) -> None:
+    def __init__(self, label: Label, source: Path) -> None:
         self._label, self._source = label, source
         self._rays: Rays | None = None
         self._light: FloorLight | None = None
         self._last: dict[str, Floats] = {}
+        self._ghost = Ghost(label, source) if is_shadow(label) else None
 
     def chunks(self, gathered: Gatherer, thinned: Callable[[Samples], Samples]) -> Iterator[Chunk]:
         """Yield those of a piece; `thinned` returns the samples that have a picture."""
@@ -238,6 +242,8 @@ class Additions:
                 self._last[robot] = poses.bodies[f"{robot}/base"][-1]
         if self._light is not None:
             yield from self._light.chunks(gathered)
+        if self._ghost is not None:
+            yield from self._ghost.chunks(gathered)
 
 
 def _moved(chunks: Iterable[Chunk], log: Shown) -> Generator[Chunk, None, None]:

@@ -26,6 +26,10 @@ _LINES = 2
 """Lines of the transcript that are kept per interval of a thinned log: a command and its reply."""
 
 
+_WHOLE = ("/events", "/shadow/alarms")
+"""Topics of which each message is kept."""
+
+
 def interval_ns(end_ns: int) -> int:
     """Return the interval of the shown samples of a log that ends at a time [ns]; 0 for all."""
     # A run of an hour ends some moments later.
@@ -57,7 +61,7 @@ class Copy:
 
     Args:
         sink: File of the copy.
-        interval_ns: Interval of the samples that are kept [ns]; 0 for all. Events are all kept.
+        interval_ns: Interval of the samples that are kept [ns]; 0 for all. Events and alarms are all kept.
         hidden: Patterns of topics that are left out.
     """
 
@@ -92,5 +96,5 @@ class Copy:
         """Define the channel of a message; None if it is not shown."""
         if first.definition is None or self._hidden.search(first.topic):
             return None
-        n_times = 0 if first.topic == "/events" else _LINES if first.schema.endswith("/Log") else 1
+        n_times = 0 if first.topic in _WHOLE else _LINES if first.schema.endswith("/Log") else 1
         return _Channel(self._writer.channel(first.topic, first.schema, first.definition), n_times)

@@ -7,16 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from shadow_updates import updates
 from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
-from khep_twin.lab.report.pages import EVENT_LIMIT, listed
+from khep_twin.lab.report.pages import EVENT_LIMIT, html, listed
+from khep_twin.lab.report.pdf import pdf
 from khep_twin.lab.report.report import report
 from khep_twin.lab.report.rows import DEFINITIONS
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.reader import read_series
+from khep_twin.log.shadow_channels import read_shadow
 from khep_twin.playpen import load
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.shadow.shadow import ShadowSettings
+from khep_twin.shadow.shadow_log import ShadowLog
 
 SECOND = 1_000_000_000
 HEADINGS = ["Faults and events", "Versions and settings", "What the numbers mean"]
@@ -213,3 +218,39 @@ def test_matplotlibs_own_settings_change_nothing(log: Path, tmp_path: Path) -> N
     changed: Any = {"lines.linewidth": 9, "font.size": 20, "axes.facecolor": "black"}
     with matplotlib.rc_context(changed):
         assert write(log, tmp_path / "b.html") == plain
+
+
+@pytest.fixture
+def shadow(tmp_path: Path) -> Path:
+    """The log of a shadow with an alarm, of a host that does not ask for light."""
+    path = tmp_path / "shadow.mcap"
+    log = ShadowLog(path, load("workshop"), ShadowSettings())
+    for update in updates():
+        log.write(update)
+    log.close()
+    return path
+
+
+def test_a_report_on_a_shadow_has_its_residuals_and_alarms(shadow: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["report", str(shadow), "-o", str(tmp_path / "shadow.html")])
+    assert done.exit_code == 0, done.output
+    page = Page((tmp_path / "shadow.html").read_text())
+    assert page.headings == ["The robot as its shadow follows it", "Alarms", *HEADINGS]
+    text = (tmp_path / "shadow.html").read_text()
+    told = "since 0.80 s, told at 1.00 s, 97.5 % sure, in proximity; ended at 2.00 s"
+    assert f"<th>stuck sensor 2</th><td>{told}</td>" in text
+    # 2 mm along x and 3 mm along y.
+    assert "<th>Spread of the position</th><td>3.6 mm median, 3.6 mm at 95 %</td>" in text
+    assert "<th>Dead reckoning</th><td>14 mm from the estimate in the end, 14 mm at most</td>" in text
+
+
+def test_a_report_on_a_shadow_is_the_same_each_time_as_pdf(shadow: Path) -> None:
+    found = report(read_series(shadow), "shadow", read_shadow(shadow))
+    assert pdf(found) == pdf(found)
+
+
+def test_a_report_on_a_shadow_without_updates_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "empty.mcap"
+    ShadowLog(path, load("workshop"), ShadowSettings()).close()
+    text = html(report(read_series(path), "empty", read_shadow(path))).decode()
+    assert "none: no reply had values" in text

@@ -1,0 +1,198 @@
+"""A robot that a shadow follows, on the command line: its alarms as lines, and a summary."""
+
+import math
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from khep_twin.cli.options import tell_kept
+from khep_twin.clock import NS_PER_S
+from khep_twin.invocation import command
+
+if TYPE_CHECKING:
+    from khep_twin.playpen import Playpen
+    from khep_twin.shadow.following import Change
+    from khep_twin.shadow.learned import Learned
+    from khep_twin.shadow.recording import Heard
+    from khep_twin.shadow.shadow import ShadowSettings, Update
+    from khep_twin.shadow.shadow_log import ShadowLog
+
+ALARM_CODE = 4
+"""Exit code of `--exit-on alarm`; 3 is that of a log that failed, or of a run that differs."""
+
+_TWO_SIDED = 1.96
+"""Standard deviations in half of a 95 % interval."""
+
+_LEARNED_NS = 10 * NS_PER_S
+"""Time between two notes in the log of what was learned [ns]."""
+
+_WARM_UP = (b"D,1,1\n", b"d\r\n"), (b"N\n", b"n,0,0,0,0,0,0,0,0\r\n"), (b"H\n", b"h,0,0\r\n")
+
+
+class Followed:
+    """A robot that is followed.
+
+    Args:
+        playpen: Playpen with the robot.
+        settings: Settings of the shadow.
+        ends_on_alarm: Whether to end at the first alarm.
+        output: Log of the shadow to write.
+        parent: Log that is followed; None for a robot.
+    """
+
+    def __init__(
+        self,
+        playpen: "Playpen",
+        settings: "ShadowSettings",
+        ends_on_alarm: bool,
+        output: Path | None,
+        parent: Path | None = None,
+    ) -> None:
+        from khep_twin.sensing import calibration
+        from khep_twin.shadow.following import Follower
+        from khep_twin.shadow.shadow import Shadow
+
+        self._calibration = calibration.read(playpen.robots[0].calibration)[0]
+        self._shadow = Shadow(playpen, settings)
+        self._follower = Follower(self._shadow)
+        self._ends_on_alarm = ends_on_alarm
+        self._warm_up(playpen, settings)
+        self._log = None
+        if output is not None:
+            from khep_twin.log.recorder import FLUSH_NS
+            from khep_twin.shadow.shadow_log import LIVE_FLUSH_NS, ShadowLog
+
+            flush_ns = FLUSH_NS if parent else LIVE_FLUSH_NS
+            self._log = ShadowLog(output, playpen, settings, parent=parent, flush_ns=flush_ns)
+        self._playpen = playpen
+        self._shown: Callable[[Update], None] | None = None
+        self._output, self._learned_ns = output, 0
+        tell_kept(self._log)
+
+    def follow(
+        self,
+        heard: "Iterable[Heard]",
+        stop: Callable[[], bool],
+        show: Callable[[str], None] | None = None,
+    ) -> int:
+        """Follow a line until its end, an alarm or a signal; return the exit code.
+
+        Args:
+            heard: Bytes that crossed the line.
+            stop: Function that returns whether to end.
+            show: Function that takes the pose, as text, after each reply.
+        """
+        for each in heard:
+            for update in self._follower.feed(each):
+                if self._log is not None:
+                    self._write(self._log, update)
+                if self._shown is not None:
+                    self._shown(update)
+                for change in self._follower.changes(update):
+                    typer.echo(alarm_line(change))
+                if self._ends_on_alarm and update.alarms:
+                    return ALARM_CODE
+                if show is not None:
+                    show(_told(update))
+            if stop():
+                return 130
+        return 0
+
+    @contextmanager
+    def viewed(self, *, web: bool) -> Generator[None]:
+        """Show all updates in rerun, in a window or in a browser."""
+        from khep_twin.shadow.shadow_viewer import ShadowViewer
+
+        with ShadowViewer(self._playpen, self._shadow.settings, self._output, web=web) as viewer:
+            self._shown = viewer.show
+            yield
+
+    def close(self) -> None:
+        """Complete the log."""
+        if self._log is not None:
+            self._log.write_learned(self._learned())
+            self._log.close()
+
+    def tell(self, took_s: float | None = None) -> None:
+        """Print where the robot is, what was learned of it, how fast, and where the log is.
+
+        Args:
+            took_s: Time that it took; None where it took the robot's time.
+        """
+        last = self._follower.last
+        if last is None:
+            typer.echo("khep-twin: no reply with values was heard; expected replies to N or H", err=True)
+        else:
+            for line in self._summary(last):
+                typer.echo(line)
+            took = "" if took_s is None else f" in {took_s:.1f} s"
+            seconds, replies = last.time_ns / NS_PER_S, self._follower.replies
+            typer.echo(f"{seconds:.1f} s followed{took}, {replies} replies", err=True)
+        if self._output is not None:
+            look = command("view", self._output)
+            typer.echo(f"log        {self._output}      look at it: {look}", err=True)
+
+    def _write(self, log: "ShadowLog", update: "Update") -> None:
+        log.write(update)
+        if update.time_ns - self._learned_ns >= _LEARNED_NS:
+            self._learned_ns = update.time_ns
+            log.write_learned(self._learned())
+
+    def _learned(self) -> "Learned":
+        from khep_twin.shadow.learned import learned
+
+        return learned(self._shadow)
+
+    @staticmethod
+    def _warm_up(playpen: "Playpen", settings: "ShadowSettings") -> None:
+        """Load all compiled code, so that a line that has begun does not wait for it."""
+        from khep_twin.shadow.shadow import Shadow
+
+        other = Shadow(playpen, replace(settings, particles=10))
+        for time_ns, (asked, answered) in enumerate(_WARM_UP, 1):
+            other.feed(time_ns * NS_PER_S // 10, True, asked)
+            other.feed(time_ns * NS_PER_S // 10 + NS_PER_S // 20, False, answered)
+
+    def _summary(self, last: "Update") -> Iterator[str]:
+        """Yield lines about the pose, dead reckoning and the wheels, with 95 % intervals."""
+        (x, y, heading), covariance = last.estimate.pose, last.estimate.covariance
+        dx, dy, turn = (_TWO_SIDED * math.sqrt(covariance[i, i]) for i in range(3))
+        yield (
+            f"pose       {x * 1e3:.1f} mm +- {dx * 1e3:.1f}, {y * 1e3:.1f} mm +- {dy * 1e3:.1f}, "
+            f"{math.degrees(heading):.1f} degrees +- {math.degrees(turn):.1f} (95 %)"
+        )
+        away = math.hypot(last.reckoned[0] - x, last.reckoned[1] - y) * 1e3
+        turned = math.degrees(math.remainder(last.reckoned[2] - heading, math.tau))
+        yield f"reckoning  {away:.0f} mm and {turned:+.1f} degrees off, by commands alone"
+        found, own = self._learned(), self._calibration.wheels
+        (radius, ratio, base), deviations = (
+            found.wheels.tolist(),
+            (_TWO_SIDED * found.wheel_deviations).tolist(),
+        )
+        yield (
+            f"wheels     radius {own.radius_mm * radius:.3f} mm +- {own.radius_mm * deviations[0]:.3f}, "
+            f"right over left {own.right_over_left * ratio:.4f} +- {deviations[1]:.4f}, "
+            f"base {own.base_mm * base:.2f} mm +- {own.base_mm * deviations[2]:.2f} (95 %)"
+        )
+
+
+def _told(update: "Update") -> str:
+    (x, y, heading), covariance = update.estimate.pose, update.estimate.covariance
+    place = 1e3 * math.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)
+    faults = ", ".join(alarm.fault for alarm in update.alarms) or "no alarm"
+    return (
+        f"{update.time_ns / NS_PER_S:.1f} s  {x * 1e3:.0f}, {y * 1e3:.0f} mm +- {_TWO_SIDED * place:.0f}, "
+        f"{math.degrees(heading):.0f} degrees  {faults}"
+    )
+
+
+def alarm_line(change: "Change") -> str:
+    """Return a line about an alarm that has begun or ended."""
+    alarm = change.alarm
+    how = f"{alarm.sureness:.0%} sure" if alarm.ended_ns is None else "over"
+    since = f"{alarm.channel}, since {alarm.since_ns / NS_PER_S:.2f} s, {how}"
+    return f"{change.time_ns / NS_PER_S:9.2f} s  {alarm.fault}: {since}"

@@ -1,0 +1,272 @@
+"""`khep-twin shadow`: the twin beside a robot, live or from a log."""
+
+import math
+import os
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli.completion import logs, ports
+from khep_twin.cli.endpoints import EndpointOptions
+from khep_twin.cli.followed import ALARM_CODE, Followed
+from khep_twin.cli.option_groups import LogOptions, grouped, option_names
+from khep_twin.cli.options import (
+    check_apart,
+    check_new,
+    check_writable,
+    complain,
+    given,
+    running_mode,
+    usage,
+)
+from khep_twin.cli.playpen import PlaypenName
+from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.cli.relayed import line_baud, relay_robot
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import PlaypenError
+from khep_twin.signals import stopping
+from khep_twin.status_line import status_line
+
+if TYPE_CHECKING:
+    from khep_twin.playpen import Playpen
+    from khep_twin.shadow.recording import Heard
+    from khep_twin.shadow.shadow import ShadowSettings
+    from khep_twin.shadow.tap import TappedLine
+
+_BEHIND_S = 2.0
+"""Delay of the estimate from which on it is told (assumed) [s]."""
+
+_NICE = 5
+"""What a shadow beside a relay adds to its niceness (assumed)."""
+
+_NUMBER = r"-?\d{1,6}(?:\.\d{1,6})?"
+_POSE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER})")
+_WITHIN = re.compile(r"(\d{1,4}(?:\.\d{1,6})?),(\d{1,3}(?:\.\d{1,6})?)")
+
+
+class ExitOn(StrEnum):
+    """Event that ends a shadow."""
+
+    ALARM = "alarm"
+
+
+@dataclass(frozen=True, slots=True)
+class ShadowOptions:
+    """What a shadow is told of its robot."""
+
+    start: Annotated[
+        str,
+        typer.Option(help="Start: known, as the playpen has it; X,Y,HEADING in mm and degrees; or unknown."),
+    ] = "known"
+    within: Annotated[str, typer.Option(metavar="MM,DEG", help="Standard deviations of a known start.")] = (
+        "10,5"
+    )
+    seed: Annotated[int, typer.Option(help="Seed of the particles.")] = 0
+    particles: Annotated[
+        int, typer.Option(min=10, max=100_000, help="Number of particles, once the pose is known.")
+    ] = 1000
+
+    def words(self) -> list[str]:
+        """Return these options as words of a command line."""
+        return [f"--{field.name}={getattr(self, field.name)}" for field in fields(self)]
+
+    def load(self, name: str, robot: int = 0) -> "Playpen":
+        """Return the playpen with the robot alone, at its start."""
+        from khep_twin import playpen as playpens
+        from khep_twin.playpen.starts import at_start
+
+        found = playpens.load(name)
+        if not 0 <= robot < len(found.robots):
+            wanted = f"0 to {len(found.robots) - 1}" if len(found.robots) > 1 else "0"
+            raise PlaypenError(f"{name}: robot {robot}; expected {wanted}, as it has {len(found.robots)}")
+        found = found.model_copy(update={"robots": (found.robots[robot],)})
+        if pose := _POSE.fullmatch(self.start):
+            x_mm, y_mm, heading_deg = map(float, pose.groups())
+            found = at_start(found, 0, (x_mm, y_mm, heading_deg))
+        return found
+
+    def settings(self, baud: int) -> "ShadowSettings":
+        """Return the settings of a shadow."""
+        from khep_twin.shadow.particle_filter import PUBLISHED
+        from khep_twin.shadow.shadow import ShadowSettings
+
+        if self.start not in ("known", "unknown") and not _POSE.fullmatch(self.start):
+            raise usage(f"--start {self.start}: expected known, unknown or X,Y,HEADING, such as 100,250,90")
+        if (within := _WITHIN.fullmatch(self.within)) is None:
+            raise usage(f"--within {self.within}: expected MM,DEG, such as 10,5")
+        place, heading = float(within[1]) / 1e3, math.radians(float(within[2]))
+        spread = PUBLISHED._replace(place=place, heading=heading)
+        return ShadowSettings(self.seed, self.particles, self.start != "unknown", spread, baud)
+
+
+_OF_A_ROBOT = option_names(EndpointOptions) | {"mode", "poll", "view", "web", "log", "ignore_log_errors"}
+"""Options of a robot at --relay that mean nothing to a log, by the names of their parameters."""
+
+
+@grouped
+def shadow(
+    context: typer.Context,
+    *,
+    playpen: PlaypenName,
+    recording: Annotated[
+        Path | None,
+        typer.Argument(metavar="LOG", help="Log of a relay, or of a twin, FILE.mcap.", autocompletion=logs),
+    ] = None,
+    relay: Annotated[
+        str | None,
+        typer.Option(
+            help="Follow the robot at this port, and pass all on to its host.", autocompletion=ports
+        ),
+    ] = None,
+    endpoint: EndpointOptions,
+    mode: Annotated[
+        str | None, typer.Option(help="Running mode of the robot: the speed of its line.")
+    ] = None,
+    poll: Annotated[bool, typer.Option("--poll", help="Ask the robot while no host does.")] = False,
+    robot: Annotated[int, typer.Option(min=0, help="Number of the robot in playpen and log, from 0.")] = 0,
+    options: ShadowOptions,
+    until: Annotated[float | None, typer.Option(min=0, help="End at this time of the log [s].")] = None,
+    exit_on: Annotated[
+        ExitOn | None, typer.Option(help=f"End at the first alarm, with exit code {ALARM_CODE}.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Log of poses, residuals and alarms to write, FILE.mcap."),
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Show it in rerun while it goes on.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="With --view: in a browser, not in a window.")] = False,
+    logging: LogOptions,
+    line_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Follow a robot by its line, live or from a log: where it is, and what is wrong with it.
+
+    Standard output has a line for each alarm that begins or ends, with --relay after what a host opens.
+    """
+    settings = options.settings(line_baud(running_mode(mode)))
+    check_writable(output)
+    check_apart([playpen, *([] if recording is None else [recording])], output, logging.log)
+    check_new(logging.force, output, logging.log)
+    if relay is not None:
+        if recording is not None or until is not None:
+            raise usage("--relay follows a robot, not a log; expected either, and --until with a log only")
+        endpoint.check()
+        words = [playpen, f"--robot={robot}", *options.words(), *(["--mode", mode] if mode else [])]
+        words += [*(["--exit-on", exit_on.value] if exit_on else []), *(["--force"] if logging.force else [])]
+        words += ["--output", str(output)] if output is not None else []
+        words += [*(["--view"] if view else []), *(["--web"] if web else [])]
+        from khep_twin.host.opening import numbered
+
+        _beside_robot(numbered(relay), settings.baud, words, endpoint, logging, poll)
+        return
+    found = options.load(playpen, robot)
+    if line_fd is not None:
+        followed = Followed(found, settings, exit_on is not None, output)
+        _follow_line(line_fd, followed, followed.viewed(web=web) if view else nullcontext())
+        return
+    if ignored := given(context) & _OF_A_ROBOT:
+        raise usage(f"--{min(ignored).replace('_', '-')} is for a robot at --relay, not for a log")
+    if recording is None:
+        raise usage("nothing to follow; expected a log, FILE.mcap, or a robot's port, --relay PORT")
+    _follow_log(recording, robot, until, found, settings, exit_on is not None, output)
+
+
+def _follow_log(
+    path: Path,
+    robot: int,
+    until: float | None,
+    playpen: "Playpen",
+    settings: "ShadowSettings",
+    ends_on_alarm: bool,
+    output: Path | None,
+) -> None:
+    """Follow a recorded robot."""
+    from khep_twin.shadow.recording import recorded
+
+    line = recorded(path, robot)
+    if line.baud is not None:
+        settings = replace(settings, baud=line.baud)
+    end_ns = line.heard[-1].time_ns if until is None else min(int(until * NS_PER_S), line.heard[-1].time_ns)
+    with stopping() as stop, closing(Followed(playpen, settings, ends_on_alarm, output, path)) as followed:
+        begun = time.monotonic()
+        with progress_bar() as show:
+            code = followed.follow(_until(line.heard, end_ns, show), stop)
+        took_s = time.monotonic() - begun
+    followed.tell(took_s)
+    if code:
+        raise typer.Exit(code)
+
+
+def _follow_line(descriptor: int, followed: Followed, viewer: AbstractContextManager[None]) -> None:
+    """Follow the line of a tap, as the process of `cli.beside`."""
+    from khep_twin.cli.beside import READY
+    from khep_twin.shadow.tap import TappedLine
+
+    # Where cores are few, the relay and the host come first.
+    os.nice(_NICE)
+    with viewer, stopping(None) as stop:
+        with closing(followed), status_line() as status:
+            os.write(descriptor, READY)
+            line = TappedLine(descriptor, stop)
+            code = followed.follow(_on_time(line), stop, None if status is None else status.show)
+        followed.tell()
+        os.write(descriptor, bytes([code]))
+        os.close(descriptor)
+    if code:
+        raise typer.Exit(code)
+
+
+def _on_time(line: "TappedLine") -> "Iterator[Heard]":
+    """Yield what crosses the line; tell where the shadow falls behind."""
+    told = False
+    for each in line:
+        yield each
+        behind_s = line.behind_s(each.time_ns)
+        if not told and behind_s > _BEHIND_S:
+            complain(f"the shadow is {behind_s:.1f} s behind its robot; nothing is lost, its alarms are late")
+            told = True
+        elif told and behind_s < _BEHIND_S / 2:
+            complain("the shadow has caught up with its robot")
+            told = False
+
+
+def _beside_robot(
+    port: str, baud: int, words: list[str], endpoint: EndpointOptions, logging: LogOptions, poll: bool
+) -> None:
+    """Relay a robot's line, with a shadow in a process of its own."""
+    from khep_twin.cli.beside import beside
+
+    with stopping() as stop, beside(words, stop) as other:
+
+        def ends() -> bool:
+            return stop() or other.raised()
+
+        try:
+            relay_robot(port, baud, endpoint, logging, other.tap, poll=poll, stop=ends)
+        except Exception:
+            other.finish()
+            raise
+        code = other.finish()
+    if code:
+        raise typer.Exit(code)
+
+
+def _until(
+    heard: "Sequence[Heard]", end_ns: int, progress: Callable[[float], None] | None
+) -> "Iterator[Heard]":
+    """Yield what was heard up to a time, and that nothing came after it until then."""
+    from khep_twin.shadow.recording import Heard
+
+    for each in heard:
+        if each.time_ns > end_ns:
+            break
+        yield each
+        if progress is not None:
+            progress(each.time_ns / end_ns)
+    yield Heard(end_ns, True, b"")

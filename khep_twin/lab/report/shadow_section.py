@@ -1,0 +1,241 @@
+"""Section of a report on a shadow's log: where it took its robot to be, what deviated, and its alarms."""
+
+# matplotlib's own annotations leave keyword arguments open.
+# pyright: reportUnknownMemberType=false
+
+import math
+import re
+from collections.abc import Callable, Iterator
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from khep_twin.drawing import map as drawing
+from khep_twin.drawing.map import POINT_LIMIT, STYLE
+from khep_twin.drawing.symbols import INK, Look
+from khep_twin.lab.experiment.run_statistics import Floats
+from khep_twin.lab.report.figure import thinned, within
+from khep_twin.lab.report.rows import Row
+from khep_twin.lab.sensor_test.sensor_test import SENSORS
+from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, TIMING, WHEELS, ShadowTrack
+from khep_twin.playpen import Playpen
+
+Draw = Callable[[Figure, ShadowTrack, tuple[float, float]], None]
+"""Function that draws a picture onto a figure; the corner is the lower left [inch]."""
+
+DEFINITIONS: tuple[Row, ...] = (
+    ("Spread", "standard deviation of the estimate, in x and y together, and of the heading"),
+    ("Dead reckoning", "pose by the commands alone, of the calibration's robot from the playpen's start"),
+    (
+        "Residuals",
+        "measured less expected: counts of proximity and light; pulses of the wheels beyond those that "
+        "commands make, since H was asked last; time of a reply beyond that of its bytes",
+    ),
+    ("Sureness", "probability of the fault, among all that were considered, when the alarm began"),
+)
+
+_SENSORS_HEIGHT, _REST_HEIGHT = 4.9, 4.6
+"""Heights of the pictures [inch]."""
+
+_ESTIMATE, _RECKONED, _RESIDUAL, _ALARM = "#5e35b1", "#464646", "#2f6fb0", "#c2452d"
+_ELLIPSES = 60
+"""Most ellipses on a map."""
+
+_SENSOR = re.compile(r"sensor (\d)")
+
+
+def rows(track: ShadowTrack) -> Iterator[Row]:
+    """Yield the figures of a shadow as rows."""
+    if not len(track.times_ns):
+        yield "Updates", "none: no reply had values"
+        return
+    seconds = track.times_ns[-1] / 1e9
+    yield "Duration", f"{seconds:.2f} s"
+    yield "Updates", f"{len(track.times_ns)}, {len(track.times_ns) / max(seconds, 1e-9):.1f} a second"
+    place_mm, heading_deg = _spreads(track)
+    yield "Spread of the position", _quantiles(place_mm, "mm")
+    yield "Spread of the heading", _quantiles(heading_deg, "°")
+    away_mm = _away_mm(track)
+    yield (
+        "Dead reckoning",
+        f"{away_mm[-1]:.0f} mm from the estimate in the end, {away_mm.max():.0f} mm at most",
+    )
+    for name, columns, unit in (("Proximity", PROXIMITY, "counts"), ("Light", LIGHT, "counts")):
+        asked = _asked(track, columns)[1]
+        if len(asked):
+            yield f"{name}, residual", f"{_rms(asked):.0f} {unit} rms"
+    if len(wheels := _asked(track, WHEELS)[1]):
+        yield "Wheels, residual", f"{_rms(wheels):.1f} pulses rms"
+    yield "Alarms", f"{len(track.alarms)}"
+
+
+def alarm_rows(track: ShadowTrack) -> list[Row]:
+    """Return a row per alarm."""
+    return [
+        (
+            alarm.fault,
+            f"since {alarm.since_ns / 1e9:.2f} s, told at {alarm.raised_ns / 1e9:.2f} s, "
+            f"{100 * alarm.sureness:.1f} % sure, in {alarm.channel}; "
+            + ("lasts" if alarm.ended_ns is None else f"ended at {alarm.ended_ns / 1e9:.2f} s"),
+        )
+        for alarm in track.alarms
+    ]
+
+
+def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
+    """Draw the estimated path with its spread, and dead reckoning."""
+    figure = drawing.draw(playpen)
+    axes = figure.axes[0]
+    limits = axes.axis()
+    with matplotlib.style.context(STYLE):
+        thin = slice(None, None, -(-len(track.times_ns) // POINT_LIMIT) or 1)
+        reckoned, pose = 1000 * track.reckoned[thin], 1000 * track.pose[thin]
+        axes.plot(*reckoned[:, :2].T, color=_RECKONED, lw=0.9, ls=(0, (4, 2)), zorder=4)
+        axes.plot(*pose[:, :2].T, color=_ESTIMATE, lw=1.3, zorder=5)
+        some = np.unique(np.linspace(0, max(len(pose) - 1, 0), min(_ELLIPSES, len(pose))).astype(int))
+        sizes, turns = _ellipses(track.covariance[thin][some])
+        look: Look = {"facecolor": _ESTIMATE, "alpha": 0.2, "zorder": 4}
+        places: Look = {"units": "xy", "offsets": pose[some, :2], "offset_transform": axes.transData}
+        axes.add_collection(EllipseCollection(sizes[:, 0], sizes[:, 1], turns, **places, **look))
+        radius_mm = 1000 * playpen.robots[0].body.radius
+        for path, colour in ((pose, _ESTIMATE), (reckoned, _RECKONED)):
+            if len(path):
+                axes.add_patch(Circle(path[-1, :2].tolist(), radius_mm, fill=False, ec=colour, lw=1, ls="--"))
+        axes.axis(limits)
+        handles = [
+            Line2D([], [], color=_ESTIMATE, lw=1.3, label="estimate, with ellipses of two deviations"),
+            Line2D([], [], color=_RECKONED, lw=0.9, ls=(0, (4, 2)), label="dead reckoning"),
+        ]
+        axes.legend(
+            handles=handles, loc="lower right", bbox_to_anchor=(1, 1), fontsize=8, ncols=2, frameon=False
+        )
+    return figure
+
+
+def pictures() -> list[tuple[Draw, float, str]]:
+    """Return drawing function, height [inch] and name of each picture."""
+    return [
+        (_draw_sensors, _SENSORS_HEIGHT, "Residuals of the sensors"),
+        (_draw_rest, _REST_HEIGHT, "Residuals of wheels and timing, and spread"),
+    ]
+
+
+def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
+    """Draw the residuals of proximity and light, a strip for each sensor."""
+    grid = within(figure, corner, _SENSORS_HEIGHT, left=0.98, right=0.1)
+    cells = figure.add_gridspec(8, 2, hspace=0.22, wspace=0.14, **grid)
+    for column, (name, columns) in enumerate((("proximity", PROXIMITY), ("light", LIGHT))):
+        times_s, values = _asked(track, columns)
+        high = float(np.abs(values).max(initial=1.0))
+        for sensor in range(8):
+            axes = figure.add_subplot(cells[sensor, column])
+            _style(axes, track)
+            axes.set(ylim=(-high, high), yticks=(-round(high), 0, round(high)) if sensor == 0 else [0])
+            if len(values):
+                axes.plot(*thinned(times_s, values[:, sensor]), color=_RESIDUAL, lw=0.7)
+                _mark(axes, track, name, sensor)
+            elif sensor == 3:
+                axes.text(0.5, 0.5, "not asked", transform=axes.transAxes, ha="center", va="center")
+            axes.tick_params(labelbottom=sensor == 7)
+            if sensor == 0:
+                axes.set_title(f"{name}: measured less expected [counts]", fontsize=9, loc="left", color=INK)
+            if column == 0:
+                place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
+                axes.set_ylabel(SENSORS[sensor], **place)
+                axes.yaxis.set_label_coords(-0.16, 0.5)
+            if sensor == 7:
+                axes.set_xlabel("time [s]", fontsize=8)
+
+
+def _draw_rest(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
+    """Draw the residuals of wheels and timing, the spread and dead reckoning."""
+    grid = within(figure, corner, _REST_HEIGHT, left=0.98, right=0.1)
+    cells = figure.add_gridspec(4, 1, hspace=0.35, **grid)
+    (wheels_s, wheels), (timing_s, timing) = (_asked(track, each) for each in (WHEELS, slice(TIMING, None)))
+    times_s = track.times_ns / 1e9
+    panels: list[tuple[str, str, str, list[tuple[str, Floats, Floats]]]] = [
+        (
+            "wheels",
+            "beyond commands\n[pulses]",
+            "wheels",
+            [("left", wheels_s, wheels[:, 0]), ("right", wheels_s, wheels[:, 1])],
+        ),
+        ("timing", "delay of replies\n[ms]", "line", [("", timing_s, 1000 * timing[:, 0])]),
+        ("spread", "spread of the\nposition [mm]", "", [("", times_s, _spreads(track)[0])]),
+        ("reckoned", "dead reckoning\noff by [mm]", "", [("", times_s, _away_mm(track))]),
+    ]
+    for row, (_, label, channel, curves) in enumerate(panels):
+        axes = figure.add_subplot(cells[row, 0])
+        _style(axes, track)
+        for (name, at_s, values), colour in zip(curves, (_RESIDUAL, "#b8860b"), strict=False):
+            axes.plot(*thinned(at_s, values), color=colour, lw=0.8, label=name)
+        if not len(curves[0][1]):
+            axes.text(0.5, 0.5, "not asked", transform=axes.transAxes, ha="center", va="center")
+        elif channel:
+            _mark(axes, track, channel)
+        if len(curves) > 1 and len(curves[0][1]):
+            axes.legend(loc="lower right", bbox_to_anchor=(1, 0.94), ncols=2, fontsize=8, frameon=False)
+        axes.yaxis.set_major_locator(MaxNLocator(3))
+        axes.set_ylabel(label, fontsize=8)
+        axes.yaxis.set_label_coords(-0.07, 0.5)
+        axes.tick_params(labelbottom=row == len(panels) - 1)
+    figure.axes[-1].set_xlabel("time [s]", fontsize=8)
+
+
+def _style(axes: Axes, track: ShadowTrack) -> None:
+    axes.set_xlim(0, float(track.times_ns[-1]) / 1e9 if len(track.times_ns) else 1.0)
+    axes.tick_params(labelsize=7, length=2)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
+    axes.axhline(0, color=INK, alpha=0.4, lw=0.5, ls=":")
+
+
+def _mark(axes: Axes, track: ShadowTrack, channel: str, sensor: int | None = None) -> None:
+    """Mark the alarms of a channel; those that name a sensor, with this one only."""
+    for alarm in track.alarms:
+        named = _SENSOR.search(alarm.fault)
+        if alarm.channel == channel and (sensor is None or named is None or int(named[1]) == sensor):
+            end_ns = track.times_ns[-1] if alarm.ended_ns is None else alarm.ended_ns
+            axes.axvspan(alarm.since_ns / 1e9, end_ns / 1e9, color=_ALARM, alpha=0.18, lw=0.6, zorder=0)
+
+
+def _asked(track: ShadowTrack, columns: slice) -> tuple[Floats, Floats]:
+    """Return times [s] and values of the residuals of replies that have them."""
+    values = track.residuals[:, columns]
+    asked = ~np.isnan(values).any(axis=1)
+    return track.times_ns[asked] / 1e9, values[asked]
+
+
+def _spreads(track: ShadowTrack) -> tuple[Floats, Floats]:
+    """Return standard deviations of the position [mm] and the heading [degrees]."""
+    variances = np.maximum(np.diagonal(track.covariance, axis1=1, axis2=2), 0)
+    return 1000 * np.sqrt(variances[:, :2].sum(axis=1)), np.degrees(np.sqrt(variances[:, 2]))
+
+
+def _away_mm(track: ShadowTrack) -> Floats:
+    return 1000 * np.hypot(*(track.reckoned - track.pose)[:, :2].T)
+
+
+def _ellipses(covariances: Floats) -> tuple[Floats, Floats]:
+    """Return widths, heights (n, 2) [mm] and angles [degrees] of ellipses of two standard deviations."""
+    if not len(covariances):
+        return np.zeros((0, 2)), np.zeros(0)
+    values, vectors = np.linalg.eigh(covariances[:, :2, :2])
+    turns: NDArray[np.float64] = np.degrees(np.arctan2(vectors[:, 1, 0], vectors[:, 0, 0]))
+    return 4000 * np.sqrt(np.maximum(values, 0)), turns
+
+
+def _quantiles(values: Floats, unit: str) -> str:
+    median, high = np.quantile(values, (0.5, 0.95)).tolist()
+    return f"{median:.1f} {unit} median, {high:.1f} {unit} at 95 %"
+
+
+def _rms(values: Floats) -> float:
+    return math.sqrt(float(np.mean(values * values)))

@@ -1,0 +1,74 @@
+"""Following a robot's line with a shadow: pauses, and alarms that begin and end.
+
+A line that is silent advances the shadow at whole steps of `STEP_NS`, so that the same bytes at the same
+times give the same updates, whether they come from a log or as they cross the line.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.recording import Heard
+from khep_twin.shadow.shadow import Shadow, Update
+
+STEP_NS = NS_PER_S // 5
+"""Step of the silence after which the pose is estimated without a reply [ns] (assumed)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Alarm that has begun or ended.
+
+    Attributes:
+        time_ns: Time of the reply that showed it [ns].
+        alarm: Alarm, with its end if it has ended.
+    """
+
+    time_ns: int
+    alarm: Alarm
+
+
+class Follower:
+    """A shadow that is fed a line.
+
+    Args:
+        shadow: Shadow.
+
+    Attributes:
+        last: Last update; None before the first.
+        replies: Number of replies with values that were used.
+    """
+
+    def __init__(self, shadow: Shadow) -> None:
+        self._shadow = shadow
+        self._waited_ns = 0
+        self._lasting: dict[tuple[str, int], Alarm] = {}
+        self.last: Update | None = None
+        self.replies = 0
+
+    def feed(self, heard: Heard) -> Iterator[Update]:
+        """Yield the updates up to bytes and by them; no bytes tell that none came until then."""
+        yield from self.wait(heard.time_ns)
+        for update in self._shadow.feed(*heard) if heard.data else ():
+            self.last = update
+            self.replies += 1
+            yield update
+
+    def wait(self, time_ns: int) -> Iterator[Update]:
+        """Yield the updates of a silence up to a time [ns]."""
+        while (next_ns := self._waited_ns + STEP_NS) <= time_ns:
+            self._waited_ns = next_ns
+            for update in self._shadow.wait(next_ns):
+                self.last = update
+                yield update
+
+    def changes(self, update: Update) -> Iterator[Change]:
+        """Yield the alarms that have ended or begun with an update."""
+        lasting = {(alarm.fault, alarm.raised_ns): alarm for alarm in update.alarms}
+        for alarm in update.ended:
+            yield Change(update.time_ns, alarm)
+        for key, alarm in lasting.items():
+            if key not in self._lasting:
+                yield Change(update.time_ns, alarm)
+        self._lasting = lasting

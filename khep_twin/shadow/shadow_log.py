@@ -1,0 +1,235 @@
+"""Log of a shadow: its updates as an MCAP file (`khep_twin.log.shadow_channels` has the channels).
+
+    log = ShadowLog(Path("shadow.mcap"), playpen, settings, parent=Path("robot.mcap"))
+    for update in shadow.feed(...):
+        log.write(update)
+    log.close()
+
+Times are those of the line that the shadow hears. The same updates give the same bytes.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import playpen as playpens
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import LogError
+from khep_twin.files.atomic import open_regular
+from khep_twin.log import channels, foxglove_scene
+from khep_twin.log.channels import FLOATS, POSE, UNSURE_POSE, ArrayFrame, TextLine, TransformFrame
+from khep_twin.log.description import body_name, urdf
+from khep_twin.log.log_file import LogFile
+from khep_twin.log.recorder import FLUSH_NS, versions
+from khep_twin.log.shadow_channels import (
+    PARTICLES,
+    RESIDUALS,
+    SENSORS,
+    LoggedAlarm,
+    begin_line,
+    end_line,
+)
+from khep_twin.playpen import Playpen
+from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.sensing import calibration
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.learned import LEARNED, Learned
+from khep_twin.shadow.shadow import ShadowSettings, Update
+
+ROBOT = "khepera0"
+"""Name of the robot in the log."""
+
+LIVE_FLUSH_NS = NS_PER_S // 2
+"""Time between two flushes beside a robot, for those who follow the file [ns]."""
+
+PARTICLES_NS = NS_PER_S
+"""Time between two messages of particles [ns]."""
+
+_LINE = "rcl_interfaces/msg/Log"
+_NONE: Mapping[str, str] = {}
+
+
+class ShadowLog:
+    """Log of a shadow.
+
+    Args:
+        path: Path of the finished log, by convention NAME.mcap.
+        playpen: Playpen of the shadow.
+        settings: Settings of the shadow.
+        parent: Log that the shadow reads; None beside a robot.
+        facts: More metadata, such as the robot's device.
+        flush_ns: Time between two flushes to the file system [ns].
+        on_failure: Function that takes the message if the log can no longer be written, after which the
+            shadow continues without it; None ends it by a `LogError`.
+
+    Attributes:
+        kept: New path of an unfinished log of an earlier run, None if there was none.
+
+    Raises:
+        LogError: The file cannot be made, or the parent cannot be read.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        playpen: Playpen,
+        settings: ShadowSettings,
+        *,
+        parent: Path | None = None,
+        facts: Mapping[str, str] = _NONE,
+        flush_ns: int = FLUSH_NS,
+        on_failure: Callable[[str], None] | None = None,
+    ) -> None:
+        named = {} if parent is None else {"parent": parent.name, "parent_sha256": _digest(parent)}
+        self._time_ns = self._flushed_ns = 0
+        self._flush_ns = flush_ns
+        self._particles_ns = -PARTICLES_NS
+        self._lasting: dict[tuple[str, int], Alarm] = {}
+        self._ghost = _Ghost(playpen)
+        label = f"{', '.join(SENSORS)} [counts]"
+        self._proximity = ArrayFrame(len(SENSORS), "f8", label)
+        self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
+        self._learned = ArrayFrame(len(LEARNED), "f8", ", ".join(LEARNED))
+        self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
+        self._log = LogFile(path, lambda: self._time_ns)
+        self.kept = self._log.kept
+        self._begin(playpen, settings, {**named, **facts})
+        self._log.on_failure = on_failure
+        self._log.complete = self.close
+
+    @property
+    def failure(self) -> LogError | None:
+        """Error after which the log is no longer written, None if there was none."""
+        return self._log.failure
+
+    def write(self, update: Update) -> None:
+        """Write an update; now and then, hand everything so far to the file system."""
+        if not self._log.open:
+            return
+        time_ns = self._time_ns = update.time_ns
+        estimate = update.estimate
+        self._log.add(
+            "/shadow/pose",
+            UNSURE_POSE,
+            time_ns,
+            channels.pose_message(time_ns, estimate.pose, estimate.covariance),
+        )
+        self._log.add("/shadow/reckoned", POSE, time_ns, channels.pose_message(time_ns, update.reckoned))
+        self._log.add("/tf", "tf2_msgs/msg/TFMessage", time_ns, self._ghost.message(time_ns, estimate.pose))
+        residuals = update.residuals
+        self._add("expected", self._proximity, update.expected)
+        self._add("measured", self._proximity, update.measured)
+        self._add("residuals", self._residuals, np.hstack(residuals))
+        if time_ns - self._particles_ns >= PARTICLES_NS:
+            self._particles_ns = time_ns
+            rows = np.linspace(0, len(update.particles) - 1, PARTICLES).round().astype(np.intp)
+            self._add("particles", self._particles, update.particles[rows].ravel())
+        self._write_alarms(update)
+        if time_ns - self._flushed_ns >= self._flush_ns:
+            self._flushed_ns = time_ns
+            self._log.flush()
+
+    def write_learned(self, found: Learned) -> None:
+        """Write what was learned of the robot, at the time of the last update."""
+        if self._log.open:
+            self._add("learned", self._learned, found.row)
+
+    def on_event(self, text: str) -> None:
+        """Write an event at the time of the last update."""
+        if self._log.open:
+            self._log.add_event(self._time_ns, ROBOT, text)
+
+    def flush(self) -> None:
+        """Hand everything so far to the file system."""
+        if self._log.open:
+            self._log.flush()
+
+    def close(self) -> None:
+        """Complete the file and rename it to its path."""
+        if self._log.open:
+            self._log.finish()
+
+    def discard(self) -> None:
+        """Remove the unfinished file."""
+        self._log.discard()
+
+    def _add(self, name: str, frame: ArrayFrame, values: NDArray[np.float64]) -> None:
+        message = frame.messages(values[None])[0].tobytes()
+        self._log.add(f"/shadow/{name}", FLOATS, self._time_ns, message)
+
+    def _write_alarms(self, update: Update) -> None:
+        """Write which alarms have begun and ended."""
+        lasting = {(alarm.fault, alarm.raised_ns) for alarm in update.alarms}
+        for alarm in (*update.alarms, *update.ended):
+            if (alarm.fault, alarm.raised_ns) not in self._lasting:
+                self._lasting[alarm.fault, alarm.raised_ns] = alarm
+                self._add_line(begin_line(update.time_ns, _logged(alarm)))
+        for key in [key for key in self._lasting if key not in lasting]:
+            self._add_line(end_line(update.time_ns, _logged(self._lasting.pop(key))))
+
+    def _add_line(self, line: TextLine) -> None:
+        self._log.add("/shadow/alarms", _LINE, line.time_ns, channels.line_message(line))
+
+    def _begin(self, playpen: Playpen, settings: ShadowSettings, named: Mapping[str, str]) -> None:
+        attachments = {
+            "playpen.toml": playpens.dump(playpen),
+            "scene.xml": self._ghost.scene,
+            "configuration.json": json.dumps(asdict(settings), indent=2, sort_keys=True, default=str) + "\n",
+            f"calibration/{ROBOT}.toml": calibration.read(playpen.robots[0].calibration)[1],
+        }
+        facts = {"playpen": playpen.name, "robots": ROBOT, "shadow": "1", **versions(), **named}
+        self._log.describe(attachments, {**facts, **asdict(settings)})
+        description = channels.text_message(urdf(self._ghost.model))
+        self._log.add("/robot_description", "std_msgs/msg/String", 0, description)
+        scene = foxglove_scene.scene_update(self._ghost.model)
+        self._log.add("/scene", foxglove_scene.SCHEMA, 0, scene, foxglove_scene.descriptors())
+        self._log.flush()
+
+
+class _Ghost:
+    """Robot of a scene that is put at estimates.
+
+    Args:
+        playpen: Playpen with one robot.
+    """
+
+    def __init__(self, playpen: Playpen) -> None:
+        spec = to_spec(playpen)
+        self.model = spec.compile()
+        self.scene = spec.to_xml()
+        self._data = mujoco.MjData(self.model)
+        self._place = int(self.model.joint(f"{ROBOT}/pose").qposadr[0])
+        self._moving = np.flatnonzero(self.model.body_weldid != 0)
+        self._frame = TransformFrame([body_name(self.model, body) for body in self._moving.tolist()])
+
+    def message(self, time_ns: int, pose: tuple[float, float, float]) -> bytes:
+        """Return a message of /tf with the robot at a pose."""
+        model, data = self.model, self._data
+        x, y, heading = pose
+        data.qpos[self._place : self._place + 2] = x, y
+        data.qpos[self._place + 3 : self._place + 7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
+        mujoco.mj_kinematics(model, data)
+        poses = np.hstack([data.xpos[self._moving], data.xquat[self._moving][:, [1, 2, 3, 0]]])
+        return self._frame.messages(np.array([time_ns]), poses[None])[0].tobytes()
+
+
+def _logged(alarm: Alarm) -> LoggedAlarm:
+    return LoggedAlarm(alarm.fault, alarm.channel, alarm.since_ns, alarm.raised_ns, alarm.sureness)
+
+
+def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    try:
+        with open_regular(path) as file:
+            digest = hashlib.sha256()
+            while block := file.read(1 << 20):
+                digest.update(block)
+            return digest.hexdigest()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from error

@@ -1,0 +1,87 @@
+"""rerun's viewer beside a shadow: a process of its own that follows a log, as `khep-twin view --live` does.
+
+    with ShadowViewer(playpen, settings) as viewer:
+        for update in shadow.feed(...):
+            viewer.show(update)
+        viewer.wait(stop)
+
+The shadow only writes a file; drawing costs it nothing, and does not delay a relay.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+from khep_twin.log.viewer.process import end_process
+from khep_twin.playpen import Playpen
+from khep_twin.shadow.shadow import ShadowSettings, Update
+from khep_twin.shadow.shadow_log import LIVE_FLUSH_NS, ShadowLog
+from khep_twin.signals import clear_at_end, undisturbed
+
+_TURN = 0.05
+"""Interval of checks of the viewer's process [s]."""
+
+
+class ShadowViewer:
+    """A viewer that shows a shadow while it goes on.
+
+    Args:
+        playpen: Playpen of the shadow.
+        settings: Settings of the shadow.
+        log: Path of a log that a `ShadowLog` writes anyway, with flushes every `LIVE_FLUSH_NS`; None for one
+            of the viewer's own, which is removed in the end.
+        web: Show it in a browser instead of a window.
+
+    Raises:
+        LogError: The viewer's own log cannot be made.
+    """
+
+    def __init__(
+        self, playpen: Playpen, settings: ShadowSettings, log: Path | None = None, *, web: bool = False
+    ) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="khep-twin-")
+        self._log: ShadowLog | None = None
+        if log is None:
+            log = Path(self._folder.name) / "shadow.mcap"
+            self._log = ShadowLog(log, playpen, settings, flush_ns=LIVE_FLUSH_NS)
+        command = [sys.executable, "-m", "khep_twin", "view", "--live", str(log), *(["--web"] if web else [])]
+        with undisturbed():
+            # Ctrl-C in a terminal is for the shadow, which then ends the viewer.
+            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+            self._forget = clear_at_end(self.close)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def show(self, update: Update) -> None:
+        """Show an update; of a log that is written anyway, the viewer reads it there."""
+        if self._log is not None:
+            self._log.write(update)
+
+    def closed(self) -> bool:
+        """Return whether the viewer has ended."""
+        return self._process.poll() is not None
+
+    def wait(self, stop: Callable[[], bool]) -> None:
+        """Wait until the viewer is closed, or `stop` returns True."""
+        if self._log is not None:
+            self._log.flush()
+        while not stop() and not self.closed():
+            time.sleep(_TURN)
+
+    def close(self) -> None:
+        """End the viewer, and remove its own log."""
+        end_process(self._process)
+        self._forget()
+        if self._log is not None:
+            self._log.discard()
+        with suppress(OSError):
+            self._folder.cleanup()

@@ -1,0 +1,170 @@
+"""`khep-twin shadow`: a robot followed from a log."""
+
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import serial
+from command_line import khep_twin
+from served_twin import served
+
+from benchmarks.stand_ins import Truth, record
+from khep_twin import playpen as playpens
+from khep_twin.log.reader import read, read_arrays
+from khep_twin.sensing import calibration
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.shadow import Shadow, Update
+
+SOME = ("--particles", "100")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The line of a stand-in robot, asked N and H for 8 s."""
+    path = tmp_path_factory.mktemp("stand-in") / "robot.mcap"
+    record(path, playpens.load("obstacles"), seed=1, seconds=8, host="wall follower", asks_counters=True)
+    return path
+
+
+def test_it_tells_where_the_robot_is_and_what_was_learned(log: Path) -> None:
+    done = khep_twin("shadow", "obstacles", log, *SOME)
+    assert done.returncode == 0, done.stderr
+    pose, reckoning, wheels = done.stdout.splitlines()
+    found = [float(number) for number in re.findall(r"(\S+) mm \+-", pose)]
+    assert found == pytest.approx(Truth.load(log.with_suffix(".npz")).poses[-1, :2] * 1e3, abs=20)
+    assert reckoning.startswith("reckoning  ")
+    assert wheels.startswith("wheels     radius 7.")
+    assert "s followed in" in done.stderr
+
+
+def test_it_follows_the_same_way_each_time_and_by_the_seed_another(log: Path) -> None:
+    one, two, other = (
+        khep_twin("shadow", "obstacles", log, *SOME, "--until", 3, "--seed", seed).stdout
+        for seed in (1, 1, 2)
+    )
+    assert one == two != other
+
+
+def test_an_alarm_is_a_line_and_ends_it_where_that_is_wanted(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alarm = Alarm("stuck sensor 3", "proximity", 1_900_000_000, 2_000_000_000, 0.97)
+    inner = Shadow.feed
+
+    def feed(self: Shadow, time_ns: int, to_robot: bool, data: bytes) -> Iterator[Update]:
+        for update in inner(self, time_ns, to_robot, data):
+            if 2_000_000_000 < time_ns < 3_000_000_000:
+                update = replace(update, alarms=(alarm,))
+            elif 3_000_000_000 < time_ns < 3_050_000_000:
+                update = replace(update, ended=(replace(alarm, ended_ns=time_ns),))
+            yield update
+
+    monkeypatch.setattr(Shadow, "feed", feed)
+    told = khep_twin("shadow", "obstacles", log, *SOME, "--until", 4)
+    assert told.returncode == 0
+    first, second, *_ = told.stdout.splitlines()
+    assert first.strip().startswith("2.0")
+    assert first.endswith("s  stuck sensor 3: proximity, since 1.90 s, 97% sure")
+    assert second.endswith("s  stuck sensor 3: proximity, since 1.90 s, over")
+    ended = khep_twin("shadow", "obstacles", log, *SOME, "--exit-on", "alarm")
+    assert ended.returncode == 4
+    assert ended.stdout.splitlines()[0] == first
+    assert ended.stderr.startswith("2.0")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--start", "left"], "--start left: expected known, unknown or X,Y,HEADING, such as 100,250,90"),
+        (["--within", "10"], "--within 10: expected MM,DEG, such as 10,5"),
+        (["--robot", "1"], "obstacles: robot 1; expected 0, as it has 1"),
+        (["--poll"], "--poll is for a robot at --relay, not for a log"),
+        (["--relay", "loop://"], "--relay follows a robot, not a log; expected either"),
+        (["-o", "LOG"], "this is what is read; expected a file of its own"),
+    ],
+)
+def test_what_cannot_be_is_one_line(log: Path, options: list[str], message: str) -> None:
+    words = [str(log) if each == "LOG" else each for each in options]
+    done = khep_twin("shadow", "obstacles", log, *words)
+    assert done.returncode in (1, 2)
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_calibration_is_taken_from_what_a_shadow_has_learned(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    early = khep_twin("fit", "--from", log, "--playpen", "obstacles")
+    assert "determines nothing better than it was known" in early.stderr
+    # As after minutes.
+    monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.GAIN_ERROR", 0.0)
+    shadow, found = tmp_path / "shadow.mcap", tmp_path / "mine.toml"
+    assert khep_twin("shadow", "obstacles", log, "-o", shadow).returncode == 0
+    done = khep_twin("fit", "--from", shadow, "-o", found)
+    assert done.returncode == 0, done.stderr
+    assert "(95 %)" in done.stdout
+    assert calibration.read(str(found))[0].source.endswith("; learned by a shadow in shadow.mcap")
+    # The log of a relay is followed first, in the same way.
+    again = khep_twin("fit", "--from", log, "--playpen", "obstacles")
+    assert again.stdout == done.stdout.replace(f"calibration   {found}\n", "")
+    for words, message in (
+        (["--from", log], "no shadow's log; expected one, or --playpen with a relay's log"),
+        (["--from", shadow, "--ruler-mm", "1"], "--ruler-mm is for recorded tests, not for --from"),
+        ([], "nothing to fit; expected tests such as straight.mcap=998mm, or --from LOG"),
+    ):
+        refused = khep_twin("fit", *words)
+        assert refused.returncode == 2
+        assert message in refused.stderr
+
+
+def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: Path) -> None:
+    line, shadow = tmp_path / "line.mcap", tmp_path / "shadow.mcap"
+    with (
+        served("obstacles", "--seed", "1") as (_, robot),
+        shadowed("obstacles", "--relay", robot, *SOME, "--poll", "--log", str(line), "-o", str(shadow)) as (
+            process,
+            path,
+        ),
+    ):
+        with serial.Serial(path, 9600, stopbits=2, timeout=20) as port:
+            for request in (b"D,3,3\n", b"N\n", b"N\n"):
+                port.write(request)
+                assert port.readline()[:1] == request[:1].lower()
+            # Polls of the silence that follows are no business of the host's.
+            part, sizes = line.with_name("line.mcap.part"), set[int]()
+            deadline = time.monotonic() + 60
+            while len(sizes) < 4 and time.monotonic() < deadline:
+                time.sleep(0.05)
+                sizes.add(part.stat().st_size)
+            port.write(b"B\n")
+            assert port.readline() == b"b,5.02,5.01\r\n"
+        process.send_signal(signal.SIGINT)
+        told, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    assert told.splitlines()[0].startswith("pose ")
+    polled = [entry.text for entry in read(line).robots["khepera0"].serial if entry.text == "H"]
+    assert polled
+    assert len(read_arrays(shadow)[1]["/shadow/residuals"][0]) >= 3
+    assert len(read_arrays(shadow)[1]["/shadow/learned"][0]) >= 1
+
+
+@contextmanager
+def shadowed(*words: str) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """`khep-twin shadow` in a process of its own, and what a host opens."""
+    command = [sys.executable, "-m", "khep_twin", "shadow", *words]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert select.select([process.stdout], [], [], 120)[0], "nothing was served"
+            yield process, process.stdout.readline().strip()
+        finally:
+            process.kill()

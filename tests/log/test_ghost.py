@@ -1,0 +1,126 @@
+"""What views add to a shadow's log."""
+
+# rerun's types are partly unknown.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import Chunk, RrdReader
+from shadow_updates import MS, updates
+
+from khep_twin import playpen as playpens
+from khep_twin.log.reader import read_label, read_series
+from khep_twin.log.shadow_channels import read_shadow
+from khep_twin.log.tail import GrowingLog
+from khep_twin.log.viewer.ghost import Ghost
+from khep_twin.log.viewer.live import follow
+from khep_twin.log.viewer.replay import view
+from khep_twin.shadow.shadow import ShadowSettings
+from khep_twin.shadow.shadow_log import ShadowLog
+from khep_twin.shadow.shadow_viewer import ShadowViewer
+
+
+def written(path: Path, parent: Path | None = None) -> Path:
+    log = ShadowLog(path, playpens.load("obstacles"), ShadowSettings(), parent=parent)
+    for update in updates():
+        log.write(update)
+    log.close()
+    return path
+
+
+def chunks_of(recording: Path) -> dict[str, list[Chunk]]:
+    reader = RrdReader(recording)
+    found: dict[str, list[Chunk]] = {}
+    for chunk in reader.stream(store=reader.recordings()[0]):
+        if not chunk.is_static:
+            found.setdefault(chunk.entity_path, []).append(chunk)
+    return found
+
+
+def times_ms(chunks: list[Chunk]) -> list[int]:
+    columns = [chunk.to_record_batch()["message_log_time"].to_numpy(zero_copy_only=False) for chunk in chunks]
+    return (np.concatenate(columns).astype(np.int64) // MS).tolist()
+
+
+def test_a_view_of_a_shadow_has_estimate_reckoning_particles_rays_and_residuals(tmp_path: Path) -> None:
+    view([written(tmp_path / "shadow.mcap")], tmp_path / "shadow.rrd")
+    found = chunks_of(tmp_path / "shadow.rrd")
+    each = list(range(0, 3001, 50))
+    for name in ("reckoned", "spread", "expected", "measured"):
+        assert times_ms(found[f"/ghost/{name}"]) == each
+    assert times_ms(found["/ghost/particles"]) == [0, 1000, 2000, 3000]
+    assert times_ms(found["/trails/khepera0"]) == times_ms(found["/trails/reckoned"]) == each[1:]
+    assert "/ghost/truth" not in found
+    # Without what was not asked, which would interrupt the curves.
+    assert times_ms(found["/khepera0/residual_proximity"]) == each[::2]
+    assert times_ms(found["/khepera0/residual_wheels"]) == each
+    assert "/khepera0/residual_light" not in found
+    assert times_ms(found["/event_marks"]) == times_ms(found["/khepera0/events"]) == [1000, 2000]
+
+
+def test_the_truth_is_shown_if_the_log_that_was_read_lies_beside(log: Path, tmp_path: Path) -> None:
+    robot = tmp_path / "run.mcap"
+    shutil.copyfile(log, robot)
+    shadow = written(tmp_path / "shadow.mcap", robot)
+    view([shadow], tmp_path / "shadow.rrd")
+    poses = read_series(robot).series["/khepera0/pose"].times_ns // MS
+    assert times_ms(chunks_of(tmp_path / "shadow.rrd")["/trails/truth"]) == poses[1:].tolist()
+    with robot.open("ab") as file:
+        file.write(b"another log by now")
+    view([shadow], tmp_path / "alone.rrd")
+    assert "/trails/truth" not in chunks_of(tmp_path / "alone.rrd")
+
+
+def test_a_ray_ends_where_a_facing_wall_would_give_the_reading(tmp_path: Path) -> None:
+    path = written(tmp_path / "shadow.mcap")
+    ghost = Ghost(read_label(path), path)
+    counts = ghost._gain / (20 + ghost._offset) ** 2 - ghost._threshold  # pyright: ignore[reportPrivateUsage]
+    nothing = np.full(8, np.nan)
+    near, none, empty = ghost._reach(np.array([counts, np.zeros(8), nothing]))  # pyright: ignore[reportPrivateUsage]
+    assert near == pytest.approx(0.02)
+    assert (none > 0.03).all()
+    assert not empty.any()
+
+
+def test_a_shadow_is_shown_while_it_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "shadow.mcap"
+    log = ShadowLog(path, playpens.load("obstacles"), ShadowSettings(), flush_ns=500 * MS)
+    with GrowingLog(path) as growing:
+        for update in updates():
+            log.write(update)
+        log.close()
+        with rr.RecordingStream("khep_twin") as recording:
+            recording.save(tmp_path / "live.rrd")
+            follow(growing, recording, lambda: False)
+    found = chunks_of(tmp_path / "live.rrd")
+    assert times_ms(found["/ghost/reckoned"]) == list(range(0, 3001, 50))
+    assert sorted(times_ms(found["/shadow/alarms"])) == [1000, 2000]
+
+
+def test_a_viewer_that_cannot_open_is_told_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with ShadowViewer(playpens.load("obstacles"), ShadowSettings()) as viewer:
+        for update in updates():
+            viewer.show(update)
+        viewer.wait(lambda: False)
+    assert "there is no screen to open a window on" in capfd.readouterr().err
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_viewer_of_a_log_that_is_written_anyway_writes_none(tmp_path: Path) -> None:
+    path = written(tmp_path / "shadow.mcap")
+    with ShadowViewer(playpens.load("obstacles"), ShadowSettings(), path) as viewer:
+        for update in updates():
+            viewer.show(update)
+    assert len(read_shadow(path).times_ns) == 61
+    assert os.listdir(tmp_path) == ["shadow.mcap"]

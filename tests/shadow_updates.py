@@ -1,0 +1,37 @@
+"""Updates of a shadow, made by hand: a robot that drives ahead, with an alarm from 1 s to 2 s."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.particle_filter import Estimate, Floats
+from khep_twin.shadow.shadow import Residuals, Update
+
+MS = 1_000_000
+ALARM = Alarm("stuck sensor 2", "proximity", 800 * MS, 1000 * MS, 0.975)
+
+
+def updates() -> Iterator[Update]:
+    """Yield an update every 50 ms for 3 s."""
+    nothing: Floats = np.full(8, np.nan)
+    expected: Floats = np.arange(0.0, 800.0, 100.0)
+    measured: Floats = np.arange(0.0, 808.0, 101.0)
+    for time_ns in range(0, 3001 * MS, 50 * MS):
+        x = 0.2 + 0.02 * time_ns * 1e-9
+        covariance = np.array([[4e-6, 1e-6, 0], [1e-6, 9e-6, 0], [0, 0, 1e-3]])
+        particles = np.tile((x, 0.15, math.pi / 2), (250, 1)) + np.linspace(-0.01, 0.01, 250)[:, None]
+        asked = time_ns % (100 * MS) == 0
+        proximity = np.arange(8.0) if asked else nothing
+        yield Update(
+            time_ns,
+            Estimate(time_ns, (x, 0.15, 0.25), covariance),
+            (x + 0.01, 0.16, 0.5),
+            particles,
+            expected,
+            nothing if time_ns == 0 else measured,
+            Residuals(proximity, nothing, np.array([1.0, -2.0]), 0.001 if asked else math.nan),
+            (ALARM,) if 1000 * MS <= time_ns < 2000 * MS else (),
+            (ALARM,) if time_ns == 2000 * MS else (),
+        )
